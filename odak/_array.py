@@ -1,0 +1,104 @@
+"""The array namespace: one set of formulas for NumPy, PyTorch, CuPy and JAX through the Python array API."""
+
+from types import ModuleType
+
+import array_api_compat
+import array_api_compat.numpy as numpy_namespace
+
+
+def is_array(value) -> bool:
+    """Say whether `value` is an array of a known library (lists and numbers are not)."""
+    return array_api_compat.is_array_api_obj(value)
+
+
+def namespace(*values) -> ModuleType:
+    """Return the array namespace of the arrays among `values`, NumPy's when there is none."""
+    arrays = [value for value in values if is_array(value)]
+    return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
+
+
+def device_of(value):
+    """Return the device of an array, None for anything else."""
+    return array_api_compat.device(value) if is_array(value) else None
+
+
+def is_torch(value) -> bool:
+    """Say whether `value` is a torch tensor, without importing torch."""
+    return array_api_compat.is_torch_array(value)
+
+
+def needs_grad(*values) -> bool:
+    """Say whether any of `values` is a tensor that autograd or a functorch transform follows."""
+    return any(is_torch(v) and (v.requires_grad or type(v).__name__ != "Tensor" or _is_functorch(v)) for v in values)
+
+
+def _is_functorch(tensor) -> bool:
+    import torch
+
+    return torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+
+
+def is_double(value) -> bool:
+    """Say whether an array holds 64-bit floats or 128-bit complex numbers (integers count by their namespace)."""
+    return "64" in str(value.dtype) and "complex64" not in str(value.dtype) or "complex128" in str(value.dtype)
+
+
+def complex_dtype(value):
+    """Return the complex dtype that a field computed from `value` has: half the memory in, half out."""
+    xp = namespace(value)
+    return xp.complex128 if is_double(value) else xp.complex64
+
+
+def real_dtype(value):
+    """Return the real dtype that belongs to :func:`complex_dtype`."""
+    xp = namespace(value)
+    return xp.float64 if is_double(value) else xp.float32
+
+
+def to_complex(field):
+    """Return `field` as complex64 or complex128, after its own precision."""
+    xp = namespace(field)
+    dtype = complex_dtype(field)
+    if field.dtype == dtype:
+        return field
+    if not xp.isdtype(field.dtype, "complex floating") and not xp.isdtype(field.dtype, "real floating"):
+        field = xp.astype(field, real_dtype(field))
+    return xp.astype(field, dtype)
+
+
+def phasor(phase, dtype=None):
+    """Return exp(i·phase) for phases in radians, held in float64 and wrapped to ±π before any cast.
+
+    Parameters
+    ----------
+    phase : array
+        Phase in radians.
+    dtype : optional
+        Complex dtype of the result; by default the one that belongs to the phase's precision.
+    """
+    xp = namespace(phase)
+    dtype = complex_dtype(phase) if dtype is None else dtype
+    return _unit_phasor(xp, phase / (2 * numpy_namespace.pi), dtype)
+
+
+def phasor_of_cycles(cycles, dtype=None):
+    """Return exp(i·2π·cycles): whole cycles are dropped in the precision given, before the cast to `dtype`."""
+    xp = namespace(cycles)
+    return _unit_phasor(xp, cycles, complex_dtype(cycles) if dtype is None else dtype)
+
+
+def _unit_phasor(xp, cycles, dtype):
+    angle = 2 * numpy_namespace.pi * (cycles - xp.round(cycles))
+    angle = xp.astype(angle, xp.float64 if dtype == xp.complex128 else xp.float32)
+    return make_complex(xp.cos(angle), xp.sin(angle))
+
+
+def make_complex(real, imag):
+    """Return real + i·imag without an intermediate complex product."""
+    xp = namespace(real, imag)
+    if is_torch(real):
+        import torch
+
+        return torch.complex(real, imag)
+    dtype = complex_dtype(real)
+    return xp.astype(real, dtype) + 1j * xp.astype(imag, dtype)

@@ -1,0 +1,69 @@
+"""Argument checks for the public doors: each names the argument, what came and what is accepted."""
+
+import difflib
+import math
+from collections.abc import Iterable
+from numbers import Integral, Real
+
+from odak._array import is_array
+
+
+def one_of(name: str, value: str, options: Iterable[str]) -> str:
+    """Return the option that `value` names, whatever its case; raise ValueError with the nearest match otherwise."""
+    options = tuple(options)
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be a string, got {type(value).__name__}; accepted: {', '.join(options)}")
+    for option in options:
+        if option.casefold() == value.strip().casefold():
+            return option
+    near = difflib.get_close_matches(value.casefold(), [option.casefold() for option in options], n=1, cutoff=0.4)
+    hint = next((f" Did you mean {option!r}?" for option in options if near and option.casefold() == near[0]), "")
+    raise ValueError(f"{name} must be one of {', '.join(map(repr, options))}; got {value!r}.{hint}")
+
+
+def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
+    """Return `value` (a number or an array) after checking that it is real, finite and of the sign asked for.
+
+    Arrays that carry gradients or live on a GPU are checked for their type alone, so that no host sync happens.
+    """
+    if isinstance(value, bool) or not (isinstance(value, Real) or is_array(value)):
+        raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
+    if is_array(value):
+        if "complex" in str(value.dtype):
+            raise TypeError(f"{name} must be real, got an array of {value.dtype}")
+        if getattr(value, "is_cuda", False):
+            return value
+        values = [float(v) for v in value.reshape(-1)]
+    else:
+        values = [float(value)]
+    wanted = "positive and finite" if positive else "finite and not zero" if nonzero else "finite"
+    for v in values:
+        if not math.isfinite(v) or (positive and v <= 0) or (nonzero and v == 0):
+            raise ValueError(f"{name} must be {wanted}, got {v!r}")
+    return value
+
+
+def integer(name: str, value, *, minimum: int = 0) -> int:
+    """Return `value` as an int after checking that it is a whole number of at least `minimum`."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
+    if value < minimum:
+        raise ValueError(f"{name} must be at least {minimum}, got {value}")
+    return int(value)
+
+
+def image(name: str, value, *, axes: int = 2):
+    """Return an array of at least `axes` axes whose last two are not empty."""
+    if not is_array(value):
+        raise TypeError(f"{name} must be an array or a tensor, got {type(value).__name__}")
+    if value.ndim < axes or 0 in value.shape[-2:]:
+        raise ValueError(f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}")
+    return value
+
+
+def size(name: str, value) -> tuple[int, int]:
+    """Return a pair of positive integers (rows, columns)."""
+    pair = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
+    if len(pair) != 2:
+        raise ValueError(f"{name} must be two integers [rows, columns], got {value!r}")
+    return integer(f"{name}[0]", int(pair[0]), minimum=1), integer(f"{name}[1]", int(pair[1]), minimum=1)
