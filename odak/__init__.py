@@ -20,7 +20,9 @@ def __getattr__(name: str):
     """Load a subpackage on first use (PEP 562)."""
     if name in _SUBPACKAGES:
         return importlib.import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}; its subpackages are {', '.join(_SUBPACKAGES)}")
+    raise AttributeError(
+        f"module {__name__!r} has no attribute {name!r}; its subpackages are {', '.join(_SUBPACKAGES)}"
+    )
 
 
 def __dir__() -> list[str]:

@@ -27,12 +27,17 @@ def is_torch(value) -> bool:
     return array_api_compat.is_torch_array(value)
 
 
-def needs_grad(*values) -> bool:
-    """Say whether any of `values` is a tensor that autograd or a functorch transform follows."""
-    return any(is_torch(v) and (v.requires_grad or type(v).__name__ != "Tensor" or _is_functorch(v)) for v in values)
+def is_readable(value) -> bool:
+    """Say whether the numbers in `value` can be read without a host sync, outside any torch.func transform."""
+    return not is_torch(value) or not (value.is_cuda or _is_transformed(value))
 
 
-def _is_functorch(tensor) -> bool:
+def is_traced(value) -> bool:
+    """Say whether `value` is a tensor that must stay one: autograd follows it, or its numbers cannot be read."""
+    return is_torch(value) and (value.requires_grad or not is_readable(value))
+
+
+def _is_transformed(tensor) -> bool:
     import torch
 
     return torch._C._functorch.is_functorch_wrapped_tensor(tensor)

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable
 from numbers import Integral, Real
 
-from odak._array import is_array
+from odak._array import is_array, is_readable, is_torch, namespace
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -24,23 +24,30 @@ def one_of(name: str, value: str, options: Iterable[str]) -> str:
 def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     """Return `value` (a number or an array) after checking that it is real, finite and of the sign asked for.
 
-    Arrays that carry gradients or live on a GPU are checked for their type alone, so that no host sync happens.
+    Tensors on a GPU or inside a torch.func transform are checked for their type alone: reading them would sync or fail.
     """
-    if isinstance(value, bool) or not (isinstance(value, Real) or is_array(value)):
+    listed = isinstance(value, (list, tuple)) and all(isinstance(v, Real) for v in value)
+    if isinstance(value, bool) or not (isinstance(value, Real) or listed or is_array(value)):
         raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
     if is_array(value):
         if "complex" in str(value.dtype):
             raise TypeError(f"{name} must be real, got an array of {value.dtype}")
-        if getattr(value, "is_cuda", False):
+        if not is_readable(value):
             return value
-        values = [float(v) for v in value.reshape(-1)]
-    else:
-        values = [float(value)]
+    values = numbers(value)
     wanted = "positive and finite" if positive else "finite and not zero" if nonzero else "finite"
     for v in values:
         if not math.isfinite(v) or (positive and v <= 0) or (nonzero and v == 0):
             raise ValueError(f"{name} must be {wanted}, got {v!r}")
     return value
+
+
+def numbers(value) -> list[float]:
+    """Return a number, a sequence or an array of numbers as a flat list of floats."""
+    if is_array(value):
+        value = value.detach() if is_torch(value) else value
+        return [float(v) for v in namespace(value).reshape(value, (-1,))]
+    return [float(v) for v in value] if isinstance(value, Iterable) else [float(value)]
 
 
 def integer(name: str, value, *, minimum: int = 0) -> int:
@@ -57,7 +64,9 @@ def image(name: str, value, *, axes: int = 2):
     if not is_array(value):
         raise TypeError(f"{name} must be an array or a tensor, got {type(value).__name__}")
     if value.ndim < axes or 0 in value.shape[-2:]:
-        raise ValueError(f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}")
+        raise ValueError(
+            f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}"
+        )
     return value
 
 

@@ -1,0 +1,139 @@
+"""Transfer functions as tensors, centred."""
+
+from collections.abc import Sequence
+from functools import partial
+
+import torch
+from array_api_compat import torch as torch_namespace
+
+from odak.wave import kernels
+
+_CPU = torch.device("cpu")
+_on_torch = partial(kernels.get_propagation_kernel, xp=torch_namespace)
+
+
+def get_propagation_kernel(
+    nu: int,
+    nv: int,
+    dx: float = 8e-6,
+    wavelength: float = 515e-9,
+    distance: float = 0.0,
+    device: torch.device = _CPU,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    scale: int = 1,
+    samples: Sequence[int] = (20, 20, 5, 5),
+    dtype: torch.dtype = torch.complex64,
+) -> torch.Tensor:
+    """Return the centred transfer function of a method, ``[nu·scale, nv·scale]``.
+
+    Parameters
+    ----------
+    nu, nv : int
+        Rows and columns.
+    dx, wavelength, distance : float
+        Pixel pitch, wavelength and distance in metres.
+    device : torch.device
+        Where the kernel is computed.
+    propagation_type : str
+        A method that has a transfer function.
+    scale : int
+        Samples per pixel, for the impulse-response methods.
+    samples : sequence of int
+        Points across the source pixel (rows, columns) and the target sample (rows, columns).
+    dtype : torch.dtype
+        complex64 or complex128.
+
+    Returns
+    -------
+    torch.Tensor
+        Zero frequency at index n // 2.
+
+    Raises
+    ------
+    ValueError
+        If the method has no transfer function, or an argument is outside its range.
+    """
+    return _on_torch(nu, nv, dx, wavelength, distance, propagation_type, scale, samples, device=device, dtype=dtype)
+
+
+def get_angular_spectrum_kernel(
+    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+) -> torch.Tensor:
+    """Return the centred angular-spectrum kernel; see :func:`get_propagation_kernel`."""
+    return _on_torch(nu, nv, dx, wavelength, distance, "Angular Spectrum", device=device, dtype=dtype)
+
+
+def get_band_limited_angular_spectrum_kernel(
+    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+) -> torch.Tensor:
+    """Return the centred band-limited angular-spectrum kernel; see :func:`get_propagation_kernel`."""
+    return _on_torch(nu, nv, dx, wavelength, distance, "Bandlimited Angular Spectrum", device=device, dtype=dtype)
+
+
+def get_incoherent_angular_spectrum_kernel(
+    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+) -> torch.Tensor:
+    """Return the centred optical transfer function of free space; see :func:`get_propagation_kernel`."""
+    return _on_torch(nu, nv, dx, wavelength, distance, "Incoherent Angular Spectrum", device=device, dtype=dtype)
+
+
+def get_transfer_function_fresnel_kernel(
+    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+) -> torch.Tensor:
+    """Return the centred Fresnel transfer function; see :func:`get_propagation_kernel`."""
+    return _on_torch(nu, nv, dx, wavelength, distance, "Transfer Function Fresnel", device=device, dtype=dtype)
+
+
+def get_impulse_response_fresnel_kernel(
+    nu,
+    nv,
+    dx=8e-6,
+    wavelength=515e-9,
+    distance=0.0,
+    device=_CPU,
+    scale=1,
+    aperture_samples=(20, 20, 5, 5),
+    dtype=torch.complex64,
+) -> torch.Tensor:
+    """Return the centred transform of the Fresnel impulse response; see :func:`get_propagation_kernel`."""
+    return _on_torch(
+        nu,
+        nv,
+        dx,
+        wavelength,
+        distance,
+        "Impulse Response Fresnel",
+        scale,
+        aperture_samples,
+        device=device,
+        dtype=dtype,
+    )
+
+
+def get_seperable_impulse_response_fresnel_kernel(
+    nu,
+    nv,
+    dx=3.74e-6,
+    wavelength=515e-9,
+    distance=0.0,
+    scale=1,
+    aperture_samples=(50, 50, 5, 5),
+    device=_CPU,
+    dtype=torch.complex64,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the Fresnel kernel and its parts.
+
+    Parameters are those of :func:`get_propagation_kernel`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Transfer function H and impulse response h, ``[nu·scale, nv·scale]``, and the factors h_x ``[nv·scale]`` and
+        h_y ``[nu·scale]``, all centred; h = exp(ikz)/(iλz)·h_y·h_x.
+    """
+    if distance == 0:
+        raise ValueError("distance must not be zero for 'Seperable Impulse Response Fresnel'")
+    grid = kernels.make_grid(
+        nu, nv, dx, wavelength, distance, scale, aperture_samples, xp=torch_namespace, device=device, dtype=dtype
+    )
+    return kernels.separable_impulse_response(grid)

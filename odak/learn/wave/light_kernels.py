@@ -1,0 +1,154 @@
+"""Light kernels for learned models, and the Fresnel field of free points."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from odak import _validate
+from odak._array import phasor
+from odak.learn.wave.kernels import get_propagation_kernel
+from odak.wave.methods import find_method
+
+_CPU = torch.device("cpu")
+_CHUNK_BYTES = 1 << 27
+
+
+def get_light_kernels(
+    wavelengths,
+    distances,
+    pixel_pitches,
+    resolution: Sequence[int] = (1080, 1920),
+    resolution_factor: int = 1,
+    samples: Sequence[int] = (50, 50, 5, 5),
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    kernel_type: str = "spatial",
+    device: torch.device = _CPU,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the kernels of every combination of wavelengths, distances and pixel pitches.
+
+    Parameters
+    ----------
+    wavelengths, distances, pixel_pitches : sequence of float
+        W, D and P values in metres.
+    resolution : sequence of int
+        Rows m and columns n.
+    resolution_factor : int
+        Samples per pixel s; 1 except for the impulse-response methods.
+    samples : sequence of int
+        Points across the source pixel (rows, columns) and the target sample (rows, columns).
+    propagation_type : str
+        A method that has a transfer function.
+    kernel_type : str
+        "spatial" (impulse response) or "fourier" (transfer function), both centred.
+    device : torch.device
+        Where the kernels are computed.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Amplitude, phase (0 … 2π) and complex kernel ``[W, D, P, m·s, n·s]``, and parameters ``[W, D, P, m·s, n·s, 5]``
+        (wavelength, distance, pitch, X, Y).
+    """
+    kernel_type = _validate.one_of("kernel_type", kernel_type, ("spatial", "fourier"))
+    rows, columns = _validate.size("resolution", resolution)
+    method = find_method(propagation_type)
+    factor = resolution_factor if method and "Impulse Response" in method.name else 1
+    wavelengths, distances, pitches = (_validate.numbers(value) for value in (wavelengths, distances, pixel_pitches))
+    shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
+    kernels = torch.empty(shape, dtype=torch.complex64, device=device)
+    parameters = torch.empty((*shape, 5), device=device)
+    for p, pitch in enumerate(pitches):
+        kernels[:, :, p] = get_propagation_kernel(
+            rows,
+            columns,
+            pitch,
+            torch.tensor(wavelengths, dtype=torch.float64, device=device)[:, None],
+            torch.tensor(distances, dtype=torch.float64, device=device),
+            device,
+            propagation_type,
+            factor,
+            samples,
+        )
+        x, y = (torch.linspace(-(n // 2) * pitch, n // 2 * pitch, count, device=device) for n, count in
+                ((rows, shape[-2]), (columns, shape[-1])))  # fmt: skip
+        parameters[:, :, p, ..., 2] = pitch
+        parameters[:, :, p, ..., 3] = x[:, None]
+        parameters[:, :, p, ..., 4] = y
+    parameters[..., 0] = torch.tensor(wavelengths, device=device)[:, None, None, None, None]
+    parameters[..., 1] = torch.tensor(distances, device=device)[:, None, None, None]
+    if kernel_type == "spatial":
+        axes = (-2, -1)
+        spectrum = torch.fft.ifftshift(kernels, dim=axes)
+        kernels = torch.fft.fftshift(torch.fft.ifft2(spectrum, dim=axes), dim=axes)
+    return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
+
+
+def get_point_wise_impulse_response_fresnel_kernel(
+    aperture_points: torch.Tensor,
+    aperture_field: torch.Tensor,
+    target_points: torch.Tensor,
+    resolution: Sequence[int],
+    resolution_factor: int = 1,
+    wavelength: float = 515e-9,
+    distance: float = 0.0,
+    randomization: bool = False,
+    device: torch.device = _CPU,
+    generator: torch.Generator | None = None,
+) -> torch.Tensor:
+    """Return the Fresnel field of aperture points at target points, 1/(iλz)·Σ_p u_p·exp(ik·r²/(2z)).
+
+    Parameters
+    ----------
+    aperture_points : torch.Tensor
+        ``[P, ≥2]`` positions in metres.
+    aperture_field : torch.Tensor
+        Field ``[P]`` at them.
+    target_points : torch.Tensor
+        ``[T, ≥2]`` positions in metres, T = resolution[0]·resolution[1]·resolution_factor². Never modified.
+    resolution : sequence of int
+        Rows and columns of the result, before the factor.
+    resolution_factor : int
+        Samples per pixel and axis.
+    wavelength, distance : float
+        In metres; the distance is not zero.
+    randomization : bool
+        Jitter the targets by normal noise times the aperture's extent.
+    device : torch.device
+        Where to compute.
+    generator : torch.Generator, optional
+        Source of the jitter.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[resolution[0]·factor, resolution[1]·factor]``, complex.
+
+    Raises
+    ------
+    ValueError
+        If the number of targets does not match the resolution, or the distance is zero.
+    """
+    rows, columns = (resolution_factor * n for n in _validate.size("resolution", resolution))
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance, nonzero=True)
+    if target_points.shape[0] != rows * columns:
+        raise ValueError(
+            f"target_points must hold {rows * columns} points for the resolution, got {target_points.shape[0]}"
+        )
+    sources = aperture_points[:, :2].to(device=device, dtype=torch.float64)
+    targets = target_points[:, :2].to(device=device, dtype=torch.float64)
+    if randomization:
+        extent = sources.amax(0) - sources.amin(0)
+        targets = targets + extent * torch.randn(targets.shape, generator=generator, dtype=torch.float64).to(device)
+    dtype = torch.complex128 if aperture_field.dtype in (torch.complex128, torch.float64) else torch.complex64
+    field = aperture_field.to(device=device, dtype=dtype).reshape(-1)
+    chunk = max(1, _CHUNK_BYTES // (16 * sources.shape[0]))
+    parts = [_fresnel_sum(sources, field, part, wavelength, distance) for part in targets.split(chunk)]
+    constant = phasor(torch.tensor(-math.pi / 2, dtype=torch.float64), dtype).to(device) / (wavelength * distance)
+    return (torch.cat(parts) * constant).reshape(rows, columns)
+
+
+def _fresnel_sum(sources, field, targets, wavelength, distance):
+    squared = ((targets[:, None, :] - sources[None, :, :]) ** 2).sum(-1)
+    return phasor(math.pi / (wavelength * distance) * squared, field.dtype) @ field

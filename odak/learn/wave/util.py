@@ -1,0 +1,97 @@
+"""Amplitude, phase and patterns of fields as tensors."""
+
+import math
+
+import torch
+
+from odak import _validate
+from odak.wave import slm, utils
+from odak.wave.slm import adjust_phase_only_slm_range, compose_double_phase, decompose_double_phase
+from odak.wave.utils import add_phase, calculate_amplitude, calculate_intensity, calculate_phase, wavenumber
+
+__all__ = [
+    "add_phase",
+    "adjust_phase_only_slm_range",
+    "calculate_amplitude",
+    "calculate_intensity",
+    "calculate_phase",
+    "compose_double_phase",
+    "decompose_double_phase",
+    "generate_complex_field",
+    "normalize_phase",
+    "produce_phase_only_slm_pattern",
+    "set_amplitude",
+    "wavenumber",
+]
+
+
+def generate_complex_field(amplitude, phase) -> torch.Tensor:
+    """Return amplitude·exp(i·phase).
+
+    Parameters
+    ----------
+    amplitude, phase : float or torch.Tensor
+        Real; they broadcast. The phase is in radians.
+
+    Returns
+    -------
+    torch.Tensor
+        Complex field, complex128 if either tensor is float64.
+    """
+    if not isinstance(amplitude, torch.Tensor) and not isinstance(phase, torch.Tensor):
+        phase = torch.tensor(float(phase))
+    return utils.generate_complex_field(amplitude, phase)
+
+
+def set_amplitude(field: torch.Tensor, amplitude) -> torch.Tensor:
+    """Return amplitude·exp(i·arg field), the amplitude taken as it is (a negative one turns the phase by π).
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Complex field.
+    amplitude : float or torch.Tensor
+        New amplitude.
+
+    Returns
+    -------
+    torch.Tensor
+        Complex field.
+    """
+    return generate_complex_field(amplitude, calculate_phase(field))
+
+
+def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: float = 2 * math.pi) -> torch.Tensor:
+    """Return `phase` stretched linearly so that its extremes are `range_min` and `range_max`.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        Real, of any shape.
+    range_min, range_max : float
+        Ends of the range, `range_max` the larger.
+
+    Returns
+    -------
+    torch.Tensor
+        Of the same shape; a constant phase becomes the middle of the range.
+
+    Raises
+    ------
+    ValueError
+        If the range is empty.
+    """
+    _validate.real("range_min", range_min)
+    if not range_max > range_min:
+        raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
+    low, high = phase.min(), phase.max()
+    flat = high == low
+    unit = (phase - low) / torch.where(flat, torch.ones_like(high), high - low)
+    return range_min + (range_max - range_min) * torch.where(flat, torch.full_like(unit, 0.5), unit)
+
+
+def produce_phase_only_slm_pattern(
+    hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination=None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a hologram as a modulator shows it, and its levels; see :func:`odak.wave.produce_phase_only_slm_pattern`."""
+    return slm.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)

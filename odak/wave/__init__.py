@@ -1,0 +1,60 @@
+"""Scalar wave optics: propagation, lenses, gratings, phase retrieval and fields of point sources (NumPy face)."""
+
+from odak._lazy import attach
+
+__getattr__, __dir__, __all__ = attach(
+    __name__,
+    {
+        "classical": (
+            "adaptive_sampling_angular_spectrum",
+            "angular_spectrum",
+            "band_extended_angular_spectrum",
+            "band_limited_angular_spectrum",
+            "custom",
+            "fraunhofer",
+            "fraunhofer_equal_size_adjust",
+            "fraunhofer_inverse",
+            "gerchberg_saxton",
+            "gerchberg_saxton_3d",
+            "impulse_response_fresnel",
+            "incoherent_angular_spectrum",
+            "propagate_beam",
+            "rayleigh_sommerfeld",
+            "rayleigh_sommerfeld_sum",
+            "seperable_impulse_response_fresnel",
+            "transfer_function_fresnel",
+        ),
+        "kernel_cache": ("clear_kernel_cache", "set_kernel_cache_size"),
+        "kernels": ("get_propagation_kernel",),
+        "lens": (
+            "blazed_grating",
+            "double_convergence",
+            "lens_phase",
+            "linear_grating",
+            "prism_grating",
+            "prism_phase_function",
+            "quadratic_phase_function",
+        ),
+        "methods": ("PROPAGATION_TYPES",),
+        "sampling": ("SamplingReport", "sampling_report"),
+        "slm": (
+            "adjust_phase_only_slm_range",
+            "compose_double_phase",
+            "decompose_double_phase",
+            "produce_phase_only_slm_pattern",
+        ),
+        "utils": (
+            "add_phase",
+            "add_random_phase",
+            "calculate_amplitude",
+            "calculate_intensity",
+            "calculate_phase",
+            "generate_complex_field",
+            "rayleigh_resolution",
+            "rotationspeed",
+            "set_amplitude",
+            "wavenumber",
+        ),
+        "vector": ("electric_field_per_plane_wave", "propagate_field", "propagate_plane_waves"),
+    },
+)

@@ -1,0 +1,90 @@
+"""A bounded store of transfer functions, so that a kernel is built once per geometry."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+
+DEFAULT_BYTES = 1 << 30
+
+
+class KernelCache:
+    """Least-recently-used store, bounded in bytes and safe between threads.
+
+    Parameters
+    ----------
+    maximum_bytes : int
+        Bound on the bytes held. A kernel larger than this is built on each call and never held.
+    """
+
+    def __init__(self, maximum_bytes: int = DEFAULT_BYTES):
+        self._entries: OrderedDict[Hashable, object] = OrderedDict()
+        self._lock = threading.RLock()
+        self.maximum_bytes = maximum_bytes
+        self.bytes = 0
+
+    def get(self, key: Hashable, build: Callable):
+        """Return the entry of `key`, calling `build` for it when it is not held."""
+        with self._lock:
+            if key in self._entries:
+                self._entries.move_to_end(key)
+                return self._entries[key]
+        kernel = build()
+        with self._lock:
+            if key not in self._entries and kernel.nbytes <= self.maximum_bytes:
+                self._entries[key] = kernel
+                self.bytes += kernel.nbytes
+                self._shrink()
+        return kernel
+
+    def _shrink(self):
+        while self.bytes > self.maximum_bytes:
+            self.bytes -= self._entries.popitem(last=False)[1].nbytes
+
+    def resize(self, maximum_bytes: int):
+        """Set the bound and drop the least recently used entries above it."""
+        with self._lock:
+            self.maximum_bytes = maximum_bytes
+            self._shrink()
+
+    def clear(self):
+        """Drop every entry."""
+        with self._lock:
+            self._entries.clear()
+            self.bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+
+kernels = KernelCache()
+
+
+def clear_kernel_cache() -> None:
+    """Drop all stored transfer functions.
+
+    Examples
+    --------
+    >>> import odak
+    >>> odak.wave.clear_kernel_cache()
+    """
+    kernels.clear()
+
+
+def set_kernel_cache_size(maximum_bytes: int) -> None:
+    """Bound the store of transfer functions; 0 switches it off.
+
+    Parameters
+    ----------
+    maximum_bytes : int
+        Largest sum of kernel sizes to hold, in bytes. The default is 1 GiB.
+
+    Raises
+    ------
+    ValueError
+        If `maximum_bytes` is negative.
+    TypeError
+        If `maximum_bytes` is not an integer.
+    """
+    from odak import _validate
+
+    kernels.resize(_validate.integer("maximum_bytes", maximum_bytes))

@@ -1,0 +1,192 @@
+"""Gerchberg–Saxton phase retrieval of holograms, for one image plane or several."""
+
+import math
+
+import numpy as np
+
+from odak import _array, _validate
+from odak.tools.matrix import crop_center, zero_pad
+from odak.wave.propagation import propagate
+from odak.wave.utils import calculate_amplitude, calculate_phase, generate_complex_field
+
+TARGET_TYPES = ("no constraint", "double constraint")
+
+
+def gerchberg_saxton(
+    field,
+    n_iterations: int,
+    distance: float,
+    dx: float,
+    wavelength: float,
+    slm_range: float = 6.28,
+    propagation_type: str = "IR Fresnel",
+    initial_phase=None,
+    seed=None,
+):
+    """Return a phase-only hologram of an image, by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
+
+    The planes are twice the image's size: the amplitude is constrained inside the image's window and free around it.
+
+    Parameters
+    ----------
+    field : numpy.ndarray
+        ``[rows, columns]``; its amplitude is the target amplitude.
+    n_iterations : int
+        Number of iterations.
+    distance : float
+        Distance from hologram to image in metres.
+    dx : float
+        Pixel pitch in metres.
+    wavelength : float
+        Wavelength in metres.
+    slm_range : float
+        Phase range of the modulator in radians; phases beyond it take its nearer end.
+    propagation_type : str
+        Propagation type, see :func:`odak.wave.propagate_beam`.
+    initial_phase : numpy.ndarray, optional
+        Phase ``[rows, columns]`` to start the hologram from; uniform between 0 and π by default.
+    seed : int or numpy.random.Generator, optional
+        Makes the random start reproducible.
+
+    Returns
+    -------
+    tuple
+        Complex phase-only hologram and complex reconstruction, ``[rows, columns]`` each.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    return retrieve(field, range(count), distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed)
+
+
+def retrieve(
+    field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update=None, callback=None
+):
+    """Return hologram and reconstruction after as many turns as `turns` yields; the algorithm of both faces.
+
+    `update(target, amplitude)` gives the next image amplitude (the target by default), `callback(turn, phase)` is
+    told of each turn and stops by returning True.
+    """
+    field = _validate.image("field", field)
+    _validate.real("slm_range", slm_range, positive=True)
+    target = calculate_amplitude(field)
+    window = tuple(target.shape[-2:])
+    inside = zero_pad(_array.namespace(target).ones_like(target)) > 0
+    target_plane = zero_pad(target)
+    phase = _limit(_starting_phase(target, initial_phase, seed), slm_range)
+    for turn in turns:
+        image = _propagate_padded(phase, distance, dx, wavelength, propagation_type)
+        image = _constrain(image, inside, target_plane, update)
+        hologram = propagate(image, None, -distance, dx, wavelength, propagation_type)
+        phase = _limit(calculate_phase(crop_center(hologram, window)), slm_range)
+        if callback is not None and callback(turn, phase) is True:
+            break
+    hologram = generate_complex_field(1.0, phase)
+    return hologram, crop_center(_propagate_padded(phase, distance, dx, wavelength, propagation_type), window)
+
+
+def _propagate_padded(phase, distance, dx, wavelength, propagation_type):
+    hologram = generate_complex_field(1.0, phase)
+    return propagate(hologram, None, distance, dx, wavelength, propagation_type, zero_padding=(True, False, False))
+
+
+def _constrain(image, inside, target, update):
+    """Return the image with its amplitude replaced inside the window and free outside."""
+    xp = _array.namespace(image)
+    amplitude = calculate_amplitude(image)
+    wanted = target if update is None else update(target, amplitude)
+    gain = wanted / xp.where(amplitude > 0, amplitude, xp.ones_like(amplitude))
+    return image * xp.astype(xp.where(inside, gain, xp.ones_like(gain)), image.dtype)
+
+
+def _limit(phase, slm_range):
+    """Return the phase as a modulator of that range can show it: 0 … range, the nearer end for what lies beyond."""
+    xp = _array.namespace(phase)
+    phase = phase - xp.floor(phase / (2 * math.pi)) * (2 * math.pi)
+    if slm_range >= 2 * math.pi:
+        return phase
+    top, middle = xp.full_like(phase, slm_range), (slm_range + 2 * math.pi) / 2
+    return xp.where(phase > slm_range, xp.where(phase < middle, top, xp.zeros_like(phase)), phase)
+
+
+def _starting_phase(target, initial_phase, seed):
+    xp = _array.namespace(target)
+    shape = tuple(target.shape)
+    if initial_phase is None:
+        initial_phase = np.random.default_rng(seed).random(shape) * math.pi
+    elif tuple(initial_phase.shape) != shape:
+        raise ValueError(f"initial_phase must have the field's shape {shape}, got {tuple(initial_phase.shape)}")
+    return xp.asarray(initial_phase, dtype=target.dtype, device=_array.device_of(target))
+
+
+def gerchberg_saxton_3d(
+    fields,
+    n_iterations: int,
+    distances,
+    dx: float,
+    wavelength: float,
+    slm_range: float = 6.28,
+    propagation_type: str = "IR Fresnel",
+    initial_phase=None,
+    target_type: str = "no constraint",
+    coefficients=None,
+    seed=None,
+):
+    """Return a hologram of several image planes: the sum of one phase-only hologram per plane.
+
+    Parameters
+    ----------
+    fields : numpy.ndarray
+        ``[planes, rows, columns]``; amplitudes are the targets.
+    n_iterations : int
+        Number of iterations per plane.
+    distances : sequence of float
+        Distance of each plane in metres.
+    dx, wavelength, slm_range, propagation_type, initial_phase, seed
+        As in :func:`gerchberg_saxton`.
+    target_type : str
+        "no constraint" replaces the image's amplitude by the target's; "double constraint" by 2α·T − β·|u| (γ·|u|
+        where that is zero), after Zhou et al. (2019).
+    coefficients : sequence of float, optional
+        α, β, γ of "double constraint".
+
+    Returns
+    -------
+    numpy.ndarray
+        Complex hologram ``[rows, columns]``, a sum of phase-only layers.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    fields = _validate.image("fields", fields, axes=3)
+    distances = list(distances)
+    if len(distances) != fields.shape[0]:
+        raise ValueError(f"distances must hold one distance for each of {fields.shape[0]} fields, got {len(distances)}")
+    update = None
+    if _validate.one_of("target_type", target_type, TARGET_TYPES) == "double constraint":
+        update = _double_constraint(coefficients)
+    count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    layers = [
+        retrieve(
+            field, range(count), distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update
+        )[0]
+        for field, distance in zip(fields, distances, strict=True)
+    ]
+    return sum(layers)
+
+
+def _double_constraint(coefficients):
+    if coefficients is None or len(coefficients) != 3:
+        raise ValueError(f"coefficients must be [alpha, beta, gamma] for 'double constraint', got {coefficients!r}")
+    alpha, beta, gamma = coefficients
+
+    def update(target, amplitude):
+        mixed = 2 * alpha * target - beta * amplitude
+        return _array.namespace(mixed).where(mixed == 0, gamma * amplitude, mixed)
+
+    return update
