@@ -1,0 +1,124 @@
+"""The commands, and what they say and return when something is wrong.
+
+Exit codes: 0 all is well, 1 unexpected failure, 2 the command line or what it names will not do.
+"""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from odak.cli import options
+from odak.cli.errors import InputError
+from odak.cli.job import Job
+
+BAD_INPUT, FAILURE = 2, 1
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Arguments after the program's name; those of the process by default.
+
+    Returns
+    -------
+    int
+        Exit code: 0 all is well, 1 unexpected failure, 2 bad command line or input.
+    """
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(
+            args=None if arguments is None else list(arguments), prog_name="odak", standalone_mode=False
+        )
+    except typer.Abort:
+        return _fail("interrupted", FAILURE)
+    except Exception as error:
+        # typer carries its own copy of click in some releases and not in others: errors of either have this method.
+        if not hasattr(error, "format_message"):
+            raise
+        return _fail(error.format_message(), BAD_INPUT)
+    return code if isinstance(code, int) else 0
+
+
+@app.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
+) -> None:
+    """Optics: wave optics and computer-generated holography."""
+    if version:
+        from odak import __version__
+
+        typer.echo(__version__)
+    elif context.invoked_subcommand is None:
+        typer.echo(context.get_help())
+
+
+@app.command(
+    help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files show it.\n\n"
+    "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files), "
+    "reconstruction.png, comparison.png and report.json."
+)
+def hologram(
+    image: options.Image = Job.image,
+    output: options.Output = Job.output,
+    wavelength: options.Wavelengths = None,
+    grey: options.Grey = Job.grey,
+    pixel_pitch: options.PixelPitch = Job.pixel_pitch,
+    resolution: options.Resolution = Job.resolution,
+    distance: options.Distance = Job.distance,
+    method: options.Method = Job.method,
+    propagation_type: options.PropagationType = Job.propagation_type,
+    iterations: options.Iterations = Job.iterations,
+    learning_rate: options.LearningRate = Job.learning_rate,
+    scale: options.Scale = Job.scale,
+    initial_phase: options.InitialPhase = Job.initial_phase,
+    seed: options.Seed = Job.seed,
+    grating: options.Grating = Job.grating,
+    bits: options.Bits = Job.bits,
+    device: options.Device = Job.device,
+    quiet: options.Quiet = Job.quiet,
+) -> None:
+    """Compute the holograms of a picture; the parameters are those of :class:`odak.cli.job.Job`."""
+    values = dict(locals())
+    values["wavelengths"] = tuple(values.pop("wavelength") or ())
+    try:
+        job = Job(**values)
+        from odak.cli.run import run
+
+        report = run(job)
+    except InputError as error:
+        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
+    except OSError as error:
+        raise typer.Exit(_fail(str(error), FAILURE)) from None
+    if not quiet:
+        _summarise(job, report)
+
+
+@app.command(help="Print versions, devices, threads and FFT libraries.")
+def info() -> None:
+    """Print what odak runs on."""
+    from odak.cli.info import describe
+
+    rows = describe()
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        typer.echo(f"{name:<{width}}  {value}")
+
+
+def _summarise(job: Job, report: dict) -> None:
+    psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
+    typer.echo(f"PSNR {psnr}, SSIM {report['ssim']:.4f}, efficiency {report['efficiency']:.1%} (saved patterns)")
+    if report["seconds_per_iteration"] is not None:
+        typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
+    typer.echo(f"{', '.join(report['pattern']['files'])}, comparison.png, report.json in {job.output}")
+
+
+def _fail(message: str, code: int) -> int:
+    """Say in one line on stderr what is wrong, and return the exit code."""
+    typer.echo("odak: " + " ".join(message.split()), err=True)
+    return code

@@ -1,0 +1,166 @@
+"""What `odak hologram` is asked to do: every parameter, its default and its check."""
+
+import math
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+from odak import _validate
+from odak.cli.errors import InputError
+
+METHODS = ("sgd", "gs", "double-phase")
+INITIAL_PHASES = ("flat", "quadratic", "normal", "uniform")
+DEFAULT_INITIAL_PHASE = {"sgd": "flat", "gs": "flat", "double-phase": "flat"}
+GREY_WAVELENGTH = 532e-9
+COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
+SMALLEST_SIDE = 16
+SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png"}
+
+
+@dataclass(frozen=True)
+class Job:
+    """Parameters of one run of `odak hologram`; lengths in metres.
+
+    Attributes
+    ----------
+    image : str
+        Path of the picture, or the name of a shipped one: "photo", "chart".
+    output : Path
+        Folder to write to.
+    wavelengths : tuple of float
+        None for the defaults, one for a single hologram, or three for the red, green and blue of the picture.
+    grey : bool
+        Compute one hologram of the picture's brightness.
+    pixel_pitch, distance : float
+        Pixel pitch of the modulator, and distance from it to the picture.
+    resolution : tuple of int
+        Rows and columns of the modulator.
+    method : str
+        One of `METHODS`.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`.
+    iterations : int
+        Number of iterations, for the methods that iterate.
+    learning_rate : float
+        Step size in radians of gradient descent.
+    scale : bool
+        Let gradient descent choose the picture's brightness.
+    initial_phase : str, optional
+        One of `INITIAL_PHASES`; by default the one that serves the method best.
+    seed : int
+        Seed of the random initial phases.
+    grating : bool
+        Add a binary grating of π to the pattern.
+    bits : int
+        Bits per pixel of the modulator, 1 to 16.
+    device : str
+        "auto", "cpu", "cuda", "cuda:1", …
+    quiet : bool
+        Print nothing.
+    """
+
+    image: str = "photo"
+    output: Path = Path("output")
+    wavelengths: tuple[float, ...] = ()
+    grey: bool = False
+    pixel_pitch: float = 8e-6
+    resolution: tuple[int, int] = (1080, 1920)
+    distance: float = 0.15
+    method: str = "sgd"
+    propagation_type: str = "Bandlimited Angular Spectrum"
+    iterations: int = 200
+    learning_rate: float = 0.1
+    scale: bool = True
+    initial_phase: str | None = None
+    seed: int = 0
+    grating: bool = False
+    bits: int = 8
+    device: str = "auto"
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        """Check every parameter; the messages name the option of the command line."""
+        try:
+            for name in ("pixel_pitch", "distance", "learning_rate"):
+                _validate.real(option(name), getattr(self, name), positive=True)
+            _validate.integer("--iterations", self.iterations, minimum=1)
+            _validate.integer("--seed", self.seed)
+            for side in self.resolution:
+                _validate.integer("--resolution", side, minimum=SMALLEST_SIDE)
+            self._set("method", _validate.one_of("--method", self.method, METHODS))
+            self._set_initial_phase()
+        except (TypeError, ValueError) as error:
+            raise InputError(str(error)) from None
+        if not 1 <= self.bits <= 16:
+            raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
+        self._check_wavelengths()
+
+    def _set(self, name: str, value) -> None:
+        object.__setattr__(self, name, value)
+
+    def _set_initial_phase(self) -> None:
+        chosen = self.initial_phase
+        if chosen is None:
+            chosen = DEFAULT_INITIAL_PHASE[self.method]
+        self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
+
+    def _check_wavelengths(self) -> None:
+        count = len(self.wavelengths)
+        if count not in (0, 1, 3):
+            raise InputError(f"--wavelength must be given once, or three times (red, green, blue); got {count}")
+        if self.grey and count == 3:
+            raise InputError("--grey makes one hologram: give --wavelength once, not three times")
+        for value in self.wavelengths:
+            if not math.isfinite(value) or value <= 0:
+                raise InputError(f"--wavelength must be positive and finite, in metres, got {value!r}")
+            if value > 1e-3:
+                raise InputError(f"--wavelength is in metres: {value!r} is not light (532 nm is 532e-9)")
+        if len({pattern_name(value) for value in self.wavelengths}) < count:
+            raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
+
+    @property
+    def iterates(self) -> bool:
+        """Whether the method iterates."""
+        return self.method != "double-phase"
+
+    def to_dict(self) -> dict:
+        """Return all parameters as plain JSON values."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
+
+
+def option(name: str) -> str:
+    """Return the command-line option of a parameter."""
+    return "--" + name.replace("_", "-")
+
+
+def pattern_name(wavelength: float) -> str:
+    """Return the file name of the pattern for a wavelength in metres, such as ``hologram_532nm.png``."""
+    return f"hologram_{wavelength * 1e9:.6g}nm.png"
+
+
+def image_path(image: str) -> Path:
+    """Return the path of the picture asked for: a shipped one by name, else the file itself.
+
+    Parameters
+    ----------
+    image : str
+        Path, "photo" or "chart".
+
+    Returns
+    -------
+    Path
+        Existing file.
+
+    Raises
+    ------
+    InputError
+        If there is no such file.
+    """
+    path = Path(image).expanduser()
+    if image in SHIPPED_IMAGES and not path.is_file():
+        return Path(__file__).resolve().parents[1] / "assets" / SHIPPED_IMAGES[image]
+    if path.is_dir():
+        raise InputError(f"IMAGE must be a picture, but {str(path)!r} is a directory")
+    if not path.is_file():
+        raise InputError(f"IMAGE not found: {str(path)!r} (shipped pictures: {', '.join(SHIPPED_IMAGES)})")
+    return path.resolve()

@@ -1,0 +1,69 @@
+"""The options of `odak hologram`, with their help."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, INITIAL_PHASES, METHODS, SHIPPED_IMAGES
+
+_COLOURS = ", ".join(f"{value:g}" for value in COLOUR_WAVELENGTHS)
+
+Image = Annotated[
+    str,
+    typer.Argument(
+        metavar="[IMAGE]",
+        help="Picture file, or the name of a shipped picture: " + ", ".join(sorted(SHIPPED_IMAGES)) + ". Its stored "
+        "values, 0 to 1, are taken as the intensity to show, without undoing any display gamma. It is resized to the "
+        "largest size that fits the resolution, black around it.",
+    ),
+]
+Output = Annotated[Path, typer.Option(help="Folder to write to; made if need be.")]
+Wavelengths = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--wavelength",
+        metavar="METRES",
+        help="Wavelength in metres; give it three times for red, green and blue. Given once, or with --grey, a colour "
+        "picture becomes one hologram of its brightness.",
+        show_default=f"{GREY_WAVELENGTH:g}; colour pictures: {_COLOURS}",
+    ),
+]
+Grey = Annotated[bool, typer.Option("--grey", help="Make one hologram of a colour picture's brightness.")]
+PixelPitch = Annotated[float, typer.Option(metavar="METRES", help="Pixel pitch of the modulator in metres.")]
+Resolution = Annotated[
+    tuple[int, int], typer.Option(metavar="ROWS COLUMNS", help="Resolution of the modulator in pixels.")
+]
+Distance = Annotated[float, typer.Option(metavar="METRES", help="Distance from modulator to picture in metres.")]
+Method = Annotated[
+    str,
+    typer.Option(
+        metavar="|".join(METHODS),
+        help="sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band "
+        "Fourier filter that such holograms need.",
+    ),
+]
+PropagationType = Annotated[
+    str, typer.Option(metavar="NAME", help="How light is propagated while the hologram is computed, or 'auto'.")
+]
+Iterations = Annotated[int, typer.Option(metavar="COUNT", help="Number of iterations (sgd, gs).")]
+LearningRate = Annotated[float, typer.Option(metavar="RADIANS", help="Step size in radians (sgd).")]
+Scale = Annotated[
+    bool, typer.Option(help="Let the picture's brightness be free while descending (sgd): more light reaches it.")
+]
+InitialPhase = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(INITIAL_PHASES),
+        help="Phase to start from: zero, a lens of twice the distance, normal noise of 1 rad, noise uniform over 2 pi. "
+        "Of the hologram; with double-phase, of the picture.",
+        show_default="flat",
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the random initial phases.")]
+Grating = Annotated[
+    bool, typer.Option(help="Add a binary grating (pi on every second column) to the pattern that is saved.")
+]
+Bits = Annotated[int, typer.Option(help="Bits per pixel of the modulator, 1 to 16; above 8 the file is a 16-bit PNG.")]
+Device = Annotated[str, typer.Option(help="auto (the GPU where there is one), cpu, cuda, cuda:1, ...")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing, show no progress.")]

@@ -1,0 +1,66 @@
+import subprocess
+import sys
+
+import pytest
+from typer.testing import CliRunner
+
+import odak
+from odak.cli import app, main
+
+
+def test_help_needs_no_torch():
+    code = (
+        "import sys\n"
+        "from odak.cli import main\n"
+        "assert main(['--help']) == 0 and main(['hologram', '--help']) == 0\n"
+        "assert not {'torch', 'scipy', 'plotly'} & set(sys.modules), sorted(sys.modules)\n"
+    )
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert result.returncode == 0, result.stderr
+
+
+def test_help_states_units_and_defaults():
+    text = " ".join(CliRunner().invoke(app, ["hologram", "--help"]).stdout.split())
+    for part in (
+        "metres. [default: 8e-06]",
+        "[default: 1080, 1920]",
+        "6.38e-07",
+        "[default: sgd]",
+        "radians",
+        "1 to 16",
+    ):
+        assert part in text
+
+
+def test_info_names_versions_and_devices():
+    result = CliRunner().invoke(app, ["info"])
+    assert result.exit_code == 0
+    rows = dict(line.split(maxsplit=1) for line in result.stdout.splitlines())
+    assert rows["odak"] == odak.__version__
+    assert rows["python"] == sys.version.split()[0]
+    assert {"numpy", "scipy", "torch", "pillow", "plotly", "threads", "fft"} <= set(rows)
+    assert "cpu" in rows["devices"]
+
+
+def test_version_and_bare_call(capsys):
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == odak.__version__
+    assert main([]) == 0
+    assert "hologram" in capsys.readouterr().out
+
+
+def test_unknown_commands_are_code_2(capsys):
+    assert main(["paint"]) == 2
+    assert "paint" in capsys.readouterr().err
+
+
+def test_unexpected_failures_are_not_hidden(monkeypatch):
+    from odak.cli import run as module
+
+    def broken(job):
+        raise RuntimeError("a bug")
+
+    monkeypatch.setattr(module, "run", broken)
+    with pytest.raises(RuntimeError, match="a bug"):
+        main(["hologram"])
+    assert CliRunner().invoke(app, ["hologram"]).exit_code == 1

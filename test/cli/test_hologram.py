@@ -1,0 +1,344 @@
+import json
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from typer.testing import CliRunner
+
+from odak.cli import app, main
+
+ROWS, COLUMNS = 64, 96
+SMALL = ["--resolution", str(ROWS), str(COLUMNS), "--distance", "3e-3", "--iterations", "5", "--device", "cpu"]
+
+
+def run(*arguments, expect=0):
+    result = CliRunner().invoke(app, ["hologram", *map(str, arguments)])
+    assert result.exit_code == expect, result.output + repr(result.exception)
+    return result
+
+
+def read_report(folder):
+    return json.loads((folder / "report.json").read_text(encoding="utf-8"))
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None):
+    """Propagate a phase pattern with nothing but NumPy: zero padding to twice the size, exact transfer function."""
+    rows, columns = phase.shape
+    field = np.zeros((2 * rows, 2 * columns), complex)
+    inner = np.s_[rows - rows // 2 : 2 * rows - rows // 2, columns - columns // 2 : 2 * columns - columns // 2]
+    field[inner] = np.exp(1j * phase)
+    fy, fx = np.fft.fftfreq(2 * rows, pitch)[:, None], np.fft.fftfreq(2 * columns, pitch)[None, :]
+    kernel = np.exp(2j * np.pi * distance * np.sqrt(1 / wavelength**2 - fx**2 - fy**2))
+    if aperture is not None:
+        kernel = kernel * aperture(fy, fx)
+    return np.abs(np.fft.ifft2(np.fft.fft2(field) * kernel)[inner]) ** 2
+
+
+def psnr_of(intensity, target):
+    scale = np.sum(intensity * target) / np.sum(intensity**2)
+    return 10 * math.log10(1 / np.mean((scale * intensity - target) ** 2))
+
+
+@pytest.fixture(scope="module")
+def picture():
+    """A smooth grey picture that fills the frame, exact in 8 bits."""
+    y, x = np.mgrid[0:ROWS, 0:COLUMNS]
+    return np.round(255 * (0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7))).astype(np.uint8)
+
+
+@pytest.fixture(scope="module")
+def grey_file(picture, tmp_path_factory):
+    path = tmp_path_factory.mktemp("grey") / "grey.png"
+    Image.fromarray(picture).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def colour_file(tmp_path_factory):
+    y, x = np.mgrid[0:ROWS, 0:COLUMNS]
+    channels = [np.round(255 * (0.5 + 0.4 * np.sin(x / a) * np.cos(y / b))) for a, b in ((5, 9), (11, 6), (8, 13))]
+    path = tmp_path_factory.mktemp("colour") / "colour.png"
+    Image.fromarray(np.stack(channels, axis=-1).astype(np.uint8)).save(path)
+    return path
+
+
+@pytest.mark.parametrize("method", ["sgd", "gs", "double-phase"])
+def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL)
+    report = read_report(tmp_path)
+    names = {"hologram_532nm.png", "reconstruction.png", "comparison.png", "report.json"}
+    assert {path.name for path in tmp_path.iterdir()} == names
+    phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
+    half_band = (lambda fy, fx: (abs(fy) <= 1 / 32e-6) & (abs(fx) <= 1 / 32e-6)) if method == "double-phase" else None
+    intensity = angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3, half_band)
+    target = picture / 255
+    assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=1e-3)
+    assert report["efficiency"] == pytest.approx(intensity.sum() / intensity.size, rel=1e-4)
+    assert report["efficiency_lit"] == pytest.approx(
+        intensity[target >= 0.1 * target.max()].sum() / intensity.size, rel=1e-4
+    )
+    shown = pixels(tmp_path / "reconstruction.png") / 255
+    scaled = np.clip(report["channels"][0]["scale"] * intensity, 0, 1)
+    assert np.abs(shown - scaled).max() < 0.51 / 255 + 1e-4
+
+
+def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
+    options = ["--learning-rate", "0.05", "--pixel-pitch", "6.4e-6", "--seed", "7", "--initial-phase", "normal"]
+    run(grey_file, "--output", tmp_path, *SMALL, *options, "--quiet")
+    report = read_report(tmp_path)
+    assert report["parameters"] == {
+        "image": str(grey_file),
+        "output": str(tmp_path),
+        "wavelengths": [532e-9],
+        "grey": False,
+        "pixel_pitch": 6.4e-6,
+        "resolution": [ROWS, COLUMNS],
+        "distance": 3e-3,
+        "method": "sgd",
+        "propagation_type": "Bandlimited Angular Spectrum",
+        "iterations": 5,
+        "learning_rate": 0.05,
+        "scale": True,
+        "initial_phase": "normal",
+        "seed": 7,
+        "grating": False,
+        "bits": 8,
+        "device": "cpu",
+        "quiet": True,
+    }
+    assert report["versions"]["torch"] == torch.__version__
+    assert {"odak", "numpy", "python"} <= set(report["versions"])
+    assert report["device"] == "cpu"
+    assert 0 < report["seconds_per_iteration"] < report["seconds_total"]
+    assert {"psnr_db", "ssim", "efficiency", "efficiency_lit", "scale"} <= set(report["definitions"])
+
+
+def test_more_iterations_show_the_picture_better(grey_file, tmp_path):
+    quality = []
+    for count in ("1", "40"):
+        run(grey_file, "--output", tmp_path, *SMALL, "--iterations", count, "--quiet")
+        quality.append(read_report(tmp_path)["psnr_db"])
+    assert quality[1] > quality[0] + 5
+
+
+def test_the_same_seed_gives_the_same_pattern(grey_file, tmp_path):
+    patterns = []
+    for seed in ("3", "3", "4"):
+        run(grey_file, "--output", tmp_path, *SMALL, "--initial-phase", "uniform", "--seed", seed, "--quiet")
+        patterns.append((tmp_path / "hologram_532nm.png").read_bytes())
+    assert patterns[0] == patterns[1] != patterns[2]
+
+
+def test_colour_becomes_three_holograms(colour_file, tmp_path):
+    run(colour_file, "--output", tmp_path, *SMALL, "--quiet")
+    report = read_report(tmp_path)
+    assert report["pattern"]["files"] == ["hologram_638nm.png", "hologram_520nm.png", "hologram_450nm.png"]
+    picture = pixels(colour_file) / 255
+    for channel, (part, wavelength) in enumerate(zip(report["channels"], (638e-9, 520e-9, 450e-9), strict=True)):
+        phase = pixels(tmp_path / part["file"]) * (2 * np.pi / 256)
+        intensity = angular_spectrum_intensity(phase, wavelength, 8e-6, 3e-3)
+        assert part["psnr_db"] == pytest.approx(psnr_of(intensity, picture[..., channel]), abs=1e-3)
+    error = np.mean([10 ** (-part["psnr_db"] / 10) for part in report["channels"]])
+    assert report["psnr_db"] == pytest.approx(-10 * math.log10(error), abs=1e-3)
+    assert pixels(tmp_path / "reconstruction.png").shape == (ROWS, COLUMNS, 3)
+
+
+@pytest.mark.parametrize("options", [["--grey"], ["--wavelength", "600e-9"]])
+def test_one_wavelength_shows_the_brightness_of_a_colour_picture(options, colour_file, tmp_path):
+    run(colour_file, "--output", tmp_path, *SMALL, "--quiet", *options)
+    (part,) = read_report(tmp_path)["channels"]
+    assert part["wavelength"] == (532e-9 if options == ["--grey"] else 600e-9)
+    phase = pixels(tmp_path / part["file"]) * (2 * np.pi / 256)
+    intensity = angular_spectrum_intensity(phase, part["wavelength"], 8e-6, 3e-3)
+    target = pixels(colour_file) / 255 @ [0.2126, 0.7152, 0.0722]
+    assert part["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=1e-3)
+
+
+def test_three_wavelengths_for_a_grey_picture(grey_file, tmp_path):
+    waves = [option for value in ("6.328e-7", "5.2e-7", "4.5e-7") for option in ("--wavelength", value)]
+    run(grey_file, "--output", tmp_path, *SMALL, *waves, "--quiet")
+    assert (tmp_path / "hologram_632.8nm.png").is_file()
+    assert [part["wavelength"] for part in read_report(tmp_path)["channels"]] == [632.8e-9, 520e-9, 450e-9]
+
+
+@pytest.mark.parametrize("bits", [1, 2, 3, 4, 5, 6, 7, 8, 10, 16])
+def test_a_pattern_uses_the_levels_of_its_bits(bits, grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path, *SMALL, "--bits", bits, "--quiet")
+    report = read_report(tmp_path)
+    depth = 8 if bits <= 8 else 16
+    assert report["pattern"]["file_depth"] == depth
+    pattern = pixels(tmp_path / "hologram_532nm.png").astype(int)
+    assert pattern.max() < 2**depth
+    assert np.all(pattern % 2 ** (depth - bits) == 0)
+    if bits < 8:
+        assert len(np.unique(pattern)) <= 2**bits
+    intensity = angular_spectrum_intensity(pattern * (2 * np.pi / 2**depth), 532e-9, 8e-6, 3e-3)
+    target = pixels(grey_file) / 255
+    assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=1e-3)
+
+
+def test_the_grating_is_in_the_file_and_out_of_the_report(grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path / "without", *SMALL, "--quiet")
+    run(grey_file, "--output", tmp_path / "with", *SMALL, "--grating", "--quiet")
+    plain, grated = (pixels(tmp_path / name / "hologram_532nm.png").astype(int) for name in ("without", "with"))
+    difference = (grated - plain) % 256
+    # A phase within rounding of a level's edge may fall to either side of it.
+    assert np.mean(difference[:, 0::2] == 128) > 0.999
+    assert np.mean(difference[:, 1::2] == 0) > 0.999
+    reports = [read_report(tmp_path / name) for name in ("without", "with")]
+    assert reports[0]["psnr_db"] == pytest.approx(reports[1]["psnr_db"], abs=0.05)
+    assert "subtracted" in reports[1]["verification"]["grating"]
+    assert reports[0]["verification"]["grating"] is None
+
+
+def test_the_aspect_ratio_is_kept_with_black_around(tmp_path):
+    path = tmp_path / "wide.png"
+    Image.fromarray(np.full((20, 60), 200, np.uint8)).save(path)
+    run(path, "--output", tmp_path / "out", *SMALL, "--quiet")
+    picture = read_report(tmp_path / "out")["picture"]
+    assert picture["rows"] == [16, 48]
+    assert picture["columns"] == [0, 96]
+
+
+def test_transparent_parts_are_black(tmp_path):
+    pixels = np.full((ROWS, COLUMNS, 4), 255, np.uint8)
+    pixels[: ROWS // 2, :, 3] = 0
+    path = tmp_path / "alpha.png"
+    Image.fromarray(pixels).save(path)
+    from odak.cli.job import Job
+    from odak.cli.target import load_target
+
+    target = load_target(Job(image=str(path), resolution=(ROWS, COLUMNS)))
+    expected = torch.ones(1, ROWS, COLUMNS)
+    expected[:, : ROWS // 2] = 0
+    assert torch.equal(target.intensity, expected)
+
+
+def test_shipped_pictures_by_name_and_by_default(tmp_path):
+    run("chart", "--output", tmp_path, *SMALL, "--iterations", "1", "--quiet")
+    assert read_report(tmp_path)["picture"]["file"].endswith("chart.png")
+    run("--output", tmp_path, *SMALL, "--iterations", "1", "--quiet")
+    assert read_report(tmp_path)["picture"]["file"].endswith("photo.png")
+
+
+def test_what_is_printed(grey_file, tmp_path):
+    loud = run(grey_file, "--output", tmp_path, *SMALL)
+    assert f"PSNR {read_report(tmp_path)['psnr_db']:.2f} dB" in loud.stdout
+    assert "532 nm" in loud.stderr
+    quiet = run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
+    assert quiet.stdout == quiet.stderr == ""
+
+
+def test_comparison_shows_three_panels(grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
+    sheet = pixels(tmp_path / "comparison.png")
+    target = pixels(grey_file)
+    assert np.array_equal(sheet[52 : 52 + ROWS, 12 : 12 + COLUMNS, 0], target)
+    pattern = pixels(tmp_path / "hologram_532nm.png").astype(int)
+    left = 12 + 2 * (240 + 12)
+    assert np.abs(sheet[52 : 52 + ROWS, left : left + COLUMNS, 0].astype(int) - pattern).max() <= 1
+
+
+BAD = {
+    "missing file": (["nowhere.png"], "nowhere.png"),
+    "directory": (["."], "directory"),
+    "negative wavelength": (["--wavelength", "-1"], "--wavelength"),
+    "wavelength not a number": (["--wavelength", "nan"], "--wavelength"),
+    "wavelength in nanometres": (["--wavelength", "532"], "metres"),
+    "two wavelengths": (["--wavelength", "5e-7", "--wavelength", "6e-7"], "--wavelength"),
+    "equal wavelengths": (["--wavelength", "5e-7"] * 3, "--wavelength"),
+    "grey with three": (["--grey", *["--wavelength", "5e-7"] * 3], "--grey"),
+    "method": (["--method", "magic"], "'sgd', 'gs', 'double-phase'"),
+    "initial phase": (["--initial-phase", "round"], "'flat'"),
+    "propagation type": (["--propagation-type", "magic"], "'Bandlimited Angular Spectrum'"),
+    "far field": (["--propagation-type", "Fraunhofer"], "--propagation-type"),
+    "pitch": (["--pixel-pitch", "0"], "--pixel-pitch"),
+    "distance": (["--distance", "inf"], "--distance"),
+    "learning rate": (["--learning-rate", "-0.1"], "--learning-rate"),
+    "iterations": (["--iterations", "0"], "--iterations"),
+    "seed": (["--seed", "-1"], "--seed"),
+    "no bits": (["--bits", "0"], "--bits"),
+    "many bits": (["--bits", "17"], "--bits"),
+    "resolution": (["--resolution", "8", "8"], "--resolution"),
+    "device": (["--device", "abacus"], "--device"),
+    "not an integer": (["--bits", "few"], "--bits"),
+    "unknown option": (["--magic"], "--magic"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_code_2(case, tmp_path, capsys):
+    arguments, named = BAD[case]
+    assert main(["hologram", *arguments, "--output", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("odak: ")
+    assert captured.err.count("\n") == 1
+    assert named in captured.err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"not a picture", b"\x89PNG\r\n\x1a\n cut"])
+def test_broken_pictures_are_named(content, tmp_path, capsys):
+    path = tmp_path / "broken.png"
+    path.write_bytes(content)
+    assert main(["hologram", str(path), "--output", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr()
+    assert "broken.png" in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_a_black_picture_is_refused(tmp_path, capsys):
+    path = tmp_path / "black.png"
+    Image.fromarray(np.zeros((20, 20), np.uint8)).save(path)
+    assert main(["hologram", str(path), "--output", str(tmp_path / "out"), *SMALL]) == 2
+    assert "black" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("below", [".", "folder"])
+def test_an_output_that_cannot_be_written_is_code_2(below, grey_file, tmp_path, capsys):
+    file = tmp_path / "file"
+    file.write_text("in the way")
+    assert main(["hologram", str(grey_file), *SMALL, "--output", str(file / below)]) == 2
+    captured = capsys.readouterr()
+    assert "--output" in captured.err
+    assert captured.err.count("\n") == 1
+    assert file.read_text() == "in the way"
+
+
+def test_a_failed_write_is_code_1_and_leaves_the_old_report(grey_file, tmp_path, capsys, monkeypatch):
+    (tmp_path / "report.json").write_text("old")
+
+    def full(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert main(["hologram", str(grey_file), "--output", str(tmp_path), *SMALL, "--quiet"]) == 1
+    assert "disk full" in capsys.readouterr().err
+    assert (tmp_path / "report.json").read_text() == "old"
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
+
+
+def test_as_a_module_in_a_process_of_its_own(grey_file, tmp_path):
+    command = [sys.executable, "-m", "odak", "hologram", str(grey_file), "--output", str(tmp_path), *SMALL]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 0, result.stderr
+    assert "PSNR" in result.stdout
+    assert read_report(tmp_path)["psnr_db"] > 0
+
+
+@pytest.mark.slow
+def test_the_photograph_reaches_30_db_after_quantisation(tmp_path):
+    options = ["--grey", "--resolution", "270", "480", "--distance", "0.01", "--iterations", "200"]
+    run("photo", "--output", tmp_path, *options, "--quiet")
+    assert read_report(tmp_path)["psnr_db"] >= 30
