@@ -1,0 +1,69 @@
+"""Every page of the site runs top to bottom and prints what it shows."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TOLERANCE = 0.02
+SLOW: set[str] = set()
+_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
+
+
+def _load(name, path):
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+make_pictures = _load("make_pictures", ROOT / "docs" / "make_pictures.py")
+
+
+def _case(path):
+    name = path.relative_to(make_pictures.DOCS).as_posix()
+    return pytest.param(path, id=name, marks=[pytest.mark.slow] if name in SLOW else [])
+
+
+def agrees(shown, printed):
+    """Say whether two texts are equal but for numbers within 2 %, spaces aside."""
+    words_shown, words_printed = (_NUMBER.sub("#", text).split() for text in (shown, printed))
+    numbers_shown, numbers_printed = (_NUMBER.findall(text) for text in (shown, printed))
+    return words_shown == words_printed and all(
+        float(a) == pytest.approx(float(b), rel=TOLERANCE, abs=1e-12)
+        for a, b in zip(numbers_shown, numbers_printed, strict=True)
+    )
+
+
+@pytest.mark.parametrize("path", [_case(path) for path in make_pictures.pages()])
+def test_page_prints_what_it_shows(path, tmp_path):
+    for block, printed in make_pictures.run_page(path, tmp_path):
+        assert agrees(block.expected, printed), f"{path}:{block.line} shows\n{block.expected}\nbut prints\n{printed}"
+    stored = {picture.name for picture in (make_pictures.PICTURES / path.stem).glob("*.png")}
+    assert {picture.name for picture in tmp_path.glob("*.png")} == stored, "run docs/make_pictures.py"
+
+
+@pytest.mark.parametrize("path", sorted(make_pictures.DOCS.rglob("*.md")), ids=lambda path: path.stem)
+def test_pictures_of_a_page_exist_and_all_are_shown(path):
+    shown = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", path.read_text(encoding="utf-8"))}
+    stored = {picture.name for picture in (make_pictures.PICTURES / path.stem).glob("*.png")}
+    assert shown == stored
+
+
+def test_agreement_of_numbers():
+    assert agrees("PSNR 30.1 dB\n", "PSNR 30.3 dB\n")
+    assert not agrees("PSNR 30.1 dB\n", "PSNR 33.0 dB\n")
+    assert not agrees("PSNR 30.1 dB\n", "SSIM 30.1 dB\n")
+
+
+def test_blocks_are_read_with_their_output(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text("```python\nprint(1)\n```\n\n```text\n1\n```\n\n    ```python\n    x = 2\n    ```\n", encoding="utf-8")
+    first, second = make_pictures.read_blocks(page)
+    assert (first.code, first.line, first.expected) == ("print(1)\n", 2, "1\n")
+    assert (second.code, second.line, second.expected) == ("x = 2\n", 10, "")
+    assert [printed for _, printed in make_pictures.run_page(page, tmp_path)] == ["1\n", ""]
