@@ -1,15 +1,14 @@
-"""Files that are there whole or not at all."""
+"""The folder of a run, and files in it that are there whole or not at all."""
 
 import json
-import os
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from PIL import Image
 
 from odak.cli.errors import InputError
+from odak.tools import check_directory
+from odak.tools._atomic import replacing
 
 
 def writable_folder(folder: Path) -> Path:
@@ -30,8 +29,6 @@ def writable_folder(folder: Path) -> Path:
     InputError
         If it cannot be made or written to.
     """
-    from odak.tools import check_directory
-
     folder = folder.expanduser().resolve()
     try:
         check_directory(str(folder), validate=False)
@@ -53,7 +50,8 @@ def write_json(path: Path, value: dict) -> None:
         What to write.
     """
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
-    _write(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    with replacing(str(path)) as stream:
+        stream.write(text.encode("utf-8"))
 
 
 def write_png(path: Path, image: Image.Image) -> None:
@@ -66,25 +64,5 @@ def write_png(path: Path, image: Image.Image) -> None:
     image : PIL.Image.Image
         What to write.
     """
-    _write(path, lambda temporary: image.save(temporary, format="PNG"))
-
-
-def _write(path: Path, write: Callable[[Path], object]) -> None:
-    with _temporary_beside(path) as temporary:
-        write(temporary)
-        os.replace(temporary, path)
-
-
-@contextmanager
-def _temporary_beside(path: Path) -> Iterator[Path]:
-    """Yield a new name in the same folder, with the access rights that a new file would have."""
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=path.suffix)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        mask = os.umask(0)
-        os.umask(mask)
-        temporary.chmod(0o666 & ~mask)
-        yield temporary
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(str(path)) as stream:
+        image.save(stream, format="PNG")

@@ -9,7 +9,7 @@ from odak.cli.errors import InputError
 
 METHODS = ("sgd", "gs", "double-phase")
 INITIAL_PHASES = ("flat", "quadratic", "normal", "uniform")
-DEFAULT_INITIAL_PHASE = {"sgd": "flat", "gs": "flat", "double-phase": "flat"}
+DEFAULT_INITIAL_PHASE = {"sgd": "flat", "gs": "uniform", "double-phase": "flat"}
 GREY_WAVELENGTH = 532e-9
 COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 SMALLEST_SIDE = 16
@@ -55,7 +55,7 @@ class Job:
     device : str
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
-        Print nothing.
+        Show no progress and no summary.
     """
 
     image: str = "photo"
@@ -68,7 +68,7 @@ class Job:
     method: str = "sgd"
     propagation_type: str = "Bandlimited Angular Spectrum"
     iterations: int = 200
-    learning_rate: float = 0.1
+    learning_rate: float = 0.2
     scale: bool = True
     initial_phase: str | None = None
     seed: int = 0

@@ -46,11 +46,20 @@ def save(path: Path, levels: torch.Tensor, bits: int) -> None:
         Integers ``[rows, columns]``, 0 … 2^bits − 1.
     bits : int
         Bits per pixel.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
     from odak.learn.tools import save_image
 
     grey = levels.cpu().double() * 2 ** (depth(bits) - bits)
-    save_image(str(path), grey, cmin=0, cmax=2 ** depth(bits) - 1, color_depth=depth(bits))
+    try:
+        save_image(str(path), grey, cmin=0, cmax=2 ** depth(bits) - 1, color_depth=depth(bits))
+    except ValueError as error:
+        # A full disk is not a wrong option: it must not look like one.
+        raise OSError(str(error)) from error
 
 
 def load_phase(path: Path, bits: int) -> torch.Tensor:

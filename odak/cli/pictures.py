@@ -47,9 +47,9 @@ def side_by_side(panels: list[tuple[str, torch.Tensor]]) -> Image.Image:
     size = (len(images) * (cell + MARGIN) + MARGIN, height + 2 * MARGIN + CAPTION_HEIGHT)
     sheet = Image.new("RGB", size, PAPER)
     draw = ImageDraw.Draw(sheet)
+    font = _font_for(draw, [caption for caption, _ in panels], cell)
     for index, ((caption, _), image) in enumerate(zip(panels, images, strict=True)):
         left = MARGIN + index * (cell + MARGIN)
-        font = _font_for(draw, caption, cell)
         draw.text((left, MARGIN), caption, fill=INK, font=font)
         sheet.paste(image, (left, MARGIN + CAPTION_HEIGHT))
     return sheet
@@ -62,10 +62,10 @@ def _shrink(image: Image.Image) -> Image.Image:
     return image.resize((PANEL_WIDTH, height), Image.Resampling.LANCZOS)
 
 
-def _font_for(draw: ImageDraw.ImageDraw, caption: str, width: int):
-    """Return the largest font of a few in which the caption fits."""
+def _font_for(draw: ImageDraw.ImageDraw, captions: list[str], width: int):
+    """Return the largest font of a few in which every caption fits."""
     for size in (24, 18, 14, 11):
         font = ImageFont.load_default(size)
-        if draw.textlength(caption, font=font) <= width:
+        if all(draw.textlength(caption, font=font) <= width for caption in captions):
             break
     return font

@@ -99,8 +99,8 @@ def _read(path: Path) -> torch.Tensor:
     picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)
     if len(picture) in (2, 4):
         picture = picture[:-1] * picture[-1:]
-    if not torch.isfinite(picture).all():
-        raise InputError(f"IMAGE holds values that are not finite: {str(path)!r}")
+    if not bool(((picture >= 0) & (picture <= 1)).all()):
+        raise InputError(f"IMAGE must hold values from 0 to 1, those of {str(path)!r} go beyond")
     return picture[:1] if bool((picture == picture[:1]).all()) else picture
 
 

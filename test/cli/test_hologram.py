@@ -298,6 +298,13 @@ def test_broken_pictures_are_named(content, tmp_path, capsys):
     assert captured.err.count("\n") == 1
 
 
+def test_float_pictures_must_stay_in_range(tmp_path, capsys):
+    path = tmp_path / "bright.tiff"
+    Image.fromarray(np.full((20, 20), 7.0, np.float32)).save(path)
+    assert main(["hologram", str(path), "--output", str(tmp_path / "out"), *SMALL]) == 2
+    assert "0 to 1" in capsys.readouterr().err
+
+
 def test_a_black_picture_is_refused(tmp_path, capsys):
     path = tmp_path / "black.png"
     Image.fromarray(np.zeros((20, 20), np.uint8)).save(path)
@@ -339,6 +346,6 @@ def test_as_a_module_in_a_process_of_its_own(grey_file, tmp_path):
 
 @pytest.mark.slow
 def test_the_photograph_reaches_30_db_after_quantisation(tmp_path):
-    options = ["--grey", "--resolution", "270", "480", "--distance", "0.01", "--iterations", "200"]
+    options = ["--grey", "--resolution", "270", "480", "--distance", "0.0094", "--iterations", "200"]
     run("photo", "--output", tmp_path, *options, "--quiet")
     assert read_report(tmp_path)["psnr_db"] >= 30
