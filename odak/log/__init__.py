@@ -1,0 +1,76 @@
+"""The package logger: silent until a file is asked for, here or through the variable ODAK_LOG_FILE."""
+
+import logging
+import os
+import warnings
+
+from odak.tools._paths import validate_path
+
+__all__ = ["create_logger", "filename_logger", "logger"]
+
+filename_logger = "odak.log"
+logger = logging.getLogger("odak")
+logger.addHandler(logging.NullHandler())
+logger.setLevel(logging.DEBUG)
+
+
+def create_logger(
+    logger_name: str,
+    logger_filename: str | os.PathLike,
+    logger_fmt: str = "%(asctime)s - %(message)s",
+    logger_datefmt: str = "%d-%b-%y %H:%M:%S",
+    logger_level: int = logging.DEBUG,
+) -> logging.Logger:
+    """Let a logger write to a file; a second call for the same file changes its format and adds no second line.
+
+    Parameters
+    ----------
+    logger_name : str
+        Name of the logger; ``"odak"`` is the package's own.
+    logger_filename : str or os.PathLike
+        File to append to, such as :data:`filename_logger`.
+    logger_fmt, logger_datefmt : str
+        Formats of a line and of its date, as in :class:`logging.Formatter`.
+    logger_level : int
+        Least level that is written.
+
+    Returns
+    -------
+    logging.Logger
+        The logger, after one line that names the file.
+
+    Raises
+    ------
+    TypeError
+        If the name or the file name is not a string.
+    ValueError
+        If the path is not acceptable.
+    OSError
+        If the file cannot be opened.
+    """
+    if not isinstance(logger_name, str):
+        raise TypeError(f"logger_name must be a string, got {type(logger_name).__name__}")
+    path = validate_path(logger_filename)
+    target = logging.getLogger(logger_name)
+    handler = next((h for h in target.handlers if getattr(h, "baseFilename", None) == path), None)
+    if handler is None:
+        handler = logging.FileHandler(path, mode="a", encoding="utf-8")
+        target.addHandler(handler)
+    handler.setFormatter(logging.Formatter(logger_fmt, logger_datefmt))
+    target.setLevel(logger_level)
+    target.info("Logging to %s", path)
+    return target
+
+
+def _start_from_environment() -> None:
+    """Write to the file that ODAK_LOG_FILE names, if any; importing odak never fails for it."""
+    filename = os.environ.get("ODAK_LOG_FILE")
+    if not filename:
+        return
+    try:
+        create_logger(logger.name, filename)
+    except (OSError, ValueError) as error:
+        warnings.warn(f"ODAK_LOG_FILE is ignored: {error}", RuntimeWarning, stacklevel=2)
+
+
+_start_from_environment()

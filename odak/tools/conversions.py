@@ -1,0 +1,52 @@
+"""Arrays from one library to the other."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import torch
+
+
+def convert_to_torch(a: np.ndarray, grad: bool = True) -> "torch.Tensor":
+    """Copy an array into a tensor.
+
+    Parameters
+    ----------
+    a : numpy.ndarray
+        Array.
+    grad : bool
+        Whether autograd follows the tensor.
+
+    Returns
+    -------
+    torch.Tensor
+        Tensor of the same dtype that shares no memory with `a`.
+
+    Raises
+    ------
+    TypeError
+        If a gradient is asked for and the array holds integers.
+    """
+    import torch
+
+    tensor = a.detach().clone() if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(a))
+    if grad and not (tensor.is_floating_point() or tensor.is_complex()):
+        raise TypeError(f"a must hold real or complex floats to have a gradient, got {tensor.dtype}; pass grad=False")
+    return tensor.requires_grad_(bool(grad))
+
+
+def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
+    """Return a tensor as an array on the CPU, detached.
+
+    Parameters
+    ----------
+    a : torch.Tensor
+        Tensor on any device.
+
+    Returns
+    -------
+    numpy.ndarray
+        Array of the same dtype; it shares its memory with a tensor on the CPU.
+    """
+    return a.detach().cpu().resolve_conj().resolve_neg().numpy()

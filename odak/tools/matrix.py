@@ -1,0 +1,122 @@
+"""Padding, cropping and quantising about the centre, for the arrays of any library."""
+
+from collections.abc import Iterable, Sequence
+
+from odak import _array, _validate
+
+_METHODS = ("center", "left", "left aligned")
+
+
+def zero_pad(field, size: Sequence[int] | None = None, method: str = "center"):
+    """Surround a field with zeros.
+
+    Sample ``n // 2`` of each axis is its centre, before and after, so that :func:`crop_center` gives the field back
+    for every parity.
+
+    Parameters
+    ----------
+    field : array
+        ``[..., H, W]``.
+    size : sequence of int, optional
+        Rows and columns of the result (the last two entries count); by default twice those of the field.
+    method : {"center", "left", "left aligned"}
+        Put the field in the centre, or in the corner where rows and columns begin.
+
+    Returns
+    -------
+    array
+        ``[..., size[0], size[1]]`` of the same library, dtype and device; differentiable.
+
+    Raises
+    ------
+    TypeError
+        If `field` is not an array.
+    ValueError
+        If the size is smaller than the field, or the method is not known.
+    """
+    rows, columns = _validate.image("field", field).shape[-2:]
+    height, width = (2 * rows, 2 * columns) if size is None else _last_two(size)
+    if height < rows or width < columns:
+        raise ValueError(f"size must be at least that of the field, {[rows, columns]}; got {[height, width]}")
+    centred = _validate.one_of("method", method, _METHODS) == "center"
+    top, left = (height // 2 - rows // 2, width // 2 - columns // 2) if centred else (0, 0)
+    bottom, right = height - rows - top, width - columns - left
+    if _array.is_torch(field):
+        import torch
+
+        return torch.nn.functional.pad(field, (left, right, top, bottom))
+    xp, device = _array.namespace(field), _array.device_of(field)
+
+    def zeros(height, width):
+        return xp.zeros((*field.shape[:-2], height, width), dtype=field.dtype, device=device)
+
+    wide = xp.concat([zeros(rows, left), field, zeros(rows, right)], axis=-1)
+    return xp.concat([zeros(top, width), wide, zeros(bottom, width)], axis=-2)
+
+
+def crop_center(field, size: Sequence[int] | None = None):
+    """Cut the centre out of a field: sample ``n // 2`` of each axis stays the centre.
+
+    Parameters
+    ----------
+    field : array
+        ``[..., H, W]``.
+    size : sequence of int, optional
+        Rows and columns of the result (the last two entries count); by default half of those of the field.
+
+    Returns
+    -------
+    array
+        ``[..., size[0], size[1]]``; a copy of an array, a view of a tensor.
+
+    Raises
+    ------
+    TypeError
+        If `field` is not an array.
+    ValueError
+        If the size is larger than the field.
+    """
+    rows, columns = _validate.image("field", field).shape[-2:]
+    height, width = (max(1, rows // 2), max(1, columns // 2)) if size is None else _last_two(size)
+    if height > rows or width > columns:
+        raise ValueError(f"size must be at most that of the field, {[rows, columns]}; got {[height, width]}")
+    top, left = rows // 2 - height // 2, columns // 2 - width // 2
+    window = field[..., top : top + height, left : left + width]
+    return window if _array.is_torch(field) else _array.namespace(field).asarray(window, copy=True)
+
+
+def quantize(image_field, bits: int = 4):
+    """Return the 8-bit levels of an image as levels of fewer bits, the rest cut off.
+
+    Parameters
+    ----------
+    image_field : array
+        Values from 0 to 255.
+    bits : int
+        Bits to keep, 1 to 8.
+
+    Returns
+    -------
+    array
+        int64, 0 … 2^bits − 1.
+
+    Raises
+    ------
+    TypeError
+        If `image_field` is not a real array.
+    ValueError
+        If `bits` is not between 1 and 8.
+    """
+    _validate.integer("bits", bits, minimum=1)
+    if bits > 8:
+        raise ValueError(f"bits must be at most 8, got {bits}")
+    if not _array.is_array(image_field) or "complex" in str(image_field.dtype):
+        raise TypeError(f"image_field must be a real array, got {getattr(image_field, 'dtype', type(image_field))}")
+    xp = _array.namespace(image_field)
+    if not xp.isdtype(image_field.dtype, "real floating"):
+        image_field = xp.astype(image_field, xp.float64)
+    return xp.astype(xp.trunc(image_field / 2 ** (8 - bits)), xp.int64)
+
+
+def _last_two(size):
+    return _validate.size("size", tuple(size)[-2:] if isinstance(size, Iterable) else size)

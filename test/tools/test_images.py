@@ -1,0 +1,316 @@
+import os
+import struct
+import zlib
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from PIL import Image
+
+from odak.tools import _images
+from odak.tools.file import load_image, resize_image, save_image
+
+CHANNELS = {2: 3, 4: 2, 6: 4}
+PASSES = [(0, 0, 8, 8), (0, 4, 8, 8), (4, 0, 8, 4), (0, 2, 4, 4), (2, 0, 4, 2), (0, 1, 2, 2), (1, 0, 2, 1)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("images")
+
+
+def chunk(kind, content):
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+
+def png(width, height, depth, colour, pixels, interlaced=0):
+    header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, depth, colour, 0, 0, interlaced))
+    return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", zlib.compress(pixels)) + chunk(b"IEND", b"")
+
+
+def paeth(left, up, corner):
+    nearest = min((abs(left + up - corner - value), rank, value) for rank, value in enumerate((left, up, corner)))
+    return nearest[2]
+
+
+def filtered(samples, kinds):
+    """Filter rows byte by byte, as the PNG specification words it."""
+    height, _, channels = samples.shape
+    rows = samples.astype(">u2").reshape(height, -1).view(np.uint8).astype(int)
+    step, out, above = 2 * channels, bytearray(), np.zeros(rows.shape[1], int)
+    for row, kind in zip(rows, kinds, strict=True):
+        out.append(kind)
+        for i, value in enumerate(row):
+            left, corner = (row[i - step], above[i - step]) if i >= step else (0, 0)
+            up = above[i]
+            guess = (0, left, up, (left + up) // 2, paeth(left, up, corner))[kind]
+            out.append((value - guess) % 256)
+        above = row
+    return bytes(out)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    levels=st.sampled_from([np.uint8, np.uint16]).flatmap(
+        lambda dtype: hnp.arrays(
+            dtype,
+            st.tuples(st.integers(1, 9), st.integers(1, 9), st.sampled_from([0, 1, 3, 4])).map(
+                lambda shape: shape if shape[2] else shape[:2]
+            ),
+        )
+    )
+)
+def test_png_keeps_every_level(folder, levels):
+    path, white = str(folder / "levels.png"), np.iinfo(levels.dtype).max
+    before = levels.copy()
+    assert save_image(path, levels, cmin=0, cmax=white, color_depth=8 * levels.itemsize) is True
+    assert np.array_equal(levels, before)
+    loaded = load_image(path)
+    assert loaded.dtype == np.float64
+    assert np.array_equal(loaded, levels[..., 0] if levels.shape[2:] == (1,) else levels)
+    first = load_image(path, normalizeby=float(white), torch_style=True)
+    assert np.array_equal(first, (np.moveaxis(loaded, -1, 0) if loaded.ndim == 3 else loaded) / white)
+
+
+@pytest.mark.parametrize("colour", [2, 4, 6])
+def test_deep_colour_is_read_through_every_filter(tmp_path, random, colour):
+    samples = random.integers(0, 65536, (15, 11, CHANNELS[colour])).astype(np.uint16)
+    path = tmp_path / "deep.png"
+    path.write_bytes(png(11, 15, 16, colour, filtered(samples, [k % 5 for k in range(15)])))
+    expected = samples[..., [0, 0, 0, 1]] if colour == 4 else samples
+    assert np.array_equal(load_image(path), expected)
+
+
+def test_deep_colour_is_read_interlaced(tmp_path, random):
+    samples = random.integers(0, 65536, (13, 10, 3)).astype(np.uint16)
+    parts = [samples[top::down, left::right] for top, left, down, right in PASSES]
+    data = b"".join(filtered(part, [k % 5 for k in range(len(part))]) for part in parts if part.size)
+    path = tmp_path / "deep.png"
+    path.write_bytes(png(10, 13, 16, 2, data, interlaced=1))
+    assert np.array_equal(load_image(path), samples)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_deep_colour_is_read_from_tiff(tmp_path, random, order):
+    samples = random.integers(0, 65536, (5, 7, 3)).astype(np.uint16)
+    data = samples.astype(f"{order}u2").tobytes()
+    entries = [(256, 4, 1, 7), (257, 4, 1, 5), (258, 3, 3, 8), (259, 4, 1, 1), (262, 4, 1, 2), (273, 4, 1, 14)]
+    entries += [(277, 4, 1, 3), (278, 4, 1, 5), (279, 4, 1, len(data))]
+    magic = b"II" if order == "<" else b"MM"
+    directory = struct.pack(f"{order}H", len(entries)) + b"".join(struct.pack(f"{order}HHII", *e) for e in entries)
+    head = magic + struct.pack(f"{order}HI", 42, 14 + len(data)) + struct.pack(f"{order}3H", 16, 16, 16)
+    path = tmp_path / "deep.tif"
+    path.write_bytes(head + data + directory + bytes(4))
+    assert np.array_equal(load_image(path), samples)
+
+
+def test_deep_colour_that_would_lose_bits_is_refused(tmp_path):
+    path = tmp_path / "deep.ppm"
+    path.write_bytes(b"P6 2 1 65535\n" + bytes(12))
+    with pytest.raises(ValueError, match=r"deep\.ppm.*more than 8 bits.*use PNG"):
+        load_image(path)
+
+
+@pytest.mark.parametrize("name", ["a.png", "a.tif", "a.tiff", "a.bmp"])
+@pytest.mark.parametrize("shape", [(6, 9), (6, 9, 3)])
+def test_lossless_formats_keep_8_bits(tmp_path, random, name, shape):
+    levels = random.integers(0, 256, shape)
+    save_image(tmp_path / name, levels)
+    assert np.array_equal(load_image(tmp_path / name), levels)
+
+
+def test_jpeg_is_close(tmp_path):
+    y, x = np.mgrid[0:32, 0:48]
+    picture = np.stack([4 * x, 6 * y, 255 - 4 * x], axis=-1)
+    save_image(tmp_path / "a.jpg", picture)
+    assert np.abs(load_image(tmp_path / "a.jpg") - picture).max() < 8
+
+
+def test_deep_grey_tiff_and_alpha_tiff(tmp_path, random):
+    grey, alpha = random.integers(0, 65536, (6, 9)), random.integers(0, 256, (6, 9, 4))
+    save_image(tmp_path / "grey.tif", grey, cmax=65535, color_depth=16)
+    save_image(tmp_path / "alpha.tif", alpha)
+    assert np.array_equal(load_image(tmp_path / "grey.tif"), grey)
+    assert np.array_equal(load_image(tmp_path / "alpha.tif"), alpha)
+
+
+def test_levels_are_rounded_between_the_limits(tmp_path):
+    values = np.array([[-1.0, 0.0, 1.0, 0.3, np.nan, np.inf, -np.inf, 7.0]])
+    save_image(tmp_path / "a.png", values, cmin=-1, cmax=1)
+    assert load_image(tmp_path / "a.png").tolist() == [[0, 128, 255, 166, 0, 255, 0, 255]]
+    save_image(tmp_path / "b.png", np.array([[True, False]]), cmax=1, color_depth=16)
+    assert load_image(tmp_path / "b.png").tolist() == [[65535, 0]]
+
+
+@pytest.mark.parametrize("mode, expected", [("1", (3, 4)), ("P", (3, 4, 3)), ("LA", (3, 4, 4)), ("L", (3, 4))])
+def test_other_modes(tmp_path, mode, expected):
+    picture = Image.new("L", (4, 3), 255).convert(mode)
+    picture.save(tmp_path / "a.png")
+    loaded = load_image(tmp_path / "a.png")
+    assert loaded.shape == expected
+    assert (loaded == 255).all()
+
+
+def test_transparent_palette_float_tiff_and_gif(tmp_path):
+    palette = Image.new("P", (4, 3), 1)
+    palette.putpalette([0, 0, 0, 10, 20, 30])
+    palette.save(tmp_path / "a.png", transparency=1)
+    assert load_image(tmp_path / "a.png")[0, 0].tolist() == [10, 20, 30, 0]
+    palette.save(tmp_path / "a.gif")
+    assert load_image(tmp_path / "a.gif")[0, 0].tolist() == [10, 20, 30]
+    Image.fromarray(np.full((3, 4), 0.25, np.float32)).save(tmp_path / "a.tif")
+    assert (load_image(tmp_path / "a.tif") == 0.25).all()
+
+
+@pytest.mark.parametrize(
+    "name, image, options, reason",
+    [
+        ("a.png", np.zeros((2, 2)), {"color_depth": 12}, "color_depth must be 8 or 16"),
+        ("a.png", np.zeros((2, 2)), {"cmax": 0}, "cmax must be larger than cmin"),
+        ("a.png", np.zeros((2, 2)), {"cmin": np.nan}, "cmin must be finite"),
+        ("a.png", np.zeros((2, 2, 2)), {}, r"img must be .* got \(2, 2, 2\)"),
+        ("a.png", np.zeros((0, 2)), {}, "none empty"),
+        ("a.jpg", np.zeros((2, 2)), {"color_depth": 16}, r"a\.jpg.*8 bits only"),
+        ("a.bmp", np.zeros((2, 2)), {"color_depth": 16}, r"a\.bmp.*8 bits only"),
+        ("a.tif", np.zeros((2, 2, 3)), {"color_depth": 16}, r"a\.tif.*16-bit grey only"),
+        ("a.jpg", np.zeros((2, 2, 4)), {}, "cannot hold an alpha channel"),
+        ("a.gif", np.zeros((2, 2)), {}, "not allowed"),
+        ("a", np.zeros((2, 2)), {}, "not allowed"),
+        ("no/a.png", np.zeros((2, 2)), {}, r"Folder .*no' does not exist"),
+        ("a\0.png", np.zeros((2, 2)), {}, "Null bytes"),
+    ],
+)
+def test_what_cannot_be_saved(tmp_path, name, image, options, reason):
+    with pytest.raises(ValueError, match=reason):
+        save_image(f"{tmp_path}/{name}", image, **options)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("image", [np.zeros((2, 2), complex), [["a"]], np.zeros((2, 2), object)])
+def test_only_real_numbers_are_saved(tmp_path, image):
+    with pytest.raises(TypeError, match="img must hold real numbers"):
+        save_image(tmp_path / "a.png", image)
+
+
+@pytest.mark.parametrize("name, shape, depth", [("a.png", (4, 4), 8), ("a.png", (4, 4, 3), 16), ("a.jpg", (4, 4), 8)])
+def test_a_failing_encoder_leaves_the_old_file(tmp_path, monkeypatch, name, shape, depth):
+    path = tmp_path / name
+    path.write_bytes(b"old")
+
+    def fail(image, stream, *args, **kwargs):
+        (image if depth == 16 else stream).write(b"half of")
+        raise OSError("disk full")
+
+    monkeypatch.setattr(*((_images._deep_colour, "write_png") if depth == 16 else (Image.Image, "save")), fail)
+    with pytest.raises(ValueError, match=rf"Failed to save image '.*{name}': disk full"):
+        save_image(path, np.zeros(shape), color_depth=depth)
+    assert path.read_bytes() == b"old"
+    assert [entry.name for entry in tmp_path.iterdir()] == [name]
+
+
+def test_an_unwritable_folder_is_a_permission_error_with_the_path(tmp_path, monkeypatch):
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    def refuse(*args):
+        raise PermissionError(13, "Permission denied", args[0])
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "open", refuse)
+        with pytest.raises(PermissionError, match=r"a\.png"):
+            save_image(path, np.zeros((2, 2)))
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "access", lambda *args: False)
+        with pytest.raises(PermissionError, match=r"write-protected.*a\.png"):
+            save_image(path, np.zeros((2, 2)))
+    assert path.read_bytes() == b"old"
+
+
+def broken_files():
+    whole = png(8, 8, 8, 0, bytes(72))
+    deep = png(8, 8, 16, 2, bytes(8 * 49))
+    flipped = bytearray(whole)
+    flipped[45] ^= 1
+    yield "empty.png", b"", ""
+    yield "text.png", b"this is no image at all", "cannot identify"
+    yield "half.png", whole[: len(whole) // 2], ""
+    yield "half_deep.png", deep[: len(deep) // 2], ""
+    yield "end.png", whole[:-12], "truncated"
+    yield "flipped.png", bytes(flipped), "checksum"
+    yield "few_rows.png", png(8, 8, 8, 0, bytes(20)), "truncated"
+    yield "few_rows_deep.png", png(8, 8, 16, 2, bytes(100)), "truncated"
+    yield "bomb.png", png(20000, 20000, 8, 0, bytes(100)), "178 megapixels"
+    yield "bomb_deep.png", png(20000, 20000, 16, 2, bytes(100)), "178 megapixels"
+    yield "page.jpg", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n", "cannot identify"
+
+
+@pytest.mark.parametrize("name, content, reason", [pytest.param(*case, id=case[0]) for case in broken_files()])
+def test_broken_files_are_named(tmp_path, name, content, reason):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"Failed to load image '.*{name}': .*{reason}"):
+        load_image(path)
+
+
+def test_the_limit_holds_without_that_of_pillow(tmp_path, monkeypatch):
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", None)
+    (tmp_path / "bomb.png").write_bytes(png(20000, 20000, 8, 0, bytes(100)))
+    with pytest.raises(ValueError, match=r"178 megapixels.*20000 x 20000"):
+        load_image(tmp_path / "bomb.png")
+
+
+def test_a_long_stream_in_a_small_picture_does_not_unfold(tmp_path):
+    (tmp_path / "bomb.png").write_bytes(png(8, 8, 16, 2, bytes(50_000_000)))
+    assert load_image(tmp_path / "bomb.png").shape == (8, 8, 3)
+
+
+def test_what_is_not_a_file(tmp_path):
+    (tmp_path / "folder.png").mkdir()
+    os.mkfifo(tmp_path / "pipe.png")
+    for name, reason in (("folder", "not a regular"), ("pipe", "not a regular"), ("none", "no such")):
+        with pytest.raises(ValueError, match=rf"Failed to load image .*{name}\.png.*{reason} file"):
+            load_image(tmp_path / f"{name}.png")
+    with pytest.raises(ValueError, match=r"folder\.png' is not a file"):
+        save_image(tmp_path / "folder.png", np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="Null bytes"):
+        load_image("a\0.png")
+
+
+@pytest.mark.parametrize("source, target", [((9, 12), (4, 3)), ((7, 5), (3, 4)), ((6, 4), (4, 6))])
+def test_resizing_smaller_averages_areas(random, source, target):
+    picture = random.random(source)
+    height, width = target[1], target[0]
+    fine = np.kron(picture, np.ones((height, width)))
+    expected = fine.reshape(height, source[0], width, source[1]).mean((1, 3))
+    assert np.allclose(resize_image(picture, target), expected, atol=1e-14)
+
+
+def test_resizing_larger_is_bilinear_about_pixel_centres():
+    ramp = np.arange(8.0)[None, :, None] * np.ones((3, 1, 3))
+    larger = resize_image(ramp, [16, 6])
+    assert larger.shape == (6, 16, 3)
+    assert np.allclose(larger[2, :, 1], np.clip((np.arange(16) + 0.5) / 2 - 0.5, 0, 7))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32, np.float64, bool])
+def test_resizing_keeps_type_input_and_constants(dtype):
+    picture = np.ones((5, 7), dtype)
+    result = resize_image(picture, (3, 9))
+    assert result.dtype == dtype
+    assert result.shape == (9, 3)
+    assert np.allclose(result, 1)
+    same = resize_image(picture, (7, 5))
+    assert np.array_equal(same, picture)
+    assert not np.shares_memory(same, picture)
+
+
+@pytest.mark.parametrize(
+    "size, kind", [([3], ValueError), ([3, 0], ValueError), (4, ValueError), ([2.5, 2], TypeError)]
+)
+def test_resizing_refuses(size, kind):
+    with pytest.raises(kind, match="target_size"):
+        resize_image(np.ones((4, 4)), size)
+    with pytest.raises(ValueError, match="img must be"):
+        resize_image(np.ones((4, 4, 4, 4)), [2, 2])

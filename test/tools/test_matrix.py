@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import odak.tools
+from odak.tools.matrix import crop_center, quantize, zero_pad
+
+sides = st.integers(1, 9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(1, 3), max_size=2), sides, sides, st.integers(0, 7), st.integers(0, 7))
+def test_cropping_undoes_padding_for_every_parity(batch, rows, columns, more_rows, more_columns):
+    field = np.arange(1.0, 1 + np.prod([*batch, rows, columns])).reshape(*batch, rows, columns)
+    size = [rows + more_rows, columns + more_columns]
+    padded = zero_pad(field, size)
+    assert padded.shape == (*batch, *size)
+    assert padded.sum() == field.sum()
+    assert np.array_equal(padded[..., size[0] // 2, size[1] // 2], field[..., rows // 2, columns // 2])
+    assert np.array_equal(crop_center(padded, [rows, columns]), field)
+    assert np.array_equal(crop_center(zero_pad(field)), field)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64, np.complex64, np.complex128, np.int64])
+def test_every_library_gives_the_same(as_array, dtype):
+    field = np.arange(30).reshape(2, 3, 5).astype(dtype)
+    for method in ("center", "left", "LEFT aligned"):
+        padded = zero_pad(as_array(field), (7, 8), method)
+        assert type(padded) is type(as_array(field))
+        expected = np.zeros((2, 7, 8), dtype)
+        top, left = (2, 2) if method == "center" else (0, 0)
+        expected[:, top : top + 3, left : left + 5] = field
+        assert np.array_equal(np.asarray(padded), expected)
+        assert np.asarray(padded).dtype == dtype
+    assert np.array_equal(np.asarray(crop_center(as_array(field))), field[:, 1:2, 1:3])
+
+
+def test_the_crop_is_a_copy():
+    field = np.ones((4, 4))
+    crop_center(field)[:] = 7
+    assert (field == 1).all()
+
+
+def test_sizes_of_other_kinds():
+    assert zero_pad(np.ones((2, 2)), np.array([1, 1, 3, 4])).shape == (3, 4)
+    assert crop_center(np.ones((6, 6)), (1, 1, 3, 4)).shape == (3, 4)
+    assert crop_center(np.ones((1, 6))).shape == (1, 3)
+
+
+@pytest.mark.parametrize("function", [zero_pad, crop_center])
+def test_refused(function):
+    wrong = [2, 9] if function is zero_pad else [5, 4]
+    with pytest.raises(ValueError, match=r"size must be at (least|most) that of the field, \[4, 4\]"):
+        function(np.ones((4, 4)), wrong)
+    for size in ([4], 4, [0, 4]):
+        with pytest.raises(ValueError, match="size"):
+            function(np.ones((4, 4)), size)
+    with pytest.raises(ValueError, match="field must have at least 2 axes"):
+        function(np.ones(4))
+    with pytest.raises(TypeError, match="field must be an array"):
+        function([[1, 2], [3, 4]])
+
+
+def test_unknown_method():
+    with pytest.raises(ValueError, match=r"method must be one of.*Did you mean 'center'"):
+        zero_pad(np.ones((2, 2)), method="centre")
+
+
+def test_levels(as_array):
+    levels = quantize(as_array(np.array([0.0, 15.9, 16.0, 100.0, 255.0])), 4)
+    assert np.asarray(levels).tolist() == [0, 0, 1, 6, 15]
+    assert np.asarray(levels).dtype == np.int64
+    assert np.asarray(quantize(as_array(np.arange(256)), 8)).tolist() == list(range(256))
+
+
+@pytest.mark.parametrize("bits, kind", [(0, ValueError), (9, ValueError), (2.5, TypeError)])
+def test_bits(bits, kind):
+    with pytest.raises(kind, match="bits must be"):
+        quantize(np.ones(3), bits)
+
+
+def test_only_real_arrays_are_quantised():
+    for value in (np.ones(3, complex), [1, 2]):
+        with pytest.raises(TypeError, match="image_field must be a real array"):
+            quantize(value)
+
+
+def test_conversions_both_ways(random):
+    import torch
+
+    field = random.random((3, 4)) + 1j * random.random((3, 4))
+    tensor = odak.tools.convert_to_torch(field)
+    assert tensor.requires_grad
+    assert tensor.dtype == torch.complex128
+    back = odak.tools.convert_to_numpy(tensor.conj())
+    assert np.array_equal(back, field.conj())
+    with torch.no_grad():
+        tensor.zero_()
+    assert field.all()
+    counts = odak.tools.convert_to_torch(np.arange(3), grad=False)
+    assert counts.dtype == torch.int64
+    with pytest.raises(TypeError, match=r"torch\.int64"):
+        odak.tools.convert_to_torch(np.arange(3))
