@@ -45,7 +45,8 @@ def _is_transformed(tensor) -> bool:
 
 def is_double(value) -> bool:
     """Say whether an array holds 64-bit floats or 128-bit complex numbers (integers count by their namespace)."""
-    return "64" in str(value.dtype) and "complex64" not in str(value.dtype) or "complex128" in str(value.dtype)
+    name = str(value.dtype)
+    return "complex128" in name or ("64" in name and "complex64" not in name)
 
 
 def complex_dtype(value):
@@ -107,3 +108,15 @@ def make_complex(real, imag):
         return torch.complex(real, imag)
     dtype = complex_dtype(real)
     return xp.astype(real, dtype) + 1j * xp.astype(imag, dtype)
+
+
+def cast(value, like, dtype=None):
+    """Return `value` (an array or a number) in the library, on the device and in the precision of the array `like`.
+
+    A torch tensor keeps its place in the autograd graph.
+    """
+    xp = namespace(like)
+    dtype = like.dtype if dtype is None else dtype
+    if is_torch(value) and is_torch(like):
+        return value.to(device=like.device, dtype=dtype)
+    return xp.asarray(value, dtype=dtype, device=device_of(like))

@@ -298,6 +298,6 @@ def fraunhofer_equal_size_adjust(field, distance, dx, wavelength):
     for n, size in zip(field.shape[-2:], sizes, strict=True):
         if not 1 <= size <= n:
             raise ValueError(
-                f"distance must put the pattern's width between 1 and {n} samples of the field's; {distance!r} gives {size}"
+                f"distance must let the field's width span 1 to {n} samples of the pattern, {distance!r} gives {size}"
             )
     return crop_center(field, sizes)

@@ -4,6 +4,7 @@ from odak import _array
 from odak._array import phasor_of_cycles
 from odak.wave.grid import Grid
 from odak.wave.request import Request
+from odak.wave.transfer_functions import axial_cycles
 
 _AXES = (-2, -1)
 
@@ -19,7 +20,7 @@ def _quadratic(grid: Grid):
     xp = grid.xp
     fy, fx = grid.frequencies()
     # With x = λz·f the quadratic phase is πλz·f².
-    cycles = grid.distance / grid.wavelength - 0.25 + grid.wavelength * grid.distance * (fx**2 + fy**2) / 2
+    cycles = axial_cycles(grid) - 0.25 + grid.wavelength * grid.distance * (fx**2 + fy**2) / 2
     amplitude = xp.astype(grid.dx**2 / (grid.wavelength * grid.distance), grid.dtype)
     return grid.unfold(phasor_of_cycles(cycles, grid.dtype) * amplitude)
 

@@ -61,7 +61,8 @@ class Grid:
         rows, columns = (self._mirror(n) for n in self.shape)
         if not _array.is_torch(quarter):
             return self.xp.take(self.xp.take(quarter, rows, axis=-2), columns, axis=-1)
-        return quarter.mT.contiguous().index_select(-2, columns).index_select(-1, rows).mT
+        half = quarter.mT.index_select(-2, columns)
+        return half.index_select(-1, rows).mT
 
     def _mirror(self, n: int):
         indices = self.xp.arange(n, device=self.device)

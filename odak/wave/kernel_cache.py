@@ -1,5 +1,6 @@
 """A bounded store of transfer functions, so that a kernel is built once per geometry."""
 
+import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -29,16 +30,17 @@ class KernelCache:
                 self._entries.move_to_end(key)
                 return self._entries[key]
         kernel = build()
+        size = _bytes_of(kernel)
         with self._lock:
-            if key not in self._entries and kernel.nbytes <= self.maximum_bytes:
+            if key not in self._entries and size <= self.maximum_bytes:
                 self._entries[key] = kernel
-                self.bytes += kernel.nbytes
+                self.bytes += size
                 self._shrink()
         return kernel
 
     def _shrink(self):
         while self.bytes > self.maximum_bytes:
-            self.bytes -= self._entries.popitem(last=False)[1].nbytes
+            self.bytes -= _bytes_of(self._entries.popitem(last=False)[1])
 
     def resize(self, maximum_bytes: int):
         """Set the bound and drop the least recently used entries above it."""
@@ -54,6 +56,11 @@ class KernelCache:
 
     def __len__(self) -> int:
         return len(self._entries)
+
+
+def _bytes_of(kernel) -> int:
+    # The array API has no `nbytes`; every number held is a double or a pair of floats, unless it says 128.
+    return math.prod(kernel.shape) * (16 if "128" in str(kernel.dtype) else 8)
 
 
 kernels = KernelCache()

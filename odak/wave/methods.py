@@ -72,7 +72,7 @@ def _masked(kernel, aperture, field):
     if not _array.is_array(aperture):
         return kernel if aperture == 1 else kernel * complex(aperture)
     xp = _array.namespace(field)
-    aperture = xp.asarray(aperture, dtype=field.dtype, device=_array.device_of(field))
+    aperture = _array.cast(aperture, field)
     if aperture.ndim >= 2:
         for have, want in zip(aperture.shape[-2:], kernel.shape[-2:], strict=True):
             if have not in (1, want):
@@ -93,7 +93,7 @@ def _filter_by_given_kernel(field, request: Request):
     if not _array.is_array(kernel) or tuple(kernel.shape[-2:]) != size:
         shape = tuple(kernel.shape) if _array.is_array(kernel) else type(kernel).__name__
         raise ValueError(f"kernel must have the shape [..., {size[0]}, {size[1]}] of the propagated grid, got {shape}")
-    kernel = xp.fft.ifftshift(xp.asarray(kernel, dtype=field.dtype, device=_array.device_of(field)), axes=(-2, -1))
+    kernel = xp.fft.ifftshift(_array.cast(kernel, field), axes=(-2, -1))
     return convolve(field, _masked(kernel, request.aperture, field))
 
 

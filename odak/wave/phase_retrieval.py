@@ -1,14 +1,15 @@
 """Gerchberg–Saxton phase retrieval of holograms, for one image plane or several."""
 
+import functools
 import math
 
 import numpy as np
 
 from odak import _array, _validate
-from odak.tools.matrix import crop_center, zero_pad
 from odak.wave.propagation import propagate
 from odak.wave.utils import calculate_amplitude, calculate_phase, generate_complex_field
 
+_WINDOW = (True, False, True)
 TARGET_TYPES = ("no constraint", "double constraint")
 
 
@@ -73,33 +74,31 @@ def retrieve(
     field = _validate.image("field", field)
     _validate.real("slm_range", slm_range, positive=True)
     target = calculate_amplitude(field)
-    window = tuple(target.shape[-2:])
-    inside = zero_pad(_array.namespace(target).ones_like(target)) > 0
-    target_plane = zero_pad(target)
     phase = _limit(_starting_phase(target, initial_phase, seed), slm_range)
+    light = functools.partial(
+        propagate, k=None, dx=dx, wavelength=wavelength, propagation_type=propagation_type, zero_padding=_WINDOW
+    )
     for turn in turns:
-        image = _propagate_padded(phase, distance, dx, wavelength, propagation_type)
-        image = _constrain(image, inside, target_plane, update)
-        hologram = propagate(image, None, -distance, dx, wavelength, propagation_type)
-        phase = _limit(calculate_phase(crop_center(hologram, window)), slm_range)
+        hologram = generate_complex_field(1.0, phase)
+        change = _correction(light(hologram, distance=distance), target, update)
+        phase = _limit(calculate_phase(hologram + light(change, distance=-distance)), slm_range)
         if callback is not None and callback(turn, phase) is True:
             break
     hologram = generate_complex_field(1.0, phase)
-    return hologram, crop_center(_propagate_padded(phase, distance, dx, wavelength, propagation_type), window)
+    return hologram, light(hologram, distance=distance)
 
 
-def _propagate_padded(phase, distance, dx, wavelength, propagation_type):
-    hologram = generate_complex_field(1.0, phase)
-    return propagate(hologram, None, distance, dx, wavelength, propagation_type, zero_padding=(True, False, False))
+def _correction(image, target, update):
+    """Return what has to be added to the image, inside its window, for its amplitude to become the target's.
 
-
-def _constrain(image, inside, target, update):
-    """Return the image with its amplitude replaced inside the window and free outside."""
+    The field outside the window is free and stays as it is. Propagated back it is the part of the hologram it came
+    from, so only the change needs to make the way back, on the window alone.
+    """
     xp = _array.namespace(image)
     amplitude = calculate_amplitude(image)
     wanted = target if update is None else update(target, amplitude)
     gain = wanted / xp.where(amplitude > 0, amplitude, xp.ones_like(amplitude))
-    return image * xp.astype(xp.where(inside, gain, xp.ones_like(gain)), image.dtype)
+    return image * xp.astype(gain - 1, image.dtype)
 
 
 def _limit(phase, slm_range):
@@ -113,13 +112,12 @@ def _limit(phase, slm_range):
 
 
 def _starting_phase(target, initial_phase, seed):
-    xp = _array.namespace(target)
     shape = tuple(target.shape)
     if initial_phase is None:
         initial_phase = np.random.default_rng(seed).random(shape) * math.pi
     elif tuple(initial_phase.shape) != shape:
         raise ValueError(f"initial_phase must have the field's shape {shape}, got {tuple(initial_phase.shape)}")
-    return xp.asarray(initial_phase, dtype=target.dtype, device=_array.device_of(target))
+    return _array.cast(initial_phase, target)
 
 
 def gerchberg_saxton_3d(

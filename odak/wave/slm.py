@@ -36,7 +36,7 @@ def produce_phase_only_slm_pattern(
     slm_range : float
         Phase range of the modulator in radians.
     filename : str, optional
-        Where to save the pattern, black 0 and white 2^bits.
+        Where to save the pattern, black level 0 and white level 2^bits − 1 (with 8 bits the file holds the levels).
     bits : int
         Bits per pixel, 1 to 16.
     default_range : float
@@ -65,7 +65,7 @@ def produce_phase_only_slm_pattern(
         from odak.tools.file import save_image
 
         array = pattern.detach().cpu().numpy() if _array.is_torch(pattern) else pattern
-        save_image(filename, array, cmin=0, cmax=levels, color_depth=8 if bits <= 8 else 16)
+        save_image(filename, array, cmin=0, cmax=levels - 1, color_depth=8 if bits <= 8 else 16)
     amplitude = 1.0 if illumination is None else illumination
     field = generate_complex_field(amplitude, pattern * (default_range / levels))
     return field, xp.astype(pattern, xp.int32)

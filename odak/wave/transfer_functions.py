@@ -18,15 +18,27 @@ def angular_spectrum(grid: Grid):
 def plane_wave_transfer(grid: Grid, fy, fx):
     """Return what free space does to the plane waves of frequencies (fy, fx), travelling or evanescent."""
     xp = grid.xp
-    squared = 1 / grid.wavelength**2 - (fx**2 + fy**2)
+    transverse = fx**2 + fy**2
+    squared = 1 / grid.wavelength**2 - transverse
     if not grid.evanescent:
-        return phasor_of_cycles(grid.distance * xp.sqrt(squared), grid.dtype)
+        return phasor_of_cycles(_cycles(grid, transverse, xp.sqrt(squared)), grid.dtype)
     travels = squared > 0
     one = xp.ones_like(squared)
-    wave = phasor_of_cycles(grid.distance * xp.sqrt(xp.where(travels, squared, one)), grid.dtype)
+    wave = phasor_of_cycles(_cycles(grid, transverse, xp.sqrt(xp.where(travels, squared, one))), grid.dtype)
     exponent = -2 * xp.pi * xp.abs(grid.distance) * xp.sqrt(xp.where(squared < 0, -squared, one))
     decay = xp.where(squared == 0, one, xp.exp(exponent))
     return xp.where(travels, wave, xp.astype(decay, grid.dtype))
+
+
+def axial_cycles(grid: Grid):
+    """Return z/λ less its whole cycles, so that what is added to it keeps its digits."""
+    cycles = grid.distance / grid.wavelength
+    return cycles - grid.xp.round(cycles)
+
+
+def _cycles(grid: Grid, transverse, axial):
+    # z·(axial − 1/λ) without the cancellation: 1/λ² − axial² is the transverse frequency squared.
+    return axial_cycles(grid) - grid.distance * transverse / (axial + 1 / grid.wavelength)
 
 
 def band_limits(grid: Grid):
@@ -49,7 +61,7 @@ def band_limited_angular_spectrum(grid: Grid):
 def transfer_function_fresnel(grid: Grid):
     """Return exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20)."""
     fy, fx = grid.frequencies()
-    cycles = grid.distance * (1 / grid.wavelength - grid.wavelength * (fx**2 + fy**2) / 2)
+    cycles = axial_cycles(grid) - grid.distance * grid.wavelength * (fx**2 + fy**2) / 2
     return grid.unfold(phasor_of_cycles(cycles, grid.dtype))
 
 
@@ -67,9 +79,7 @@ def impulse_response_factors(grid: Grid):
     """
     xp = grid.xp
     double = xp.complex128
-    constant = phasor_of_cycles(grid.distance / grid.wavelength - 0.25, double) / xp.astype(
-        grid.wavelength * grid.distance, double
-    )
+    constant = phasor_of_cycles(axial_cycles(grid) - 0.25, double) / xp.astype(grid.wavelength * grid.distance, double)
     factors = []
     for axis, position in zip((-2, -1), grid.positions(), strict=True):
         source = _points(grid, grid.samples[2 + axis], grid.dx)

@@ -161,10 +161,8 @@ def add_random_phase(field, seed=None):
         Complex field.
     """
     field = _array.to_complex(_as_array(field))
-    xp = _array.namespace(field)
     phase = np.random.default_rng(seed).random(tuple(field.shape)) * math.pi
-    phase = xp.asarray(phase, dtype=_array.real_dtype(field), device=_array.device_of(field))
-    return add_phase(field, phase)
+    return add_phase(field, _array.cast(phase, field, _array.real_dtype(field)))
 
 
 def _as_array(field):

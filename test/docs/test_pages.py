@@ -62,7 +62,9 @@ def test_agreement_of_numbers():
 
 def test_blocks_are_read_with_their_output(tmp_path):
     page = tmp_path / "page.md"
-    page.write_text("```python\nprint(1)\n```\n\n```text\n1\n```\n\n    ```python\n    x = 2\n    ```\n", encoding="utf-8")
+    page.write_text(
+        "```python\nprint(1)\n```\n\n```text\n1\n```\n\n    ```python\n    x = 2\n    ```\n", encoding="utf-8"
+    )
     first, second = make_pictures.read_blocks(page)
     assert (first.code, first.line, first.expected) == ("print(1)\n", 2, "1\n")
     assert (second.code, second.line, second.expected) == ("x = 2\n", 10, "")

@@ -62,8 +62,7 @@ save_image('phase_only_hologram_w_grating.png',phase_only_hologram_w_grating)
 SMALL = {
     "resolution = [1080, 1920]": "resolution = [108, 192]",
     "target[500:600,400:450]": "target[50:60,40:45]",
-    "distance = 0.15": "distance = 0.005",
-    "iteration_number = 100": "iteration_number = 60",
+    "distance = 0.15": "distance = 0.015",
 }
 
 
@@ -79,7 +78,7 @@ def _pixels(path):
     return np.asarray(Image.open(path)).astype(float)
 
 
-def _check(names, folder, correlation):
+def _check(names, folder):
     resolution = tuple(names["resolution"])
     assert (names["hologram"].abs() - 1).abs().max() < 1e-5
     assert names["reconstructed"].shape == resolution
@@ -89,12 +88,12 @@ def _check(names, folder, correlation):
         assert levels.min() == 0 and levels.max() == 255
     image = _pixels(folder / "reconstructed_image.png")
     assert image.shape == resolution and image.std() > 0
-    assert np.corrcoef(image.ravel(), names["target"].numpy().ravel())[0, 1] > correlation
+    assert np.corrcoef(image.ravel(), names["target"].numpy().ravel())[0, 1] > 0.9
 
 
 @pytest.mark.slow
 def test_as_printed(tmp_path, monkeypatch):
-    _check(_run(WALK_THROUGH, tmp_path, monkeypatch), tmp_path, correlation=0.9)
+    _check(_run(WALK_THROUGH, tmp_path, monkeypatch), tmp_path)
 
 
 def test_at_a_tenth_of_the_size(tmp_path, monkeypatch):
@@ -102,4 +101,4 @@ def test_at_a_tenth_of_the_size(tmp_path, monkeypatch):
     for printed, small in SMALL.items():
         assert printed in text
         text = text.replace(printed, small)
-    _check(_run(text, tmp_path, monkeypatch), tmp_path, correlation=0.3)
+    _check(_run(text, tmp_path, monkeypatch), tmp_path)

@@ -45,11 +45,12 @@ def point_wise(
     target = _validate.image("target", target).to(device)
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance, nonzero=True)
-    radius = _validate.integer("lens_size", lens_size, minimum=1) * _validate.real("dx", dx, positive=True)
+    _validate.real("dx", dx, positive=True)
+    radius = _validate.integer("lens_size", lens_size, minimum=1)
     dtype = torch.complex128 if target.dtype == torch.float64 else torch.complex64
-    y, x = (torch.fft.fftfreq(2 * n, 1 / (2 * n * dx), dtype=torch.float64, device=device) for n in target.shape[-2:])
+    y, x = (torch.fft.fftfreq(2 * n, 1 / (2 * n), dtype=torch.float64, device=device) for n in target.shape[-2:])
     squared = y[:, None] ** 2 + x[None, :] ** 2
-    lens = phasor(-math.pi / (wavelength * distance) * squared, dtype) * (squared <= radius**2)
+    lens = phasor(-math.pi * dx**2 / (wavelength * distance) * squared, dtype) * (squared <= radius**2)
     return convolve(target.sqrt().to(dtype), torch.fft.fft2(lens))
 
 
@@ -76,7 +77,8 @@ def shift_w_double_phase(
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`.
     kernel_length : int
-        Length in pixels of the Gaussian that smooths the field before encoding (taken to the next odd number); 0 for none.
+        Length in pixels of the Gaussian that smooths the field before encoding, taken to the next odd number; 0 for
+        none.
     sigma : float
         Its standard deviation in pixels.
     amplitude : torch.Tensor, optional
@@ -85,7 +87,8 @@ def shift_w_double_phase(
     Returns
     -------
     torch.Tensor
-        Phase ``[rows, columns]``: φ − arccos(a) where row and column are both even or both odd, φ + arccos(a) elsewhere.
+        Phase ``[rows, columns]``: φ − arccos(a) where row and column are both even or both odd, φ + arccos(a)
+        elsewhere.
 
     Notes
     -----

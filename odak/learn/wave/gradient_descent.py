@@ -55,12 +55,13 @@ def stochastic_gradient_descent(
     optimizer : str
         "adam" or "lbfgs".
     initial_phase : torch.Tensor, optional
-        Phase to start from, in radians. The default is normal noise of standard deviation 1; a flat phase
-        (``torch.zeros_like(target)``) ends 3 to 5 dB higher on photographs, with less speckle.
+        Phase to start from, in radians; normal noise of standard deviation 1 by default. Without `scale` a flat
+        phase (``torch.zeros_like(target)``) ends about 2 dB higher on photographs; with it the start hardly matters.
     seed : int, optional
         Makes the random start reproducible.
     scale : bool
-        Compare s·intensity with the target, s = ⟨I, T⟩/⟨I, I⟩ being the best brightness of each iteration.
+        Compare s·intensity with the target, s = ⟨I, T⟩/⟨I, I⟩ being the best brightness of each iteration. Without it
+        the light that the target does not need has to be thrown outside the image, which costs 10 dB on photographs.
     progress : bool
         Show a progress bar.
     callback : callable, optional
@@ -164,18 +165,45 @@ def _minimise(phase, evaluate, optimizer, learning_rate, n_iteration, progress, 
 
 
 def _make_step(phase, evaluate, optimizer, learning_rate) -> Callable:
-    if optimizer == "adam":
-        solver = torch.optim.Adam([phase], lr=learning_rate, fused=True)
-    else:
-        # The mean over a million pixels makes gradients tiny, so that absolute tolerances would stop at once.
-        solver = torch.optim.LBFGS(
-            [phase], lr=1, max_iter=1, tolerance_grad=0, tolerance_change=0, line_search_fn="strong_wolfe"
-        )
-
-    def closure():
-        solver.zero_grad(set_to_none=True)
+    def gradient():
+        phase.grad = None
         loss = evaluate()
         loss.backward()
         return loss
 
-    return lambda: solver.step(closure).detach()
+    if optimizer == "adam":
+        return _Adam(phase, gradient, learning_rate).step
+    # The mean over a million pixels makes gradients tiny, so that absolute tolerances would stop at once.
+    solver = torch.optim.LBFGS(
+        [phase], lr=1, max_iter=1, tolerance_grad=0, tolerance_change=0, line_search_fn="strong_wolfe"
+    )
+    return lambda: solver.step(gradient).detach()
+
+
+class _Adam:
+    """Adam (Kingma and Ba, 2015, algorithm 1) on one tensor.
+
+    ``torch.optim.Adam`` does the same, but its constructor loads the compiler: two seconds and 80 MB, as much as
+    twenty iterations at full size and more memory than the hologram's padded field.
+    """
+
+    def __init__(self, phase: torch.Tensor, gradient: Callable, learning_rate: float, betas=(0.9, 0.999), epsilon=1e-8):
+        self.phase, self.gradient = phase, gradient
+        self.learning_rate, self.betas, self.epsilon = learning_rate, betas, epsilon
+        self.mean = torch.zeros_like(phase, requires_grad=False)
+        self.square = torch.zeros_like(self.mean)
+        self.count = 0
+
+    def step(self) -> torch.Tensor:
+        """Take one step and return the loss before it."""
+        loss = self.gradient()
+        slope = self.phase.grad
+        with torch.no_grad():
+            self.count += 1
+            mean_bias, square_bias = (1 - beta**self.count for beta in self.betas)
+            self.mean.lerp_(slope, 1 - self.betas[0])
+            self.square.mul_(self.betas[1]).addcmul_(slope, slope, value=1 - self.betas[1])
+            # The gradient's memory is done with, so the denominator takes its place.
+            denominator = torch.sqrt(self.square, out=slope).div_(square_bias**0.5).add_(self.epsilon)
+            self.phase.addcdiv_(self.mean, denominator, value=-self.learning_rate / mean_bias)
+        return loss.detach()

@@ -4,6 +4,7 @@ A = C·F⁻¹·H·F·P with P the continuation by zeros and C the cut, so A^H = 
 operator with the conjugate kernel. Nothing but the kernel is saved for the backward pass.
 """
 
+import math
 import threading
 
 import torch
@@ -84,29 +85,43 @@ def _convolve_in_blocks(field, kernel, adjoint):
 
 
 def _filter_one(field, kernel, adjoint, result):
+    """Write the filtered field into `result`, every transform on a part that fits a core's cache.
+
+    A transform's result is fresh memory even when `out` is given, so the parts are small and copied where they go.
+    """
     rows, columns = field.shape
     height, width = kernel.shape
-    step = max(1, _BLOCK_BYTES // (height * field.element_size()))
     spectrum = _buffer("spectrum", (rows, width), field.dtype)
-    torch.fft.fft(field, n=width, out=spectrum)
-    block = _buffer("block", (step, height), field.dtype)
-    for start in range(0, width, step):
-        stop = min(start + step, width)
-        part = block[: stop - start]
-        part[:, :rows].copy_(spectrum[:, start:stop].mT)
-        part[:, rows:].zero_()
-        transformed = torch.fft.fft(part)
-        factor = kernel[:, start:stop].mT
-        transformed.mul_(factor.conj() if adjoint else factor)
-        torch.fft.ifft(transformed, out=part)
-        spectrum[:, start:stop].copy_(part[:, :rows].mT)
-    result.copy_(torch.fft.ifft(spectrum, out=spectrum)[:, :columns])
+    for part in _parts(rows, width, field):
+        spectrum[part] = torch.fft.fft(field[part], n=width)
+    for part in _parts(width, height, field):
+        column = torch.fft.fft(_padded_columns(spectrum[:, part], height))
+        factor = kernel[:, part].mT
+        column.mul_(factor.conj() if adjoint else factor)
+        spectrum[:, part] = torch.fft.ifft(column)[:, :rows].mT
+    for part in _parts(rows, width, field):
+        result[part] = torch.fft.ifft(spectrum[part])[:, :columns]
+
+
+def _parts(count: int, length: int, field):
+    """Yield slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each."""
+    step = max(1, _BLOCK_BYTES // (length * field.element_size()))
+    return (slice(start, min(start + step, count)) for start in range(0, count, step))
+
+
+def _padded_columns(columns, height: int) -> torch.Tensor:
+    """Return columns as contiguous rows, continued by zeros to `height`."""
+    rows, count = columns.shape
+    block = _buffer("block", (count, height), columns.dtype)
+    block[:, :rows] = columns.mT
+    block[:, rows:] = 0
+    return block
 
 
 def _buffer(name: str, shape, dtype) -> torch.Tensor:
     """Return scratch memory of this thread, kept between calls because fresh pages are slow."""
     held = getattr(_scratch, name, None)
-    count = shape[0] * shape[1]
+    count = math.prod(shape)
     if held is None or held.dtype != dtype or held.numel() < count:
         with torch.inference_mode(False):
             held = torch.empty(count, dtype=dtype)

@@ -93,5 +93,5 @@ def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: floa
 def produce_phase_only_slm_pattern(
     hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination=None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a hologram as a modulator shows it, and its levels; see :func:`odak.wave.produce_phase_only_slm_pattern`."""
+    """Return a hologram as a modulator shows it and its levels: :func:`odak.wave.produce_phase_only_slm_pattern`."""
     return slm.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)

@@ -1,0 +1,52 @@
+"""How the benchmarks measure: best and median of several runs, and the peak of resident memory."""
+
+import resource
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of one task: the best and the median of its runs."""
+
+    best: float
+    median: float
+
+
+def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
+    """Return the timing of `task` after one run to warm up; CUDA work is waited for."""
+    wait = torch.cuda.synchronize if device == "cuda" else lambda: None
+    task()
+    wait()
+    seconds = []
+    for _ in range(runs):
+        start = time.perf_counter()
+        task()
+        wait()
+        seconds.append(time.perf_counter() - start)
+    return Timing(min(seconds), sorted(seconds)[len(seconds) // 2])
+
+
+def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -> dict[str, Timing]:
+    """Return the timings of several tasks run in turn, so that a busy moment of the machine falls on all of them."""
+    wait = torch.cuda.synchronize if device == "cuda" else lambda: None
+    seconds = {name: [] for name in tasks}
+    for turn in range(runs + 1):
+        for name, task in tasks.items():
+            wait()
+            start = time.perf_counter()
+            task()
+            wait()
+            if turn:
+                seconds[name].append(time.perf_counter() - start)
+    return {name: Timing(min(values), sorted(values)[len(values) // 2]) for name, values in seconds.items()}
+
+
+def peak_memory(device: str = "cpu") -> int:
+    """Return the peak of memory so far in bytes: resident memory on the CPU, allocated memory on CUDA."""
+    if device == "cuda":
+        return torch.cuda.max_memory_allocated()
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

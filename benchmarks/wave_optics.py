@@ -1,0 +1,134 @@
+"""Wave-optics benchmarks: each against the bare transforms of the same size, in the same process."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import torch
+from measure import interleave, measure
+
+from odak.learn import wave
+from odak.wave import clear_kernel_cache
+
+WAVELENGTH, DISTANCE, PITCH = 532e-9, 0.15, 8e-6
+SHAPE = (1080, 1920)
+PADDED = tuple(2 * n for n in SHAPE)
+
+
+def _row(task: str, ours: float, floor: float, floor_name: str, bound: float | None, **more) -> dict:
+    return {
+        "task": task,
+        "ours_s": ours,
+        "floor_s": floor,
+        "floor": floor_name,
+        "ratio": ours / floor,
+        "bound": bound,
+        **more,
+    }
+
+
+def propagation(device: str) -> Iterator[dict]:
+    """Yield one padded propagation, with and without a kernel at hand, against two bare FFTs of the padded size."""
+    field = torch.randn(SHAPE, dtype=torch.complex64, device=device)
+    padded = torch.randn(PADDED, dtype=torch.complex64, device=device)
+
+    def propagate():
+        wave.propagate_beam(field, None, DISTANCE, PITCH, WAVELENGTH)
+
+    def propagate_first():
+        clear_kernel_cache()
+        propagate()
+
+    timings = interleave({"fft": lambda: torch.fft.fft2(padded), "warm": propagate}, device=device)
+    floor = 2 * timings["fft"].best
+    yield _row("propagation, cached kernel", timings["warm"].best, floor, "2 fft2", 1.4)
+    yield _row("propagation, first call", measure(propagate_first, 5, device).best, floor, "2 fft2", 4.0)
+
+
+def hologram(device: str) -> Iterator[dict]:
+    """Yield one iteration of gradient descent against four bare FFTs of the padded size."""
+    target = torch.rand(SHAPE, device=device)
+    padded = torch.randn(PADDED, dtype=torch.complex64, device=device)
+
+    def bare():
+        for _ in range(4):
+            torch.fft.fft2(padded)
+
+    def ten_iterations():
+        wave.stochastic_gradient_descent(
+            target, WAVELENGTH, DISTANCE, PITCH, n_iteration=10, initial_phase=torch.zeros_like(target), progress=False
+        )
+
+    def obvious():
+        phase = torch.zeros_like(target, requires_grad=True)
+        optimizer = torch.optim.Adam([phase], lr=0.1)
+        kernel = wave.get_propagation_kernel(*PADDED, PITCH, WAVELENGTH, DISTANCE, target.device)
+        _obvious_step(phase, optimizer, kernel, target)
+
+    timings = interleave({"fft": bare, "ours": ten_iterations}, 5, device)
+    # Ten iterations hold one propagation more, for the reconstruction that is returned: it is counted in.
+    ours, floor = timings["ours"].best / 10, timings["fft"].best
+    yield _row("gradient descent, one iteration", ours, floor, "4 fft2", 1.8)
+    alternative = measure(obvious, 3, device).best
+    yield _row("gradient descent, one iteration, plain autograd", alternative, floor, "4 fft2", None)
+
+
+def _obvious_step(phase, optimizer, kernel, target) -> None:
+    """Take one step as one would write it down: pad, shift, transform, multiply, transform back, shift, crop."""
+    rows, columns = target.shape
+    field = torch.nn.functional.pad(torch.exp(1j * phase), [columns // 2, columns // 2, rows // 2, rows // 2])
+    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.fftshift(field))) * kernel
+    image = torch.fft.ifftshift(torch.fft.ifft2(torch.fft.ifftshift(spectrum)))
+    image = image[rows // 2 : rows // 2 + rows, columns // 2 : columns // 2 + columns]
+    loss = torch.nn.functional.mse_loss(image.abs() ** 2, target)
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+
+
+def impulse_response(device: str) -> Iterator[dict]:
+    """Yield the averaged impulse-response kernel at 1024 × 1024 against one bare FFT of its size."""
+    padded = torch.randn(1024, 1024, dtype=torch.complex64, device=device)
+    timings = interleave(
+        {
+            "fft": lambda: torch.fft.fft2(padded),
+            "ours": lambda: wave.get_impulse_response_fresnel_kernel(1024, 1024, distance=0.2, device=padded.device),
+        },
+        device=device,
+    )
+    yield _row("impulse-response kernel 1024", timings["ours"].best, timings["fft"].best, "1 fft2", None)
+
+
+def memory(device: str) -> Iterator[dict]:
+    """Yield the peak memory of a hologram above what the process holds after import, in padded complex64 arrays."""
+    code = (
+        "import json, sys; sys.path.insert(0, 'benchmarks'); import torch; from measure import peak_memory; "
+        "from odak.learn import wave; import odak.learn.wave.classical; "
+        f"device = {device!r}; target = torch.rand({SHAPE}, device=device); "
+        "torch.fft.fft2(torch.zeros(64, 64, dtype=torch.complex64, device=device)); before = peak_memory(device); "
+        f"wave.stochastic_gradient_descent(target, {WAVELENGTH}, {DISTANCE}, {PITCH}, n_iteration=5, progress=False); "
+        "print(json.dumps(peak_memory(device) - before))"
+    )
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    array = PADDED[0] * PADDED[1] * 8
+    arrays = json.loads(output) / array
+    yield {
+        "task": "gradient descent, peak memory",
+        "ours_arrays": arrays,
+        "floor": "padded complex64",
+        "bound": 6.0,
+        "ratio": arrays,
+    }
+
+
+def import_time(device: str) -> Iterator[dict]:
+    """Yield the time that `import odak` adds to an interpreter that has loaded numpy."""
+    times = {}
+    for name, line in (("numpy", "import numpy"), ("odak", "import numpy, odak")):
+        times[name] = measure(lambda line=line: subprocess.run([sys.executable, "-c", line], check=True), 7).best
+    added = times["odak"] - times["numpy"]
+    yield {"task": "import odak, seconds above numpy", "ours_s": added, "floor": "1 s", "ratio": added, "bound": 0.1}
+
+
+ALL = (import_time, memory, impulse_response, propagation, hologram)

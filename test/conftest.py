@@ -1,0 +1,44 @@
+import os
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # One worker per core: more threads than that only wait for each other.
+    os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
+
+import array_api_strict
+import numpy as np
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def _fresh_state():
+    """Let each test see its own warnings and build its own kernels."""
+    from odak.wave import methods
+    from odak.wave.kernel_cache import kernels
+
+    methods._warned.clear()
+    kernels.clear()
+
+
+@pytest.fixture
+def random():
+    return np.random.default_rng(20261121)
+
+
+@pytest.fixture(params=["numpy", "torch", "array_api_strict"])
+def as_array(request):
+    """Return a converter from NumPy arrays to the arrays of one library."""
+    if request.param == "torch":
+        import torch
+
+        return torch.from_numpy
+    return {"numpy": np.asarray, "array_api_strict": array_api_strict.asarray}[request.param]
+
+
+def pytest_collection_modifyitems(items):
+    import torch
+
+    if torch.cuda.is_available():
+        return
+    for item in items:
+        if "cuda" in item.keywords:
+            item.add_marker(pytest.mark.skip(reason="no CUDA device on this machine"))

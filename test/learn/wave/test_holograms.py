@@ -1,0 +1,267 @@
+"""Holograms: what the optimizers promise, their call forms and their errors."""
+
+import logging
+
+import numpy as np
+import pytest
+import torch
+
+from odak.learn import wave
+from odak.learn.wave import compat, gradient_descent
+
+WAVELENGTH, DISTANCE, DX = 532e-9, 0.01, 8e-6
+
+
+@pytest.fixture
+def target():
+    image = torch.zeros(64, 72)
+    image[20:44, 24:48] = 1.0
+    return image
+
+
+def error(reconstruction, target):
+    return torch.nn.functional.mse_loss(reconstruction.abs() ** 2, target).item()
+
+
+def descend(target, **options):
+    return wave.stochastic_gradient_descent(target, WAVELENGTH, DISTANCE, DX, progress=False, seed=0, **options)
+
+
+@pytest.mark.parametrize("optimizer", ["adam", "lbfgs"])
+def test_gradient_descent_makes_the_image(target, optimizer):
+    hologram, image = descend(target, n_iteration=40, optimizer=optimizer)
+    assert hologram.shape == image.shape == target.shape
+    assert hologram.dtype == image.dtype == torch.complex64
+    torch.testing.assert_close(hologram.abs(), torch.ones_like(target))
+    assert error(image, target) < 0.25 * error(descend(target, n_iteration=1)[1], target)
+    exact = wave.propagate_beam(hologram.to(torch.complex128), None, DISTANCE, DX, WAVELENGTH, "Angular Spectrum")
+    torch.testing.assert_close(image, exact.to(torch.complex64), rtol=1e-4, atol=1e-4)
+
+
+def test_lbfgs_goes_further_than_adam_in_as_many_iterations(target):
+    adam, lbfgs = (error(descend(target, n_iteration=60, optimizer=name)[1], target) for name in ("adam", "lbfgs"))
+    assert lbfgs < adam
+
+
+def test_seed_reproduces_and_leaves_the_callers_generator_alone(target):
+    torch.manual_seed(5)
+    before = torch.get_rng_state()
+    one, two = (descend(target, n_iteration=3)[0] for _ in range(2))
+    assert torch.equal(one, two)
+    assert torch.equal(before, torch.get_rng_state())
+    other = wave.stochastic_gradient_descent(target, WAVELENGTH, DISTANCE, DX, n_iteration=3, seed=1, progress=False)[0]
+    assert not torch.equal(one, other)
+
+
+def test_initial_phase_is_used_and_not_modified(target):
+    start = torch.full_like(target, 0.3)
+    hologram, _ = descend(target, n_iteration=1, initial_phase=start, learning_rate=1e-6)
+    torch.testing.assert_close(hologram.angle(), start, atol=1e-5, rtol=0)
+    assert (start == 0.3).all()
+
+
+def test_scale_finds_the_brightness(target):
+    dim = 0.2 * target
+    plain = descend(dim, n_iteration=60, initial_phase=torch.zeros_like(target))[1].abs() ** 2
+    scaled = descend(dim, n_iteration=60, initial_phase=torch.zeros_like(target), scale=True)[1].abs() ** 2
+
+    def best(image):
+        factor = (image * dim).sum() / (image * image).sum()
+        return torch.nn.functional.mse_loss(factor * image, dim).item()
+
+    assert best(scaled) < best(plain)
+
+
+def test_loss_function_callback_and_early_stop(target):
+    seen, losses = [], []
+
+    def loss(image, wanted):
+        seen.append((image.shape, wanted is not None))
+        return (image - wanted).abs().mean()
+
+    def callback(iteration, value):
+        losses.append(value)
+        return iteration == 4
+
+    descend(target, n_iteration=50, loss_function=loss, callback=callback)
+    assert len(losses) == len(seen) == 5
+    assert losses[-1] < losses[0]
+    assert not losses[0].requires_grad
+
+
+def test_batches_are_independent(target):
+    both = torch.stack([target, target.flip(0)])
+    start = torch.zeros_like(both)
+    together = descend(both, n_iteration=5, initial_phase=start, loss_function=lambda a, b: ((a - b) ** 2).sum())[0]
+    alone = descend(target, n_iteration=5, initial_phase=start[0], loss_function=lambda a, b: ((a - b) ** 2).sum())[0]
+    torch.testing.assert_close(together[0], alone, atol=1e-4, rtol=1e-4)
+
+
+def test_older_call_form_falls_back_to_the_cpu_with_one_warning(target, caplog, monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setitem(compat._device_for.__dict__, "warned", False)
+    with caplog.at_level(logging.WARNING, logger="odak"):
+        for _ in range(2):
+            older = wave.stochastic_gradient_descent(
+                target,
+                WAVELENGTH,
+                DISTANCE,
+                DX,
+                [64, 72],
+                "TR Fresnel",
+                4,
+                learning_rate=0.1,
+                cuda=True,
+                seed=0,
+                progress=False,
+            )
+    assert len([r for r in caplog.records if "CUDA" in r.message]) == 1
+    newer = descend(target, propagation_type="Transfer Function Fresnel", n_iteration=4, learning_rate=0.1)
+    assert torch.equal(older[0], newer[0])
+    keywords = wave.stochastic_gradient_descent(
+        target, wavelength=WAVELENGTH, distance=DISTANCE, dx=DX, propagation_type="TR Fresnel", iteration_number=4,
+        seed=0, progress=False,
+    )  # fmt: skip
+    assert torch.equal(keywords[0], newer[0])
+    with pytest.raises(ValueError, match="resolution must be the target's"):
+        wave.stochastic_gradient_descent(target, WAVELENGTH, DISTANCE, DX, [10, 10], "TR Fresnel", 4)
+
+
+@pytest.mark.parametrize(
+    ("change", "error_type", "message"),
+    [
+        ({"target": np.zeros((4, 4))}, TypeError, "target must be a torch.Tensor"),
+        ({"target": torch.zeros(4, 4, dtype=torch.complex64)}, TypeError, "target must be real"),
+        ({"target": torch.full((4, 4), torch.nan)}, ValueError, "target must be finite"),
+        ({"target": -torch.ones(4, 4)}, ValueError, "target must be finite intensities of at least 0"),
+        ({"n_iteration": 0}, ValueError, "n_iteration must be at least 1"),
+        ({"learning_rate": -1.0}, ValueError, "learning_rate must be positive"),
+        ({"optimizer": "sgd"}, ValueError, "optimizer must be one of 'adam', 'lbfgs'"),
+        ({"initial_phase": torch.zeros(2, 2)}, ValueError, "initial_phase must have the target's shape"),
+        ({"wavelength": 0.0}, ValueError, "wavelength must be positive"),
+    ],
+)
+def test_bad_arguments_are_named(change, error_type, message):
+    arguments = {"target": torch.zeros(4, 4), "wavelength": WAVELENGTH, "distance": DISTANCE, "pixel_pitch": DX}
+    with pytest.raises(error_type, match=message):
+        wave.stochastic_gradient_descent(**(arguments | {"n_iteration": 1, "progress": False} | change))
+
+
+def test_gerchberg_saxton_constrains_the_hologram(target):
+    hologram, image = wave.gerchberg_saxton(target.to(torch.complex64), 20, DISTANCE, DX, WAVELENGTH, seed=0)
+    torch.testing.assert_close(hologram.abs(), torch.ones_like(target))
+    assert hologram.dtype == torch.complex64
+    assert error(image, target) < 0.5 * error(
+        wave.gerchberg_saxton(target, 1, DISTANCE, DX, WAVELENGTH, seed=0)[1], target
+    )
+    torch.testing.assert_close(image, wave.propagate_beam(hologram, None, DISTANCE, DX, WAVELENGTH, "TR Fresnel"))
+    turns = []
+    wave.gerchberg_saxton(
+        target, 9, DISTANCE, DX, WAVELENGTH, callback=lambda turn, phase: turns.append(turn) or turn == 2
+    )
+    assert turns == [0, 1, 2]
+
+
+def test_point_wise_focuses_each_pixel():
+    target = torch.zeros(64, 65)
+    target[20, 40] = target[45, 12] = 1.0
+    hologram = wave.point_wise(target, WAVELENGTH, DISTANCE, DX, torch.device("cpu"), lens_size=30)
+    image = wave.propagate_beam(hologram, None, DISTANCE, DX, WAVELENGTH).abs()
+    peaks = image.flatten().topk(2).indices.sort().values
+    assert peaks.tolist() == [20 * 65 + 40, 45 * 65 + 12]
+    y, x = (torch.arange(n, dtype=torch.float64)[:, None] for n in (64, 65))
+    squared = (y - 20) ** 2 + ((x - 40) ** 2).T
+    lens = torch.polar(torch.ones_like(squared), -torch.pi * DX**2 * squared / (WAVELENGTH * DISTANCE))
+    alone = wave.point_wise(target * (torch.arange(64)[:, None] == 20), WAVELENGTH, DISTANCE, DX, "cpu", 30)
+    torch.testing.assert_close(alone.to(torch.complex128), lens * (squared <= 30**2), atol=1e-5, rtol=0)
+
+
+def test_double_phase_gives_back_the_field_it_encodes():
+    phase = torch.linspace(0, 1, 128)[:, None].expand(128, 128) * 2
+    y, x = torch.meshgrid(torch.linspace(-1, 1, 128), torch.linspace(-1, 1, 128), indexing="ij")
+    amplitude = torch.exp(-4 * (x**2 + y**2))
+    encoded = wave.shift_w_double_phase(phase, 0.0, DX, WAVELENGTH, kernel_length=0, amplitude=amplitude)
+    assert encoded.shape == (128, 128)
+    field = torch.polar(torch.ones_like(encoded), encoded)
+    # The mean of the two colours of the checkerboard is amplitude·exp(iφ): a low-pass filter sees it.
+    mean = torch.nn.functional.avg_pool2d(torch.view_as_real(field).permute(2, 0, 1)[None], 2, 1)[0]
+    recovered = torch.complex(mean[0], mean[1])
+    expected = (amplitude * torch.polar(torch.ones_like(phase), phase - phase.mean()))[:-1, :-1]
+    assert (recovered - expected).abs().max() < 0.05
+    assert wave.shift_w_double_phase(phase, 1e-3, DX, WAVELENGTH).isfinite().all()
+
+
+def test_normalize_phase():
+    phase = torch.tensor([[1.0, 3.0], [2.0, 5.0]])
+    torch.testing.assert_close(wave.normalize_phase(phase, -1.0, 1.0), torch.tensor([[-1.0, 0.0], [-0.5, 1.0]]))
+    torch.testing.assert_close(wave.normalize_phase(torch.ones(2, 2)), torch.full((2, 2), torch.pi))
+    with pytest.raises(ValueError, match="range_max"):
+        wave.normalize_phase(phase, 1.0, 1.0)
+
+
+def test_light_kernels():
+    arguments = ([500e-9, 600e-9], [1e-3, 2e-3, 3e-3], [8e-6])
+    amplitude, phase, kernel, parameters = wave.get_light_kernels(*arguments, resolution=[6, 8], kernel_type="fourier")
+    assert kernel.shape == (2, 3, 1, 6, 8)
+    assert parameters.shape == (2, 3, 1, 6, 8, 5)
+    expected = wave.get_propagation_kernel(6, 8, 8e-6, 600e-9, 2e-3)
+    torch.testing.assert_close(kernel[1, 1, 0], expected)
+    torch.testing.assert_close(torch.polar(amplitude, phase), kernel)
+    torch.testing.assert_close(parameters[1, 2, 0, 0, 0], torch.tensor([600e-9, 3e-3, 8e-6, -3 * 8e-6, -4 * 8e-6]))
+    spatial = wave.get_light_kernels(*arguments, resolution=[6, 8], kernel_type="spatial")[2]
+    back = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(spatial, dim=(-2, -1))), dim=(-2, -1))
+    torch.testing.assert_close(back, kernel, atol=1e-5, rtol=1e-5)
+    fine = wave.get_light_kernels(*arguments, resolution=[6, 8], resolution_factor=2, propagation_type="IR Fresnel")[2]
+    assert fine.shape == (2, 3, 1, 12, 16)
+    with pytest.raises(ValueError, match="kernel_type"):
+        wave.get_light_kernels(*arguments, kernel_type="fourrier")
+
+
+def test_separable_kernel_parts_multiply_to_the_response():
+    kernel, response, h_x, h_y = wave.get_seperable_impulse_response_fresnel_kernel(
+        6, 9, distance=0.1, scale=2, aperture_samples=(4, 3, 2, 1), dtype=torch.complex128
+    )
+    assert h_x.shape == (18,)
+    assert h_y.shape == (12,)
+    constant = response[6, 9] / (h_y[6] * h_x[9])
+    torch.testing.assert_close(response, constant * h_y[:, None] * h_x[None])
+    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(response))) * 3.74e-6**2
+    torch.testing.assert_close(kernel, spectrum)
+
+
+def test_point_wise_kernel_is_the_fresnel_sum(monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    sources = torch.rand(7, 3, generator=generator, dtype=torch.float64) * 1e-4
+    targets = torch.rand(2 * 2 * 3 * 2, 2, generator=generator, dtype=torch.float64) * 1e-4
+    field = torch.randn(7, dtype=torch.complex128, generator=generator)
+    kept = targets.clone()
+    arguments = (sources, field, targets, [2, 3])
+    result = wave.get_point_wise_impulse_response_fresnel_kernel(*arguments, 2, WAVELENGTH, 0.05)
+    squared = ((targets[:, None] - sources[None, :, :2]) ** 2).sum(-1)
+    expected = (torch.exp(1j * torch.pi * squared / (WAVELENGTH * 0.05)) @ field) / (1j * WAVELENGTH * 0.05)
+    torch.testing.assert_close(result, expected.reshape(4, 6))
+    jittered = wave.get_point_wise_impulse_response_fresnel_kernel(
+        *arguments, 2, WAVELENGTH, 0.05, randomization=True, generator=generator
+    )
+    assert not torch.allclose(jittered, result)
+    assert torch.equal(targets, kept)
+    with pytest.raises(ValueError, match="target_points must hold 6 points"):
+        wave.get_point_wise_impulse_response_fresnel_kernel(*arguments, distance=0.05)
+
+
+def test_adam_is_torchs_adam():
+    generator = torch.Generator().manual_seed(0)
+    start, weights = (torch.randn(5, 4, dtype=torch.float64, generator=generator) for _ in range(2))
+    ours, theirs = start.clone().requires_grad_(), start.clone().requires_grad_()
+    reference = torch.optim.Adam([theirs], lr=0.05)
+
+    def gradient(phase):
+        phase.grad = None
+        loss = (weights * torch.cos(3 * phase)).sum()
+        loss.backward()
+        return loss
+
+    step = gradient_descent._Adam(ours, lambda: gradient(ours), 0.05).step
+    for _ in range(12):
+        assert step() == pytest.approx(reference.step(lambda: gradient(theirs)).item())
+    torch.testing.assert_close(ours, theirs)

@@ -1,0 +1,72 @@
+import math
+
+import numpy as np
+import pytest
+
+import odak
+from odak.learn import wave as torch_wave
+
+WAVELENGTH, DX = 532e-9, 8e-6
+K = 2 * math.pi / WAVELENGTH
+
+
+def test_lens_phase_is_the_quadratic_of_its_focal_length():
+    phase = odak.wave.lens_phase((5, 6), 0.2, DX, WAVELENGTH, offset=(DX, 0.0))
+    y, x = (np.arange(5) - 2) * DX - DX, (np.arange(6) - 3) * DX
+    np.testing.assert_allclose(phase, -K * (y[:, None] ** 2 + x**2) / (2 * 0.2), rtol=1e-12)
+
+
+def test_older_lens_keeps_its_grid_and_converges():
+    lens = odak.wave.quadratic_phase_function(6, 4, K, 0.1, DX)
+    x, y = np.linspace(-3 * DX, 3 * DX, 6), np.linspace(-2 * DX, 2 * DX, 4)
+    np.testing.assert_allclose(lens, np.exp(-1j * K * (y[:, None] ** 2 + x**2) / (2 * 0.1)), atol=1e-9)
+    turned = torch_wave.quadratic_phase_function(6, 4, K, 0.1, DX, offset=[1, 2])
+    expected = np.exp(-1j * K * ((x[:, None] - 2 * DX) ** 2 + (y - DX) ** 2) / (2 * 0.1))
+    np.testing.assert_allclose(turned.numpy(), expected, atol=1e-5)
+    assert odak.wave.double_convergence(6, 4, K, 0.1, DX).shape == (4, 6)
+    np.testing.assert_allclose(
+        odak.wave.double_convergence(6, 4, K, 0.1, DX), np.exp(1j * K * (y[:, None] ** 2 + x**2) / 0.1), atol=1e-9
+    )
+    with pytest.raises(ValueError, match="focal must be finite and not zero"):
+        odak.wave.quadratic_phase_function(6, 4, K, 0.0, DX)
+
+
+@pytest.mark.parametrize(("axis", "index"), [("x", 1), ("y", 0)])
+def test_prism_turns_a_plane_wave_by_its_angle(axis, index):
+    angle = math.degrees(math.asin(10 * WAVELENGTH / (64 * DX)))
+    prism = odak.wave.prism_phase_function(64, 64, K, angle, DX, axis)
+    ratio = np.diff(np.unwrap(np.angle(prism), axis=index), axis=index)
+    np.testing.assert_allclose(ratio, -K * math.sin(math.radians(angle)) * DX * 64 / 63, rtol=1e-6)
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_prism_grating_on_both_faces(axis):
+    result = odak.wave.prism_grating(8, 5, K, 0.7, DX, axis, 30.0)
+    line = np.arange(8)[:, None] if axis == "x" else np.arange(5)[None]
+    expected = np.exp(-1j * (K * math.sin(math.radians(0.7)) * line * DX + math.radians(30.0))) * np.ones((8, 5))
+    np.testing.assert_allclose(result, expected, atol=1e-12)
+    np.testing.assert_allclose(torch_wave.prism_grating(8, 5, K, 0.7, DX, axis, 30.0).numpy(), expected, atol=1e-6)
+
+
+def test_blazed_grating_falls_in_levels():
+    result = odak.wave.blazed_grating(6, 2, 3, "x")
+    np.testing.assert_allclose(result[:, 0], np.exp(2j * np.pi * (np.array([6, 5, 4, 3, 2, 1]) % 3) / 3), atol=1e-12)
+    np.testing.assert_allclose(odak.wave.blazed_grating(2, 6, 3, "y")[0], result[:, 0])
+    np.testing.assert_allclose(odak.wave.blazed_grating(6, 2, 1), odak.wave.blazed_grating(6, 2, 2))
+    np.testing.assert_allclose(torch_wave.blazed_grating(6, 2, 3).numpy(), result, atol=1e-6)
+
+
+def test_linear_grating():
+    rows = odak.wave.linear_grating(6, 4, every=3, add=1.0)
+    assert rows.dtype == np.complex64
+    expected = np.zeros((6, 4), complex)
+    expected[[0, 3]] = np.exp(1j)
+    np.testing.assert_allclose(rows, expected, atol=1e-6)
+    np.testing.assert_allclose(odak.wave.linear_grating(4, 6, 3, 1.0, "y"), expected.T, atol=1e-6)
+    i, j = np.indices((4, 5))
+    checkered = np.exp(1j * 3.14 * (((i + j) % 2 + 1) % 2))
+    np.testing.assert_allclose(odak.wave.linear_grating(4, 5, axis="xy"), checkered, atol=1e-6)
+    np.testing.assert_allclose(torch_wave.linear_grating(4, 5, axis="x")[0].numpy(), -1, atol=1e-6)
+    for face in (odak.wave, torch_wave):
+        with pytest.raises(ValueError, match="axis must be one of 'x', 'y', 'xy'; got 'z'"):
+            face.linear_grating(4, 4, axis="z")

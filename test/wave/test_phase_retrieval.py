@@ -1,0 +1,85 @@
+import numpy as np
+import pytest
+
+import odak
+
+GEOMETRY = (0.02, 8e-6, 532e-9)
+
+
+@pytest.fixture
+def target():
+    image = np.zeros((64, 64))
+    image[20:44, 24:40] = 1.0
+    return image
+
+
+def correlation(field, target):
+    return np.corrcoef(np.abs(field).ravel(), target.ravel())[0, 1]
+
+
+@pytest.mark.parametrize("method", ["IR Fresnel", "Bandlimited Angular Spectrum"])
+def test_hologram_is_phase_only_and_makes_the_image(target, method):
+    hologram, image = odak.wave.gerchberg_saxton(target, 30, *GEOMETRY, propagation_type=method, seed=1)
+    assert hologram.shape == image.shape == target.shape
+    np.testing.assert_allclose(np.abs(hologram), 1, atol=1e-12)
+    assert correlation(image, target) > 0.88
+    # What is returned is what the hologram does, not what the algorithm wished for.
+    again = odak.wave.propagate_beam(hologram, None, *GEOMETRY, method, zero_padding=(True, False, True))
+    np.testing.assert_allclose(image, again, atol=1e-10)
+
+
+def test_iterations_help_and_seeds_reproduce(target):
+    method = {"propagation_type": "AS", "seed": 2}
+    few, many = (correlation(odak.wave.gerchberg_saxton(target, n, *GEOMETRY, **method)[1], target) for n in (1, 20))
+    assert many > few + 0.02
+    one, two = (odak.wave.gerchberg_saxton(target, 2, *GEOMETRY, **method)[0] for _ in range(2))
+    np.testing.assert_array_equal(one, two)
+
+
+def test_phase_stays_inside_the_modulators_range(target):
+    hologram, _ = odak.wave.gerchberg_saxton(target, 3, *GEOMETRY, slm_range=np.pi, propagation_type="AS", seed=0)
+    phase = np.angle(hologram)
+    assert phase.min() >= -1e-9
+    assert phase.max() <= np.pi + 1e-9
+
+
+def test_start_can_be_given(target):
+    flat = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]
+    same = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]
+    np.testing.assert_array_equal(flat, same)
+    with pytest.raises(ValueError, match="initial_phase must have the field's shape"):
+        odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, initial_phase=np.zeros((4, 4)))
+    with pytest.raises(ValueError, match="n_iterations must be at least 1"):
+        odak.wave.gerchberg_saxton(target, 0, *GEOMETRY)
+
+
+@pytest.mark.parametrize("kind", ["no constraint", "double constraint"])
+def test_three_dimensional_hologram_shows_each_plane(target, kind):
+    other = np.zeros((64, 64))
+    other[8:16, 8:56] = 1.0
+    planes, distances = np.stack([target, other]), [0.01, 0.02]
+    hologram = odak.wave.gerchberg_saxton_3d(
+        planes,
+        15,
+        distances,
+        8e-6,
+        532e-9,
+        propagation_type="AS",
+        target_type=kind,
+        coefficients=[0.6, 0.2, 1.0],
+        seed=0,
+    )
+    assert hologram.shape == (64, 64)
+    for index, distance in enumerate(distances):
+        image = odak.wave.propagate_beam(hologram, None, distance, 8e-6, 532e-9, "AS", zero_padding=(True, False, True))
+        assert correlation(image, planes[index]) > correlation(image, planes[1 - index]) + 0.2
+
+
+def test_three_dimensional_arguments_are_checked(target):
+    planes = np.stack([target, target])
+    with pytest.raises(ValueError, match="distances must hold one distance for each of 2"):
+        odak.wave.gerchberg_saxton_3d(planes, 1, [0.1], 8e-6, 532e-9)
+    with pytest.raises(ValueError, match="coefficients must be"):
+        odak.wave.gerchberg_saxton_3d(planes, 1, [0.1, 0.2], 8e-6, 532e-9, target_type="double constraint")
+    with pytest.raises(ValueError, match="Did you mean 'double constraint'"):
+        odak.wave.gerchberg_saxton_3d(planes, 1, [0.1, 0.2], 8e-6, 532e-9, target_type="double constrain")

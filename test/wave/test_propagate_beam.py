@@ -1,0 +1,276 @@
+"""What callers may pass to propagate_beam, and what they get back."""
+
+import logging
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from physics import gaussian_beam, relative_error
+
+import odak
+from odak.tools.matrix import crop_center, zero_pad
+from odak.wave.methods import METHODS
+
+WAVELENGTH, DX, DISTANCE = 532e-9, 8e-6, 2e-3
+NAMES = [method.name for method in METHODS if method.name != "custom"]
+SPECTRAL = ["Angular Spectrum", "Bandlimited Angular Spectrum", "Transfer Function Fresnel", "Impulse Response Fresnel"]
+
+
+def propagate(field, method="Angular Spectrum", **options):
+    return odak.wave.propagate_beam(field, None, DISTANCE, DX, WAVELENGTH, method, **options)
+
+
+@pytest.fixture
+def field(random):
+    return random.normal(size=(12, 15)) + 1j * random.normal(size=(12, 15))
+
+
+@pytest.mark.parametrize("method", SPECTRAL)
+@pytest.mark.parametrize("shape", [(12, 15), (11, 14)])
+def test_padding_and_cropping_are_what_they_say(method, shape, random):
+    field = random.normal(size=shape) + 1j * random.normal(size=shape)
+    wide = propagate(zero_pad(field), method)
+    np.testing.assert_allclose(propagate(field, method, zero_padding=(True, False, False)), wide, atol=1e-12)
+    np.testing.assert_allclose(
+        propagate(field, method, zero_padding=(True, False, True)), crop_center(wide, shape), atol=1e-12
+    )
+    np.testing.assert_allclose(
+        propagate(field, method, zero_padding=(False, False, True)), crop_center(propagate(field, method)), atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("method", [name for name in NAMES if not name.startswith("Fraunhofer")])
+def test_spectrum_padding_halves_the_pitch(method, field):
+    coarse = propagate(field, method, zero_padding=(True, False, True))
+    fine = propagate(field, method, zero_padding=(True, True, True))
+    assert fine.shape == (24, 30)
+    # Same centre (n // 2), same values at the samples that both have.
+    rows = np.arange(12) * 2 + 24 // 2 - 2 * (12 // 2)
+    columns = np.arange(15) * 2 + 30 // 2 - 2 * (15 // 2)
+    np.testing.assert_allclose(np.abs(fine[np.ix_(rows, columns)] - coarse).max(), 0, atol=1e-9)
+
+
+def test_spectrum_padding_leaves_fraunhofer_alone(field):
+    np.testing.assert_array_equal(
+        propagate(field, "Fraunhofer", zero_padding=(False, True, False)), propagate(field, "Fraunhofer")
+    )
+
+
+def test_aperture_is_applied_once_and_centred(field):
+    mask = np.zeros((12, 15))
+    mask[6, 7] = 0.5
+    result = propagate(field, aperture=mask)
+    mean = field.mean() * np.exp(2j * np.pi * (DISTANCE / WAVELENGTH % 1))
+    np.testing.assert_allclose(result, 0.5 * mean * np.ones((12, 15)), atol=1e-9)
+    np.testing.assert_allclose(propagate(field, aperture=0.5), 0.5 * propagate(field), atol=1e-12)
+    with pytest.raises(ValueError, match=r"aperture .*\(12, 15\).*\(5, 5\)"):
+        propagate(field, aperture=np.ones((5, 5)))
+
+
+def test_custom_kernel_is_centred(field):
+    kernel = odak.wave.get_propagation_kernel(12, 15, DX, WAVELENGTH, DISTANCE, "AS", dtype=np.complex128)
+    expected = propagate(field)
+    np.testing.assert_allclose(odak.wave.custom(field, kernel), expected, atol=1e-12)
+    np.testing.assert_allclose(propagate(field, "custom", kernel=kernel), expected, atol=1e-12)
+    np.testing.assert_allclose(odak.wave.custom(field, None), field, atol=1e-12)
+    padded = odak.wave.get_propagation_kernel(24, 30, DX, WAVELENGTH, DISTANCE, "AS", dtype=np.complex128)
+    np.testing.assert_allclose(
+        propagate(field, "custom", kernel=padded, zero_padding=(True, False, True)),
+        propagate(field, zero_padding=(True, False, True)),
+        atol=1e-12,
+    )
+    with pytest.raises(ValueError, match="kernel must have the shape"):
+        odak.wave.custom(field, kernel[:5])
+    with pytest.raises(ValueError, match="kernel is for propagation_type 'custom'"):
+        propagate(field, "AS", kernel=kernel)
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_batches_equal_loops(method, random):
+    fields = random.normal(size=(2, 3, 8, 9)) + 1j * random.normal(size=(2, 3, 8, 9))
+    result = propagate(fields, method, zero_padding=(True, False, True))
+    for i in range(2):
+        for j in range(3):
+            np.testing.assert_allclose(
+                result[i, j], propagate(fields[i, j], method, zero_padding=(True, False, True)), atol=1e-10
+            )
+
+
+@pytest.mark.parametrize("method", NAMES)
+def test_wavelengths_per_channel_and_distances_per_plane(method, random):
+    field = random.normal(size=(3, 8, 9)) + 1j * random.normal(size=(3, 8, 9))
+    wavelengths, distances = np.array([638e-9, 520e-9, 450e-9]), np.array([1e-3, -2e-3])
+    result = odak.wave.propagate_beam(field, None, distances[:, None], DX, wavelengths, method)
+    assert result.shape == (2, 3, 8, 9)
+    for i, distance in enumerate(distances):
+        for j, wavelength in enumerate(wavelengths):
+            one = odak.wave.propagate_beam(field[j], None, float(distance), DX, float(wavelength), method)
+            np.testing.assert_allclose(result[i, j], one, atol=1e-10)
+
+
+@pytest.mark.parametrize("method", NAMES)
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+def test_precision_follows_the_input(method, dtype, field):
+    result = propagate(field.astype(dtype), method)
+    expected = np.zeros(0, dtype).real.dtype if method.startswith("Incoherent") else dtype
+    assert result.dtype == expected
+    assert relative_error(result, propagate(field, method)) < (3e-6 if dtype == np.complex64 else 1e-12)
+
+
+def test_real_and_integer_fields_are_fields_of_phase_zero():
+    ones = np.ones((6, 6))
+    np.testing.assert_allclose(propagate(ones), propagate(ones + 0j))
+    np.testing.assert_allclose(propagate(ones.astype(np.int64)), propagate(ones + 0j))
+    assert propagate(ones.astype(np.float32)).dtype == np.complex64
+
+
+def test_input_is_not_modified(field):
+    kept = field.copy()
+    field.setflags(write=False)
+    for method in NAMES:
+        propagate(field, method, zero_padding=(True, True, True))
+    np.testing.assert_array_equal(field, kept)
+
+
+@pytest.mark.parametrize(
+    ("alias", "name"),
+    [
+        ("TR Fresnel", "Transfer Function Fresnel"),
+        ("tf fresnel", "Transfer Function Fresnel"),
+        ("IR Fresnel", "Impulse Response Fresnel"),
+        ("bandlimited angular spectrum", "Bandlimited Angular Spectrum"),
+        ("AS", "Angular Spectrum"),
+        ("ASAS", "Adaptive Sampling Angular Spectrum"),
+        ("rs", "Rayleigh-Sommerfeld"),
+    ],
+)
+def test_aliases_in_any_case(alias, name, field):
+    np.testing.assert_array_equal(propagate(field, alias), propagate(field, name))
+
+
+def test_named_functions_are_the_methods(field):
+    for function, name in (
+        (odak.wave.angular_spectrum, "AS"),
+        (odak.wave.band_limited_angular_spectrum, "BLAS"),
+        (odak.wave.transfer_function_fresnel, "TR Fresnel"),
+        (odak.wave.impulse_response_fresnel, "IR Fresnel"),
+        (odak.wave.seperable_impulse_response_fresnel, "IR Fresnel"),
+        (odak.wave.band_extended_angular_spectrum, "BEAS"),
+        (odak.wave.adaptive_sampling_angular_spectrum, "ASAS"),
+        (odak.wave.rayleigh_sommerfeld, "RS"),
+        (odak.wave.fraunhofer, "Fraunhofer"),
+        (odak.wave.incoherent_angular_spectrum, "Incoherent Angular Spectrum"),
+    ):
+        np.testing.assert_array_equal(
+            function(field, 2 * np.pi / WAVELENGTH, DISTANCE, DX, WAVELENGTH), propagate(field, name)
+        )
+
+
+def test_zero_distance_returns_the_field(field):
+    for method in ("AS", "BLAS", "TR Fresnel", "RS", "BEAS", "ASAS", "auto"):
+        np.testing.assert_allclose(odak.wave.propagate_beam(field, None, 0, DX, WAVELENGTH, method), field, atol=1e-12)
+    for method in ("IR Fresnel", "Fraunhofer", "Seperable Impulse Response Fresnel"):
+        with pytest.raises(ValueError, match="distance must not be zero"):
+            odak.wave.propagate_beam(field, None, 0.0, DX, WAVELENGTH, method)
+
+
+def test_scale_puts_samples_between_pixels():
+    shape, distance = (128, 128), 0.1
+    field = gaussian_beam(shape, DX, 1.5e-4, 0.0, WAVELENGTH)
+    fine = odak.wave.impulse_response_fresnel(field, None, distance, DX, WAVELENGTH, scale=2)
+    assert fine.shape == (256, 256)
+    expected = gaussian_beam((256, 256), DX / 2, 1.5e-4, distance, WAVELENGTH)
+    inner = np.s_[64:192, 64:192]
+    assert relative_error(fine[inner], expected[inner]) < 1e-2
+    with pytest.raises(ValueError, match="scale is for the impulse-response methods"):
+        propagate(field, "AS", scale=2)
+
+
+def test_averaging_over_a_pixel_is_a_mean_of_shifted_beams():
+    field = np.zeros((64, 64), complex)
+    field[32, 32] = 1
+    distance = 0.05
+    averaged = odak.wave.impulse_response_fresnel(field, None, distance, DX, WAVELENGTH, samples=(1, 40, 1, 1))
+    x = (np.arange(64) - 32) * DX
+    # A row of points across the pixel is a sinc envelope far away (Fraunhofer of the pixel).
+    point = odak.wave.impulse_response_fresnel(field, None, distance, DX, WAVELENGTH)
+    envelope = np.sinc(DX * x / (WAVELENGTH * distance))
+    np.testing.assert_allclose(np.abs(averaged[32] / point[32]), np.abs(envelope), atol=0.01)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    rows=st.integers(1, 12),
+    columns=st.integers(1, 12),
+    batch=st.lists(st.integers(1, 3), max_size=2),
+    flags=st.tuples(st.booleans(), st.booleans(), st.booleans()),
+    method=st.sampled_from(NAMES),
+)
+def test_shapes(rows, columns, batch, flags, method):
+    field = np.ones((*batch, rows, columns), dtype=np.complex64)
+    pad, fine, crop = flags
+    if crop and not pad and min(rows, columns) == 1:
+        return
+    result = propagate(field, method, zero_padding=flags)
+    factor = (2 if pad else 1) * (2 if fine and not method.startswith("Fraunhofer") else 1)
+    expected = [factor * n // 2 if crop else factor * n for n in (rows, columns)]
+    assert result.shape == (*batch, *expected)
+
+
+def test_auto_follows_the_criteria(field, caplog):
+    with caplog.at_level(logging.DEBUG, logger="odak"):
+        near = propagate(field, "auto")
+    assert "chose Bandlimited Angular Spectrum" in caplog.text or "chose Rayleigh-Sommerfeld" in caplog.text
+    assert near.shape == field.shape
+    wide = gaussian_beam((256, 256), DX, 3e-4, 0.0, WAVELENGTH)
+    for distance, name in ((5e-3, "Angular Spectrum"), (0.2, "Rayleigh-Sommerfeld")):
+        caplog.clear()
+        with caplog.at_level(logging.DEBUG, logger="odak"):
+            result = odak.wave.propagate_beam(wide, None, distance, DX, WAVELENGTH, "auto")
+        assert f"chose {name}" in caplog.text
+        np.testing.assert_array_equal(result, odak.wave.propagate_beam(wide, None, distance, DX, WAVELENGTH, name))
+
+
+def test_one_warning_outside_the_range_names_the_better_method(caplog):
+    field = np.ones((64, 64), complex)
+    with caplog.at_level(logging.WARNING, logger="odak"):
+        for _ in range(3):
+            odak.wave.propagate_beam(field, None, 0.5, DX, WAVELENGTH, "Angular Spectrum")
+    assert len(caplog.records) == 1
+    assert "Angular Spectrum is outside its range" in caplog.text
+    assert "Use Rayleigh-Sommerfeld" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"field": [[1.0]]}, TypeError, "field must be an array"),
+        ({"field": np.ones(5)}, ValueError, "field must have at least 2 axes"),
+        ({"field": np.ones((0, 5))}, ValueError, "none empty"),
+        ({"distance": np.nan}, ValueError, "distance must be finite"),
+        ({"distance": "1"}, TypeError, "distance must be a real number"),
+        ({"dx": 0.0}, ValueError, "dx must be positive"),
+        ({"dx": -1e-6}, ValueError, "dx must be positive"),
+        ({"wavelength": 0}, ValueError, "wavelength must be positive"),
+        ({"wavelength": 1j}, TypeError, "wavelength must be a real number"),
+        ({"k": 1.0}, ValueError, "k must be 2π/wavelength"),
+        ({"zero_padding": (True, False)}, ValueError, "zero_padding must be three booleans"),
+        ({"samples": (1, 2)}, ValueError, "samples must be four counts"),
+        ({"scale": 0}, ValueError, "scale must be at least 1"),
+        ({"propagation_type": "Angular Spectrm"}, ValueError, "Did you mean 'Angular Spectrum'"),
+        ({"propagation_type": 3}, TypeError, "propagation_type must be a string"),
+    ],
+)
+def test_bad_arguments_are_named(change, error, message):
+    arguments = {"field": np.ones((4, 4)), "k": None, "distance": 1e-3, "dx": DX, "wavelength": WAVELENGTH} | change
+    arguments.setdefault("propagation_type", "AS")
+    with pytest.raises(error, match=message):
+        odak.wave.propagate_beam(**arguments)
+
+
+def test_unknown_type_lists_the_known_ones():
+    with pytest.raises(ValueError, match="Bandlimited Angular Spectrum") as caught:
+        propagate(np.ones((4, 4)), "nonsense")
+    for name in NAMES:
+        assert repr(name) in str(caught.value)
