@@ -28,8 +28,8 @@ class Method:
         Other accepted spellings; case never matters.
     apply : callable
         ``apply(field, request)`` returns the propagated field.
-    holds : callable
-        ``holds(report)`` says whether the method's sampling criteria are met.
+    failure : callable
+        ``failure(report)`` says which sampling criterion is not met, or None.
     kernel : callable, optional
         Transfer function ``kernel(grid)`` of the methods that have one.
     windowed : bool
@@ -39,7 +39,7 @@ class Method:
     name: str
     aliases: tuple[str, ...]
     apply: Callable
-    holds: Callable[[SamplingReport], bool]
+    failure: Callable[[SamplingReport], str | None]
     kernel: Callable | None = None
     windowed: bool = True
 
@@ -111,20 +111,45 @@ def _sum_rayleigh_sommerfeld(field, request: Request):
     return convolve(field, _masked(kernel, request.aperture, field))
 
 
-def _in_transfer_range(report: SamplingReport) -> bool:
-    return abs(report.distance) <= min(report.critical_distance)
+def _kernel_aliases(report: SamplingReport) -> str | None:
+    z, limit = abs(report.distance), min(report.critical_distance)
+    return f"|z| = {z:.4g} m is beyond {limit:.4g} m, from where its transfer function aliases" if z > limit else None
 
 
-def _in_response_range(report: SamplingReport) -> bool:
-    return abs(report.distance) >= max(report.critical_distance)
+def _band_is_lost(report: SamplingReport) -> str | None:
+    kept = min(report.kept_band)
+    return f"it keeps only {kept:.0%} of the band at |z| = {abs(report.distance):.4g} m" if kept < 0.5 else None
 
 
-def _paraxial(report: SamplingReport) -> bool:
-    return report.paraxial_error <= PARAXIAL_TOLERANCE
+def _response_aliases(report: SamplingReport) -> str | None:
+    return _too_near(report, max(report.critical_distance), "its impulse response aliases")
 
 
-def _anywhere(report: SamplingReport) -> bool:
-    return True
+def _sum_aliases(report: SamplingReport) -> str | None:
+    return _too_near(report, report.response_distance, "its impulse response aliases")
+
+
+def _not_far(report: SamplingReport) -> str | None:
+    return _too_near(report, report.fraunhofer_distance, "the far field is not reached")
+
+
+def _too_near(report: SamplingReport, limit: float, why: str) -> str | None:
+    z = abs(report.distance)
+    return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if z < limit else None
+
+
+def _not_paraxial(report: SamplingReport) -> str | None:
+    error = report.paraxial_error
+    return f"the Fresnel approximation is off by up to {error:.2g} waves" if error > PARAXIAL_TOLERANCE else None
+
+
+def _first(*criteria: Callable) -> Callable:
+    """Return a criterion that fails with the first of several that fails."""
+    return lambda report: next(filter(None, (criterion(report) for criterion in criteria)), None)
+
+
+def _never(report: SamplingReport) -> None:
+    """Hold everywhere."""
 
 
 METHODS = (
@@ -132,73 +157,73 @@ METHODS = (
         "Bandlimited Angular Spectrum",
         ("Band-limited Angular Spectrum", "BLAS"),
         _filter(tf.band_limited_angular_spectrum),
-        lambda report: min(report.kept_band) >= 0.5,
+        _band_is_lost,
         tf.band_limited_angular_spectrum,
     ),
-    Method("Angular Spectrum", ("AS",), _filter(tf.angular_spectrum), _in_transfer_range, tf.angular_spectrum),
+    Method("Angular Spectrum", ("AS",), _filter(tf.angular_spectrum), _kernel_aliases, tf.angular_spectrum),
     Method(
         "Transfer Function Fresnel",
         ("TR Fresnel", "TF Fresnel"),
         _filter(tf.transfer_function_fresnel),
-        lambda report: _in_transfer_range(report) and _paraxial(report),
+        _first(_kernel_aliases, _not_paraxial),
         tf.transfer_function_fresnel,
     ),
     Method(
         "Impulse Response Fresnel",
         ("IR Fresnel",),
         _filter(tf.impulse_response_fresnel),
-        lambda report: _in_response_range(report) and _paraxial(report),
+        _first(_response_aliases, _not_paraxial),
         tf.impulse_response_fresnel,
     ),
     Method(
         "Seperable Impulse Response Fresnel",
         ("Separable Impulse Response Fresnel", "Seperable IR Fresnel", "Separable IR Fresnel"),
         _filter(tf.impulse_response_fresnel),
-        lambda report: _in_response_range(report) and _paraxial(report),
+        _first(_response_aliases, _not_paraxial),
         tf.impulse_response_fresnel,
     ),
     Method(
         "Incoherent Angular Spectrum",
         (),
         _filter_intensity,
-        _in_transfer_range,
+        _kernel_aliases,
         tf.incoherent_angular_spectrum,
     ),
     Method(
         "Fraunhofer",
         (),
         far_field.fraunhofer_field,
-        lambda report: abs(report.distance) >= report.fraunhofer_distance,
+        _not_far,
         windowed=False,
     ),
     Method(
         "Fraunhofer Inverse",
         (),
         far_field.fraunhofer_source,
-        lambda report: abs(report.distance) >= report.fraunhofer_distance,
+        _not_far,
         windowed=False,
     ),
     Method(
         "Rayleigh-Sommerfeld",
         ("Rayleigh Sommerfeld", "RS"),
         _sum_rayleigh_sommerfeld,
-        lambda report: abs(report.distance) >= report.response_distance,
+        _sum_aliases,
     ),
     Method(
         "Bandextended Angular Spectrum",
         ("Band-extended Angular Spectrum", "Band Extended Angular Spectrum", "BEAS"),
         stretched.band_extended,
-        _anywhere,
+        _never,
         windowed=False,
     ),
     Method(
         "Adaptive Sampling Angular Spectrum",
         ("ASAS",),
         stretched.adaptive_sampling,
-        _anywhere,
+        _never,
         windowed=False,
     ),
-    Method("custom", (), _filter_by_given_kernel, _anywhere),
+    Method("custom", (), _filter_by_given_kernel, _never),
 )
 _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (method.name, *method.aliases)}
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")
@@ -242,16 +267,17 @@ def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Met
 def warn_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> None:
     """Log, once per method and grid, that a method is used where its criteria fail."""
     for report in _reports(shape, request, padded):
-        if method.holds(report) or (method.name, report.shape) in _warned:
+        failure = method.failure(report)
+        if failure is None or (method.name, report.shape) in _warned:
             continue
         _warned.add((method.name, report.shape))
         _log.warning(
-            "%s is outside its range on a %d x %d grid at dx = %.3g m, wavelength = %.4g m: %s. Use %s, or 'auto'.",
+            "%s is outside its range on a %d x %d grid (dx = %.3g m, wavelength = %.4g m): %s. Use %s, or 'auto'.",
             method.name,
             *report.shape,
             report.dx,
             report.wavelength,
-            report.reason,
+            failure,
             report.recommended,
         )
 

@@ -165,5 +165,72 @@ def add_random_phase(field, seed=None):
     return add_phase(field, _array.cast(phase, field, _array.real_dtype(field)))
 
 
+def adjust_phase_only_slm_range(native_range, working_wavelength, native_wavelength):
+    """Return a modulator's phase range at another wavelength than the one it was specified for.
+
+    Parameters
+    ----------
+    native_range : float
+        Phase range in radians at `native_wavelength`.
+    working_wavelength, native_wavelength : float
+        Wavelengths, in one unit.
+
+    Returns
+    -------
+    float
+        native_range·native_wavelength/working_wavelength (the path difference is what stays).
+    """
+    _validate.real("native_range", native_range, positive=True)
+    _validate.real("working_wavelength", working_wavelength, positive=True)
+    return native_range / working_wavelength * _validate.real("native_wavelength", native_wavelength, positive=True)
+
+
+def produce_phase_only_slm_pattern(
+    hologram, slm_range, filename=None, bits: int = 8, default_range: float = 6.28, illumination=None
+):
+    """Return a hologram as a modulator shows it, and the integer pattern to send to it.
+
+    Parameters
+    ----------
+    hologram : array
+        Complex hologram ``[..., rows, columns]``; its phase is what counts.
+    slm_range : float
+        Phase range of the modulator in radians.
+    filename : str, optional
+        Where to save the pattern, black level 0 and white level 2^bits − 1 (with 8 bits the file holds the levels).
+    bits : int
+        Bits per pixel, 1 to 16.
+    default_range : float
+        Phase range, in radians, over which the levels are spread when the field is rebuilt from them.
+    illumination : array, optional
+        Amplitude of the light on the modulator; ones by default.
+
+    Returns
+    -------
+    tuple
+        Complex field illumination·exp(i·level/2^bits·default_range) and the levels, int32, 0 … 2^bits − 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    hologram = _validate.image("hologram", hologram)
+    _validate.real("slm_range", slm_range, positive=True)
+    levels = 2 ** _validate.integer("bits", bits, minimum=1)
+    xp = _array.namespace(hologram)
+    phase = calculate_phase(hologram)
+    turn = phase - xp.floor(phase / slm_range) * slm_range
+    pattern = xp.clip(xp.floor(turn / slm_range * levels), 0, levels - 1)
+    if filename is not None:
+        from odak.tools.file import save_image
+
+        array = pattern.detach().cpu().numpy() if _array.is_torch(pattern) else pattern
+        save_image(filename, array, cmin=0, cmax=levels - 1, color_depth=8 if bits <= 8 else 16)
+    amplitude = 1.0 if illumination is None else illumination
+    field = generate_complex_field(amplitude, pattern * (default_range / levels))
+    return field, xp.astype(pattern, xp.int32)
+
+
 def _as_array(field):
     return field if _array.is_array(field) else np.asarray(field)

@@ -1,22 +1,11 @@
 """Older call forms, translated in one place so that the physics never sees them."""
 
 import functools
-import logging
 from collections.abc import Callable, Sequence
 
 import torch
 
-_log = logging.getLogger("odak")
-
-
-def _device_for(cuda: bool) -> torch.device:
-    """Return CUDA if asked for and there, the CPU with one logged warning otherwise."""
-    if cuda and not torch.cuda.is_available():
-        if not _device_for.__dict__.get("warned"):
-            _device_for.__dict__["warned"] = True
-            _log.warning("cuda=True was asked for, but there is no CUDA device: using the CPU")
-        return torch.device("cpu")
-    return torch.device("cuda" if cuda else "cpu")
+from odak.learn.tools.device import get_device
 
 
 def accepts_older_form(function: Callable) -> Callable:
@@ -52,7 +41,7 @@ def accepts_older_form(function: Callable) -> Callable:
         ):
             raise ValueError(f"resolution must be the target's {tuple(target.shape[-2:])}, got {tuple(resolution)}")
         if "cuda" in options:
-            target = target.to(_device_for(options.pop("cuda")))
+            target = target.to(get_device("cuda" if options.pop("cuda") else "cpu"))
         return function(target, *args, **options)
 
     return adapted

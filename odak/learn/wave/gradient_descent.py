@@ -173,11 +173,20 @@ def _make_step(phase, evaluate, optimizer, learning_rate) -> Callable:
 
     if optimizer == "adam":
         return _Adam(phase, gradient, learning_rate).step
-    # The mean over a million pixels makes gradients tiny, so that absolute tolerances would stop at once.
+    # torch's L-BFGS forgets a step whose y·s is below 1e-10. The mean over a million pixels makes it that small, so the
+    # solver is given the sum, and the caller the mean again.
+    pixels = phase.numel()
     solver = torch.optim.LBFGS(
         [phase], lr=1, max_iter=1, tolerance_grad=0, tolerance_change=0, line_search_fn="strong_wolfe"
     )
-    return lambda: solver.step(gradient).detach()
+
+    def summed():
+        phase.grad = None
+        loss = pixels * evaluate()
+        loss.backward()
+        return loss
+
+    return lambda: solver.step(summed).detach() / pixels
 
 
 class _Adam:

@@ -5,9 +5,16 @@ import math
 import torch
 
 from odak import _validate
-from odak.wave import slm, utils
-from odak.wave.slm import adjust_phase_only_slm_range, compose_double_phase, decompose_double_phase
-from odak.wave.utils import add_phase, calculate_amplitude, calculate_intensity, calculate_phase, wavenumber
+from odak.wave import utils
+from odak.wave.double_phase import compose_double_phase, decompose_double_phase
+from odak.wave.utils import (
+    add_phase,
+    adjust_phase_only_slm_range,
+    calculate_amplitude,
+    calculate_intensity,
+    calculate_phase,
+    wavenumber,
+)
 
 __all__ = [
     "add_phase",
@@ -94,4 +101,4 @@ def produce_phase_only_slm_pattern(
     hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination=None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a hologram as a modulator shows it and its levels: :func:`odak.wave.produce_phase_only_slm_pattern`."""
-    return slm.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)
+    return utils.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)

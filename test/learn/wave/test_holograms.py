@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from odak.learn import wave
-from odak.learn.wave import compat, gradient_descent
+from odak.learn.tools import device
+from odak.learn.wave import gradient_descent
 
 WAVELENGTH, DISTANCE, DX = 532e-9, 0.01, 8e-6
 
@@ -99,7 +100,7 @@ def test_batches_are_independent(target):
 
 def test_older_call_form_falls_back_to_the_cpu_with_one_warning(target, caplog, monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    monkeypatch.setitem(compat._device_for.__dict__, "warned", False)
+    device._warn_once.cache_clear()
     with caplog.at_level(logging.WARNING, logger="odak"):
         for _ in range(2):
             older = wave.stochastic_gradient_descent(
