@@ -1,10 +1,13 @@
 """The sampling grid of a propagation: frequencies and positions in FFT order, and the even symmetry of kernels."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
 from odak import _array
+
+_SLAB = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -52,6 +55,16 @@ class Grid:
     def positions(self):
         """Return the non-negative sample positions, like :meth:`frequencies`, in metres."""
         return tuple(self._indices(n, axis) * (self.dx / self.scale) for axis, n in enumerate(self.shape))
+
+    def evaluate(self, kernel: Callable):
+        """Return ``kernel(fy, fx)`` on the whole grid, evaluated on its quarter a slab of rows at a time.
+
+        A dozen intermediate results in float64 would otherwise take more memory than the kernel itself.
+        """
+        fy, fx = self.frequencies()
+        step = max(1, _SLAB // fx.shape[-1])
+        slabs = [kernel(fy[..., start : start + step, :], fx) for start in range(0, fy.shape[-2], step)]
+        return self.unfold(slabs[0] if len(slabs) == 1 else self.xp.concat(slabs, axis=-2))
 
     def unfold(self, quarter):
         """Return the whole kernel in FFT order from its quarter of non-negative indices.

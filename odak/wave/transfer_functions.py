@@ -11,8 +11,7 @@ from odak.wave.grid import Grid
 
 def angular_spectrum(grid: Grid):
     """Return exp(i2πz·sqrt(1/λ² − f²)), evanescent waves decaying in both directions (Goodman 2005, eq. 3-70)."""
-    fy, fx = grid.frequencies()
-    return grid.unfold(plane_wave_transfer(grid, fy, fx))
+    return grid.evaluate(lambda fy, fx: plane_wave_transfer(grid, fy, fx))
 
 
 def plane_wave_transfer(grid: Grid, fy, fx):
@@ -51,18 +50,20 @@ def band_limits(grid: Grid):
 
 def band_limited_angular_spectrum(grid: Grid):
     """Return the angular-spectrum kernel inside its alias-free band, zero outside (Matsushima, Shimobaba 2009)."""
-    fy, fx = grid.frequencies()
     limit_y, limit_x = band_limits(grid)
-    kernel = plane_wave_transfer(grid, fy, fx)
-    inside = (fy < limit_y) & (fx < limit_x)
-    return grid.unfold(grid.xp.where(inside, kernel, grid.xp.zeros_like(kernel)))
+
+    def limited(fy, fx):
+        kernel = plane_wave_transfer(grid, fy, fx)
+        return grid.xp.where((fy < limit_y) & (fx < limit_x), kernel, grid.xp.zeros_like(kernel))
+
+    return grid.evaluate(limited)
 
 
 def transfer_function_fresnel(grid: Grid):
     """Return exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20)."""
-    fy, fx = grid.frequencies()
-    cycles = axial_cycles(grid) - grid.distance * grid.wavelength * (fx**2 + fy**2) / 2
-    return grid.unfold(phasor_of_cycles(cycles, grid.dtype))
+    axial = axial_cycles(grid)
+    bend = grid.distance * grid.wavelength / 2
+    return grid.evaluate(lambda fy, fx: phasor_of_cycles(axial - bend * (fx**2 + fy**2), grid.dtype))
 
 
 def impulse_response_factors(grid: Grid):
