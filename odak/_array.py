@@ -67,7 +67,7 @@ def to_complex(field):
     dtype = complex_dtype(field)
     if field.dtype == dtype:
         return field
-    if not xp.isdtype(field.dtype, "complex floating") and not xp.isdtype(field.dtype, "real floating"):
+    if "complex" not in str(field.dtype) and not xp.isdtype(field.dtype, "real floating"):
         field = xp.astype(field, real_dtype(field))
     return xp.astype(field, dtype)
 

@@ -63,7 +63,8 @@ class Grid:
         """
         fy, fx = self.frequencies()
         step = max(1, _SLAB // fx.shape[-1])
-        slabs = [kernel(fy[..., start : start + step, :], fx) for start in range(0, fy.shape[-2], step)]
+        rows = fy.shape[-2]
+        slabs = [kernel(fy[..., start : min(start + step, rows), :], fx) for start in range(0, rows, step)]
         return self.unfold(slabs[0] if len(slabs) == 1 else self.xp.concat(slabs, axis=-2))
 
     def unfold(self, quarter):

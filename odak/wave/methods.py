@@ -104,7 +104,7 @@ def _filter_intensity(field, request: Request):
 
 def _sum_rayleigh_sommerfeld(field, request: Request):
     """Return the linear convolution with the sampled kernel, on twice the field's grid."""
-    if request.is_plain() and not _array.is_array(request.distance) and request.distance == 0:
+    if isinstance(request.distance, (int, float)) and request.distance == 0:
         return field
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.kernel_for(field, tf.rayleigh_sommerfeld, size)

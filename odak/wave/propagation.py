@@ -64,7 +64,13 @@ def _check_method(method, request: Request) -> None:
         raise ValueError(f"kernel is for propagation_type 'custom' only, got it with {method.name!r}")
     if request.scale != 1 and "Impulse Response" not in method.name:
         raise ValueError(f"scale is for the impulse-response methods only, got {request.scale} with {method.name!r}")
-    if method.name in DISTANCE_NEEDED and request.is_plain() and 0 in _validate.numbers(request.distance):
+    if not method.windowed and (_array.is_array(request.aperture) or request.aperture != 1):
+        raise ValueError(
+            f"aperture needs a method with a transfer function on the field's grid, got it with {method.name!r}"
+        )
+    several = not isinstance(request.distance, (int, float))
+    needed = method.name in DISTANCE_NEEDED or (method.name == "Rayleigh-Sommerfeld" and several)
+    if needed and _array.is_readable(request.distance) and 0 in _validate.numbers(request.distance):
         raise ValueError(f"distance must not be zero for {method.name!r}")
 
 

@@ -274,3 +274,28 @@ def test_unknown_type_lists_the_known_ones():
         propagate(np.ones((4, 4)), "nonsense")
     for name in NAMES:
         assert repr(name) in str(caught.value)
+
+
+def test_what_a_method_cannot_do_is_refused(field):
+    for method in ("Fraunhofer", "ASAS"):
+        with pytest.raises(ValueError, match="aperture needs a method with a transfer function"):
+            propagate(field, method, aperture=np.ones((12, 15)))
+    with pytest.raises(ValueError, match="distance must not be zero for 'Rayleigh-Sommerfeld'"):
+        odak.wave.propagate_beam(field, None, np.array([0.0, 1e-3]), DX, WAVELENGTH, "RS")
+
+
+@pytest.mark.parametrize(
+    ("method", "shape", "distance", "reason"),
+    [
+        ("AS", (64, 64), 0.5, "from where its transfer function aliases"),
+        ("BLAS", (64, 64), 0.5, "it keeps only 2% of the band"),
+        ("IR Fresnel", (64, 64), 1e-3, "where its impulse response aliases"),
+        ("RS", (64, 64), 1e-3, "where its impulse response aliases"),
+        ("Fraunhofer", (64, 64), 0.1, "the far field is not reached"),
+        ("TR Fresnel", (2048, 2048), 0.2, "the Fresnel approximation is off by up to"),
+    ],
+)
+def test_a_warning_says_which_criterion_fails(method, shape, distance, reason, caplog):
+    with caplog.at_level(logging.WARNING, logger="odak"):
+        odak.wave.propagate_beam(np.ones(shape, np.complex64), None, distance, DX, WAVELENGTH, method)
+    assert reason in caplog.text

@@ -167,7 +167,8 @@ def _minimise(phase, evaluate, optimizer, learning_rate, n_iteration, progress, 
 def _make_step(phase, evaluate, optimizer, learning_rate) -> Callable:
     def gradient():
         phase.grad = None
-        loss = evaluate()
+        with torch.enable_grad():
+            loss = evaluate()
         loss.backward()
         return loss
 
@@ -181,10 +182,9 @@ def _make_step(phase, evaluate, optimizer, learning_rate) -> Callable:
     )
 
     def summed():
-        phase.grad = None
-        loss = pixels * evaluate()
-        loss.backward()
-        return loss
+        loss = gradient()
+        phase.grad.mul_(pixels)
+        return pixels * loss
 
     return lambda: solver.step(summed).detach() / pixels
 

@@ -266,3 +266,26 @@ def test_adam_is_torchs_adam():
     for _ in range(12):
         assert step() == pytest.approx(reference.step(lambda: gradient(theirs)).item())
     torch.testing.assert_close(ours, theirs)
+
+
+def test_gradients_are_taken_even_where_the_caller_switched_them_off(target):
+    with torch.no_grad():
+        inside = descend(target, n_iteration=3)[0]
+    assert torch.equal(inside, descend(target, n_iteration=3)[0])
+
+
+def test_lbfgs_moves_on_large_pictures_and_reports_the_mean():
+    picture = torch.rand(200, 300, generator=torch.Generator().manual_seed(0))
+    losses = []
+    image = descend(
+        picture,
+        n_iteration=8,
+        optimizer="lbfgs",
+        scale=True,
+        initial_phase=torch.zeros_like(picture),
+        callback=lambda _, loss: losses.append(loss.item()),
+    )[1]
+    assert losses[-1] < 0.7 * losses[0]
+    # A flat hologram lights the picture evenly, so that the first loss is about the picture's variance.
+    assert losses[0] == pytest.approx(picture.var().item(), rel=0.2)
+    assert image.isfinite().all()
