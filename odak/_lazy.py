@@ -1,6 +1,7 @@
 """Public names that load with their module on first use (PEP 562)."""
 
 import importlib
+import sys
 from collections.abc import Callable
 
 
@@ -19,7 +20,9 @@ def attach(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable,
 
     def load(name: str):
         if name in home:
-            return getattr(importlib.import_module(f"{package}.{home[name]}"), name)
+            value = getattr(importlib.import_module(f"{package}.{home[name]}"), name)
+            setattr(sys.modules[package], name, value)
+            return value
         if name in modules:
             return importlib.import_module(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from numbers import Number
 
 from odak import _array, _validate
 from odak.tools.matrix import crop_center, zero_pad
@@ -27,6 +28,8 @@ def propagate(
     """Propagate a field; see :func:`odak.wave.propagate_beam` for the arguments."""
     field = _array.to_complex(_validate.image("field", field))
     check_geometry(k, distance, dx, wavelength)
+    if not isinstance(aperture, Number) and not _array.is_array(aperture):
+        raise TypeError(f"aperture must be a number or an array, got {type(aperture).__name__}")
     pad, fine, crop = padding_flags(zero_padding)
     request = Request(
         dx, wavelength, distance, aperture, kernel, _validate.integer("scale", scale, minimum=1), sample_counts(samples)

@@ -257,6 +257,7 @@ def test_one_warning_outside_the_range_names_the_better_method(caplog):
         ({"k": 1.0}, ValueError, "k must be 2π/wavelength"),
         ({"zero_padding": (True, False)}, ValueError, "zero_padding must be three booleans"),
         ({"samples": (1, 2)}, ValueError, "samples must be four counts"),
+        ({"aperture": "1"}, TypeError, "aperture must be a number or an array"),
         ({"scale": 0}, ValueError, "scale must be at least 1"),
         ({"propagation_type": "Angular Spectrm"}, ValueError, "Did you mean 'Angular Spectrum'"),
         ({"propagation_type": 3}, TypeError, "propagation_type must be a string"),
