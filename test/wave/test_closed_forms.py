@@ -212,3 +212,19 @@ def test_lens_focuses_a_plane_wave_to_the_airy_pattern():
     assert np.argmin(focus[256, 256:270]) == round(dark)
     diverging = np.abs(odak.wave.propagate_beam(field.conj(), None, focal, DX, WAVELENGTH, "AS", zero_padding=PADDED))
     assert diverging[256, 256] ** 2 < focus[256, 256] / 100
+
+
+@pytest.mark.parametrize("shape", [(256, 192), (255, 191)])
+def test_band_limit_keeps_what_is_sampled_without_aliasing(shape):
+    distance = 0.1
+    kernel = odak.wave.get_propagation_kernel(*shape, DX, WAVELENGTH, distance, "BLAS", dtype=np.complex128)
+    frequencies = [np.fft.fftshift(np.fft.fftfreq(n, DX)) for n in shape]
+    inside = np.ones(shape, bool)
+    for axis, (n, frequency) in enumerate(zip(shape, frequencies, strict=True)):
+        # The limit is where the kernel's phase turns by π between two samples of a grid of pitch 1/(n·dx):
+        # d(2πz·sqrt(1/λ² − f²))/df·Δf = π (Matsushima and Shimobaba 2009, eq. 9).
+        slope = 2 * distance * np.abs(frequency) / np.sqrt(1 / WAVELENGTH**2 - frequency**2) / (n * DX)
+        inside &= np.expand_dims(slope < 1, 1 - axis)
+    np.testing.assert_array_equal(np.abs(kernel) > 0.5, inside)
+    np.testing.assert_allclose(np.abs(kernel[inside]), 1)
+    assert 0.05 < inside.mean() < 0.5

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from odak.learn.wave import spectral
-from odak.wave.propagation import propagate
+from odak.wave import classical
 
 __all__ = ["impulse_response_fresnel", "propagate_beam", "seperable_impulse_response_fresnel", "spectral"]
 
@@ -54,18 +54,8 @@ def propagate_beam(
     >>> bool(distance.grad.isfinite())
     True
     """
-    return propagate(
-        field,
-        k,
-        distance,
-        dx,
-        wavelength,
-        propagation_type,
-        kernel=kernel,
-        zero_padding=zero_padding,
-        aperture=aperture,
-        scale=scale,
-        samples=samples,
+    return classical.propagate_beam(
+        field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples
     )
 
 
@@ -84,17 +74,8 @@ def impulse_response_fresnel(
 
     Parameters and result are those of :func:`odak.wave.impulse_response_fresnel`.
     """
-    return propagate(
-        field,
-        k,
-        distance,
-        dx,
-        wavelength,
-        "Impulse Response Fresnel",
-        zero_padding=zero_padding,
-        aperture=aperture,
-        scale=scale,
-        samples=samples,
+    return classical.impulse_response_fresnel(
+        field, k, distance, dx, wavelength, zero_padding, aperture, scale, samples
     )
 
 
