@@ -57,31 +57,34 @@ def get_light_kernels(
     wavelengths, distances, pitches = (_validate.numbers(value) for value in (wavelengths, distances, pixel_pitches))
     shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
     kernels = torch.empty(shape, dtype=torch.complex64, device=device)
-    parameters = torch.empty((*shape, 5), device=device)
-    for p, pitch in enumerate(pitches):
-        kernels[:, :, p] = get_propagation_kernel(
-            rows,
-            columns,
-            pitch,
-            torch.tensor(wavelengths, dtype=torch.float64, device=device)[:, None],
-            torch.tensor(distances, dtype=torch.float64, device=device),
-            device,
-            propagation_type,
-            factor,
-            samples,
+    colours = torch.tensor(wavelengths, dtype=torch.float64, device=device)[:, None]
+    depths = torch.tensor(distances, dtype=torch.float64, device=device)
+    for index, pitch in enumerate(pitches):
+        kernels[:, :, index] = get_propagation_kernel(
+            rows, columns, pitch, colours, depths, device, propagation_type, factor, samples
         )
-        x, y = (torch.linspace(-(n // 2) * pitch, n // 2 * pitch, count, device=device) for n, count in
-                ((rows, shape[-2]), (columns, shape[-1])))  # fmt: skip
-        parameters[:, :, p, ..., 2] = pitch
-        parameters[:, :, p, ..., 3] = x[:, None]
-        parameters[:, :, p, ..., 4] = y
-    parameters[..., 0] = torch.tensor(wavelengths, device=device)[:, None, None, None, None]
-    parameters[..., 1] = torch.tensor(distances, device=device)[:, None, None, None]
     if kernel_type == "spatial":
         axes = (-2, -1)
         spectrum = torch.fft.ifftshift(kernels, dim=axes)
         kernels = torch.fft.fftshift(torch.fft.ifft2(spectrum, dim=axes), dim=axes)
+    parameters = _parameters(wavelengths, distances, pitches, (rows, columns), shape, device)
     return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
+
+
+def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> torch.Tensor:
+    """Return wavelength, distance, pitch, X and Y of every sample, ``[W, D, P, m·s, n·s, 5]``."""
+    parameters = torch.empty((*shape, 5), device=device)
+    for axis, values in enumerate((wavelengths, distances, pitches)):
+        column = torch.tensor(values, device=device)
+        parameters[..., axis] = column.reshape(-1, *(1,) * (4 - axis))
+    for index, pitch in enumerate(pitches):
+        x, y = (
+            torch.linspace(-(n // 2) * pitch, n // 2 * pitch, count, device=device)
+            for n, count in zip(resolution, shape[-2:], strict=True)
+        )
+        parameters[:, :, index, ..., 3] = x[:, None]
+        parameters[:, :, index, ..., 4] = y
+    return parameters
 
 
 def get_point_wise_impulse_response_fresnel_kernel(

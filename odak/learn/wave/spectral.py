@@ -60,12 +60,18 @@ class _Convolution(torch.autograd.Function):
 
     @staticmethod
     def vmap(info, in_dims, field, kernel, adjoint):
-        if in_dims[1] is not None:
-            raise NotImplementedError("vmap over a fixed kernel: give it as an argument that requires grad")
-        rank = max(field.ndim - 1, kernel.ndim)
-        field = field.movedim(in_dims[0], 0)
-        field = field.reshape(field.shape[0], *(1,) * (rank + 1 - field.ndim), *field.shape[1:])
-        return _Convolution.apply(field, kernel, adjoint), 0
+        rank = max(array.ndim - (dim is not None) for array, dim in ((field, in_dims[0]), (kernel, in_dims[1])))
+        return _Convolution.apply(
+            _batch_first(field, in_dims[0], rank), _batch_first(kernel, in_dims[1], rank), adjoint
+        ), 0
+
+
+def _batch_first(array, dim, rank: int):
+    """Return an array with its vmapped axis first and its own axes aligned to `rank`, so that the others broadcast."""
+    if dim is None:
+        return array
+    array = array.movedim(dim, 0)
+    return array.reshape(array.shape[0], *(1,) * (rank + 1 - array.ndim), *array.shape[1:])
 
 
 def _convolve_in_blocks(field, kernel, adjoint):

@@ -74,6 +74,18 @@ def test_functional_transforms():
     torch.testing.assert_close(swept, torch.stack([loss(fields[0], float(z)) for z in distances]))
 
 
+@pytest.mark.parametrize("in_dims", [(0, None), (None, 0), (0, 0), (2, 1)])
+def test_vmap_over_field_and_kernel(in_dims):
+    fields, kernels = pair(3, 4, 5, kernel=(3, 8, 10))
+    fields = fields if in_dims[0] is None else fields.movedim(0, in_dims[0])
+    kernels = kernels if in_dims[1] is None else kernels.movedim(0, in_dims[1])
+    result = torch.func.vmap(lambda u, h: spectral._Convolution.apply(u, h, False), in_dims)(fields, kernels)
+    for index in range(3):
+        field = fields if in_dims[0] is None else fields.select(in_dims[0], index)
+        kernel = kernels if in_dims[1] is None else kernels.select(in_dims[1], index)
+        torch.testing.assert_close(result[index], convolve_plainly(field, kernel))
+
+
 @pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
 def test_forward_mode_agrees_with_reverse_mode():
     (field, _), (tangent, _) = pair(6, 7), pair(6, 7)
