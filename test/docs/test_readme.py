@@ -1,0 +1,29 @@
+"""The README's Python runs as printed, and its commands are where continuous integration looks for them."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_readme_code_makes_a_hologram(tmp_path, monkeypatch):
+    from odak.tools import load_image
+
+    (code,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    (tmp_path / "odak").symlink_to(ROOT / "odak")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "README.md", "exec"), {})
+    pattern, picture = (load_image(str(tmp_path / name)) for name in ("hologram.png", "reconstruction.png"))
+    assert pattern.shape == picture.shape == (400, 600)
+    assert pattern.max() - pattern.min() > 200
+    target = load_image(str(ROOT / "odak" / "assets" / "photo.png"))[..., 1]
+    assert abs(picture - target).mean() < 0.1 * 255
+
+
+@pytest.mark.parametrize("name", ["hologram", "tests"])
+def test_continuous_integration_finds_its_commands(name):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (line,) = re.findall(rf"<!-- ci: {name} -->\n```bash\n(.*)\n```", readme)
+    assert line.startswith("python3 -m venv .venv && .venv/bin/python -m pip install -q -r requirements.txt && ")
