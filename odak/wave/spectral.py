@@ -39,12 +39,21 @@ def convolve(field, kernel):
 
 def convolve_plainly(field, kernel):
     """Return :func:`convolve` by the array library's own transforms."""
-    xp = _array.namespace(field, kernel)
-    rows, columns = field.shape[-2:]
-    spectrum = xp.fft.fft(field, n=kernel.shape[-1], axis=-1)
-    spectrum = xp.fft.fft(spectrum, n=kernel.shape[-2], axis=-2) * kernel
-    filtered = xp.fft.ifft(spectrum, axis=-2)[..., :rows, :]
-    return xp.astype(xp.fft.ifft(filtered, axis=-1)[..., :columns], field.dtype, copy=False)
+    spectrum = spectrum_of(field, kernel.shape[-2:]) * kernel
+    return window_of(spectrum, field.shape[-2:], field.dtype)
+
+
+def spectrum_of(field, size: tuple[int, int]):
+    """Return the transform of a field continued by zeros to `size`, in FFT order."""
+    xp = _array.namespace(field)
+    return xp.fft.fft(xp.fft.fft(field, n=size[1], axis=-1), n=size[0], axis=-2)
+
+
+def window_of(spectrum, shape: tuple[int, int], dtype):
+    """Return the first rows and columns of the field that has this spectrum."""
+    xp = _array.namespace(spectrum)
+    field = xp.fft.ifft(xp.fft.ifft(spectrum, axis=-2)[..., : shape[0], :], axis=-1)
+    return xp.astype(field[..., : shape[1]], dtype, copy=False)
 
 
 def upsample(field):

@@ -4,12 +4,13 @@ A = C·F⁻¹·H·F·P with P the continuation by zeros and C the cut, so A^H = 
 operator with the conjugate kernel. Nothing but the kernel is saved for the backward pass.
 """
 
+import itertools
 import math
 import threading
 
 import torch
 
-from odak.wave.spectral import convolve_plainly, register_convolver
+from odak.wave.spectral import convolve_plainly, register_convolver, spectrum_of, window_of
 
 # Below this many padded samples the whole spectrum sits in the cache anyway and one call per axis is quicker.
 _BLOCKED_FROM = 1 << 20
@@ -23,25 +24,30 @@ _scratch = threading.local()
 def convolve(field: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
     """Return the field filtered by `kernel` on its own window; see :func:`odak.wave.spectral.convolve`.
 
-    Differentiable any number of times in `field` and, when it requires grad, in `kernel`.
+    Differentiable any number of times in `field` and, when it requires grad, in `kernel`. One field through several
+    kernels (planes, colours) is transformed once, and so is the sum of what comes back to it.
     """
     if kernel.requires_grad or torch._C._functorch.is_functorch_wrapped_tensor(kernel):
         return convolve_plainly(field, kernel)
-    return _Convolution.apply(field, kernel, False)
+    return _Convolution.apply(field, kernel, False, torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2]))
 
 
 class _Convolution(torch.autograd.Function):
-    """The linear operator; `adjoint` conjugates the kernel."""
+    """The linear operator; `adjoint` conjugates the kernel.
+
+    `batch` are the leading axes of the result: all of those of field and kernel together, or fewer, and then the
+    result is a sum. Spectra are summed, not fields, so that the adjoint of one-to-many takes one transform back.
+    """
 
     @staticmethod
-    def forward(field, kernel, adjoint):
+    def forward(field, kernel, adjoint, batch):
         if field.device.type != "cpu" or kernel.shape[-2] * kernel.shape[-1] < _BLOCKED_FROM:
-            return convolve_plainly(field, kernel.conj() if adjoint else kernel)
-        return _convolve_in_blocks(field, kernel, adjoint)
+            return _convolve_whole(field, kernel, adjoint, batch)
+        return _convolve_in_blocks(field, kernel, adjoint, batch)
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        field, kernel, ctx.adjoint = inputs
+        field, kernel, ctx.adjoint, ctx.result_batch = inputs
         ctx.batch = field.shape[:-2]
         # Kernels are shared between calls and never written to, so keeping a reference is safe.
         ctx.save_for_backward(kernel)
@@ -50,20 +56,20 @@ class _Convolution(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient):
         (kernel,) = ctx.saved_tensors
-        back = _Convolution.apply(gradient, kernel, not ctx.adjoint)
-        return back.sum_to_size(*ctx.batch, *back.shape[-2:]), None, None
+        return _Convolution.apply(gradient, kernel, not ctx.adjoint, ctx.batch), None, None, None
 
     @staticmethod
     def jvp(ctx, tangent, *_):
         (kernel,) = ctx.saved_tensors
-        return _Convolution.apply(tangent, kernel, ctx.adjoint)
+        return _Convolution.apply(tangent, kernel, ctx.adjoint, ctx.result_batch)
 
     @staticmethod
-    def vmap(info, in_dims, field, kernel, adjoint):
-        rank = max(array.ndim - (dim is not None) for array, dim in ((field, in_dims[0]), (kernel, in_dims[1])))
-        return _Convolution.apply(
-            _batch_first(field, in_dims[0], rank), _batch_first(kernel, in_dims[1], rank), adjoint
-        ), 0
+    def vmap(info, in_dims, field, kernel, adjoint, batch):
+        ranks = (array.ndim - 2 - (dim is not None) for array, dim in ((field, in_dims[0]), (kernel, in_dims[1])))
+        rank = max(len(batch), *ranks)
+        field, kernel = (_batch_first(array, dim, rank) for array, dim in zip((field, kernel), in_dims, strict=False))
+        result = _Convolution.apply(field, kernel, adjoint, (info.batch_size, *(1,) * (rank - len(batch)), *batch))
+        return result.reshape(info.batch_size, *batch, *result.shape[-2:]), 0
 
 
 def _batch_first(array, dim, rank: int):
@@ -71,43 +77,110 @@ def _batch_first(array, dim, rank: int):
     if dim is None:
         return array
     array = array.movedim(dim, 0)
-    return array.reshape(array.shape[0], *(1,) * (rank + 1 - array.ndim), *array.shape[1:])
+    return array.reshape(array.shape[0], *(1,) * (rank + 3 - array.ndim), *array.shape[1:])
 
 
-def _convolve_in_blocks(field, kernel, adjoint):
-    """Return the filtered field, columns taken a block at a time so that the padded spectrum never exists.
+def _convolve_whole(field, kernel, adjoint, batch):
+    spectrum = spectrum_of(field, kernel.shape[-2:]) * (kernel.conj() if adjoint else kernel)
+    return window_of(spectrum.sum_to_size(*batch, *kernel.shape[-2:]), field.shape[-2:], field.dtype)
+
+
+def _convolve_in_blocks(field, kernel, adjoint, batch):
+    """Return the filtered field, every transform on a part that fits a core's cache.
 
     A padded spectrum of 2160 × 3840 would be written and read four times and its fresh pages cleared by the kernel
-    each time, which costs more than the arithmetic.
+    each time, which costs more than the arithmetic. It exists only, in memory kept for it, where one field goes
+    through several kernels or several come back to one.
     """
-    rows, columns = field.shape[-2:]
-    batch = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
-    fields = field.expand(*batch, rows, columns).reshape(-1, rows, columns)
-    kernel_batch = kernel.expand(*batch, *kernel.shape[-2:])
-    result = field.new_empty((fields.shape[0], rows, columns))
-    for index in range(fields.shape[0]):
-        place = torch.unravel_index(torch.tensor(index), batch) if batch else ()
-        _filter_one(fields[index], kernel_batch[tuple(int(i) for i in place)], adjoint, result[index])
-    return result.reshape(*batch, rows, columns)
+    result = field.new_empty((*batch, *field.shape[-2:]))
+    full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
+    arrays = (_members(array, full) for array in (field, kernel, result))
+    triples = list(zip(*arrays, strict=True))
+    summed = result.numel() < math.prod(full) * math.prod(field.shape[-2:])
+    for group in _grouped(triples, 2 if summed else 0):
+        if len(group) == 1:
+            _filter_one(*group[0], adjoint)
+        elif summed:
+            _gather(group, adjoint)
+        else:
+            _scatter(group, adjoint)
+    return result
 
 
-def _filter_one(field, kernel, adjoint, result):
-    """Write the filtered field into `result`, every transform on a part that fits a core's cache.
+def _members(array, batch) -> list[torch.Tensor]:
+    """Return the images of an array, one for each place of the axes that it is broadcast to."""
+    return [array.expand(*batch, *array.shape[-2:])[place] for place in itertools.product(*map(range, batch))]
+
+
+def _grouped(triples, which: int):
+    """Return lists of the triples that share their field (0) or their result (2)."""
+    groups = {}
+    for triple in triples:
+        groups.setdefault(triple[which].data_ptr(), []).append(triple)
+    return groups.values()
+
+
+def _filter_one(field, kernel, result, adjoint):
+    """Write the filtered field into `result`.
 
     A transform's result is fresh memory even when `out` is given, so the parts are small and copied where they go.
     """
-    rows, columns = field.shape
-    height, width = kernel.shape
-    spectrum = _buffer("spectrum", (rows, width), field.dtype)
-    for part in _parts(rows, width, field):
-        spectrum[part] = torch.fft.fft(field[part], n=width)
+    lines = _rows_to_spectra(field, kernel.shape[-1])
+    for part in _parts(*reversed(kernel.shape), field):
+        column = torch.fft.fft(_padded_columns(lines[:, part], kernel.shape[-2]))
+        lines[:, part] = torch.fft.ifft(column.mul_(_factor(kernel, part, adjoint)))[:, : len(field)].mT
+    _spectra_to_rows(lines, result)
+
+
+def _scatter(group, adjoint):
+    """Write one field filtered by several kernels into as many results; its spectrum is computed once."""
+    field, first, _ = group[0]
+    height, width = first.shape
+    lines = _rows_to_spectra(field, width)
+    spectrum = _buffer("spectrum", (width, height), field.dtype)
     for part in _parts(width, height, field):
-        column = torch.fft.fft(_padded_columns(spectrum[:, part], height))
-        factor = kernel[:, part].mT
-        column.mul_(factor.conj() if adjoint else factor)
-        spectrum[:, part] = torch.fft.ifft(column)[:, :rows].mT
-    for part in _parts(rows, width, field):
-        result[part] = torch.fft.ifft(spectrum[part])[:, :columns]
+        spectrum[part] = torch.fft.fft(_padded_columns(lines[:, part], height))
+    for _, kernel, result in group:
+        for part in _parts(width, height, field):
+            column = _buffer("block", spectrum[part].shape, field.dtype)
+            torch.mul(spectrum[part], _factor(kernel, part, adjoint), out=column)
+            lines[:, part] = torch.fft.ifft(column)[:, : len(field)].mT
+        _spectra_to_rows(lines, result)
+
+
+def _gather(group, adjoint):
+    """Write the sum of several filtered fields into their one result; their spectra are summed."""
+    _, first, result = group[0]
+    height, width = first.shape
+    spectrum = _buffer("spectrum", (width, height), result.dtype).zero_()
+    for field, kernel, _ in group:
+        lines = _rows_to_spectra(field, width)
+        for part in _parts(width, height, field):
+            column = torch.fft.fft(_padded_columns(lines[:, part], height))
+            spectrum[part].addcmul_(column, _factor(kernel, part, adjoint))
+    for part in _parts(width, height, result):
+        lines[:, part] = torch.fft.ifft(spectrum[part])[:, : len(result)].mT
+    _spectra_to_rows(lines, result)
+
+
+def _factor(kernel, part: slice, adjoint):
+    """Return some columns of a kernel as rows."""
+    factor = kernel[:, part].mT
+    return factor.conj() if adjoint else factor
+
+
+def _rows_to_spectra(field, width: int) -> torch.Tensor:
+    """Return the transforms of a field's rows, continued by zeros to `width`, in memory of this thread."""
+    lines = _buffer("lines", (len(field), width), field.dtype)
+    for part in _parts(len(field), width, field):
+        lines[part] = torch.fft.fft(field[part], n=width)
+    return lines
+
+
+def _spectra_to_rows(lines, result):
+    """Write the rows that have these transforms into `result`."""
+    for part in _parts(*lines.shape, lines):
+        result[part] = torch.fft.ifft(lines[part])[:, : result.shape[-1]]
 
 
 def _parts(count: int, length: int, field):

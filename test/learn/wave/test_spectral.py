@@ -21,8 +21,8 @@ def pair(*shape, kernel=(24, 31), dtype=torch.complex128):
     return (torch.randn(*size, dtype=dtype, generator=generator) for size in (shape, kernel))
 
 
-@pytest.mark.parametrize("shape", [(12, 15), (24, 31), (2, 3, 12, 15)])
-@pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31)])
+@pytest.mark.parametrize("shape", [(12, 15), (24, 31), (2, 3, 12, 15), (2, 1, 12, 15)])
+@pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31), (2, 1, 24, 31)])
 @pytest.mark.parametrize(("dtype", "tolerance"), [(torch.complex64, 1e-5), (torch.complex128, 1e-13)])
 def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance):
     field, factor = pair(*shape, kernel=kernel, dtype=dtype)
@@ -33,13 +33,14 @@ def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance)
 
 
 @pytest.mark.parametrize("path", ["whole", "blocked"])
+@pytest.mark.parametrize("shape", [(12, 15), (2, 1, 12, 15)])
 @pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31)])
-def test_adjoint_is_the_transpose(path, kernel, request):
+def test_adjoint_is_the_transpose(path, shape, kernel, request):
     if path == "blocked":
         request.getfixturevalue("blocked")
-    field, factor = pair(12, 15, kernel=kernel)
+    field, factor = pair(*shape, kernel=kernel)
     field.requires_grad_()
-    small = field.detach()[:2, :3].requires_grad_()
+    small = field.detach()[..., :2, :3].requires_grad_()
     assert torch.autograd.gradcheck(lambda u: spectral.convolve(u, factor[..., :5, :6]), (small,))
     assert torch.autograd.gradgradcheck(lambda u: spectral.convolve(u, factor[..., :5, :6]), (small,))
     result = spectral.convolve(field, factor)
@@ -49,6 +50,26 @@ def test_adjoint_is_the_transpose(path, kernel, request):
         torch.vdot(a.flatten(), b.flatten()).item() for a, b in ((other, result.detach()), (back, field.detach()))
     )
     assert there == pytest.approx(here)
+
+
+def test_one_field_through_many_kernels_is_transformed_once(blocked, monkeypatch):
+    field, factor = pair(2, 1, 12, 15, kernel=(5, 24, 31))
+    lines = {"fft": 0, "ifft": 0}
+
+    def counting(name, transform):
+        def counted(array, *args, **options):
+            lines[name] += array[..., 0].numel()
+            return transform(array, *args, **options)
+
+        return counted
+
+    for name in lines:
+        monkeypatch.setattr(torch.fft, name, counting(name, getattr(torch.fft, name)))
+    result = spectral.convolve(field.requires_grad_(), factor)
+    assert lines == {"fft": 2 * (12 + 31), "ifft": 2 * 5 * (31 + 12)}
+    lines.update(fft=0, ifft=0)
+    result.backward(torch.ones_like(result))
+    assert lines == {"fft": 2 * 5 * (12 + 31), "ifft": 2 * (31 + 12)}
 
 
 def test_nothing_but_the_kernel_is_saved():
@@ -79,7 +100,8 @@ def test_vmap_over_field_and_kernel(in_dims):
     fields, kernels = pair(3, 4, 5, kernel=(3, 8, 10))
     fields = fields if in_dims[0] is None else fields.movedim(0, in_dims[0])
     kernels = kernels if in_dims[1] is None else kernels.movedim(0, in_dims[1])
-    result = torch.func.vmap(lambda u, h: spectral._Convolution.apply(u, h, False), in_dims)(fields, kernels)
+    batch = (3,) if None in in_dims else ()
+    result = torch.func.vmap(lambda u, h: spectral._Convolution.apply(u, h, False, batch), in_dims)(fields, kernels)
     for index in range(3):
         field = fields if in_dims[0] is None else fields.select(in_dims[0], index)
         kernel = kernels if in_dims[1] is None else kernels.select(in_dims[1], index)
