@@ -47,7 +47,9 @@ def numbers(value) -> list[float]:
     if is_array(value):
         value = value.detach() if is_torch(value) else value
         return [float(v) for v in namespace(value).reshape(value, (-1,))]
-    return [float(v) for v in value] if isinstance(value, Iterable) else [float(value)]
+    if isinstance(value, Iterable):
+        return [number for v in value for number in numbers(v)]
+    return [float(value)]
 
 
 def integer(name: str, value, *, minimum: int = 0) -> int:

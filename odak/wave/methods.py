@@ -48,14 +48,14 @@ def _filter(build: Callable) -> Callable:
     """Return an `apply` that filters by the transfer function `build`."""
 
     def apply(field, request: Request):
-        field = _spread(field, request.scale)
+        field = spread(field, request.scale)
         size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
         return convolve(field, _masked(request.kernel_for(field, build, size), request.aperture, field))
 
     return apply
 
 
-def _spread(field, scale: int):
+def spread(field, scale: int):
     """Return the field on a grid `scale` times finer, zeros between its samples."""
     if scale == 1:
         return field

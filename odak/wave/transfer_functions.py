@@ -5,6 +5,8 @@ index 0). Phases are counted in cycles, in float64, and lose their whole cycles 
 rad, which single precision would resolve to a tenth of a radian only.
 """
 
+import functools
+
 from odak._array import make_complex, phasor_of_cycles
 from odak.wave.grid import Grid
 
@@ -40,17 +42,24 @@ def _cycles(grid: Grid, transverse, axial):
     return axial_cycles(grid) - grid.distance * transverse / (axial + 1 / grid.wavelength)
 
 
-def band_limits(grid: Grid):
+def band_limits(grid: Grid, distance=None):
     """Return the frequency (rows, columns) above which a sampled angular-spectrum kernel aliases.
 
-    Matsushima and Shimobaba, Opt. Express 17, 19662 (2009), eq. 13: 1/(λ·sqrt((2z/L)² + 1)), L the grid's width.
+    Matsushima and Shimobaba, Opt. Express 17, 19662 (2009), eq. 13: 1/(λ·sqrt((2z/L)² + 1)), L the grid's width. The
+    distance is the grid's own unless another is given.
     """
-    return tuple(1 / (grid.wavelength * grid.xp.sqrt((2 * grid.distance / (n * grid.dx)) ** 2 + 1)) for n in grid.shape)
+    distance = grid.distance if distance is None else distance
+    return tuple(1 / (grid.wavelength * grid.xp.sqrt((2 * distance / (n * grid.dx)) ** 2 + 1)) for n in grid.shape)
 
 
-def band_limited_angular_spectrum(grid: Grid):
-    """Return the angular-spectrum kernel inside its alias-free band, zero outside (Matsushima, Shimobaba 2009)."""
-    limit_y, limit_x = band_limits(grid)
+def band_limited_angular_spectrum(grid: Grid, legs=None):
+    """Return the angular-spectrum kernel inside its alias-free band, zero outside (Matsushima, Shimobaba 2009).
+
+    `legs` are the distances of a way there and back whose sum is the grid's distance; the band is then that of the
+    longest, while the phase is that of the sum.
+    """
+    distances = [grid.distance] if legs is None else legs
+    limit_y, limit_x = band_limits(grid, functools.reduce(grid.xp.maximum, map(grid.xp.abs, distances)))
 
     def limited(fy, fx):
         kernel = plane_wave_transfer(grid, fy, fx)

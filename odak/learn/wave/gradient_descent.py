@@ -1,17 +1,18 @@
 """Phase-only holograms by gradient descent."""
 
 import functools
+import os
 from collections.abc import Callable
 
 import torch
-from tqdm import tqdm
 
 from odak import _validate
+from odak.learn.wave.camera_in_the_loop import captured_by, seen
 from odak.learn.wave.compat import accepts_older_form
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
-
-OPTIMIZERS = ("adam", "lbfgs")
+from odak.learn.wave.solvers import SOLVERS
+from odak.learn.wave.training import Options, constant, minimise
 
 
 @accepts_older_form
@@ -29,8 +30,12 @@ def stochastic_gradient_descent(
     initial_phase: torch.Tensor | None = None,
     seed: int | None = None,
     scale: bool = False,
+    slm: Callable | None = None,
+    camera: Callable | None = None,
     progress: bool = True,
     callback: Callable | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    checkpoint_every: int = 50,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram whose intensity at a distance is the target.
 
@@ -62,15 +67,26 @@ def stochastic_gradient_descent(
     scale : bool
         Compare s·intensity with the target, s = ⟨I, T⟩/⟨I, I⟩ being the best brightness of each iteration. Without it
         the light that the target does not need has to be thrown outside the image, which costs 10 dB on photographs.
+    slm : callable, optional
+        Model of the modulator: ``slm(phase)`` is the field it sends out, such as
+        :class:`odak.learn.wave.spatial_light_modulator`. The hologram returned is that field.
+    camera : callable, optional
+        ``camera(phase)`` shows a phase on the real display and returns the intensity it captures, in the target's
+        shape. The loss is then that of the captured image, and the model gives its slope alone (camera in the loop).
     progress : bool
         Show a progress bar.
     callback : callable, optional
         ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int
+        Iterations between two writings of that file; it is written at the end and on an interruption too.
 
     Returns
     -------
     tuple of torch.Tensor
-        Hologram (amplitude one) and reconstruction, complex ``[..., rows, columns]``.
+        Hologram (amplitude one) and reconstruction, complex ``[..., rows, columns]``. After a KeyboardInterrupt they
+        are the best so far.
 
     Raises
     ------
@@ -79,7 +95,8 @@ def stochastic_gradient_descent(
 
     Notes
     -----
-    Chen et al., Math. Program. 176, 5 (2019); Peng et al., ACM Trans. Graph. 39, 185 (2020).
+    Chen et al., Math. Program. 176, 5 (2019); Peng et al., ACM Trans. Graph. 39, 185 (2020), whose section 4 is the
+    camera in the loop.
 
     Examples
     --------
@@ -96,8 +113,9 @@ def stochastic_gradient_descent(
     target = _checked_target(target)
     n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
     _validate.real("learning_rate", learning_rate, positive=True)
-    optimizer = _validate.one_of("optimizer", optimizer, OPTIMIZERS)
+    optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     phase = _starting_phase(target, initial_phase, seed).requires_grad_()
+    modulate = unit_phasor if slm is None else slm
     reconstruct = functools.partial(
         propagate_beam,
         k=None,
@@ -108,15 +126,21 @@ def stochastic_gradient_descent(
     )
     loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
 
-    def evaluate():
-        image = intensity(reconstruct(unit_phasor(phase)))
+    def gradient(iteration):
+        image = intensity(reconstruct(modulate(phase)))
+        if camera is not None:
+            image = seen(image, captured_by(camera, phase, tuple(image.shape)))
         if scale:
             image = image * best_scale(image.detach(), target)
-        return loss_function(image, target)
+        loss = loss_function(image, target)
+        loss.backward()
+        return loss.detach()
 
-    _minimise(phase, evaluate, optimizer, learning_rate, n_iteration, progress, callback)
+    options = Options(progress, callback, checkpoint, checkpoint_every, seed)
+    about = {"learning_rate": learning_rate, "optimizer": optimizer}
+    minimise({"phase": phase}, gradient, n_iteration, constant(learning_rate), options, solver=optimizer, about=about)
     with torch.no_grad():
-        hologram = unit_phasor(phase)
+        hologram = modulate(phase)
         return hologram, reconstruct(hologram)
 
 
@@ -149,70 +173,3 @@ def _starting_phase(target, initial_phase, seed) -> torch.Tensor:
     generator = None if seed is None else torch.Generator().manual_seed(seed)
     # Drawn on the CPU, so that a seed gives the same start on every device.
     return torch.randn(target.shape, generator=generator, dtype=target.dtype).to(target.device)
-
-
-def _minimise(phase, evaluate, optimizer, learning_rate, n_iteration, progress, callback) -> None:
-    """Run the optimizer; the loss is read from the device for the progress bar only, twenty times in all."""
-    step = _make_step(phase, evaluate, optimizer, learning_rate)
-    bar = tqdm(range(n_iteration), desc="hologram", disable=not progress, leave=False)
-    for iteration in bar:
-        loss = step()
-        if progress and iteration % max(1, n_iteration // 20) == 0:
-            bar.set_postfix(loss=f"{float(loss):.3g}", refresh=False)
-        if callback is not None and callback(iteration, loss) is True:
-            bar.close()
-            break
-
-
-def _make_step(phase, evaluate, optimizer, learning_rate) -> Callable:
-    def gradient():
-        phase.grad = None
-        with torch.enable_grad():
-            loss = evaluate()
-        loss.backward()
-        return loss
-
-    if optimizer == "adam":
-        return _Adam(phase, gradient, learning_rate).step
-    # torch's L-BFGS forgets a step whose y·s is below 1e-10. The mean over a million pixels makes it that small, so the
-    # solver is given the sum, and the caller the mean again.
-    pixels = phase.numel()
-    solver = torch.optim.LBFGS(
-        [phase], lr=1, max_iter=1, tolerance_grad=0, tolerance_change=0, line_search_fn="strong_wolfe"
-    )
-
-    def summed():
-        loss = gradient()
-        phase.grad.mul_(pixels)
-        return pixels * loss
-
-    return lambda: solver.step(summed).detach() / pixels
-
-
-class _Adam:
-    """Adam (Kingma and Ba, 2015, algorithm 1) on one tensor.
-
-    ``torch.optim.Adam`` does the same, but its constructor loads the compiler: two seconds and 80 MB, as much as
-    twenty iterations at full size and more memory than the hologram's padded field.
-    """
-
-    def __init__(self, phase: torch.Tensor, gradient: Callable, learning_rate: float, betas=(0.9, 0.999), epsilon=1e-8):
-        self.phase, self.gradient = phase, gradient
-        self.learning_rate, self.betas, self.epsilon = learning_rate, betas, epsilon
-        self.mean = torch.zeros_like(phase, requires_grad=False)
-        self.square = torch.zeros_like(self.mean)
-        self.count = 0
-
-    def step(self) -> torch.Tensor:
-        """Take one step and return the loss before it."""
-        loss = self.gradient()
-        slope = self.phase.grad
-        with torch.no_grad():
-            self.count += 1
-            mean_bias, square_bias = (1 - beta**self.count for beta in self.betas)
-            self.mean.lerp_(slope, 1 - self.betas[0])
-            self.square.mul_(self.betas[1]).addcmul_(slope, slope, value=1 - self.betas[1])
-            # The gradient's memory is done with, so the denominator takes its place.
-            denominator = torch.sqrt(self.square, out=slope).div_(square_bias**0.5).add_(self.epsilon)
-            self.phase.addcdiv_(self.mean, denominator, value=-self.learning_rate / mean_bias)
-        return loss.detach()

@@ -8,7 +8,7 @@ import torch
 
 from odak.learn import wave
 from odak.learn.tools import device
-from odak.learn.wave import gradient_descent
+from odak.learn.wave import solvers
 
 WAVELENGTH, DISTANCE, DX = 532e-9, 0.01, 8e-6
 
@@ -256,15 +256,18 @@ def test_adam_is_torchs_adam():
     ours, theirs = start.clone().requires_grad_(), start.clone().requires_grad_()
     reference = torch.optim.Adam([theirs], lr=0.05)
 
+    @torch.enable_grad()
     def gradient(phase):
         phase.grad = None
         loss = (weights * torch.cos(3 * phase)).sum()
         loss.backward()
         return loss
 
-    step = gradient_descent._Adam(ours, lambda: gradient(ours), 0.05).step
+    solver = solvers.Adam([ours])
     for _ in range(12):
-        assert step() == pytest.approx(reference.step(lambda: gradient(theirs)).item())
+        assert solver.step(lambda: gradient(ours).detach(), 0.05) == pytest.approx(
+            reference.step(lambda: gradient(theirs)).item()
+        )
     torch.testing.assert_close(ours, theirs)
 
 

@@ -1,0 +1,373 @@
+"""A phase-only modulator, shown in frames and lit in colours, and the planes of the volume in front of it."""
+
+from collections.abc import Sequence
+from contextlib import nullcontext
+
+import torch
+
+from odak import _validate
+from odak.learn.wave.fields import exposure, intensity, unit_phasor
+from odak.learn.wave.light_path import PROPAGATOR_TYPES, plane_distances
+from odak.learn.wave.spectral import convolve
+from odak.learn.wave.volume import display_volume
+
+__all__ = ["propagator"]
+
+METHODS = ("conventional", "multi-color", "full complex conventional", "full complex multi-color")
+# A complex64 field, its intensity, and the slopes of both.
+_BYTES_PER_SAMPLE = 24
+
+
+class propagator(display_volume):
+    """Light of a phase-only modulator on the planes of a volume: frames × planes × colours in one call.
+
+    Parameters
+    ----------
+    resolution : sequence of int
+        Rows m and columns n of the modulator.
+    wavelengths : sequence of float
+        Wavelengths of the C light sources in metres.
+    pixel_pitch : float
+        Pixel pitch in metres.
+    resolution_factor : int
+        Samples s per pixel along each axis, for the impulse-response methods; 1 for the others.
+    number_of_frames : int
+        Frames F shown one after another.
+    number_of_depth_layers : int
+        Planes D.
+    volume_depth : float
+        Distance from the first plane to the last in metres.
+    image_location_offset : float
+        Distance of the volume's centre, where a single plane lies, in metres.
+    propagation_type : str
+        A propagation type that has a transfer function, or "auto".
+    propagator_type : str
+        "forward", or "back and forth": to a relay and back, so that a plane is distance − `image_location_offset` away.
+    back_and_forth_distance : float
+        Distance of the relay in metres.
+    laser_channel_power : torch.Tensor, optional
+        ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default.
+    aperture : torch.Tensor, optional
+        Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`.
+    aperture_size : float, optional
+        Radius of the circular aperture in samples of the padded spectrum.
+    distances : torch.Tensor or sequence of float, optional
+        Distances of the planes in metres, instead of the even division of the volume. Differentiable.
+    aperture_samples : sequence of int
+        Points across source and target apertures of the impulse-response methods.
+    method : str
+        What the channel powers mean: "conventional" or "multi-color", "full complex" before it or not.
+    device : torch.device, optional
+        Where to compute.
+    vaccination_scale : float
+        Standard deviation in metres of the error added to the distances.
+    vaccination : bool
+        Draw that error anew on each call, so that a hologram optimised through it bears misplacement.
+    slm : torch.nn.Module, optional
+        ``slm(phase, scale)`` returns the field of a phase pattern, such as
+        :class:`odak.learn.wave.spatial_light_modulator`; an ideal modulator by default.
+    memory_budget : int, optional
+        Bytes that the fields in work may take. With it planes and frames are streamed in chunks, and kernels that
+        would take more than it are built anew for each chunk instead of kept.
+    seed : int, optional
+        Makes the draws of `vaccination` reproducible.
+
+    Attributes
+    ----------
+    distances : torch.Tensor
+        float64 ``[D]``.
+    wavelengths : list of float
+        C of them.
+    channel_power : torch.Tensor
+        ``[F, C]``.
+    phase_scale : torch.Tensor
+        ``[C]``: the phase shown at colour c is phase_scale[c] times the pattern's.
+    aperture : torch.Tensor
+        ``[2ms, 2ns]``, centred.
+    kernels : torch.Tensor
+        Transfer functions without the aperture, complex64 ``[D, C, 2ms, 2ns]``, centred.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import propagator
+    >>> display = propagator([16, 24], [639e-9, 515e-9, 473e-9], number_of_frames=3, number_of_depth_layers=2)
+    >>> display.reconstruct(torch.zeros(3, 16, 24)).shape
+    torch.Size([3, 2, 3, 16, 24])
+    """
+
+    def __init__(
+        self,
+        resolution: Sequence[int] = (1920, 1080),
+        wavelengths: Sequence[float] = (515e-9,),
+        pixel_pitch: float = 8e-6,
+        resolution_factor: int = 1,
+        number_of_frames: int = 1,
+        number_of_depth_layers: int = 1,
+        volume_depth: float = 1e-2,
+        image_location_offset: float = 5e-3,
+        propagation_type: str = "Bandlimited Angular Spectrum",
+        propagator_type: str = "back and forth",
+        back_and_forth_distance: float = 0.3,
+        laser_channel_power: torch.Tensor | None = None,
+        aperture: torch.Tensor | None = None,
+        aperture_size: float | None = None,
+        distances: torch.Tensor | Sequence[float] | None = None,
+        aperture_samples: Sequence[int] = (20, 20, 5, 5),
+        method: str = "conventional",
+        device: torch.device | None = None,
+        vaccination_scale: float = 1e-4,
+        vaccination: bool = False,
+        *,
+        slm: torch.nn.Module | None = None,
+        memory_budget: int | None = None,
+        seed: int | None = None,
+    ):
+        kind = _validate.one_of("propagator_type", propagator_type, PROPAGATOR_TYPES)
+        layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
+        _validate.real("back_and_forth_distance", back_and_forth_distance)
+        super().__init__(
+            resolution,
+            wavelengths,
+            pixel_pitch,
+            plane_distances(distances, volume_depth, layers, image_location_offset),
+            propagation_type,
+            relay=back_and_forth_distance if kind == "back and forth" else None,
+            offset=image_location_offset,
+            resolution_factor=resolution_factor,
+            samples_per_pixel=int(getattr(slm, "samples_per_pixel", 1)),
+            aperture_samples=aperture_samples,
+            vaccination=_validate.real("vaccination_scale", vaccination_scale) if vaccination else 0.0,
+            seed=seed,
+            memory_budget=memory_budget,
+        )
+        self.propagator_type, self.zero_mode_distance = kind, back_and_forth_distance
+        self.volume_depth = volume_depth
+        self.number_of_frames = _validate.integer("number_of_frames", number_of_frames, minimum=1)
+        self.method, self.slm = power_method(method), slm
+        self.set_aperture(aperture, aperture_size)
+        self.init_phase_scale()
+        self.init_channel_power(laser_channel_power)
+        if device is not None:
+            self.to(device)
+
+    def init_distances(self, distances: torch.Tensor | Sequence[float] | None = None) -> None:
+        """Set the distances of the planes: those given, or an even division of the volume."""
+        self._distances = plane_distances(
+            distances, self.volume_depth, self.number_of_depth_layers, self.image_location_offset
+        )
+        self.number_of_depth_layers = len(self._distances)
+        self.init_kernels()
+
+    def init_phase_scale(self) -> None:
+        """Let every colour see the phase of the pattern as it is."""
+        self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
+
+    def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
+        """Set the channel powers ``[F, C]``: those given, or one source per frame."""
+        if channel_power is None:
+            channel_power = torch.eye(self.number_of_frames, self.number_of_channels)
+        self.register_buffer("channel_power", None)
+        self.set_laser_powers(channel_power)
+
+    def get_laser_powers(self) -> torch.Tensor:
+        """Return the amplitudes of the sources ``[F, C]``: the channel powers, or |cos| of them for "multi-color"."""
+        return self.channel_power.cos().abs() if self.method.endswith("multi-color") else self.channel_power
+
+    def set_laser_powers(self, laser_power: torch.Tensor) -> None:
+        """Set the channel powers ``[F, C]``, from which :meth:`get_laser_powers` makes the amplitudes of the sources.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If their shape is another, or they are not finite, or negative where they are amplitudes.
+        """
+        power = torch.as_tensor(laser_power)
+        power = power if power.is_floating_point() else power.float()
+        expected = (self.number_of_frames, self.number_of_channels)
+        if tuple(power.shape) != expected:
+            raise ValueError(f"laser_power must be [frames, colours] = {expected}, got {tuple(power.shape)}")
+        if not bool(power.isfinite().all()):
+            raise ValueError("laser_power must be finite, got NaN or infinite values")
+        amplitudes = not self.method.endswith("multi-color")
+        if amplitudes and bool((power < 0).any()):
+            raise ValueError(f"laser_power must not be negative, got {power.min().item()}")
+        self.channel_power = power.to(self.device)
+        self._one_source_per_frame = amplitudes and not power.requires_grad and _is_diagonal(power)
+
+    def holograms(self, hologram_phases: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the fields that leave the modulator, of unit source power.
+
+        Parameters
+        ----------
+        hologram_phases, amplitude : torch.Tensor
+            As in :meth:`reconstruct`.
+
+        Returns
+        -------
+        torch.Tensor
+            Complex ``[F, 1, C, ms, ns]``, or ``[F, 1, 1, ms, ns]`` where all colours leave alike.
+        """
+        phases = self._checked_phases(hologram_phases)[:, None, None]
+        alike = self.phase_scale.device.type == "cpu" and bool((self.phase_scale == 1).all())
+        if self.slm is not None:
+            field = self.slm(phases, 1.0 if alike else self.phase_scale[:, None, None])
+        else:
+            field = unit_phasor(phases if alike else phases * self.phase_scale[:, None, None])
+        if amplitude is None:
+            return self._on_grid(field)
+        _validate.image("amplitude", amplitude)
+        if amplitude.ndim > 2 and amplitude.shape[-3] not in (1, self.number_of_channels):
+            raise ValueError(f"amplitude must have {self.number_of_channels} colours, got {tuple(amplitude.shape)}")
+        return self._on_grid(amplitude.to(self.device)) * self._on_grid(field)
+
+    def _checked_phases(self, phases) -> torch.Tensor:
+        if not isinstance(phases, torch.Tensor) or phases.is_complex():
+            kind = getattr(phases, "dtype", type(phases).__name__)
+            raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
+        expected = (self.number_of_frames, *self.resolution)
+        shape = tuple(phases.shape)
+        if shape not in (expected, (1, *expected)) and not (self.number_of_frames == 1 and shape == expected[1:]):
+            raise ValueError(f"hologram_phases must be [frames, rows, columns] = {expected}, got {shape}")
+        phases = phases if phases.is_floating_point() else phases.float()
+        return phases.reshape(expected).to(self.device)
+
+    def fields(self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor) -> torch.Tensor:
+        """Return the fields of some frames on some planes, of unit source power.
+
+        Parameters
+        ----------
+        holograms : torch.Tensor
+            From :meth:`holograms`.
+        frames : slice
+            Which of them.
+        kernels : torch.Tensor
+            Transfer functions of the planes, from :meth:`transfer`.
+
+        Returns
+        -------
+        torch.Tensor
+            Complex ``[frames, planes, C, ms, ns]``; ``[frames, planes, 1, ms, ns]`` where each frame is lit by one
+            source, frame f in colour f.
+        """
+        if not self._one_source_per_frame:
+            return convolve(holograms[frames], kernels)
+        lit = range(self._lit_frames())[frames]
+        colours = lit if holograms.shape[2] > 1 else [0] * len(lit)
+        holograms = torch.stack([holograms[frame, :, [colour]] for frame, colour in zip(lit, colours, strict=True)])
+        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None])
+
+    def exposures(self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the intensities that all frames together leave on some planes.
+
+        Parameters
+        ----------
+        holograms : torch.Tensor
+            From :meth:`holograms`.
+        planes : slice
+            Which planes.
+        powers : torch.Tensor, optional
+            Amplitudes of the sources ``[F, C]``; :meth:`get_laser_powers` by default.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[planes, C, ms, ns]``.
+        """
+        fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype))
+        powers = (self.get_laser_powers() if powers is None else powers).to(fields.real.dtype)
+        if not self._one_source_per_frame:
+            return exposure(fields, powers)
+        light = (intensity(fields[:, :, 0]) * powers.diagonal().square()[:, None, None, None]).transpose(0, 1)
+        dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
+        return torch.cat([light, dark], 1) if dark.numel() else light
+
+    def reconstruct(
+        self,
+        hologram_phases: torch.Tensor,
+        amplitude: torch.Tensor | None = None,
+        no_grad: bool = True,
+        get_complex: bool = False,
+    ) -> torch.Tensor:
+        """Return what each frame shows on each plane in each colour.
+
+        Parameters
+        ----------
+        hologram_phases : torch.Tensor
+            Phases ``[F, m, n]``, ``[1, F, m, n]``, or ``[m, n]`` for a single frame, in radians.
+        amplitude : torch.Tensor, optional
+            Amplitude of the light on the modulator, ``[m, n]``, ``[C, m, n]`` or ``[C, ms, ns]``; one by default.
+        no_grad : bool
+            Keep no graph for gradients.
+        get_complex : bool
+            Return fields instead of intensities.
+
+        Returns
+        -------
+        torch.Tensor
+            Intensities, or complex fields, ``[F, D, C, ms, ns]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If phases or amplitude do not fit.
+        """
+        with torch.no_grad() if no_grad else nullcontext():
+            holograms = self.holograms(hologram_phases, amplitude)
+            powers = self.get_laser_powers().to(holograms.real.dtype)
+            powers = (powers if get_complex else powers.square())[:, None, :, None, None]
+            dtype = holograms.dtype if get_complex else holograms.real.dtype
+            shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
+            result = torch.zeros(shape, dtype=dtype, device=self.device)
+            for planes in self.plane_chunks():
+                kernels = self.transfer(planes, holograms.dtype)
+                for frames in self._frame_chunks():
+                    fields = self.fields(holograms, frames, kernels)
+                    light = fields if get_complex else intensity(fields)
+                    if self._one_source_per_frame:
+                        for frame, shown in zip(range(self._lit_frames())[frames], light, strict=True):
+                            result[frame, planes, frame] = shown[:, 0] * powers[frame, :, frame]
+                    else:
+                        result[frames, planes] = light * powers[frames]
+        return result
+
+    def plane_chunks(self) -> list[slice]:
+        """Return the planes in parts whose fields, of all frames and colours, fit the memory budget."""
+        return _parts(self.number_of_depth_layers, self._pairs_at_once() // self.number_of_frames)
+
+    def _frame_chunks(self) -> list[slice]:
+        return _parts(self._lit_frames(), self._pairs_at_once())
+
+    def _lit_frames(self) -> int:
+        return (
+            min(self.number_of_frames, self.number_of_channels) if self._one_source_per_frame else self.number_of_frames
+        )
+
+    def _pairs_at_once(self) -> int:
+        """Return for how many pairs of frame and plane the fields and their intensities fit the memory budget."""
+        pairs = self.number_of_frames * self.number_of_depth_layers
+        if self.memory_budget is None:
+            return pairs
+        samples = self.number_of_channels * self.field_shape[0] * self.field_shape[1]
+        return min(pairs, self.memory_budget // (samples * _BYTES_PER_SAMPLE))
+
+
+def power_method(method: str) -> str:
+    """Return the full name of what channel powers mean, given with spaces or underscores."""
+    if not isinstance(method, str):
+        raise TypeError(f"method must be a string, got {type(method).__name__}")
+    return _validate.one_of("method", method.replace("_", " "), METHODS)
+
+
+def _parts(count: int, at_once: int) -> list[slice]:
+    step = max(1, at_once)
+    return [slice(start, min(start + step, count)) for start in range(0, count, step)]
+
+
+def _is_diagonal(power: torch.Tensor) -> bool:
+    return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())

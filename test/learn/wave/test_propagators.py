@@ -1,0 +1,334 @@
+"""Displays: the light of frames, planes and colours, against single propagations and closed forms."""
+
+import math
+
+import numpy as np
+import physics
+import pytest
+import torch
+
+from odak.learn import wave
+from odak.learn.wave import holographic_display, propagator
+
+PITCH = 8e-6
+COLOURS = [639e-9, 515e-9, 473e-9]
+
+
+def display(**options):
+    settings = {"number_of_frames": 3, "number_of_depth_layers": 2, "propagator_type": "forward", "volume_depth": 2e-3}
+    return propagator([24, 32], COLOURS, PITCH, **(settings | options))
+
+
+@pytest.fixture
+def phases():
+    return 2 * math.pi * torch.rand(3, 24, 32, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    "method", ["Bandlimited Angular Spectrum", "Angular Spectrum", "Transfer Function Fresnel", "auto"]
+)
+def test_each_plane_and_colour_is_a_propagation(method, phases):
+    show = display(propagation_type=method, aperture=torch.ones(24 * 2, 32 * 2))
+    images = show.reconstruct(phases)
+    assert images.shape == (3, 2, 3, 24, 32)
+    for frame in range(3):
+        for plane, distance in enumerate(show.distances.tolist()):
+            field = wave.unit_phasor(phases[frame])
+            expected = wave.propagate_beam(field, None, distance, PITCH, COLOURS[frame], show.propagation_type)
+            torch.testing.assert_close(images[frame, plane, frame], wave.intensity(expected), rtol=1e-4, atol=1e-5)
+            torch.testing.assert_close(show(field, frame, plane), expected, rtol=1e-4, atol=1e-5)
+        dark = [colour for colour in range(3) if colour != frame]
+        assert not images[frame][:, dark].any()
+
+
+def test_gaussian_beam_in_double_precision():
+    waist, distance = 60e-6, 4e-3
+    beam = physics.gaussian_beam((96, 128), PITCH, waist, 0.0, COLOURS[1])
+    expected = physics.gaussian_beam((96, 128), PITCH, waist, distance, COLOURS[1])
+    show = propagator([96, 128], COLOURS, PITCH, distances=[distance], propagator_type="forward", aperture_size=1e4)
+    result = show(torch.from_numpy(beam), 1, 0)
+    assert result.dtype == torch.complex128
+    assert physics.relative_error(result, expected) < 2e-6
+
+
+def test_relay_leaves_the_net_distance(phases):
+    offset, relay = 5e-3, 1e-2
+    there_and_back = display(
+        propagator_type="back and forth", image_location_offset=offset, back_and_forth_distance=relay
+    )
+    assert there_and_back.distances.tolist() == pytest.approx([offset - 1e-3, offset + 1e-3])
+    net = there_and_back.distances - offset
+    straight = display(distances=net, propagation_type="Angular Spectrum")
+    field = wave.unit_phasor(phases[0])
+    # The relay's band cuts the corners of the spectrum, and nothing else.
+    limited = there_and_back.kernels.abs() > 0
+    assert 0.3 < limited.float().mean() < 0.9
+    difference = (there_and_back.kernels - straight.kernels)[limited].abs().max()
+    assert difference < 1e-6
+    assert there_and_back(field, 0, 1).abs().square().sum() < straight(field, 0, 1).abs().square().sum()
+
+
+def test_relay_of_fresnel_impulse_responses_is_the_product_of_the_ways():
+    relay, offset = 0.02, 1e-3
+    show = display(
+        propagation_type="Impulse Response Fresnel",
+        propagator_type="back and forth",
+        image_location_offset=offset,
+        back_and_forth_distance=relay,
+    )
+    legs = []
+    for distance in (relay, -(relay + offset - show.distances[1].item())):
+        straight = display(propagation_type="Impulse Response Fresnel", distances=[distance])
+        legs.append(straight.kernels[0, 2])
+    torch.testing.assert_close(show.kernels[1, 2], legs[0] * legs[1], rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("budget", [1, 400_000, None])
+@pytest.mark.parametrize("method", ["conventional", "multi-color"])
+def test_chunks_make_no_difference(budget, method, phases):
+    powers = torch.eye(3) if method == "conventional" else torch.rand(3, 3)
+    whole = display(method=method, laser_channel_power=powers)
+    chunked = display(method=method, laser_channel_power=powers, memory_budget=budget)
+    torch.testing.assert_close(whole.reconstruct(phases), chunked.reconstruct(phases))
+    exposed = [chunked.exposures(chunked.holograms(phases), planes) for planes in chunked.plane_chunks()]
+    torch.testing.assert_close(torch.cat(exposed), whole.reconstruct(phases).sum(0))
+    assert len(exposed) == (2 if budget == 1 else 1)
+    # Kernels beyond the budget are built anew.
+    assert bool(chunked.generated_kernels.all()) == (budget != 1)
+
+
+def test_one_source_per_frame_is_the_general_case(phases):
+    special = display()
+    general = display(laser_channel_power=torch.eye(3) + 1e-20)
+    torch.testing.assert_close(special.reconstruct(phases), general.reconstruct(phases))
+    torch.testing.assert_close(
+        special.reconstruct(phases, get_complex=True), general.reconstruct(phases, get_complex=True)
+    )
+    lit = special.exposures(special.holograms(phases), slice(None))
+    torch.testing.assert_close(lit, general.exposures(general.holograms(phases), slice(None)))
+
+
+@pytest.mark.parametrize("frames", [1, 2, 5])
+def test_more_or_fewer_frames_than_colours(frames):
+    show = display(number_of_frames=frames)
+    images = show.reconstruct(torch.zeros(frames, 24, 32))
+    lit = images.sum((1, 3, 4)) > 0
+    assert torch.equal(lit, torch.eye(frames, 3).bool())
+
+
+def test_complex_fields_and_amplitude(phases):
+    show = display(method="multi-color", laser_channel_power=torch.rand(3, 3))
+    amplitude = torch.rand(3, 24, 32)
+    fields = show.reconstruct(phases, amplitude, get_complex=True)
+    torch.testing.assert_close(wave.intensity(fields), show.reconstruct(phases, amplitude))
+    powers = show.get_laser_powers()
+    torch.testing.assert_close(powers, show.channel_power.cos().abs())
+    one = powers[2, 1] * show(amplitude[1] * wave.unit_phasor(phases[2]), 1, 0)
+    torch.testing.assert_close(fields[2, 0, 1], one)
+
+
+def test_phase_scale_is_seen_by_each_colour(phases):
+    show = display()
+    show.phase_scale.copy_(torch.tensor([1.0, 0.8, 0.7]))
+    other = display()
+    images = show.reconstruct(phases)
+    torch.testing.assert_close(images[1, :, 1], other.reconstruct(0.8 * phases)[1, :, 1])
+    torch.testing.assert_close(images[0], other.reconstruct(phases)[0])
+
+
+@pytest.mark.parametrize("method", ["Impulse Response Fresnel", "Seperable Impulse Response Fresnel"])
+def test_samples_between_pixels(method, phases):
+    show = display(propagation_type=method, resolution_factor=2, aperture_samples=[4, 4, 2, 2])
+    images = show.reconstruct(phases)
+    assert images.shape == (3, 2, 3, 48, 64)
+    spread = torch.zeros(48, 64)
+    spread[::2, ::2] = 1
+    # The default amplitude is one at every second sample.
+    torch.testing.assert_close(images, show.reconstruct(phases, spread.expand(3, -1, -1)))
+    assert display(resolution_factor=2).resolution_factor == 1
+
+
+def test_gradients():
+    show = propagator(
+        [4, 5], COLOURS[:2], PITCH, number_of_frames=2, number_of_depth_layers=2, propagator_type="forward",
+        method="multi-color", laser_channel_power=torch.tensor([[0.3, 0.5], [0.8, 0.2]], dtype=torch.float64),
+    )  # fmt: skip
+    phases = torch.rand(2, 4, 5, dtype=torch.float64, requires_grad=True)
+    powers = torch.rand(2, 2, dtype=torch.float64, requires_grad=True)
+
+    def images(phases, powers):
+        show.set_laser_powers(powers)
+        return show.reconstruct(phases, no_grad=False)
+
+    assert torch.autograd.gradcheck(images, (phases, powers))
+
+    def exposed(phases, powers):
+        return show.exposures(show.holograms(phases), slice(0, 2), powers)
+
+    assert torch.autograd.gradcheck(exposed, (phases, powers))
+    assert torch.autograd.gradgradcheck(exposed, (phases, powers))
+    assert not show.reconstruct(phases).requires_grad
+
+
+def test_gradients_of_distances_and_wavelengths():
+    phase = torch.rand(4, 5, dtype=torch.float64)
+
+    def images(shift, stretch):
+        show = propagator(
+            [4, 5], [515e-9 * stretch, 473e-9], PITCH, distances=1e-4 * shift, propagator_type="forward"
+        )  # fmt: skip
+        return show.reconstruct(phase, no_grad=False)
+
+    arguments = [torch.tensor(values, dtype=torch.float64, requires_grad=True) for values in ([1.0, 2.0], 1.0)]
+    assert torch.autograd.gradcheck(images, arguments, eps=1e-6, atol=1e-5)
+
+
+def test_vaccination_draws_anew_each_time(phases):
+    first, again = (display(vaccination=True, vaccination_scale=1e-3, seed=3) for _ in range(2))
+    one, two = first.reconstruct(phases), first.reconstruct(phases)
+    assert (one - two).abs().max() > 0.1
+    torch.testing.assert_close(one, again.reconstruct(phases))
+    torch.testing.assert_close(
+        display(vaccination=True, vaccination_scale=1e-12, seed=3).reconstruct(phases),
+        display().reconstruct(phases),
+        rtol=1e-3, atol=1e-4,
+    )  # fmt: skip
+
+
+def test_distances_of_one_plane_and_of_many():
+    assert display(number_of_depth_layers=1, image_location_offset=0.01).distances.tolist() == [0.01]
+    many = display(number_of_depth_layers=3, volume_depth=0.02, image_location_offset=0.1).distances
+    np.testing.assert_allclose(many, [0.09, 0.1, 0.11], rtol=1e-12)
+    assert many.dtype == torch.float64
+    given = display(distances=torch.tensor([0.1, 0.2, 0.3, 0.4]))
+    assert given.number_of_depth_layers == 4
+
+
+def test_module_moves_and_keeps_its_distances(phases):
+    show = display()
+    before = show.reconstruct(phases)
+    assert isinstance(show, torch.nn.Module)
+    assert not any("transfer" in name or "kernel" in name for name in show.state_dict())
+    show.to(torch.float64)
+    assert show.distances.dtype == torch.float64
+    torch.testing.assert_close(show.reconstruct(phases.double()).float(), before, rtol=1e-4, atol=1e-5)
+
+
+def test_kernels_are_centred_and_their_inverse_is_the_impulse_response():
+    show = display(aperture=torch.ones(48, 64))
+    kernels = show.kernels
+    assert kernels.shape == (2, 3, 48, 64)
+    middle = 2 * math.pi * (show.distances[1].double() / COLOURS[2] % 1)
+    assert torch.angle(kernels[1, 2, 24, 32]).item() % (2 * math.pi) == pytest.approx(middle.item(), abs=1e-4)
+    amplitude, phase = show.get_kernels()
+    field = torch.zeros(24, 32)
+    field[12, 16] = 1
+    expected = show(field, 2, 1)
+    window = torch.polar(amplitude, phase)[1, 2, 12:36, 16:48]
+    torch.testing.assert_close(window, expected, atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(show.propagate(field, kernels[1, 2]), expected, atol=1e-6, rtol=1e-4)
+
+
+def test_aperture_is_a_disc_about_zero_frequency(phases):
+    show = display(aperture_size=10)
+    assert show.aperture.sum() == sum(r * r + c * c < 100 for r in range(-24, 24) for c in range(-32, 32))
+    flat = show(torch.ones(48, 64)[:24, :32], 0, 0)
+    field = show(wave.unit_phasor(phases[0]), 0, 0)
+    assert field.abs().square().mean() < 0.5 * flat.abs().square().mean() + 0.5
+    with pytest.raises(ValueError, match="aperture must fit"):
+        show.set_aperture(torch.ones(49, 64))
+
+
+def test_padding_of_ones_own(phases):
+    show, field = display(aperture=torch.ones(48, 64)), wave.unit_phasor(phases[0])
+    torch.testing.assert_close(show(field, 0, 0, [48, 64]), show(field, 0, 0))
+    wide = show(field, 0, 0, zero_padding_size=[72, 96])
+    padded = torch.nn.functional.pad(field, (32, 32, 24, 24))
+    expected = wave.propagate_beam(
+        padded, None, show.distances[0].item(), PITCH, COLOURS[0], zero_padding=[False, False, False]
+    )[24:48, 32:64]
+    assert wide.shape == field.shape
+    torch.testing.assert_close(wide, expected, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"number_of_frames": 0}, "number_of_frames"),
+        ({"propagator_type": "sideways"}, "propagator_type"),
+        ({"propagation_type": "Fraunhofer"}, "propagation_type"),
+        ({"method": "monochrome"}, "method"),
+        ({"laser_channel_power": torch.ones(2, 3)}, "laser_power must be"),
+        ({"laser_channel_power": -torch.eye(3)}, "laser_power must not be negative"),
+        ({"laser_channel_power": torch.full((3, 3), torch.nan)}, "laser_power must be finite"),
+        ({"distances": []}, "distances must hold"),
+        ({"aperture_size": -1.0}, "aperture_size"),
+        ({"memory_budget": -1}, "memory_budget"),
+        ({"volume_depth": math.inf}, "volume_depth"),
+    ],
+)
+def test_bad_options_are_named(change, message):
+    with pytest.raises(ValueError, match=message):
+        display(**change)
+
+
+def test_bad_arguments_are_named(phases):
+    show = display()
+    with pytest.raises(ValueError, match=r"hologram_phases must be \[frames"):
+        show.reconstruct(phases[:2])
+    with pytest.raises(TypeError, match="hologram_phases"):
+        show.reconstruct(phases + 1j)
+    with pytest.raises(ValueError, match="depth_id must be from 0 to 1, got 2"):
+        show(phases[0] + 0j, 0, 2)
+    with pytest.raises(ValueError, match="channel_id must be from 0 to 2, got 3"):
+        show(phases[0] + 0j, 3, 0)
+    with pytest.raises(ValueError, match="input_field"):
+        show(phases[0, :20] + 0j, 0, 0)
+    with pytest.raises(ValueError, match="amplitude must have 3 colours"):
+        show.reconstruct(phases, torch.ones(2, 24, 32))
+    with pytest.raises(ValueError, match="wavelengths"):
+        propagator([24, 32], [])
+    with pytest.raises(ValueError, match="zero_padding_size"):
+        show(phases[0] + 0j, 0, 0, [10, 10])
+
+
+def test_display_without_relay(phases):
+    illumination = torch.rand(24, 32)
+    show = holographic_display(
+        COLOURS, PITCH, [24, 32], 2e-3, 2, 5e-3, pinhole_size=100, illumination=illumination
+    )  # fmt: skip
+    powers = torch.rand(3, 3)
+    images = show.reconstruct(phases, powers)
+    assert images.shape == (3, 2, 3, 24, 32)
+    field = wave.propagate_beam(
+        illumination * wave.unit_phasor(phases[1]), None, 6e-3, PITCH, COLOURS[2]
+    )  # fmt: skip
+    torch.testing.assert_close(images[1, 1, 2], powers[1, 2] ** 2 * wave.intensity(field), rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(show(illumination * wave.unit_phasor(phases[1]), 2, 1), field, rtol=1e-4, atol=1e-5)
+
+
+def test_display_with_and_without_padding(phases):
+    field = wave.unit_phasor(phases[0])
+    bare = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3, pad=[False, True])
+    expected = wave.propagate_beam(field, None, 5e-3, PITCH, COLOURS[0], zero_padding=[False, False, False])
+    torch.testing.assert_close(bare(field, 0, 0), expected, rtol=1e-4, atol=1e-5)
+    uncut = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3, pad=[True, False])(field, 0, 0)
+    whole = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3)(field, 0, 0)
+    assert uncut.shape == (48, 64)
+    torch.testing.assert_close(uncut[12:36, 16:48], whole)
+
+
+def test_display_checks(phases):
+    show = holographic_display(COLOURS, PITCH, [24, 32], number_of_depth_layers=1)
+    with pytest.raises(ValueError, match="laser_powers"):
+        show.reconstruct(phases, torch.ones(3, 2))
+    with pytest.raises(ValueError, match="hologram_phases"):
+        show.reconstruct(phases[0], torch.ones(1, 3))
+    with pytest.raises(ValueError, match="wavelength_id"):
+        show(phases[0] + 0j, 3, 0)
+    with pytest.raises(ValueError, match="illumination"):
+        holographic_display(COLOURS, PITCH, [24, 32], illumination=torch.ones(24, 31))
+    pinhole = holographic_display(COLOURS, PITCH, [24, 32], number_of_depth_layers=1, pinhole_size=1)
+    # Zero frequency alone: a flat field.
+    flat = pinhole.reconstruct(phases, torch.ones(3, 3))
+    assert flat.std((-2, -1)).max() < 1e-4 * flat.mean()
