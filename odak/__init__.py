@@ -11,7 +11,7 @@ pi = math.pi
 version_info = (0, 3, 0)
 __version__ = ".".join(str(part) for part in version_info)
 
-_SUBPACKAGES = ("cli", "learn", "log", "tools", "wave")
+_SUBPACKAGES = ("catalog", "cli", "fit", "jones", "learn", "log", "measurement", "raytracing", "tools", "wave")
 
 __all__ = ["__version__", "pi", "version_info", *_SUBPACKAGES]
 

@@ -34,9 +34,13 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
             raise TypeError(f"{name} must be real, got an array of {value.dtype}")
         if not is_readable(value):
             return value
-    values = numbers(value)
     wanted = "positive and finite" if positive else "finite and not zero" if nonzero else "finite"
-    for v in values:
+    if is_array(value):
+        xp = namespace(value)
+        bad = ~xp.isfinite(value) | (value <= 0 if positive else value == 0 if nonzero else value != value)
+        if not bool(xp.any(bad)):
+            return value
+    for v in numbers(value):
         if not math.isfinite(v) or (positive and v <= 0) or (nonzero and v == 0):
             raise ValueError(f"{name} must be {wanted}, got {v!r}")
     return value

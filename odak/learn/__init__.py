@@ -2,4 +2,4 @@
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, {"tools": (), "wave": ()})
+__getattr__, __dir__, __all__ = attach(__name__, {"jones": (), "perception": (), "raytracing": (), "tools": (), "wave": ()})

@@ -1,0 +1,208 @@
+"""Refractive indices of glasses, crystals, plastics, water and air; sources in ``odak/catalog/data/materials.json``."""
+
+import difflib
+from pathlib import Path
+
+from odak import _array, _validate
+from odak.catalog.dispersion import MEDIA, Material
+from odak.catalog.material_files import read_materials
+
+MICROMETRES = {"m": 1e6, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3}
+_DATA = Path(__file__).parent / "data" / "materials.json"
+_found: dict[str, Material] = {}
+
+
+def refractive_index(name, wavelength, unit: str = "m", medium: str | None = None, extrapolate: bool = False):
+    """Return the refractive index of a material.
+
+    Parameters
+    ----------
+    name : str or Material
+        Name in the catalogue (:func:`material_names`), in any case, with or without hyphens and spaces.
+    wavelength : float or array
+        Vacuum wavelength, numbers or an array of any shape and library.
+    unit : str
+        Unit of `wavelength`: "m", "mm", "um" or "nm".
+    medium : str, optional
+        "air" or "vacuum": in what the index is to be counted. By default as published: glasses and crystals in air,
+        water and air itself in vacuum. "air" makes air exactly 1, which is what a lens in air needs.
+    extrapolate : bool
+        Take wavelengths outside the material's range of validity.
+
+    Returns
+    -------
+    float or array
+        Of the shape, library and precision of `wavelength` (computed in float64); differentiable in torch.
+
+    Raises
+    ------
+    ValueError
+        If the material is unknown (the message names the nearest known ones), or a wavelength is out of range.
+
+    Examples
+    --------
+    >>> from odak.catalog import refractive_index
+    >>> round(refractive_index("N-BK7", 587.5618e-9), 5)
+    1.5168
+    >>> round(refractive_index("sf11", 633, unit="nm"), 4)
+    1.7786
+    """
+    found = name if isinstance(name, Material) else material(name)
+    scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
+    medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
+    if isinstance(wavelength, (list, tuple)):
+        wavelength = _array.numpy_namespace.asarray(wavelength)
+    wide = _in_double(wavelength) * scale
+    _check_range(found, wide, extrapolate)
+    index = found.index(wide)
+    if medium not in (None, found.relative_to):
+        air = material("air").index(wide)
+        index = index * air if medium == "vacuum" else index / air
+    return _array.cast(index, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else index
+
+
+def abbe_number(name) -> float:
+    """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula and as published (see `medium`)."""
+    return (name if isinstance(name, Material) else material(name)).abbe_number()
+
+
+def material(name: str) -> Material:
+    """Return the record of a material: formula, coefficients, range of validity, source.
+
+    Parameters
+    ----------
+    name : str
+        As in :func:`refractive_index`.
+
+    Raises
+    ------
+    ValueError
+        If there is no such material; the message names the nearest known ones.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    known = _catalogue()
+    if _key(name) in known:
+        return known[_key(name)]
+    near = difflib.get_close_matches(_key(name), known, n=6, cutoff=0.4)
+    names = list(dict.fromkeys(known[key].name for key in near))[:3]
+    hint = f"; the nearest known are {', '.join(names)}" if names else ""
+    raise ValueError(f"name {name!r} is not a known material{hint}. Add it with odak.catalog.load_materials")
+
+
+def material_names() -> tuple[str, ...]:
+    """Return the names of all known materials, sorted, without their aliases."""
+    return tuple(sorted({found.name for found in _catalogue().values()}))
+
+
+def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
+    """Return the names of the materials nearest to a published index and Abbe number, the nearest first.
+
+    Parameters
+    ----------
+    nd, vd : float
+        Index at the d line and Abbe number, as in patents.
+    count : int
+        How many names.
+
+    Notes
+    -----
+    A difference of 0.01 in nd counts as much as one of 1 in vd.
+
+    Examples
+    --------
+    >>> from odak.catalog import nearest_materials
+    >>> nearest_materials(1.5168, 64.2, count=1)
+    ('N-BK7',)
+    """
+    _validate.real("nd", nd, positive=True)
+    _validate.real("vd", vd, positive=True)
+    apart = {
+        found.name: ((found.nd - nd) / 0.01) ** 2 + (found.vd - vd) ** 2
+        for found in _catalogue().values()
+        if found.nd is not None and found.vd is not None
+    }
+    return tuple(sorted(apart, key=lambda name: (apart[name], name))[: _validate.integer("count", count, minimum=1)])
+
+
+def load_materials(path, replace: bool = False) -> tuple[str, ...]:
+    """Add the materials of a JSON file to the catalogue of this process.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        File ``{"materials": {name: {"formula": "sellmeier", "B": […], "C": […], "range": [0.4, 1], "source": "…"}}}``,
+        with coefficients and range for wavelengths in micrometres; "cauchy" takes "A": [A₀, A₁, …]. Optional keys of
+        an entry: "nd" and "vd", which its formula must reproduce, and "relative_to". Optional "aliases" beside
+        "materials" map further names to names.
+    replace : bool
+        Let a name that is taken be given to the new material.
+
+    Returns
+    -------
+    tuple of str
+        The names of the materials added.
+
+    Raises
+    ------
+    ValueError
+        If an entry is malformed or contradicts itself, an alias points nowhere, or a name is taken. Nothing is added
+        then.
+    """
+    known = _catalogue()
+    materials, aliases = read_materials(path)
+    added = _indexed(materials, aliases, path, known)
+    taken = sorted(known[key].name for key in set(added) & set(known))
+    if taken and not replace:
+        raise ValueError(f"{path}: {', '.join(map(repr, taken))} is in the catalogue already; pass replace=True")
+    known.update(added)
+    return tuple(item.name for item in materials)
+
+
+def _catalogue() -> dict[str, Material]:
+    if not _found:
+        _found.update(_indexed(*read_materials(_DATA), _DATA, {}))
+    return _found
+
+
+def _indexed(materials, aliases, path, known) -> dict[str, Material]:
+    found: dict[str, Material] = {}
+    for item in materials:
+        if _key(item.name) in found:
+            raise ValueError(f"{path}: {item.name!r} occurs twice, but for case, hyphens and spaces")
+        found[_key(item.name)] = item
+    for alias, name in aliases.items():
+        target = found.get(_key(name)) or known.get(_key(name))
+        if target is None:
+            raise ValueError(f"{path}: alias {alias!r} points to {name!r}, which is not a known material")
+        found[_key(alias)] = target
+    return found
+
+
+def _key(name: str) -> str:
+    return "".join(letter for letter in name.casefold() if letter not in " -_")
+
+
+def _in_double(wavelength):
+    if not _array.is_array(wavelength):
+        return float(_validate.real("wavelength", wavelength))
+    if "complex" in str(wavelength.dtype):
+        raise TypeError(f"wavelength must be real, got an array of {wavelength.dtype}")
+    return _array.namespace(wavelength).astype(wavelength, _array.namespace(wavelength).float64)
+
+
+def _check_range(found: Material, wide, extrapolate: bool) -> None:
+    if not _array.is_readable(wide) or (_array.is_array(wide) and 0 in wide.shape):
+        return
+    xp = _array.namespace(wide)
+    # Two numbers are read, not the whole array: a spectrum may have a million samples.
+    ends = (xp.min(wide), xp.max(wide)) if _array.is_array(wide) else (wide, wide)
+    low, high = (_validate.numbers(end)[0] for end in ends)
+    if not 0 < low <= high < float("inf"):
+        raise ValueError(f"wavelength must be positive and finite, got {low:g} … {high:g} µm")
+    # A float32 wavelength at the very limit is not an error.
+    if not extrapolate and (low < found.range[0] * (1 - 1e-6) or high > found.range[1] * (1 + 1e-6)):
+        raise ValueError(
+            f"wavelength must be within {found.range[0]:g} … {found.range[1]:g} µm for {found.name} "
+            f"(or extrapolate=True), got {low:g} … {high:g} µm"
+        )

@@ -1,0 +1,50 @@
+"""Flat things in space: checks of their sizes, grids over them, and which hits lie ahead."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from odak.raytracing import arguments
+from odak.raytracing.primitives import bring_plane_to_origin
+from odak.tools.transformation import apply_matrix, rotation_matrix
+
+NO_SHIFT = (0.0, 0.0, 0.0)
+
+
+def grid_over(count: Sequence[int], shape: Sequence[float], center, angles) -> np.ndarray:
+    """Return ``[count0, count1, 3]`` points over a rectangle, its rim included."""
+    x, y = (np.linspace(-size / 2, size / 2, n) for size, n in zip(shape, count, strict=True))
+    flat = np.stack((*np.meshgrid(x, y, indexing="ij"), np.zeros(tuple(count))), axis=-1)
+    return place(flat, center, angles)
+
+
+def place(points: np.ndarray, location, angles) -> np.ndarray:
+    """Return points of an object's own frame where the object stands: R·p + location."""
+    return apply_matrix(rotation_matrix(np.asarray(angles, dtype=np.float64)), points) + np.asarray(location)
+
+
+def within_frame(points: np.ndarray, location, angles) -> np.ndarray:
+    """Return points ``[m, 3]`` in an object's own frame."""
+    moved = bring_plane_to_origin(points, None, center=location, angles=angles)
+    return arguments.batch(moved, 1)
+
+
+def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Say which points, on the lines of rays ``[m, 2, 3]``, lie ahead of the start; not NaN, not the start itself."""
+    return np.sum((points - rays[..., 0, :]) * rays[..., 1, :], axis=-1) > 0
+
+
+def two_positive(name: str, value: Sequence[float]) -> list:
+    """Return a pair of positive numbers as a list."""
+    pair = list(value)
+    if len(pair) != 2 or not all(np.isfinite(size) and size > 0 for size in pair):
+        raise ValueError(f"{name} must be two positive numbers, got {value!r}")
+    return pair
+
+
+def three(name: str, value: Sequence[float]) -> list[float]:
+    """Return three finite numbers as a list."""
+    triple = [float(number) for number in value]
+    if len(triple) != 3 or not np.isfinite(triple).all():
+        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
+    return triple

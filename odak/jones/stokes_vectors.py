@@ -1,0 +1,206 @@
+"""Stokes vectors, Mueller matrices and the polarisation ellipse; conventions in :mod:`odak.jones`."""
+
+from typing import NamedTuple
+
+from odak import _array, _validate
+from odak.jones.elements import DEGREE, common, jones_vector, square_matrix
+
+
+class PolarizationEllipse(NamedTuple):
+    """The ellipse that the tip of the electric field draws; each item is an array ``[..., k]``.
+
+    Attributes
+    ----------
+    azimuth : array
+        Angle of the major axis in degrees, −90 < azimuth ≤ 90, from x towards y. Of no meaning for circular light.
+    ellipticity : array
+        atan(minor/major) in degrees, −45 … 45, positive for right-handed light.
+    handedness : array
+        1 right, −1 left, 0 linear.
+    major, minor : array
+        Semi-axes, both ≥ 0; of the polarised part for partly polarised light.
+    """
+
+    azimuth: object
+    ellipticity: object
+    handedness: object
+    major: object
+    minor: object
+
+
+def stokes(field):
+    """Return the Stokes vectors of Jones vectors.
+
+    Parameters
+    ----------
+    field : array
+        ``[..., 2, k]`` or ``[2]``.
+
+    Returns
+    -------
+    array
+        Real ``[..., 4, k]`` or ``[4]``, in the field's precision: S0 intensity, S1 x against y, S2 45° against −45°,
+        S3 right against left circular. Sums of them over incoherent parts describe partly polarised light.
+
+    Examples
+    --------
+    >>> from odak.jones import stokes
+    >>> stokes([[3], [2]]).ravel() + 0
+    array([13.,  5., 12.,  0.])
+    """
+    field = jones_vector(field)
+    xp = _array.namespace(field)
+    axis = -1 if field.ndim == 1 else -2
+    x, y = (field[i] for i in (0, 1)) if field.ndim == 1 else (field[..., i, :] for i in (0, 1))
+    along, across = (xp.real(u) ** 2 + xp.imag(u) ** 2 for u in (x, y))
+    mixed = 2 * x * xp.conj(y)
+    return xp.stack((along + across, along - across, xp.real(mixed), xp.imag(mixed)), axis=axis)
+
+
+def field_from_stokes(vector):
+    """Return the Jones vectors of the polarised part of Stokes vectors.
+
+    Parameters
+    ----------
+    vector : array
+        Real ``[..., 4, k]`` or ``[4]``.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, k]`` or ``[2]``. The common phase is lost: the x amplitude is real and not negative.
+    """
+    vector, axis = stokes_vector(vector)
+    xp = _array.namespace(vector)
+    _, s1, s2, s3 = _components(vector, axis)
+    across = s2**2 + s3**2
+    # (P + |S1|)/2 and its partner by their product, so that neither is a difference of equal numbers.
+    large = (_root(s1**2 + across) + xp.abs(s1)) / 2
+    some = large > 0
+    small = xp.where(some, across / (4 * xp.where(some, large, xp.ones_like(large))), xp.zeros_like(large))
+    x = _root(xp.where(s1 < 0, small, large))
+    y = _root(xp.where(s1 < 0, large, small))
+    lead = _array.phasor(_direction(-s3, s2), _array.complex_dtype(vector))
+    return xp.stack((xp.astype(x, lead.dtype), y * lead), axis=axis)
+
+
+def mueller(matrix):
+    """Return the Mueller matrices of Jones matrices.
+
+    Parameters
+    ----------
+    matrix : array
+        ``[..., 2, 2]``, e.g. ``mueller(retarder(90, 45))``.
+
+    Returns
+    -------
+    array
+        Real ``[..., 4, 4]`` with mueller(J)·stokes(E) = stokes(J·E), in the matrix' precision:
+        A·(J ⊗ J*)·A⁻¹ (Goldstein 2011, section 9.4).
+    """
+    matrix = square_matrix("matrix", matrix, 2)
+    xp = _array.namespace(matrix)
+    basis = ((1, 0, 0, 1), (1, 0, 0, -1), (0, 1, 1, 0), (0, -1j, 1j, 0))
+    basis = xp.asarray(basis, dtype=matrix.dtype, device=_array.device_of(matrix))
+    product = matrix[..., :, None, :, None] * xp.conj(matrix)[..., None, :, None, :]
+    product = xp.reshape(product, (*matrix.shape[:-2], 4, 4))
+    return xp.real(xp.matmul(basis, xp.matmul(product, xp.conj(xp.matrix_transpose(basis))))) / 2
+
+
+def depolarizer(kept=0.0):
+    """Return the Mueller matrix of an ideal depolariser, which no Jones matrix describes.
+
+    Parameters
+    ----------
+    kept : number or array
+        Share of the degree of polarisation that is left, 0 … 1; ``[...]``.
+
+    Returns
+    -------
+    array
+        Real ``[..., 4, 4]``: diag(1, kept, kept, kept).
+    """
+    if not _array.is_array(kept) and not 0 <= _validate.real("kept", kept) <= 1:
+        raise ValueError(f"kept must be within 0 … 1, got {kept!r}")
+    xp, dtype, (kept,) = common(kept)
+    diagonal = xp.stack((xp.ones_like(kept), kept, kept, kept), axis=-1)
+    matrix = diagonal[..., None] * xp.eye(4, dtype=xp.float64, device=_array.device_of(kept))
+    return xp.astype(matrix, xp.float64 if dtype == xp.complex128 else xp.float32)
+
+
+def degree_of_polarization(vector):
+    """Return sqrt(S1² + S2² + S3²)/S0, ``[..., k]``: 1 for a pure state, 0 for natural light and for no light.
+
+    Parameters
+    ----------
+    vector : array
+        Stokes vectors, real ``[..., 4, k]`` or ``[4]``.
+    """
+    vector, axis = stokes_vector(vector)
+    xp = _array.namespace(vector)
+    s0, s1, s2, s3 = _components(vector, axis)
+    lit = s0 > 0
+    return xp.where(lit, _root(s1**2 + s2**2 + s3**2) / xp.where(lit, s0, xp.ones_like(s0)), xp.zeros_like(s0))
+
+
+def polarization_ellipse(field) -> PolarizationEllipse:
+    """Return the polarisation ellipse of Jones vectors ``[..., 2, k]`` or ``[2]``; see :class:`PolarizationEllipse`.
+
+    Examples
+    --------
+    >>> from odak.jones import apply_matrix, electricfield, polarization_ellipse, retarder
+    >>> ellipse = polarization_ellipse(apply_matrix(retarder(90, 0), electricfield(2, -1)))
+    >>> [float(item[0].round(3)) + 0 for item in ellipse]
+    [0.0, 26.565, 1.0, 2.0, 1.0]
+    """
+    return stokes_ellipse(stokes(field))
+
+
+def stokes_ellipse(vector) -> PolarizationEllipse:
+    """Return the polarisation ellipse of Stokes vectors ``[..., 4, k]`` or ``[4]``, of their polarised part.
+
+    Parameters
+    ----------
+    vector : array
+        Real Stokes vectors.
+
+    Returns
+    -------
+    PolarizationEllipse
+        With tan 2ψ = S2/S1 and sin 2χ = S3/P (Born and Wolf 1999, section 1.4.2). Differentiable; where an angle or
+        an axis has no derivative (circular light, darkness) the gradient is zero.
+    """
+    vector, axis = stokes_vector(vector)
+    xp = _array.namespace(vector)
+    _, s1, s2, s3 = _components(vector, axis)
+    linear = s1**2 + s2**2
+    azimuth = _direction(s2, s1) / (2 * DEGREE)
+    chi = _direction(s3, _root(linear)) / 2
+    radius = _root(_root(linear + s3**2))
+    return PolarizationEllipse(azimuth, chi / DEGREE, xp.sign(s3), radius * xp.cos(chi), radius * xp.abs(xp.sin(chi)))
+
+
+def stokes_vector(vector):
+    """Return a Stokes vector as a real array and the axis of its four components."""
+    vector = vector if _array.is_array(vector) else _array.numpy_namespace.asarray(vector)
+    axis = -1 if vector.ndim == 1 else -2
+    if not vector.ndim or vector.shape[axis] != 4 or "complex" in str(vector.dtype):
+        raise ValueError(f"vector must be real, [4] or [..., 4, k]; got {vector.dtype} {tuple(vector.shape)}")
+    return _array.namespace(vector).astype(vector, _array.real_dtype(vector), copy=False), axis
+
+
+def _components(vector, axis):
+    return [vector[i] if axis == -1 else vector[..., i, :] for i in range(4)]
+
+
+def _root(value):
+    """Square root, 0 with a gradient of 0 where `value` is not positive."""
+    xp = _array.namespace(value)
+    some = value > 0
+    return xp.where(some, xp.sqrt(xp.where(some, value, xp.ones_like(value))), xp.zeros_like(value))
+
+
+def _direction(y, x):
+    """Return atan2(y, x), 0 with a gradient of 0 at the origin."""
+    xp = _array.namespace(y)
+    return xp.atan2(y, xp.where((x == 0) & (y == 0), xp.ones_like(x), x))

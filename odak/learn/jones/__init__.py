@@ -1,0 +1,37 @@
+"""Polarisation in PyTorch: differentiable Jones and Mueller calculus, by the formulas of :mod:`odak.jones`.
+
+The conventions are those of :mod:`odak.jones`. Angles, retardances and transmissions may be tensors that require a
+gradient. Plain numbers give tensors on `device` in torch's default precision, or in `dtype`.
+"""
+
+from odak._lazy import attach
+
+__getattr__, __dir__, __all__ = attach(
+    __name__,
+    {
+        "elements": (
+            "apply_matrix",
+            "cascade",
+            "circular_polarizer",
+            "diattenuator",
+            "electricfield",
+            "half_wave_plate",
+            "linearpolarizer",
+            "mirror",
+            "polarizer",
+            "quarter_wave_plate",
+            "retarder",
+            "reverse",
+            "rotator",
+        ),
+        "stokes_vectors": (
+            "degree_of_polarization",
+            "depolarizer",
+            "field_from_stokes",
+            "mueller",
+            "polarization_ellipse",
+            "stokes",
+            "stokes_ellipse",
+        ),
+    },
+)

@@ -1,0 +1,216 @@
+"""Refractive indices against published values and against formulas of other authors."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from odak import catalog
+from odak.catalog import materials
+from odak.catalog.dispersion import LINE_C, LINE_D, LINE_F
+
+# Published n_d and V_d: Schott data sheets; Malitson 1965 and 1963; Dodge 1984; Malitson 1964.
+PUBLISHED = {
+    "N-BK7": (1.51680, 64.17),
+    "N-SF11": (1.78472, 25.68),
+    "F2": (1.62004, 36.37),
+    "N-F2": (1.62005, 36.43),
+    "SF2": (1.64769, 33.85),
+    "SF6": (1.80518, 25.43),
+    "SF11": (1.78472, 25.76),
+    "N-SK2": (1.60738, 56.65),
+    "N-SK16": (1.62041, 60.32),
+    "N-LAK9": (1.69100, 54.71),
+    "N-LASF44": (1.80420, 46.50),
+    "N-BAF10": (1.67003, 47.11),
+    "fused silica": (1.45846, 67.82),
+    "CaF2": (1.43385, 95.00),
+    "PMMA": (1.491756, 57.44),
+    "polycarbonate": (1.58547, 29.91),
+}
+
+
+@pytest.fixture
+def own_catalogue(monkeypatch):
+    monkeypatch.setattr(materials, "_found", dict(materials._catalogue()))
+
+
+@pytest.mark.parametrize("name", sorted(PUBLISHED))
+def test_published_index_and_abbe_number(name):
+    nd, vd = PUBLISHED[name]
+    assert catalog.refractive_index(name, LINE_D, unit="um") == pytest.approx(nd, abs=1e-5)
+    assert catalog.abbe_number(name) == pytest.approx(vd, abs=0.05)
+
+
+def test_every_material_reproduces_what_its_entry_states():
+    stated = [catalog.material(name) for name in catalog.material_names()]
+    stated = [found for found in stated if found.nd is not None]
+    assert len(stated) > 90
+    for found in stated:
+        # Water's n_d is published to four decimals.
+        tolerance = 5e-5 if found.name == "water" else 1e-5
+        assert found.index(LINE_D) == pytest.approx(found.nd, abs=tolerance), found.name
+        assert found.abbe_number() == pytest.approx(found.vd, abs=0.05), found.name
+
+
+def iapws_water(wavelength):
+    """A. H. Harvey et al., J. Phys. Chem. Ref. Data 27, 761 (1998), at 20 °C and 998.2 kg/m³."""
+    density, heat, x = 0.9982, 293.15 / 273.15, (wavelength / 0.589) ** 2
+    terms = (
+        0.244257733 + 9.74634476e-3 * density - 3.73234996e-3 * heat + 2.68678472e-4 * x * heat + 1.58920570e-3 / x,
+        2.45934259e-3 / (x - 0.2292020**2) + 0.900704920 / (x - 5.432937**2) - 1.66626219e-2 * density**2,
+    )
+    r = density * sum(terms)
+    return np.sqrt((1 + 2 * r) / (1 - r))
+
+
+def edlen_air(wavelength):
+    """B. Edlén, Metrologia 2, 71 (1966): 15 °C, 300 ppm CO2."""
+    s = wavelength**-2.0
+    return 1 + 1e-8 * (8342.13 + 2406030 / (130 - s) + 15997 / (38.9 - s))
+
+
+def test_water_and_air_agree_with_other_authors():
+    visible = np.linspace(0.4, 0.7, 7)
+    np.testing.assert_allclose(catalog.refractive_index("water", visible, "um"), iapws_water(visible), atol=5e-6)
+    wide = np.linspace(0.25, 1.6, 9)
+    # 150 ppm more CO2 weigh 2e-8.
+    np.testing.assert_allclose(catalog.refractive_index("air", wide, "um"), edlen_air(wide), atol=3e-8)
+
+
+def test_quartz_at_the_sodium_line():
+    # Radhakrishnan's values at 18 °C, in the American Institute of Physics Handbook: 1.54425 and 1.55336.
+    ordinary, other = (catalog.refractive_index(f"quartz ({k})", 589.3e-9) for k in ("ordinary", "extraordinary"))
+    assert ordinary == pytest.approx(1.54425, abs=1e-4) and other == pytest.approx(1.55336, abs=1e-4)
+    assert other - ordinary == pytest.approx(0.00911, abs=2e-5)
+
+
+def test_index_counted_in_air_or_in_vacuum():
+    glass, air = (catalog.refractive_index(name, 0.5e-6) for name in ("N-BK7", "air"))
+    assert catalog.refractive_index("N-BK7", 0.5e-6, medium="air") == glass
+    assert catalog.refractive_index("N-BK7", 0.5e-6, medium="vacuum") == glass * air
+    assert catalog.refractive_index("air", 0.5e-6, medium="air") == 1
+    assert catalog.refractive_index("vacuum", 0.5e-6) == 1
+
+
+def test_names_units_and_shapes(as_array):
+    assert catalog.refractive_index("nbk7", 532, "nm") == catalog.refractive_index("BK-7", 0.000532, "mm")
+    values = np.linspace(0.4e-6, 0.7e-6, 6).reshape(2, 3)
+    result = catalog.refractive_index("F2", as_array(values))
+    assert tuple(result.shape) == (2, 3) and "float64" in str(result.dtype)
+    expected = [[catalog.refractive_index("F2", float(v)) for v in row] for row in values]
+    np.testing.assert_allclose(np.asarray(result), expected, atol=1e-15)
+    assert "float32" in str(catalog.refractive_index("F2", as_array(values.astype(np.float32))).dtype)
+    assert catalog.refractive_index("F2", [0.5e-6, 0.6e-6]).shape == (2,)
+
+
+@pytest.mark.parametrize("name", ["N-SF11", "PMMA", "air", "water"])
+def test_index_is_differentiable_in_wavelength(name):
+    wavelength = torch.tensor([0.5, 0.55, 0.62], dtype=torch.float64, requires_grad=True)
+    for medium in (None, "air", "vacuum"):
+        index = lambda w: catalog.refractive_index(name, w, "um", medium)  # noqa: B023, E731
+        assert torch.autograd.gradcheck(index, (wavelength,))
+    slope = torch.autograd.grad(catalog.refractive_index(name, wavelength, "um").sum(), wavelength)[0]
+    assert (slope < 0).all()
+
+
+def test_wavelength_out_of_range():
+    with pytest.raises(ValueError, match=r"within 0.3 … 2.5 µm for N-BK7 .* got 0.2 … 0.5 µm"):
+        catalog.refractive_index("N-BK7", np.asarray([0.2, 0.5]), "um")
+    assert catalog.refractive_index("N-BK7", 3.0, "um", extrapolate=True) < 1.5
+    catalog.refractive_index("N-BK7", np.float32(2.5e-6))
+    for wrong in (0.0, np.asarray([0.5e-6, np.nan]), [0.5e-6, -0.5e-6]):
+        with pytest.raises(ValueError, match="wavelength must be positive"):
+            catalog.refractive_index("N-BK7", wrong, extrapolate=True)
+    with pytest.raises(TypeError, match="wavelength must be real"):
+        catalog.refractive_index("N-BK7", np.asarray([1j]))
+    assert catalog.refractive_index("N-BK7", np.zeros((0, 2))).shape == (0, 2)
+
+
+def test_unknown_material_names_the_nearest():
+    with pytest.raises(ValueError, match="'SK16' is not a known material; the nearest known are N-SK16"):
+        catalog.refractive_index("SK16", 0.5e-6)
+    with pytest.raises(ValueError, match=r"'@@@' is not a known material\. Add it"):
+        catalog.material("@@@")
+    with pytest.raises(TypeError, match="name must be a string"):
+        catalog.material(3)
+    with pytest.raises(ValueError, match="unit must be one of"):
+        catalog.refractive_index("F2", 0.5, "inch")
+
+
+def test_nearest_materials_by_their_numbers():
+    assert catalog.nearest_materials(1.78472, 25.7, 2) == ("N-SF11", "SF11")
+    assert catalog.nearest_materials(1.433, 95)[0] == "CaF2"
+
+
+ENTRY = {"formula": "cauchy", "A": [1.5, 0.004], "range": [0.4, 0.8], "source": "a measurement"}
+
+
+def write(folder, content):
+    path = folder / "own.json"
+    path.write_text(content if isinstance(content, str) else json.dumps(content), encoding="utf-8")
+    return path
+
+
+def test_own_materials(tmp_path, own_catalogue):
+    path = write(tmp_path, {"materials": {"My resin": ENTRY}, "aliases": {"glue": "My resin", "K8": "N-BK7"}})
+    assert catalog.load_materials(path) == ("My resin",)
+    assert catalog.refractive_index("glue", 0.5, "um") == pytest.approx(1.5 + 0.004 / 0.25)
+    assert catalog.refractive_index("k8", 0.5, "um") == catalog.refractive_index("N-BK7", 0.5, "um")
+    with pytest.raises(ValueError, match="in the catalogue already"):
+        catalog.load_materials(path)
+    assert catalog.load_materials(path, replace=True)
+
+
+def test_a_built_in_name_is_kept_unless_told(tmp_path, own_catalogue):
+    path = write(tmp_path, {"materials": {"nbk7": ENTRY, "new": ENTRY}})
+    with pytest.raises(ValueError, match="'N-BK7' is in the catalogue already"):
+        catalog.load_materials(path)
+    assert "new" not in catalog.material_names()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"formula": "sellmeyer"}, "Did you mean 'sellmeier'"),
+        ({"A": []}, "A must be a list of finite numbers"),
+        ({"A": [float("inf")]}, "A must be a list of finite numbers"),
+        ({"range": [0.8, 0.4]}, "range must be"),
+        ({"source": " "}, 'needs a "source"'),
+        ({"relative_to": "oil"}, "relative_to must be one of"),
+        ({"nd": 1.6}, "nd is stated as 1.6 but its formula gives 1.51159"),
+        ({"vd": "64"}, "vd must be a finite number"),
+        ({"colour": "red"}, "unknown keys colour"),
+        ({"formula": "gas", "B": [1, 2], "C": [1]}, "of one length"),
+        ({"formula": "sellmeier", "A": 1, "B": [-9.0], "C": [0.01]}, "gives an index of"),
+        ({"A": [-1.5]}, "gives an index of -1.5 at 0.4 µm"),
+    ],
+)
+def test_malformed_entries_are_named(change, message, tmp_path, own_catalogue):
+    path = write(tmp_path, {"materials": {"resin": {**ENTRY, **change}}})
+    with pytest.raises(ValueError, match=message) as caught:
+        catalog.load_materials(path)
+    assert "own.json" in str(caught.value) and "resin" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "{",
+        "[]",
+        {"materials": {}},
+        {"materials": {"a": 1}},
+        {"materials": {"a": ENTRY}, "aliases": {"b": "c"}},
+        {"materials": {"a b": ENTRY, "A-B": ENTRY}},
+    ],
+)
+def test_malformed_files_are_named(content, tmp_path, own_catalogue):
+    with pytest.raises(ValueError, match=r"own\.json"):
+        catalog.load_materials(write(tmp_path, content))
+
+
+def test_the_abbe_number_uses_the_lines_of_its_definition():
+    index = {line: catalog.refractive_index("N-BK7", line, "um") for line in (LINE_C, LINE_D, LINE_F)}
+    # Schott's data sheet: n_C 1.51432, n_F 1.52238.
+    assert index[LINE_C] == pytest.approx(1.51432, abs=1e-5) and index[LINE_F] == pytest.approx(1.52238, abs=1e-5)
