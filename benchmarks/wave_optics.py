@@ -16,7 +16,8 @@ SHAPE = (1080, 1920)
 PADDED = tuple(2 * n for n in SHAPE)
 
 
-def _row(task: str, ours: float, floor: float, floor_name: str, bound: float | None, **more) -> dict:
+def row(task: str, ours: float, floor: float, floor_name: str, bound: float | None, **more) -> dict:
+    """Return one row of the table: seconds of ours and of the floor it is held against, and their ratio."""
     return {
         "task": task,
         "ours_s": ours,
@@ -42,8 +43,8 @@ def propagation(device: str) -> Iterator[dict]:
 
     timings = interleave({"fft": lambda: torch.fft.fft2(padded), "warm": propagate}, device=device)
     floor = 2 * timings["fft"].best
-    yield _row("propagation, cached kernel", timings["warm"].best, floor, "2 fft2", 1.4)
-    yield _row("propagation, first call", measure(propagate_first, 5, device).best, floor, "2 fft2", 4.0)
+    yield row("propagation, cached kernel", timings["warm"].best, floor, "2 fft2", 1.4)
+    yield row("propagation, first call", measure(propagate_first, 5, device).best, floor, "2 fft2", 4.0)
 
 
 def hologram(device: str) -> Iterator[dict]:
@@ -69,9 +70,9 @@ def hologram(device: str) -> Iterator[dict]:
     timings = interleave({"fft": bare, "ours": ten_iterations}, 5, device)
     # Ten iterations hold one propagation more, for the reconstruction that is returned: it is counted in.
     ours, floor = timings["ours"].best / 10, timings["fft"].best
-    yield _row("gradient descent, one iteration", ours, floor, "4 fft2", 1.8)
+    yield row("gradient descent, one iteration", ours, floor, "4 fft2", 1.8)
     alternative = measure(obvious, 3, device).best
-    yield _row("gradient descent, one iteration, plain autograd", alternative, floor, "4 fft2", None)
+    yield row("gradient descent, one iteration, plain autograd", alternative, floor, "4 fft2", None)
 
 
 def _obvious_step(phase, optimizer, kernel, target) -> None:
@@ -97,7 +98,7 @@ def impulse_response(device: str) -> Iterator[dict]:
         },
         device=device,
     )
-    yield _row("impulse-response kernel 1024", timings["ours"].best, timings["fft"].best, "1 fft2", None)
+    yield row("impulse-response kernel 1024", timings["ours"].best, timings["fft"].best, "1 fft2", None)
 
 
 def memory(device: str) -> Iterator[dict]:

@@ -1,6 +1,7 @@
 """Phase to field and field to intensity, with backward passes that touch each array once."""
 
 import torch
+from torch.autograd.function import once_differentiable
 
 
 def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
@@ -24,22 +25,30 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
     return _Intensity.apply(field)
 
 
-def exposure(field: torch.Tensor, power: torch.Tensor) -> torch.Tensor:
+def exposure(field: torch.Tensor, power: torch.Tensor, one_each: bool = False) -> torch.Tensor:
     """Return the light that the frames of a field, shown one after another, leave on each plane and colour.
 
     Parameters
     ----------
     field : torch.Tensor
-        Complex ``[frames, planes, colours, rows, columns]``.
+        Complex ``[frames, planes, colours, rows, columns]``; with `one_each` ``[frames, planes, 1, rows, columns]``.
     power : torch.Tensor
-        Amplitude of the light source ``[frames, colours]``.
+        Amplitude of the light source ``[frames, colours]``; with `one_each` ``[frames, 1]``.
+    one_each : bool
+        Each frame is one colour and stays by itself.
 
     Returns
     -------
     torch.Tensor
-        Σ_f power² · |field|², ``[planes, colours, rows, columns]``; differentiable any number of times in both.
+        Σ_f power² · |field|², ``[planes, colours, rows, columns]``, differentiable any number of times in both. With
+        `one_each` no sum: ``[planes, frames, rows, columns]``.
     """
-    return _Exposure.apply(field, power)
+    return _Exposure.apply(field, power, one_each)
+
+
+def squared_error(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return Σ (image − target)², which keeps one array where ``torch.nn.functional.mse_loss`` makes three."""
+    return _SquaredError.apply(image, target)
 
 
 class _UnitPhasor(torch.autograd.Function):
@@ -92,28 +101,69 @@ class _Intensity(torch.autograd.Function):
         return 2 * (field.real * tangent.real + field.imag * tangent.imag)
 
 
+class _SquaredError(torch.autograd.Function):
+    """d Σ e² = 2·Σ e·de."""
+
+    @staticmethod
+    def forward(ctx, image, target):
+        error = image - target
+        ctx.save_for_backward(error)
+        return torch.dot(error.flatten(), error.flatten())
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient):
+        (error,) = ctx.saved_tensors
+        slope = 2 * gradient * error
+        return slope, -slope if ctx.needs_input_grad[1] else None
+
+
 class _Exposure(torch.autograd.Function):
     """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the slope is as large as the field."""
 
     @staticmethod
-    def forward(field, power):
-        total = field.real.new_zeros(field.shape[1:])
-        for frame, weight in zip(field, power.square(), strict=True):
-            total.addcmul_(frame.real.square().addcmul_(frame.imag, frame.imag), weight[:, None, None])
+    def forward(field, power, one_each):
+        frames, planes, colours, *shape = field.shape
+        total = field.real.new_empty(planes, frames if one_each else colours, *shape)
+        for index, weight in enumerate(power.square()):
+            place = total[:, index : index + 1] if one_each else total
+            light = field[index].real.square().addcmul_(field[index].imag, field[index].imag)
+            if one_each or index == 0:
+                torch.mul(light, weight[:, None, None], out=place)
+            else:
+                place.addcmul_(light, weight[:, None, None])
         return total
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        ctx.save_for_backward(*inputs)
+        field, power, ctx.one_each = inputs
+        ctx.save_for_backward(field, power)
 
     @staticmethod
     def backward(ctx, gradient):
         field, power = ctx.saved_tensors
         to_field = to_power = None
         if ctx.needs_input_grad[0]:
-            slope = gradient * (2 * power.square())[:, None, :, None, None]
-            to_field = torch.view_as_complex(torch.view_as_real(field) * slope.unsqueeze(-1))
+            to_field = _slope(field, gradient, power, ctx.one_each)
         if ctx.needs_input_grad[1]:
-            collected = [(intensity(frame) * gradient).sum((0, 2, 3)) for frame in field]
-            to_power = 2 * power * torch.stack(collected)
-        return to_field, to_power
+            to_power = 2 * power * _collected(field, gradient, ctx.one_each)
+        return to_field, to_power, None
+
+
+def _slope(field, gradient, power, one_each):
+    """Return 2p²·g·u."""
+    if torch.is_grad_enabled():
+        own = gradient.transpose(0, 1)[:, :, None] if one_each else gradient[None]
+        return field * (own * (2 * power.square())[:, None, :, None, None])
+    result = torch.empty_like(field)
+    for index, weight in enumerate(2 * power.square()):
+        own = gradient[:, index : index + 1] if one_each else gradient
+        parts = (torch.view_as_real(array[index]) for array in (field, result))
+        torch.mul(next(parts), (own * weight[:, None, None])[..., None], out=next(parts))
+    return result
+
+
+def _collected(field, gradient, one_each):
+    """Return Σ g·|u|² over planes and pixels, ``[frames, colours]``."""
+    own = (gradient[:, index : index + 1] if one_each else gradient for index in range(len(field)))
+    return torch.stack([(intensity(frame) * slope).sum((0, 2, 3)) for frame, slope in zip(field, own, strict=True)])

@@ -14,8 +14,8 @@ from odak.learn.wave.volume import display_volume
 __all__ = ["propagator"]
 
 METHODS = ("conventional", "multi-color", "full complex conventional", "full complex multi-color")
-# A complex64 field, its intensity, and the slopes of both.
-_BYTES_PER_SAMPLE = 24
+# A complex64 field, the transforms of its rows, its intensity, and the slopes of field and intensity.
+_BYTES_PER_SAMPLE = 40
 
 
 class propagator(display_volume):
@@ -258,8 +258,9 @@ class propagator(display_volume):
         if not self._one_source_per_frame:
             return convolve(holograms[frames], kernels)
         lit = range(self._lit_frames())[frames]
-        colours = lit if holograms.shape[2] > 1 else [0] * len(lit)
-        holograms = torch.stack([holograms[frame, :, [colour]] for frame, colour in zip(lit, colours, strict=True)])
+        if holograms.shape[2] > 1:
+            holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
+        holograms = holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
         return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None])
 
     def exposures(self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None) -> torch.Tensor:
@@ -283,7 +284,7 @@ class propagator(display_volume):
         powers = (self.get_laser_powers() if powers is None else powers).to(fields.real.dtype)
         if not self._one_source_per_frame:
             return exposure(fields, powers)
-        light = (intensity(fields[:, :, 0]) * powers.diagonal().square()[:, None, None, None]).transpose(0, 1)
+        light = exposure(fields, powers.diagonal()[:, None], one_each=True)
         dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
         return torch.cat([light, dark], 1) if dark.numel() else light
 

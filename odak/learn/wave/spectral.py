@@ -17,6 +17,7 @@ _BLOCKED_FROM = 1 << 20
 # Small parts stay in the cache; but each is a meeting of all threads, which costs milliseconds on a busy machine.
 # 4 MB is as quick as 1 MB on an idle one and several times quicker when something else runs.
 _BLOCK_BYTES = 1 << 22
+_CACHE_LINE = 64
 
 _scratch = threading.local()
 
@@ -127,54 +128,79 @@ def _filter_one(field, kernel, result, adjoint):
     """
     lines = _rows_to_spectra(field, kernel.shape[-1])
     for part in _parts(*reversed(kernel.shape), field):
-        column = torch.fft.fft(_padded_columns(lines[:, part], kernel.shape[-2]))
-        lines[:, part] = torch.fft.ifft(column.mul_(_factor(kernel, part, adjoint)))[:, : len(field)].mT
+        column = _columns_to_spectra(lines, part, kernel.shape[-2], adjoint)
+        _spectra_to_columns(column.mul_(kernel[:, part].mT), lines, part, adjoint)
     _spectra_to_rows(lines, result)
 
 
 def _scatter(group, adjoint):
-    """Write one field filtered by several kernels into as many results; its spectrum is computed once."""
+    """Write one field filtered by several kernels into as many results; its spectrum is computed once.
+
+    Part by part, so that a part of the spectrum is in the cache when the kernels come by.
+    """
     field, first, _ = group[0]
     height, width = first.shape
     lines = _rows_to_spectra(field, width)
-    spectrum = _buffer("spectrum", (width, height), field.dtype)
+    filtered = [_lines(field, width) for _ in group]
     for part in _parts(width, height, field):
-        spectrum[part] = torch.fft.fft(_padded_columns(lines[:, part], height))
-    for _, kernel, result in group:
-        for part in _parts(width, height, field):
-            column = _buffer("block", spectrum[part].shape, field.dtype)
-            torch.mul(spectrum[part], _factor(kernel, part, adjoint), out=column)
-            lines[:, part] = torch.fft.ifft(column)[:, : len(field)].mT
-        _spectra_to_rows(lines, result)
+        column = _columns_to_spectra(lines, part, height, adjoint)
+        for (_, kernel, _), target in zip(group, filtered, strict=True):
+            product = _buffer("block", column.shape, field.dtype)
+            torch.mul(column, kernel[:, part].mT, out=product)
+            _spectra_to_columns(product, target, part, adjoint)
+    for (_, _, result), target in zip(group, filtered, strict=True):
+        _spectra_to_rows(target, result)
 
 
 def _gather(group, adjoint):
     """Write the sum of several filtered fields into their one result; their spectra are summed."""
     _, first, result = group[0]
     height, width = first.shape
-    spectrum = _buffer("spectrum", (width, height), result.dtype).zero_()
-    for field, kernel, _ in group:
-        lines = _rows_to_spectra(field, width)
-        for part in _parts(width, height, field):
-            column = torch.fft.fft(_padded_columns(lines[:, part], height))
-            spectrum[part].addcmul_(column, _factor(kernel, part, adjoint))
+    incoming = [_rows_to_spectra(field, width, _lines(field, width)) for field, _, _ in group]
+    lines = _lines(result, width, kept=True)
     for part in _parts(width, height, result):
-        lines[:, part] = torch.fft.ifft(spectrum[part])[:, : len(result)].mT
+        total = None
+        for (_, kernel, _), source in zip(group, incoming, strict=True):
+            column = _columns_to_spectra(source, part, height, adjoint)
+            factor = kernel[:, part].mT
+            total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
+        _spectra_to_columns(total, lines, part, adjoint)
     _spectra_to_rows(lines, result)
 
 
-def _factor(kernel, part: slice, adjoint):
-    """Return some columns of a kernel as rows."""
-    factor = kernel[:, part].mT
-    return factor.conj() if adjoint else factor
+def _columns_to_spectra(lines, part: slice, height: int, adjoint) -> torch.Tensor:
+    """Return the transforms of some columns, continued by zeros to `height`, as rows; for the adjoint, conjugate.
+
+    The conjugate spectrum times the kernel is the conjugate of what the conjugate kernel gives, and takes one pass
+    less: conj(F u) = N·F⁻¹ conj(u), and the copy of u may conjugate it on its way.
+    """
+    if adjoint:
+        return torch.fft.ifft(_padded_columns(lines[:, part].conj(), height))
+    return torch.fft.fft(_padded_columns(lines[:, part], height))
 
 
-def _rows_to_spectra(field, width: int) -> torch.Tensor:
-    """Return the transforms of a field's rows, continued by zeros to `width`, in memory of this thread."""
-    lines = _buffer("lines", (len(field), width), field.dtype)
+def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
+    """Write the columns that have these transforms, rows of a part, to their place in `lines`."""
+    columns = torch.fft.fft(spectra).conj() if adjoint else torch.fft.ifft(spectra)
+    lines[:, part] = columns[:, : len(lines)].mT
+
+
+def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> torch.Tensor:
+    """Return the transforms of a field's rows, continued by zeros to `width`, in the memory given or this thread's."""
+    lines = _lines(field, width, kept=True) if lines is None else lines
     for part in _parts(len(field), width, field):
         lines[part] = torch.fft.fft(field[part], n=width)
     return lines
+
+
+def _lines(field, width: int, kept: bool = False) -> torch.Tensor:
+    """Return memory for the transforms of a field's rows: fresh, or that which this thread keeps.
+
+    Rows start an odd number of cache lines apart, so that a column spreads over the whole cache: three times as quick.
+    """
+    per_line = max(1, _CACHE_LINE // field.element_size())
+    shape = (len(field), (-(-width // per_line) | 1) * per_line)
+    return (_buffer("lines", shape, field.dtype) if kept else field.new_empty(shape))[:, :width]
 
 
 def _spectra_to_rows(lines, result):

@@ -1,0 +1,307 @@
+"""Losses and contrasts of images, differentiable unless said otherwise."""
+
+import operator
+from collections.abc import Sequence
+
+import torch
+
+from odak import _validate
+
+
+def total_variation_loss(frame: torch.Tensor) -> torch.Tensor:
+    """Return (Σ dx² + Σ dy²)/(B·C·H·W), dx and dy being the differences between neighbours.
+
+    Parameters
+    ----------
+    frame : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the frame has other axes or is not real.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import total_variation_loss
+    >>> total_variation_loss(torch.tensor([[0.0, 1.0], [2.0, 4.0]])).item()
+    4.5
+    """
+    frame = _as_batch("frame", frame)
+    return sum((difference**2).sum() for difference in _differences(frame)) / frame.numel()
+
+
+def multi_scale_total_variation_loss(frame: torch.Tensor, levels: int = 3) -> torch.Tensor:
+    """Return the sum of :func:`total_variation_loss` over a frame and its smaller copies.
+
+    Parameters
+    ----------
+    frame : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+    levels : int
+        Number of sizes; each takes every second sample of the one before.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the frame has other axes, is not real or is too small for so many levels.
+    """
+    frame = _as_batch("frame", frame)
+    levels = _validate.integer("levels", levels, minimum=1)
+    if min(frame.shape[-2:]) >> (levels - 1) == 0:
+        raise ValueError(f"levels must leave a sample of a frame of {tuple(frame.shape[-2:])}, got {levels}")
+    loss = total_variation_loss(frame)
+    for _ in range(levels - 1):
+        rows, columns = (2 * (n // 2) for n in frame.shape[-2:])
+        frame = frame[..., :rows:2, :columns:2]
+        loss = loss + total_variation_loss(frame)
+    return loss
+
+
+def spatial_gradient(frame: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the differences between neighbours.
+
+    Parameters
+    ----------
+    frame : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Right minus left ``[B, C, H, W − 1]`` and lower minus upper ``[B, C, H − 1, W]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the frame has other axes or is not real.
+    """
+    return _differences(_as_batch("frame", frame))
+
+
+def radial_basis_function(value: torch.Tensor, epsilon: float = 0.5) -> torch.Tensor:
+    """Return the Gaussian radial basis function exp(−(ε·x)²) of each value.
+
+    Parameters
+    ----------
+    value : torch.Tensor
+        Distances x, of any shape.
+    epsilon : float
+        Inverse width ε.
+
+    Returns
+    -------
+    torch.Tensor
+        1 at x = 0, of the shape of `value`.
+    """
+    return torch.exp(-((epsilon * value) ** 2))
+
+
+def histogram_loss(
+    frame: torch.Tensor,
+    ground_truth: torch.Tensor,
+    bins: int = 32,
+    limits: Sequence[float] = (0.0, 1.0),
+    *,
+    soft: bool = False,
+) -> torch.Tensor:
+    """Return the mean squared difference of two histograms, in counts, over channels and bins.
+
+    Parameters
+    ----------
+    frame, ground_truth : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]`` with as many channels each; a batch is counted together.
+    bins : int
+        Number of bins.
+    limits : sequence of float
+        Lower and upper limit. Values outside do not count; the upper limit belongs to the last bin.
+    soft : bool
+        Share each value between the two bins whose centres enclose it, which makes the loss differentiable. Counts
+        of whole values have no gradient.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    bins = _validate.integer("bins", bins, minimum=1)
+    low, high = _checked_limits(limits)
+    frame, ground_truth = _as_batch("frame", frame), _as_batch("ground_truth", ground_truth)
+    if frame.shape[1] != ground_truth.shape[1]:
+        raise ValueError(
+            f"frame and ground_truth must have as many channels, got {frame.shape[1]} and {ground_truth.shape[1]}"
+        )
+    one, two = (_histogram(values, bins, low, high, soft) for values in (frame, ground_truth))
+    return ((one - two) ** 2).mean()
+
+
+def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
+    """Return Weber's contrast (H − L)/L of the mean values H and L in two regions.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+    roi_high, roi_low : sequence of int
+        Regions ``[first row, last row + 1, first column, last column + 1]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[C]``, or ``[B, C]`` when there are several images; infinite or not a number where L = 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a region is empty or leaves the image, or the image has other axes.
+    """
+    high, low = _region_means(image, roi_high, roi_low)
+    return (high - low) / low
+
+
+def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
+    """Return Michelson's contrast (H − L)/(H + L) of the mean values H and L in two regions.
+
+    Parameters, result and errors are those of :func:`weber_contrast`; not a number where H + L = 0.
+    """
+    high, low = _region_means(image, roi_high, roi_low)
+    return (high - low) / (high + low)
+
+
+def wrapped_mean_squared_error(
+    image: torch.Tensor, ground_truth: torch.Tensor, reduction: str = "mean"
+) -> torch.Tensor:
+    """Return the squared distance of angles on the unit circle, (sin a − sin b)² + (cos a − cos b)² = 2 − 2·cos(a − b).
+
+    Parameters
+    ----------
+    image, ground_truth : torch.Tensor
+        Angles in radians, of one shape.
+    reduction : {"mean", "sum"}
+        How values are put together.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes; 0 where the angles differ by whole turns.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, the angles are not real tensors, or the reduction is not known.
+    """
+    reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
+    _same_shape("image", image, "ground_truth", ground_truth)
+    # 2 − 2·cos δ = 4·sin²(δ/2), which keeps its digits at small δ.
+    squared = 4 * torch.sin((image - ground_truth) / 2) ** 2
+    return squared.mean() if reduction == "mean" else squared.sum()
+
+
+def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.0) -> torch.Tensor:
+    """Return the peak signal-to-noise ratio 10·log₁₀(peak²/MSE) in decibels, over all values.
+
+    Parameters
+    ----------
+    image, ground_truth : torch.Tensor
+        Of one shape.
+    peak_value : float
+        Largest value that the image could have.
+
+    Returns
+    -------
+    torch.Tensor
+        Decibels, without axes; infinite for equal images, where it has no gradient.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ or the peak is not positive.
+    """
+    _same_shape("image", image, "ground_truth", ground_truth)
+    _validate.real("peak_value", peak_value, positive=True)
+    image, ground_truth = (value if value.is_floating_point() else value.float() for value in (image, ground_truth))
+    return 10 * torch.log10(peak_value**2 / (image - ground_truth).square().mean())
+
+
+def _differences(batch):
+    return batch[..., 1:] - batch[..., :-1], batch[..., 1:, :] - batch[..., :-1, :]
+
+
+def _as_batch(name, frame):
+    """Return a real frame as ``[B, C, H, W]``, integers as float32."""
+    if not isinstance(frame, torch.Tensor) or frame.is_complex():
+        raise TypeError(f"{name} must be a real tensor, got {getattr(frame, 'dtype', type(frame).__name__)}")
+    if frame.ndim not in (2, 3, 4) or 0 in frame.shape:
+        raise ValueError(f"{name} must be [H, W], [C, H, W] or [B, C, H, W], none empty; got {tuple(frame.shape)}")
+    frame = frame if frame.is_floating_point() else frame.float()
+    return frame.reshape((1,) * (4 - frame.ndim) + tuple(frame.shape))
+
+
+def _checked_limits(limits):
+    limits = _validate.numbers(_validate.real("limits", limits))
+    if len(limits) != 2 or not limits[0] < limits[1]:
+        raise ValueError(f"limits must be two rising numbers, got {limits}")
+    return limits
+
+
+def _same_shape(name, value, other_name, other):
+    for key, tensor in ((name, value), (other_name, other)):
+        if not isinstance(tensor, torch.Tensor) or tensor.is_complex():
+            raise TypeError(f"{key} must be a real tensor, got {getattr(tensor, 'dtype', type(tensor).__name__)}")
+    if value.shape != other.shape:
+        raise ValueError(
+            f"{name} and {other_name} must have one shape, got {tuple(value.shape)} and {tuple(other.shape)}"
+        )
+
+
+def _histogram(batch, bins, low, high, soft):
+    """Return counts ``[C, bins]``."""
+    values = batch.movedim(1, 0).reshape(batch.shape[1], -1)
+    inside = ((values >= low) & (values <= high)).to(values.dtype)
+    # Values that do not count weigh nothing, but their index must exist.
+    place = (values.nan_to_num().clamp(low, high) - low) / (high - low) * bins
+    counts = values.new_zeros(batch.shape[1], bins)
+    if not soft:
+        return counts.scatter_add(1, place.detach().long().clamp(max=bins - 1), inside)
+    place = place - 0.5
+    lower = place.detach().floor()
+    share = (place - lower) * inside
+    lower = lower.long()
+    counts = counts.scatter_add(1, (lower + 1).clamp(max=bins - 1), share)
+    return counts.scatter_add(1, lower.clamp(min=0), inside - share)
+
+
+def _region_means(image, *regions):
+    batch = _as_batch("image", image)
+    means = []
+    for name, region in zip(("roi_high", "roi_low"), regions, strict=True):
+        top, bottom, left, right = _checked_region(name, region, batch.shape[-2:])
+        mean = batch[..., top:bottom, left:right].mean((-2, -1))
+        means.append(mean[0] if len(mean) == 1 else mean)
+    return means
+
+
+def _checked_region(name, region, size):
+    region = [operator.index(edge) for edge in region]
+    if len(region) != 4:
+        raise ValueError(f"{name} must be [first row, last row + 1, first column, last column + 1], got {region}")
+    top, bottom, left, right = region
+    if not (0 <= top < bottom <= size[0] and 0 <= left < right <= size[1]):
+        raise ValueError(f"{name} must lie inside the image of {tuple(size)} and not be empty, got {region}")
+    return region

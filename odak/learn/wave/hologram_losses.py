@@ -1,0 +1,94 @@
+"""What hologram optimizers aim at: targets, the weights of losses, and how a given loss is called."""
+
+import inspect
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak import _validate
+
+WEIGHTS = {"image": 1.0, "light": 1.0, "eyebox": 1.0, "phase": 0.0}
+_OLDER_ORDER = ("image", "light", "phase", "eyebox")
+_OF_A_PLANE = {"plane_id", "noise_ratio", "inject_noise"}
+
+
+def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dict[str, float]) -> dict[str, float]:
+    """Return the weight of each loss.
+
+    Parameters
+    ----------
+    given : dict or sequence of float, optional
+        Weights by name, or in the older order image, light, phase, eyebox.
+    defaults : dict
+        Weights of those that are not given.
+
+    Returns
+    -------
+    dict
+        A weight for "image", "light", "eyebox" and "phase".
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a loss is not known, or a weight is negative or not finite.
+    """
+    if given is None:
+        return dict(defaults)
+    if not isinstance(given, dict):
+        if len(given) > len(_OLDER_ORDER):
+            raise ValueError(f"weights must be at most {len(_OLDER_ORDER)} ({', '.join(_OLDER_ORDER)}), got {given!r}")
+        # A loss that the older form leaves out has no weight.
+        given = dict.fromkeys(_OLDER_ORDER, 0.0) | dict(zip(_OLDER_ORDER, given, strict=False))
+    unknown = sorted(set(given) - set(defaults))
+    if unknown:
+        raise ValueError(f"weights must be of {', '.join(defaults)}; got {', '.join(map(repr, unknown))}")
+    for name, value in given.items():
+        if _validate.real(f"weights[{name!r}]", value) < 0:
+            raise ValueError(f"weights[{name!r}] must not be negative, got {value}")
+    return defaults | {name: float(value) for name, value in given.items()}
+
+
+def keywords_of(loss: Callable) -> set[str]:
+    """Return which of `plane_id`, `noise_ratio` and `inject_noise` a loss takes."""
+    parameters = inspect.signature(loss.forward if isinstance(loss, torch.nn.Module) else loss).parameters
+    anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+    return _OF_A_PLANE if anything else _OF_A_PLANE & set(parameters)
+
+
+def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: torch.Tensor, reduction: str) -> torch.Tensor:
+    """Return how far source powers are from what the brightest pixels need, and how near a frame is to darkness.
+
+    Parameters
+    ----------
+    powers : torch.Tensor
+        Amplitudes of the sources ``[F, C]``.
+    targets : torch.Tensor
+        Intensities ``[D, C, ms, ns]``.
+    peak : torch.Tensor
+        Brightness of the targets.
+    reduction : {"sum", "mean"}
+        How colours are put together.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes (Kavaklı et al. 2023, section 3).
+    """
+    brightest = targets.amax((0, 2, 3)) * peak
+    per_colour = (powers.sum(0) - brightest).square()
+    whole = (powers.sum() - len(powers) * peak).square()
+    return (per_colour.mean() if reduction == "mean" else per_colour.sum()) + whole + powers.sum(1).amin().cos()
+
+
+def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return intensities after checking their shape and that they are finite and not negative."""
+    if not isinstance(targets, torch.Tensor) or not targets.is_floating_point():
+        kind = getattr(targets, "dtype", type(targets).__name__)
+        raise TypeError(f"targets must be a real floating tensor, got {kind}")
+    if tuple(targets.shape) != shape:
+        raise ValueError(f"targets must be {shape}, got {tuple(targets.shape)}")
+    if not bool(targets.isfinite().all()):
+        raise ValueError("targets must be finite, got NaN or infinite values")
+    if bool((targets < 0).any()):
+        raise ValueError(f"targets must not be negative, got {targets.min().item()}")
+    return targets.detach()

@@ -1,0 +1,429 @@
+"""Phase patterns shown in sequence, each lit by several colours at once, that together make colour images on planes."""
+
+import os
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak import _validate
+from odak.learn.tools.file import torch_load
+from odak.learn.wave.camera_in_the_loop import captured_by, seen
+from odak.learn.wave.fields import squared_error
+from odak.learn.wave.hologram_losses import WEIGHTS, checked_targets, keywords_of, light_loss, loss_weights
+from odak.learn.wave.masks import disc
+from odak.learn.wave.phase_constraints import checkerboard, double_phase_roughness, eyebox_loss, roughness, zero_mean
+from odak.learn.wave.phase_levels import TURN, even_levels
+from odak.learn.wave.propagators import propagator as propagator_type
+from odak.learn.wave.training import Options, cosine, minimise
+
+METHODS = ("conventional", "multi-color", "full_complex_conventional", "full_complex_multi-color")
+
+
+class multi_color_hologram_optimizer:
+    """Optimizer of F phase patterns and of the powers at which C colours light each, for images on D planes.
+
+    Parameters
+    ----------
+    wavelengths : sequence of float
+        Wavelengths of the C light sources in metres, as in the propagator.
+    resolution : sequence of int
+        Rows m and columns n of the modulator, as in the propagator.
+    targets : torch.Tensor
+        Intensities to show, ``[D, C, ms, ns]``, 0 … 1.
+    propagator : odak.learn.wave.propagator
+        The display. It takes over `method` and the source powers found.
+    number_of_frames, number_of_depth_layers : int
+        F and D, as in the propagator.
+    learning_rate : float
+        Step of Adam in radians, which falls to `min_learning_rate` along a cosine.
+    min_learning_rate : float, optional
+        1 % of `learning_rate` by default.
+    double_phase : bool
+        When the phase loss has a weight, hold the pattern to a double phase, else to a smooth one.
+    scale_factor : int
+        Samples s per pixel, as `resolution_factor` in the propagator.
+    method : str
+        "conventional" (one source per frame), "multi-color" (powers learned), or either with "full_complex_" before it
+        (the amplitude of the light on the modulator is learned too).
+    channel_power_filename : str
+        File of a tensor ``[F, C]`` of powers to start from, clipped to 0 … 1.
+    device : torch.device, optional
+        Where to compute; that of the propagator by default.
+    loss_function : callable, optional
+        ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
+        keywords it does not know are left out. The squared error by default.
+    peak_amplitude : float
+        Brightness of the targets, in units of what a source of power one gives where light is spread evenly.
+    optimize_peak_amplitude : bool
+        Learn that brightness.
+    img_loss_thres : float
+        Taken for the sake of older callers, and not used.
+    reduction : {"sum", "mean"}
+        How the losses of pixels and planes are put together.
+    camera : callable, optional
+        ``camera(phases)`` shows phases ``[F, m, n]`` on the real display and returns the intensities it captures,
+        ``[D, C, ms, ns]``. The loss is then that of the captured images (camera in the loop).
+    initial_phase : torch.Tensor, optional
+        Phases to start from, ``[F, m, n]``; random over several turns by default.
+    progress, callback, checkpoint, checkpoint_every, seed
+        As in :func:`odak.learn.wave.stochastic_gradient_descent`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range or does not fit the propagator, naming it.
+
+    Notes
+    -----
+    Kavaklı et al., Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia (2023), section 3.
+    Frames, colours and planes are propagated together; with a `memory_budget` in the propagator planes go in chunks.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import multi_color_hologram_optimizer, propagator
+    >>> colours = [639e-9, 515e-9, 473e-9]
+    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, propagator_type="forward", volume_depth=0)
+    >>> optimizer = multi_color_hologram_optimizer(colours, [32, 32], torch.rand(1, 3, 32, 32), display, seed=0)
+    >>> amplitudes, phases, images, powers, _, peak = optimizer.optimize(2)
+    >>> phases.shape, images.shape, powers.shape
+    (torch.Size([3, 32, 32]), torch.Size([3, 1, 3, 32, 32]), torch.Size([3, 3]))
+    """
+
+    _title = "multi-colour hologram"
+
+    def __init__(
+        self,
+        wavelengths: Sequence[float],
+        resolution: Sequence[int],
+        targets: torch.Tensor,
+        propagator: propagator_type,
+        number_of_frames: int = 3,
+        number_of_depth_layers: int = 1,
+        learning_rate: float = 2e-2,
+        min_learning_rate: float | None = None,
+        double_phase: bool = True,
+        scale_factor: int = 1,
+        method: str = "multi-color",
+        channel_power_filename: str = "",
+        device: torch.device | None = None,
+        loss_function: Callable | None = None,
+        peak_amplitude: float = 1.0,
+        optimize_peak_amplitude: bool = False,
+        img_loss_thres: float = 2e-3,
+        reduction: str = "sum",
+        *,
+        camera: Callable | None = None,
+        initial_phase: torch.Tensor | None = None,
+        progress: bool = True,
+        callback: Callable | None = None,
+        checkpoint: str | os.PathLike | None = None,
+        checkpoint_every: int = 50,
+        seed: int | None = None,
+    ):
+        self.propagator = propagator if device is None else propagator.to(device)
+        self.device = propagator.device
+        self.number_of_frames, self.number_of_depth_layers = number_of_frames, number_of_depth_layers
+        self.wavelengths, self.resolution, self.scale_factor = list(wavelengths), list(resolution), scale_factor
+        self.method = _validate.one_of("method", method.replace(" ", "_"), METHODS)
+        self._check_display()
+        shape = (self.number_of_depth_layers, len(self.wavelengths), *propagator.field_shape)
+        self.targets = checked_targets(targets, shape).to(self.device)
+        self.double_phase = double_phase
+        self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        lowest = learning_rate / 100 if min_learning_rate is None else min_learning_rate
+        self.min_learning_rate = _validate.real("min_learning_rate", lowest)
+        self.channel_power_filename = channel_power_filename
+        self._peak, self.optimize_peak_amplitude = peak_amplitude, optimize_peak_amplitude
+        self.img_loss_thres, self.camera = img_loss_thres, camera
+        self.options = Options(progress, callback, checkpoint, checkpoint_every, seed)
+        self._generator = None if seed is None else torch.Generator().manual_seed(_validate.integer("seed", seed))
+        self.init_loss_function(loss_function, reduction)
+        self.init_phase_scale()
+        self.init_channel_power()
+        self.init_amplitude()
+        self.init_peak_amplitude_scale()
+        self.init_phase()
+        if initial_phase is not None:
+            self._start_from(initial_phase)
+
+    def _check_display(self):
+        display = self.propagator
+        for name, ours, theirs in (
+            ("wavelengths", [float(w) for w in self.wavelengths], _validate.numbers(display.wavelengths)),
+            ("resolution", self.resolution, display.resolution),
+            ("number_of_frames", self.number_of_frames, display.number_of_frames),
+            ("number_of_depth_layers", self.number_of_depth_layers, display.number_of_depth_layers),
+            ("scale_factor", self.scale_factor, display.resolution_factor),
+        ):
+            if ours != theirs:
+                raise ValueError(f"{name} must be the propagator's {theirs}, got {ours}")
+
+    def init_peak_amplitude_scale(self) -> None:
+        """Set the brightness of the targets, learned if asked."""
+        peak = _validate.real("peak_amplitude", self._peak, positive=True)
+        self.peak_amplitude = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
+        self.peak_amplitude.requires_grad_(self.optimize_peak_amplitude)
+
+    def init_phase_scale(self) -> None:
+        """Take over the propagator's scale of the phase at each colour."""
+        self.phase_scale = self.propagator.phase_scale
+
+    def init_amplitude(self) -> None:
+        """Set the amplitude of the light on the modulator to one, ``[C, ms, ns]``, learned if the method says so."""
+        shape = (len(self.wavelengths), *self.propagator.field_shape)
+        self.amplitude = torch.zeros(shape, dtype=self.targets.dtype, device=self.device)
+        # Light comes from the pixels, not from between them.
+        self.amplitude[:, :: self.scale_factor, :: self.scale_factor] = 1
+        self.amplitude.requires_grad_(self.method.startswith("full_complex"))
+
+    def init_phase(self) -> None:
+        """Start from phases spread over several turns, ``[F, m, n]``, and an offset for each frame."""
+        shape = (self.number_of_frames, *self.resolution)
+        self.phase = self._leaf(TURN * self._drawn(torch.randn, shape))
+        self.phase_offset = self._leaf(self._drawn(torch.randn, shape[:1]))
+
+    def _drawn(self, draw, shape):
+        # On the CPU, so that a seed gives the same start on every device.
+        return draw(shape, generator=self._generator, dtype=self.targets.dtype)
+
+    def _leaf(self, values):
+        return values.to(self.device).requires_grad_()
+
+    def _start_from(self, phase):
+        if tuple(phase.shape) != tuple(self.phase.shape):
+            raise ValueError(f"initial_phase must be {tuple(self.phase.shape)}, got {tuple(phase.shape)}")
+        self.phase = self._leaf(phase.detach().to(self.phase.dtype, copy=True))
+
+    def init_channel_power(self) -> None:
+        """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
+        shape = (self.number_of_frames, len(self.wavelengths))
+        learned = self.method.endswith("multi-color")
+        powers = torch.ones(shape) if learned else torch.eye(*shape)
+        if self.channel_power_filename:
+            powers = torch_load(self.channel_power_filename).clamp(0, 1)
+        self.propagator.method = self.method.replace("_", " ")
+        self.channel_power = powers.to(self.device, self.targets.dtype).requires_grad_(learned)
+        self.propagator.set_laser_powers(self.channel_power)
+
+    def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
+        """Set the loss of an image, and how those of planes and pixels are put together."""
+        self.loss_function = loss_function
+        self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
+        if loss_function is not None:
+            self._loss_keywords = keywords_of(loss_function)
+
+    def init_optimizer(self, number_of_iterations: int = 100) -> None:
+        """Gather what is learned, and the learning rate of each iteration."""
+        learned = {
+            "phase": self.phase,
+            "phase_offset": self.phase_offset,
+            "channel_power": self.channel_power,
+            "amplitude": self.amplitude,
+            "peak_amplitude": self.peak_amplitude,
+        }
+        self.parameters = {name: tensor for name, tensor in learned.items() if tensor.requires_grad}
+        self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
+
+    def evaluate(
+        self,
+        input_image: torch.Tensor,
+        target_image: torch.Tensor,
+        plane_id: int = 0,
+        noise_ratio: float = 1e-3,
+        inject_noise: bool = False,
+    ) -> torch.Tensor:
+        """Return the loss of an image against its target.
+
+        Parameters
+        ----------
+        input_image, target_image : torch.Tensor
+            Intensities ``[C, ms, ns]``.
+        plane_id : int
+            Plane, for losses that know planes.
+        noise_ratio : float
+            Standard deviation of the noise as a share of the target's range.
+        inject_noise : bool
+            Add noise to the target.
+
+        Returns
+        -------
+        torch.Tensor
+            The loss; that of a given function is summed over colours.
+        """
+        if self.loss_function is not None:
+            known = {"plane_id": plane_id, "noise_ratio": noise_ratio, "inject_noise": inject_noise}
+            keywords = {name: value for name, value in known.items() if name in self._loss_keywords}
+            pairs = zip(input_image, target_image, strict=True)
+            return sum(self.loss_function(image, target, **keywords) for image, target in pairs)
+        if inject_noise:
+            spread = target_image.amax() - target_image.amin()
+            target_image = target_image + noise_ratio * spread * torch.randn_like(target_image)
+        error = squared_error(input_image, target_image)
+        return error / input_image.numel() if self.reduction == "mean" else error
+
+    def double_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the double phase (phase − offset and phase + offset in checkerboard) and how rough its parts are."""
+        pattern = checkerboard(phase, phase_offset.reshape(-1, 1, 1))
+        return pattern, double_phase_roughness(pattern, levels)
+
+    def direct_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the phase less its mean and the offset, and how rough it is."""
+        pattern = zero_mean(phase) - phase_offset.reshape(-1, 1, 1)
+        return pattern, roughness(pattern, levels)
+
+    def eyebox_constrain(self, phase: torch.Tensor, offset, diameter: float) -> torch.Tensor:
+        """Return how unevenly light fills a disc of the hologram's spectrum, and the share that misses it.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases ``[F, m, n]``.
+        offset : float or sequence of float
+            Distance of the disc's centre from zero frequency, in samples of the spectrum.
+        diameter : float
+            Diameter of the disc in samples of the spectrum.
+        """
+        shift = tuple(offset) if isinstance(offset, Sequence) else (offset, offset)
+        mask = disc(phase.shape[-2:], _validate.real("diameter", diameter, positive=True) / 2, shift)
+        if not bool(mask.any()):
+            raise ValueError(f"eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}")
+        return eyebox_loss(phase, torch.fft.ifftshift(mask).to(phase))
+
+    def gradient_descent(
+        self,
+        number_of_iterations: int = 100,
+        weights: dict[str, float] | Sequence[float] | None = None,
+        inject_noise: bool = False,
+        eyebox: dict | None = None,
+        noise_ratio: float = 1e-3,
+    ) -> torch.Tensor:
+        """Return the optimized phases ``[F, m, n]``; parameters as in :meth:`optimize`, the eyebox not weighed."""
+        iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
+        self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
+        self._eyebox = {"offset": 0.0, "diameter": 100} | (eyebox or {})
+        self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
+        self.init_optimizer(iterations)
+        about = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
+        minimise(
+            self.parameters, self._gradient, iterations, self.learning_rates, self.options,
+            description=self._title, about=about,
+        )  # fmt: skip
+        with torch.no_grad():
+            self.propagator.set_laser_powers(self.channel_power.detach())
+            return self._pattern()[0].detach()
+
+    def optimize(
+        self,
+        number_of_iterations: int = 100,
+        weights: dict[str, float] | Sequence[float] | None = None,
+        eyebox: dict | None = None,
+        bits: int | None = 8,
+        inject_noise: bool = False,
+        noise_ratio: float = 1e-3,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:
+        """Optimize, and return the hologram as the modulator shows it.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations.
+        weights : dict, optional
+            Weights of the losses: "image" (1), "light" (1: powers that make the brightest pixel), "eyebox" (1: an
+            evenly filled disc of the Fourier plane) and "phase" (0: a double or a smooth phase); or a list in the
+            older order image, light, phase, eyebox.
+        eyebox : dict, optional
+            Offset and diameter of that disc in samples, ``{"offset": [0, 0], "diameter": 100}``.
+        bits : int, optional
+            Bits of the modulator; None leaves the phase as it is.
+        inject_noise : bool
+            Add noise to the targets in each iteration.
+        noise_ratio : float
+            Its standard deviation as a share of the target's range.
+
+        Returns
+        -------
+        tuple
+            Amplitude of the light on the modulator ``[C, ms, ns]``, phases ``[F, m, n]`` of 2^bits levels over a turn,
+            the intensities they give ``[F, D, C, ms, ns]``, source amplitudes ``[F, C]``, channel powers ``[F, C]``,
+            and the brightness of the targets.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is outside its range, naming it.
+        """
+        weights = loss_weights(weights, WEIGHTS)
+        phases = self.gradient_descent(number_of_iterations, weights, inject_noise, eyebox, noise_ratio)
+        if bits is not None:
+            levels = 2 ** _validate.integer("bits", bits, minimum=1)
+            phases = even_levels(phases, levels) * (TURN / levels)
+        amplitude = torch.relu(self.amplitude).detach()
+        powers = self.propagator.get_laser_powers().detach()
+        peak = float(self.peak_amplitude.detach())
+        return amplitude, phases, self._shown(phases), powers, self.channel_power.detach(), peak
+
+    def _shown(self, phases):
+        """Return the intensities of phases in the light found."""
+        amplitude = torch.relu(self.amplitude).detach() if self.amplitude.requires_grad else None
+        return self.propagator.reconstruct(phases, amplitude)
+
+    def _pattern(self):
+        """Return the phases shown, and the loss of the constraint they are held to (None without)."""
+        if not self.weights["phase"]:
+            return self.phase, None
+        constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain
+        return constrain(self.phase, self.phase_offset)
+
+    def _gradient(self, iteration):
+        phases, phase_loss = self._pattern()
+        amplitude = torch.relu(self.amplitude) if self.amplitude.requires_grad else None
+        powers = self.propagator.get_laser_powers()
+        roots = [self.propagator.holograms(phases, amplitude)] + ([powers] if powers.requires_grad else [])
+        # Planes stop at these, so that each chunk is done with when its slopes have been added to theirs.
+        leaves = [root.detach().requires_grad_() for root in roots]
+        total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers)
+        rest = self._other_losses(phases, phase_loss, powers)
+        reached = [(root, leaf.grad) for root, leaf in zip(roots, leaves, strict=True) if leaf.grad is not None]
+        if rest is not None and rest.requires_grad:
+            reached.append((rest, None))
+        torch.autograd.backward(*zip(*reached, strict=True))
+        return total if rest is None else total + rest.detach()
+
+    def _image_gradient(self, phases, hologram, powers):
+        total = torch.zeros((), dtype=self.targets.dtype, device=self.device)
+        captured = None if self.camera is None else captured_by(self.camera, phases, tuple(self.targets.shape))
+        for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
+            images = self.propagator.exposures(hologram, planes, powers)
+            if captured is not None:
+                images = seen(images, captured[planes])
+            loss = self.weights["image"] * self._image_loss(images, planes)
+            loss.backward()
+            total += loss.detach()
+        return total
+
+    def _image_loss(self, images, planes):
+        # Relative to the brightness sought: were targets scaled by it, darkness would be the best image of all.
+        images = images / self.peak_amplitude if self.optimize_peak_amplitude or self._peak != 1 else images
+        targets = self.targets[planes]
+        share = len(images) / self.number_of_depth_layers if self.reduction == "mean" else 1
+        if self.loss_function is None:
+            return share * self.evaluate(images, targets, **self._noise)
+        ids = range(planes.start, planes.stop)
+        losses = [self.evaluate(*pair, plane, **self._noise) for *pair, plane in zip(images, targets, ids, strict=True)]
+        return share * sum(losses) / (len(losses) if self.reduction == "mean" else 1)
+
+    def _other_losses(self, phases, phase_loss, powers):
+        losses = []
+        if self.weights["light"] and (powers.requires_grad or self.peak_amplitude.requires_grad):
+            loss = light_loss(powers, self.targets, self.peak_amplitude, self.reduction)
+            losses.append(self.weights["light"] * loss)
+        if self.weights["eyebox"]:
+            losses.append(self.weights["eyebox"] * self.eyebox_constrain(phases, **self._eyebox))
+        if phase_loss is not None:
+            losses.append(self.weights["phase"] * phase_loss)
+        return sum(losses) if losses else None
