@@ -27,6 +27,16 @@ __getattr__, __dir__, __all__ = attach(
             "validate_shell_command",
             "write_to_text_file",
         ),
-        "matrix": ("crop_center", "quantize", "zero_pad"),
+        "matrix": ("blur_gaussian", "crop_center", "generate_2d_gaussian", "quantize", "zero_pad"),
+        "transformation": ("rotate_point", "rotate_points", "rotmatx", "rotmaty", "rotmatz", "tilt_towards"),
+        "vector": (
+            "closest_point_to_a_ray",
+            "cross_product",
+            "distance_between_point_clouds",
+            "distance_between_two_points",
+            "point_to_ray_distance",
+            "same_side",
+        ),
+        "zernike": ("noll_to_nm", "osa_to_nm", "zernike_norm", "zernike_polynomial"),
     },
 )

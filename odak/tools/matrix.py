@@ -1,4 +1,4 @@
-"""Padding, cropping and quantising about the centre, for the arrays of any library."""
+"""Padding, cropping, quantising and blurring about the centre, for the arrays of any library."""
 
 from collections.abc import Iterable, Sequence
 
@@ -116,6 +116,101 @@ def quantize(image_field, bits: int = 4):
     if not xp.isdtype(image_field.dtype, "real floating"):
         image_field = xp.astype(image_field, xp.float64)
     return xp.astype(xp.trunc(image_field / 2 ** (8 - bits)), xp.int64)
+
+
+def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0)):
+    """Return a Gaussian kernel that sums to one.
+
+    Parameters
+    ----------
+    kernel_length : sequence of int
+        Intervals along the columns and along the rows (in this order); an axis has one sample more than that.
+    nsigma : sequence of float
+        Standard deviations from the centre to the edge, along the columns and along the rows.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64 ``[kernel_length[1] + 1, kernel_length[0] + 1]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `kernel_length` is not two positive integers or `nsigma` not two positive numbers.
+
+    See Also
+    --------
+    odak.learn.tools.generate_2d_gaussian : Takes its size and its width in samples.
+
+    Examples
+    --------
+    >>> from odak.tools import generate_2d_gaussian
+    >>> generate_2d_gaussian([2, 3], [1, 1]).round(3)[0].tolist()
+    [0.054, 0.088, 0.054]
+    """
+    return _gaussian(kernel_length, nsigma, _array.numpy_namespace, None)
+
+
+def blur_gaussian(
+    field, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
+):
+    """Blur pictures that continue periodically by :func:`generate_2d_gaussian`.
+
+    Parameters
+    ----------
+    field : array
+        Real ``[..., H, W]``.
+    kernel_length, nsigma : sequence
+        As in :func:`generate_2d_gaussian`; the kernel must not be larger than the picture.
+    normalize : bool
+        Divide each result by its largest value, as this function has always done. False keeps the picture's sum.
+
+    Returns
+    -------
+    array
+        ``[..., H, W]`` of the same library and precision (float64 from integers); differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    See Also
+    --------
+    odak.learn.tools.blur_gaussian : Surrounds the picture with zeros.
+    """
+    _validate.image("field", field)
+    if "complex" in str(field.dtype):
+        raise TypeError(f"field must be a real array, got {field.dtype}")
+    xp = _array.namespace(field)
+    if not xp.isdtype(field.dtype, "real floating"):
+        field = xp.astype(field, xp.float64)
+    kernel = _gaussian(kernel_length, nsigma, xp, _array.device_of(field))
+    if any(small > large for small, large in zip(kernel.shape, field.shape[-2:], strict=True)):
+        raise ValueError(
+            f"kernel_length must give a kernel no larger than the field {tuple(field.shape[-2:])}, "
+            f"got one of {tuple(kernel.shape)}"
+        )
+    kernel = xp.fft.ifftshift(zero_pad(kernel, field.shape[-2:]), axes=(-2, -1))
+    spectrum = xp.fft.fftn(_array.to_complex(field), axes=(-2, -1))
+    kernel = xp.astype(kernel, spectrum.dtype)
+    blurred = xp.real(xp.fft.ifftn(spectrum * xp.fft.fftn(kernel, axes=(-2, -1)), axes=(-2, -1)))
+    if not normalize:
+        return blurred
+    peak = xp.max(blurred, axis=(-2, -1), keepdims=True)
+    return blurred / xp.where(peak > 0, peak, xp.ones_like(peak))
+
+
+def _gaussian(kernel_length, nsigma, xp, device):
+    columns, rows = _validate.size("kernel_length", kernel_length)
+    widths = _validate.numbers(_validate.real("nsigma", nsigma, positive=True))
+    if len(widths) != 2:
+        raise ValueError(f"nsigma must be two positive numbers, got {nsigma!r}")
+    x, y = (
+        xp.exp(-0.5 * xp.linspace(-width, width, count + 1, dtype=xp.float64, device=device) ** 2)
+        for count, width in zip((columns, rows), widths, strict=True)
+    )
+    return y[:, None] * x[None, :] / (xp.sum(y) * xp.sum(x))
 
 
 def _last_two(size):

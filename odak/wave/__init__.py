@@ -5,6 +5,7 @@ from odak._lazy import attach
 __getattr__, __dir__, __all__ = attach(
     __name__,
     {
+        "aberrations": ("zernike_basis", "zernike_phase"),
         "classical": (
             "adaptive_sampling_angular_spectrum",
             "angular_spectrum",
@@ -25,6 +26,7 @@ __getattr__, __dir__, __all__ = attach(
             "transfer_function_fresnel",
         ),
         "double_phase": ("compose_double_phase", "decompose_double_phase"),
+        "incoherent_propagation": ("incoherent_focal_stack_rgbd",),
         "kernel_cache": ("clear_kernel_cache", "set_kernel_cache_size"),
         "kernels": ("get_propagation_kernel",),
         "lens": (
@@ -37,7 +39,10 @@ __getattr__, __dir__, __all__ = attach(
             "quadratic_phase_function",
         ),
         "methods": ("PROPAGATION_TYPES",),
+        "partial_coherence": ("disk_source", "gaussian_spectrum", "propagate_partially_coherent"),
         "sampling": ("SamplingReport", "sampling_report"),
+        "spots": ("spot_hologram", "uniformity", "weighted_gerchberg_saxton"),
+        "tilted": ("propagate_to_tilted_plane",),
         "utils": (
             "add_phase",
             "add_random_phase",
@@ -53,5 +58,6 @@ __getattr__, __dir__, __all__ = attach(
             "wavenumber",
         ),
         "vector": ("electric_field_per_plane_wave", "propagate_field", "propagate_plane_waves"),
+        "windows": ("propagate_to_window",),
     },
 )

@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 import odak.tools
-from odak.tools.matrix import crop_center, quantize, zero_pad
+from odak.tools.matrix import blur_gaussian, crop_center, generate_2d_gaussian, quantize, zero_pad
 
 sides = st.integers(1, 9)
 
@@ -102,3 +103,40 @@ def test_conversions_both_ways(random):
     assert counts.dtype == torch.int64
     with pytest.raises(TypeError, match=r"torch\.int64"):
         odak.tools.convert_to_torch(np.arange(3))
+
+
+def test_gaussian_kernel():
+    worked = [[0.053537, 0.088267, 0.053537], [0.083497, 0.137664, 0.083497]]
+    kernel = generate_2d_gaussian([2, 3], [1, 1])
+    np.testing.assert_allclose(kernel, worked + worked[::-1], atol=5e-7)
+    # Rows follow the second length, and nsigma counts standard deviations to the edge.
+    kernel = generate_2d_gaussian([6, 8], [3, 2])
+    y, x = np.linspace(-2, 2, 9)[:, None], np.linspace(-3, 3, 7)
+    expected = np.exp(-(x**2 + y**2) / 2)
+    np.testing.assert_allclose(kernel, expected / expected.sum(), rtol=1e-13)
+
+
+def test_gaussian_blur(as_array, random):
+    field = random.random((2, 7, 10))
+    kernel = generate_2d_gaussian([4, 2], [2, 1])
+    expected = np.stack([ndimage.convolve(plane, kernel, mode="wrap") for plane in field])
+    blurred = blur_gaussian(as_array(field), [4, 2], [2, 1], normalize=False)
+    np.testing.assert_allclose(np.asarray(blurred), expected, rtol=1e-12)
+    brightest = np.asarray(blur_gaussian(as_array(field), [4, 2], [2, 1]))
+    np.testing.assert_allclose(brightest, expected / expected.max((-2, -1), keepdims=True), rtol=1e-12)
+    for dtype, result in ((np.float32, np.float32), (np.uint8, np.float64)):
+        blurred = np.asarray(blur_gaussian(as_array((255 * field).astype(dtype)), [4, 2], normalize=False))
+        assert blurred.dtype == result
+    assert not np.asarray(blur_gaussian(as_array(0 * field), [4, 2])).any()
+
+
+def test_gaussians_refused():
+    for wrong, message in (({"kernel_length": [0, 3]}, "kernel_length"), ({"nsigma": [1, 0]}, "nsigma")):
+        with pytest.raises(ValueError, match=message):
+            generate_2d_gaussian(**wrong)
+    with pytest.raises(ValueError, match="nsigma must be two positive numbers"):
+        generate_2d_gaussian(nsigma=[1, 2, 3])
+    with pytest.raises(ValueError, match="kernel no larger than the field"):
+        blur_gaussian(np.ones((4, 4)), [4, 3])
+    with pytest.raises(TypeError, match="field must be a real array"):
+        blur_gaussian(np.ones((4, 4), complex), [2, 2])

@@ -1,5 +1,6 @@
-"""Padding, cropping and quantising of tensors, the layouts of images included."""
+"""Padding, cropping, quantising and blurring of tensors, the layouts of images included."""
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -8,6 +9,7 @@ from odak import _validate
 from odak.tools import matrix
 
 _MOST_BITS = 30
+_SMALLEST_SIGMA = 1e-5
 
 
 def zero_pad(field: torch.Tensor, size: Sequence[int] | None = None, method: str = "center") -> torch.Tensor:
@@ -96,6 +98,139 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
         raise ValueError(f"limits must be two rising numbers, got {limits!r}")
     levels = (image_field - low) / (high - low) * 2**bits
     return levels.nan_to_num(nan=0.0).clamp(0, 2**bits).to(torch.int32).clamp(max=2**bits - 1)
+
+
+def generate_2d_gaussian(
+    kernel_length: Sequence[int] = (21, 21),
+    nsigma: Sequence[float] = (3.0, 3.0),
+    mu: Sequence[float] = (0.0, 0.0),
+    normalize: bool = False,
+    *,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
+) -> torch.Tensor:
+    """Return a Gaussian: the density exp(−(x − μ)²/(2σ²))/(2πσ₀σ₁), or the one whose largest sample is 1.
+
+    An axis of L samples runs from −L/2 to L/2, so that they are L/(L − 1) apart; a single one sits at 0.
+
+    Parameters
+    ----------
+    kernel_length : sequence of int
+        Rows and columns.
+    nsigma : sequence of float
+        Standard deviations σ along rows and columns, in units of the axes; 0 stands for 1e-5.
+    mu : sequence of float
+        Centre along rows and columns, in units of the axes.
+    normalize : bool
+        Scale the largest sample to 1.
+    dtype : torch.dtype
+        Precision of the result.
+    device : torch.device or str, optional
+        Where the result lives; the CPU by default.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[kernel_length[0], kernel_length[1]]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    See Also
+    --------
+    odak.tools.generate_2d_gaussian : Takes its size in intervals and sums to one.
+    """
+    lengths = _validate.size("kernel_length", kernel_length)
+    rows, columns = _gaussian_lines(lengths, nsigma, mu, "peak" if normalize else "density", device)
+    return (rows[:, None] * columns).to(dtype)
+
+
+def blur_gaussian(
+    field: torch.Tensor,
+    kernel_length: Sequence[int] = (21, 21),
+    nsigma: Sequence[float] = (3.0, 3.0),
+    padding: str | int | Sequence[int] = "same",
+    *,
+    keep_sum: bool = False,
+) -> torch.Tensor:
+    """Blur pictures, zeros around them, by :func:`generate_2d_gaussian`.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Real ``[..., H, W]``; every picture is blurred by itself.
+    kernel_length, nsigma : sequence
+        As in :func:`generate_2d_gaussian`.
+    padding : {"same", "valid"}, int or sequence of int
+        Keep the size, keep only what no border touches, or surround the picture with so many zeros (rows, columns).
+    keep_sum : bool
+        Divide the kernel by its sum. As sampled it does not sum to one, which makes pictures darker or brighter.
+
+    Returns
+    -------
+    torch.Tensor
+        The input's leading axes, precision and device, but ``[1, 1, H, W]`` loses its leading axes. Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    if not isinstance(field, torch.Tensor) or not field.is_floating_point():
+        raise TypeError(f"field must be a real floating tensor, got {getattr(field, 'dtype', type(field).__name__)}")
+    _validate.image("field", field)
+    lengths = _validate.size("kernel_length", kernel_length)
+    scale = "sum" if keep_sum else "density"
+    rows, columns = (line.to(field.dtype) for line in _gaussian_lines(lengths, nsigma, (0, 0), scale, field.device))
+    planes = torch.nn.functional.pad(field.reshape(-1, 1, *field.shape[-2:]), _borders(padding, lengths))
+    if any(length > side for length, side in zip(lengths, planes.shape[-2:], strict=True)):
+        raise ValueError(
+            f"kernel_length must be at most the padded field's {tuple(planes.shape[-2:])}, got {kernel_length!r}"
+        )
+    planes = torch.nn.functional.conv2d(planes, rows.reshape(1, 1, -1, 1))
+    planes = torch.nn.functional.conv2d(planes, columns.reshape(1, 1, 1, -1))
+    batch = () if field.ndim == 4 and field.shape[:2] == (1, 1) else field.shape[:-2]
+    return planes.reshape(*batch, *planes.shape[-2:])
+
+
+def _gaussian_lines(lengths, nsigma, mu, scale, device):
+    """Return the two factors of a Gaussian in float64: its density, its largest sample 1, or its sum 1."""
+    sigmas, centres = (
+        _validate.numbers(_validate.real(name, value)) for name, value in (("nsigma", nsigma), ("mu", mu))
+    )
+    if len(sigmas) != 2 or min(sigmas) < 0:
+        raise ValueError(f"nsigma must be two numbers of at least 0, got {nsigma!r}")
+    if len(centres) != 2:
+        raise ValueError(f"mu must be two numbers, got {mu!r}")
+    lines = []
+    for length, sigma, centre in zip(lengths, sigmas, centres, strict=True):
+        edge = length / 2 if length > 1 else 0.0
+        sigma = sigma or _SMALLEST_SIGMA
+        axis = torch.linspace(-edge, edge, length, dtype=torch.float64, device=device)
+        exponent = -(((axis - centre) / sigma) ** 2) / 2
+        if scale == "density":
+            lines.append(torch.exp(exponent) / (math.sqrt(2 * math.pi) * sigma))
+            continue
+        # Relative to the largest, so that a narrow Gaussian between two samples is not 0/0.
+        line = torch.exp(exponent - exponent.max())
+        lines.append(line / line.sum() if scale == "sum" else line)
+    return lines
+
+
+def _borders(padding, lengths):
+    """Return the zeros to put left, right, above and below; "same" puts the odd one of an even kernel at the end."""
+    if isinstance(padding, str):
+        if _validate.one_of("padding", padding, ("same", "valid")) == "valid":
+            return (0, 0, 0, 0)
+        (above, below), (left, right) = (((length - 1) // 2, length // 2) for length in lengths)
+        return (left, right, above, below)
+    pair = (padding, padding) if isinstance(padding, int) else tuple(padding)
+    if len(pair) != 2:
+        raise ValueError(f"padding must be 'same', 'valid', an integer or two, got {padding!r}")
+    rows, columns = (_validate.integer("padding", count) for count in pair)
+    return (columns, columns, rows, rows)
 
 
 def _on_images(change, field):

@@ -5,6 +5,8 @@ from odak._lazy import attach
 __getattr__, __dir__, __all__ = attach(
     __name__,
     {
+        "aberrations": ("zernike_basis", "zernike_phase"),
+        "camera": ("simulated_camera",),
         "classical": (
             "adaptive_sampling_angular_spectrum",
             "angular_spectrum",
@@ -34,8 +36,22 @@ __getattr__, __dir__, __all__ = attach(
             "stochastic_gradient_descent",
             "transfer_function_fresnel",
         ),
-        "fields": ("intensity", "unit_phasor"),
+        "fields": ("exposure", "intensity", "unit_phasor"),
         "lens": ("blazed_grating", "lens_phase", "linear_grating", "prism_grating", "quadratic_phase_function"),
+        "hardware": ("holographic_display",),
+        "incoherent_propagation": ("incoherent_focal_stack_rgbd",),
+        "loss": ("multiplane_loss", "perceptual_multiplane_loss", "phase_gradient", "speckle_contrast"),
+        "optimizers": (
+            "mixed_color_hologram_optimizer",
+            "multi_color_hologram_optimizer",
+            "multiplane_hologram_optimizer",
+        ),
+        "partial_coherence": ("disk_source", "gaussian_spectrum", "propagate_partially_coherent"),
+        "propagators": ("propagator",),
+        "slm": ("spatial_light_modulator", "temporal_average"),
+        "spots": ("spot_hologram", "uniformity", "weighted_gerchberg_saxton"),
+        "tilted": ("propagate_to_tilted_plane",),
+        "windows": ("propagate_to_window",),
         "util": (
             "add_phase",
             "adjust_phase_only_slm_range",

@@ -1,0 +1,244 @@
+"""ColorVideoVDP, FovVideoVDP and LPIPS through the packages of their authors, imported when first constructed."""
+
+import contextlib
+import functools
+import importlib
+import logging
+import warnings
+
+import torch
+from torch import nn
+
+from odak.learn.perception.util import checked_pair
+
+_log = logging.getLogger("odak")
+
+
+class _Wrapper(nn.Module):
+    """A metric of another package; `available` says whether that is installed."""
+
+    _module = _package = ""
+
+    def __init__(self, required: bool):
+        super().__init__()
+        try:
+            self._import()
+            self.available = True
+        except ImportError as error:
+            message = f"{type(self).__name__} needs the package {self._package} ({error}): pip install {self._package}"
+            if required:
+                raise ImportError(message) from error
+            _warn_once(f"{message}. Until then its value is not a number.")
+            self.available = False
+
+    def _import(self):
+        with _quietly():
+            return importlib.import_module(self._module)
+
+
+class _DifferencePredictor(_Wrapper):
+    """Quality on a "standard_4k" display, one picture after the other so that pictures cannot influence each other."""
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor, dim_order: str = "BCHW") -> torch.Tensor:
+        """Return the mean quality of pictures.
+
+        Parameters
+        ----------
+        predictions, targets : torch.Tensor
+            Display-encoded pictures ``[B, C, H, W]`` or ``[C, H, W]`` of one or three channels, 0 … 1.
+        dim_order : str
+            Order of the axes of pictures that have four.
+
+        Returns
+        -------
+        torch.Tensor
+            Just-objectionable differences (JOD) without axes, float32: 10 for equal pictures, less for worse ones.
+            Differentiable. Not a number when the package is missing.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the shapes differ, or there are not three or four axes and one or three channels.
+        """
+        predictions, targets = (
+            _as_batch(pictures, dim_order).float() for pictures in checked_pair(predictions, targets)
+        )
+        if not self.available:
+            return predictions.new_full((), torch.nan)
+        with _quietly():
+            scores = [
+                self._metric().predict(one[None], two[None], dim_order="BCHW")[0].reshape(())
+                for one, two in zip(predictions, targets, strict=True)
+            ]
+        return torch.stack(scores).mean()
+
+    def _metric(self):
+        raise NotImplementedError
+
+
+class CVVDP(_DifferencePredictor):
+    """ColorVideoVDP: visual difference in colour, in JOD; a quality, larger is better.
+
+    Mantiuk, Hanji, Ashraf, Asano and Chapiro, ACM Trans. Graph. 43, 129 (2024).
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the comparison runs.
+    required : bool
+        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+
+    Attributes
+    ----------
+    available : bool
+        Whether the package is there.
+    cvvdp : pycvvdp.cvvdp or None
+        The metric.
+
+    Raises
+    ------
+    ImportError
+        If the package is missing and required; the message says what to install.
+    """
+
+    _module, _package = "pycvvdp", "cvvdp"
+
+    def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
+        super().__init__(required)
+        self.cvvdp = None
+        if self.available:
+            with _quietly():
+                self.cvvdp = self._import().cvvdp(display_name="standard_4k", device=torch.device(device))
+
+    def _metric(self):
+        return self.cvvdp
+
+
+class FVVDP(_DifferencePredictor):
+    """FovVideoVDP: visual difference in luminance, in JOD; a quality, larger is better.
+
+    Mantiuk et al., ACM Trans. Graph. 40, 49 (2021).
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the comparison runs.
+    required : bool
+        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+
+    Attributes
+    ----------
+    available : bool
+        Whether the package is there.
+    fvvdp : pyfvvdp.fvvdp or None
+        The metric.
+
+    Raises
+    ------
+    ImportError
+        If the package is missing and required; the message says what to install.
+    """
+
+    _module, _package = "pyfvvdp", "pyfvvdp"
+
+    def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
+        super().__init__(required)
+        self.fvvdp = None
+        if self.available:
+            with _quietly():
+                self.fvvdp = self._import().fvvdp(
+                    display_name="standard_4k", heatmap="none", device=torch.device(device)
+                )
+
+    def _metric(self):
+        return self.fvvdp
+
+
+class LPIPS(_Wrapper):
+    """Learned perceptual image patch similarity with SqueezeNet: a distance, 0 for equal pictures.
+
+    Zhang, Isola, Efros, Shechtman and Wang, CVPR (2018). torchvision fetches SqueezeNet's weights when the first
+    pictures are compared; neither the import nor the constructor uses the network.
+
+    Parameters
+    ----------
+    required : bool
+        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+
+    Attributes
+    ----------
+    available : bool
+        Whether the package is there.
+    lpips : lpips.LPIPS or None
+        The network, once it has been used; its weights are frozen.
+
+    Raises
+    ------
+    ImportError
+        If the package is missing and required; the message says what to install.
+    """
+
+    _module = _package = "lpips"
+
+    def __init__(self, *, required: bool = False):
+        super().__init__(required)
+        self.lpips = None
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Return the mean distance of pictures.
+
+        Parameters
+        ----------
+        predictions, targets : torch.Tensor
+            Pictures ``[B, C, H, W]`` or ``[C, H, W]`` of one or three channels, 0 … 1; values outside are clipped.
+
+        Returns
+        -------
+        torch.Tensor
+            Distance without axes, float32. Differentiable. Not a number when the package is missing.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the shapes differ, or there are not three or four axes and one or three channels.
+        """
+        pictures = [_as_batch(value, "BCHW").float() for value in checked_pair(predictions, targets)]
+        if not self.available:
+            return pictures[0].new_full((), torch.nan)
+        # The network was trained on −1 … 1.
+        pictures = [(2 * picture - 1).clamp(-1, 1).expand(-1, 3, -1, -1) for picture in pictures]
+        return self._network(pictures[0].device)(*pictures).mean()
+
+    def _network(self, device):
+        if self.lpips is None:
+            with _quietly():
+                self.lpips = self._import().LPIPS(net="squeeze", verbose=False).requires_grad_(False)
+        return self.lpips.to(device)
+
+
+@functools.cache
+def _warn_once(message):
+    _log.warning(message)
+
+
+@contextlib.contextmanager
+def _quietly():
+    """Keep the deprecation warnings of other packages from the caller."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _as_batch(pictures, dim_order):
+    """Return pictures as ``[B, C, H, W]``, C being 1 or 3."""
+    if pictures.ndim not in (3, 4):
+        raise ValueError(f"predictions and targets must have three or four axes, got {tuple(pictures.shape)}")
+    if pictures.ndim == 3:
+        batch = pictures[None]
+    elif sorted(dim_order) != sorted("BCHW"):
+        raise ValueError(f"dim_order must name the axes B, C, H and W once each, got {dim_order!r}")
+    else:
+        batch = pictures.permute(*(dim_order.index(axis) for axis in "BCHW"))
+    if batch.shape[1] not in (1, 3):
+        raise ValueError(f"predictions and targets must have one or three channels, got {batch.shape[1]}")
+    return batch

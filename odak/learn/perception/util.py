@@ -1,0 +1,115 @@
+"""Checks and depth slices shared by the perception modules, and the Gaussian blur of the tools."""
+
+from collections.abc import Sequence
+
+import torch
+
+from odak.learn.tools.matrix import blur_gaussian
+
+__all__ = ["blur_gaussian", "check_loss_inputs", "checked_pair", "slice_rgbd_targets"]
+
+
+def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor) -> None:
+    """Raise ValueError unless two images can be compared.
+
+    Parameters
+    ----------
+    loss_name : str
+        Name of the loss, with which the message begins.
+    image, target : torch.Tensor
+        ``[B, C, H, W]`` of one shape, one or three channels.
+
+    Raises
+    ------
+    ValueError
+        If the sizes differ, there are not four axes, or not one or three channels.
+    """
+    shapes = f"got {tuple(image.shape)} and {tuple(target.shape)}"
+    if image.shape != target.shape:
+        raise ValueError(f"{loss_name} ERROR: image and target must have one size, {shapes}")
+    if image.ndim != 4:
+        raise ValueError(f"{loss_name} ERROR: image and target must have four axes [B, C, H, W], {shapes}")
+    if image.shape[1] not in (1, 3):
+        raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
+
+
+def checked_pair(predictions: torch.Tensor, targets: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return two pictures in one precision after checking that they are real floats of one shape.
+
+    Parameters
+    ----------
+    predictions, targets : torch.Tensor
+        Pictures of any shape.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        The pictures, both in the finer of the two precisions.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, or either is not a tensor of real floats.
+    """
+    for name, value in (("predictions", predictions), ("targets", targets)):
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+            kind = getattr(value, "dtype", type(value).__name__)
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if predictions.shape != targets.shape:
+        raise ValueError(
+            f"predictions and targets must have one shape, got {tuple(predictions.shape)} and {tuple(targets.shape)}"
+        )
+    dtype = torch.promote_types(predictions.dtype, targets.dtype)
+    return predictions.to(dtype), targets.to(dtype)
+
+
+def slice_rgbd_targets(
+    target: torch.Tensor, depth: torch.Tensor, depth_plane_positions: Sequence[float] | torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Cut a picture into slices of depth.
+
+    Parameters
+    ----------
+    target : torch.Tensor
+        Picture ``[C, H, W]``.
+    depth : torch.Tensor
+        Depth of each pixel ``[H, W]``.
+    depth_plane_positions : sequence of float or torch.Tensor
+        N + 1 rising boundaries. Slice i holds boundary[i] ≤ depth < boundary[i + 1]; the last one its upper boundary
+        too. Pixels beyond the outermost boundaries are in no slice.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Slices in the precision of `target` (float32 of integers), zero outside their depth, and masks of 0 and 1 in
+        int32, each ``[N, C, H, W]``. The slices are differentiable in `target`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes do not fit or the boundaries do not rise.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import slice_rgbd_targets
+    >>> slices, masks = slice_rgbd_targets(torch.ones(3, 1, 3), torch.tensor([[0.0, 0.5, 1.0]]), [0.0, 0.5, 1.0])
+    >>> masks[:, 0, 0].tolist()
+    [[1, 0, 0], [0, 1, 1]]
+    """
+    for name, value in (("target", target), ("depth", depth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+    if target.ndim != 3 or depth.shape != target.shape[-2:]:
+        raise ValueError(
+            f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"
+        )
+    target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
+    edges = torch.as_tensor(depth_plane_positions, dtype=depth.dtype, device=depth.device)
+    if edges.ndim != 1 or len(edges) < 2 or not (edges[1:] > edges[:-1]).all():
+        raise ValueError(f"depth_plane_positions must be two or more rising numbers, got {depth_plane_positions!r}")
+    edges = edges[:, None, None]
+    inside = (depth >= edges[:-1]) & (depth < edges[1:])
+    inside[-1] |= depth == edges[-1]
+    masks = inside[:, None].expand(-1, target.shape[0], -1, -1)
+    return target * masks, masks.to(torch.int32)

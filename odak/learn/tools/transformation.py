@@ -1,0 +1,233 @@
+"""Rotations of points as differentiable tensors, angles in degrees, and voxels of point clouds."""
+
+from collections.abc import Sequence
+
+import torch
+
+from odak import _validate
+from odak.tools.transformation import apply_matrix, axis_rotation, rotation_matrix, tilt_towards
+
+__all__ = [
+    "get_rotation_matrix",
+    "point_cloud_to_voxel",
+    "quaternion_to_rotation_matrix",
+    "rotate_points",
+    "rotmatx",
+    "rotmaty",
+    "rotmatz",
+    "tilt_towards",
+]
+
+_NONE = torch.zeros(1, 3)
+
+
+def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
+    """Return the rotation matrices of quaternions.
+
+    Parameters
+    ----------
+    quaternions : torch.Tensor
+        ``[..., 4]`` in the order w, x, y, z, of any length but 0.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, 3]``, for column vectors; NaN for a quaternion of length zero.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import quaternion_to_rotation_matrix
+    >>> quaternion_to_rotation_matrix(torch.tensor([0.0, 0.0, 0.0, 2.0])).diagonal()
+    tensor([-1., -1.,  1.])
+    """
+    quaternions = _tensor(quaternions)
+    if quaternions.ndim == 0 or quaternions.shape[-1] != 4:
+        raise ValueError(f"quaternions must be [..., 4], got {tuple(quaternions.shape)}")
+    w, x, y, z = (quaternions / quaternions.square().sum(-1, keepdim=True).sqrt()).unbind(-1)
+    rows = (
+        *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        *(2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return torch.stack(rows, dim=-1).reshape(*quaternions.shape[:-1], 3, 3)
+
+
+def rotmatx(angle: torch.Tensor) -> torch.Tensor:
+    """Return the rotations about the x axis.
+
+    Parameters
+    ----------
+    angle : torch.Tensor or float
+        Degrees, ``[n]``, ``[1]`` or a number.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[n, 3, 3]``; ``[3, 3]`` for one angle.
+    """
+    return _squeezed("X", angle)
+
+
+def rotmaty(angle: torch.Tensor) -> torch.Tensor:
+    """Return the rotations about the y axis; see :func:`rotmatx`."""
+    return _squeezed("Y", angle)
+
+
+def rotmatz(angle: torch.Tensor) -> torch.Tensor:
+    """Return the rotations about the z axis; see :func:`rotmatx`."""
+    return _squeezed("Z", angle)
+
+
+def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_order: str = "XYZ") -> torch.Tensor:
+    """Return the matrix of three rotations about the axes.
+
+    Parameters
+    ----------
+    tilt_angles : sequence or torch.Tensor
+        Degrees about X, Y and Z: numbers, one-element tensors or a tensor ``[3]``.
+    tilt_order : str
+        Order of the rotations, first letter first; one of the six permutations of "XYZ".
+
+    Returns
+    -------
+    torch.Tensor
+        ``[3, 3]``, for column vectors: "XYZ" is Rz·Ry·Rx.
+
+    Raises
+    ------
+    ValueError
+        If there are not three angles or the order is unknown.
+
+    Examples
+    --------
+    >>> from odak.learn.tools import get_rotation_matrix
+    >>> get_rotation_matrix([0.0, 0.0, 180.0]).diagonal()
+    tensor([-1., -1.,  1.])
+    """
+    if isinstance(tilt_angles, (list, tuple)):
+        tilt_angles = torch.stack([_tensor(angle).reshape(()) for angle in tilt_angles])
+    angles = _tensor(tilt_angles)
+    if angles.numel() != 3:
+        raise ValueError(f"tilt_angles must be three angles, got {tuple(angles.shape)}")
+    return rotation_matrix(angles.reshape(3), tilt_order)
+
+
+def rotate_points(
+    point: torch.Tensor,
+    angles: torch.Tensor = _NONE,
+    mode: str = "XYZ",
+    origin: torch.Tensor = _NONE,
+    offset: torch.Tensor = _NONE,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Rotate points by one or several sets of angles: R·(point − origin) + origin + offset.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        ``[n, 3]`` or ``[3]``.
+    angles : torch.Tensor
+        Degrees about X, Y and Z, ``[3]`` or ``[m, 3]``.
+    mode : str
+        Order of the rotations, first letter first; one of the six permutations of "XYZ".
+    origin : torch.Tensor
+        Centre of the rotation, ``[3]`` or ``[m, 3]``.
+    offset : torch.Tensor
+        Shift after the rotation, ``[3]`` or ``[m, 3]``; ``[n, 3]`` shifts each point by its own when there is one
+        set of angles.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Points ``[n, 3]``, or ``[n, m, 3]`` for m > 1 sets, and the matrices about X, Y and Z, ``[1, 3, 3]`` or
+        ``[1, m, 3, 3]``. On the device of `point`, in the widest precision given, differentiable in all four.
+
+    Raises
+    ------
+    ValueError
+        If a shape or the mode is wrong.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import rotate_points
+    >>> rotate_points(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([0.0, 0.0, 180.0]))[0].round(decimals=4)
+    tensor([[-1., -0.,  0.]])
+    """
+    point = _tensor(point)
+    given = {"point": point, "angles": angles, "origin": origin, "offset": offset}
+    given = {name: _tensor(value).to(point.device) for name, value in given.items()}
+    for name, value in given.items():
+        if value.ndim not in (1, 2) or value.shape[-1] != 3:
+            raise ValueError(f"{name} must be [3] or [n, 3], got {tuple(value.shape)}")
+    dtype = _widest(*(v for v in (point, angles, origin, offset) if v is not _NONE))
+    point, angles, origin, offset = (value.to(dtype).reshape(-1, 3) for value in given.values())
+    sets = max(len(angles), len(origin))
+    per_point = sets == 1 and len(offset) == len(point)
+    rotated = apply_matrix(rotation_matrix(angles, mode), point[:, None] - origin) + origin
+    rotated = rotated[:, 0] + offset if per_point else rotated + offset
+    matrices = tuple(axis_rotation(axis, angles[:, i]) for i, axis in enumerate("XYZ"))
+    if len(angles) > 1:
+        matrices = tuple(matrix[None] for matrix in matrices)
+    return (rotated[:, 0] if rotated.ndim == 3 and rotated.shape[1] == 1 else rotated, *matrices)
+
+
+def point_cloud_to_voxel(
+    points: torch.Tensor, voxel_size: Sequence[float] = (0.1, 0.1, 0.1)
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mark the cells of a regular grid that hold a point of a cloud.
+
+    Parameters
+    ----------
+    points : torch.Tensor
+        ``[n, 3]``, at least one.
+    voxel_size : sequence of float
+        Size of a cell along x, y and z.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Centres of the cells ``[g_x, g_y, g_z, 3]``, and 1 where a cell holds a point, else 0, float32
+        ``[g_x, g_y, g_z]``. The grid starts at the smallest coordinates; a point on its upper face is in the last cell.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import point_cloud_to_voxel
+    >>> point_cloud_to_voxel(torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [0.5, 0.5, 0.5])[1].flatten()
+    tensor([1., 1.])
+    """
+    points = _tensor(points)
+    if points.ndim != 2 or points.shape[-1] != 3 or len(points) == 0:
+        raise ValueError(f"points must be [n, 3] with at least one point, got {tuple(points.shape)}")
+    _validate.real("voxel_size", voxel_size, positive=True)
+    size = torch.as_tensor(voxel_size, dtype=points.dtype, device=points.device).expand(3)
+    low = points.amin(0)
+    # An extent that is a whole number of cells but for rounding needs no further cell.
+    extent = (points.amax(0) - low) / size
+    cells = (extent - 1e-6 * extent.clamp(min=1)).ceil().clamp(min=1).long()
+    index = torch.minimum(((points - low) / size).floor().long(), cells - 1)
+    grid = torch.zeros(cells.tolist(), device=points.device)
+    grid[index[:, 0], index[:, 1], index[:, 2]] = 1
+    steps = (torch.arange(n, dtype=points.dtype, device=points.device) + 0.5 for n in cells.tolist())
+    locations = low + torch.stack(torch.meshgrid(*steps, indexing="ij"), dim=-1) * size
+    return locations, grid
+
+
+def _squeezed(axis: str, angle) -> torch.Tensor:
+    matrix = axis_rotation(axis, _tensor(angle))
+    return matrix[0] if matrix.ndim == 3 and len(matrix) == 1 else matrix
+
+
+def _tensor(value) -> torch.Tensor:
+    if isinstance(value, torch.Tensor) and value.dtype.is_floating_point:
+        return value
+    return torch.as_tensor(value, dtype=torch.get_default_dtype())
+
+
+def _widest(*values) -> torch.dtype:
+    floating = [v.dtype for v in values if isinstance(v, torch.Tensor) and v.dtype.is_floating_point]
+    dtype = floating[0] if floating else torch.get_default_dtype()
+    for other in floating[1:]:
+        dtype = torch.promote_types(dtype, other)
+    return dtype

@@ -1,0 +1,220 @@
+"""Rotations of points about the coordinate axes, angles in degrees."""
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from odak import _array, _validate
+
+ROTATION_MODES = tuple("".join(order) for order in itertools.permutations("XYZ"))
+
+
+def axis_rotation(axis: str, angle):
+    """Return the right-handed rotation about one axis, written for any array library.
+
+    Parameters
+    ----------
+    axis : str
+        "X", "Y" or "Z".
+    angle : array
+        Degrees, ``[...]``.
+
+    Returns
+    -------
+    array
+        ``[..., 3, 3]`` in the angle's precision, for column vectors.
+    """
+    xp = _array.namespace(angle)
+    radians = angle * (math.pi / 180)
+    c, s = xp.cos(radians), xp.sin(radians)
+    one, zero = xp.ones_like(c), xp.zeros_like(c)
+    rows = {
+        "X": (one, zero, zero, zero, c, -s, zero, s, c),
+        "Y": (c, zero, s, zero, one, zero, -s, zero, c),
+        "Z": (c, -s, zero, s, c, zero, zero, zero, one),
+    }[axis]
+    return xp.reshape(xp.stack(rows, axis=-1), (*angle.shape, 3, 3))
+
+
+def rotation_matrix(angles, mode: str = "XYZ"):
+    """Return the product of three axis rotations, written for any array library.
+
+    Parameters
+    ----------
+    angles : array
+        Degrees about X, Y and Z, ``[..., 3]``.
+    mode : str
+        Order in which the axes are applied, first letter first: "XYZ" is Rz·Ry·Rx. Case does not matter.
+
+    Returns
+    -------
+    array
+        ``[..., 3, 3]`` for column vectors.
+
+    Raises
+    ------
+    ValueError
+        If `mode` is not one of the six orders.
+    """
+    first, second, third = _validate.one_of("mode", mode, ROTATION_MODES)
+    turn = {axis: axis_rotation(axis, angles[..., i]) for i, axis in enumerate("XYZ")}
+    return turn[third] @ turn[second] @ turn[first]
+
+
+def apply_matrix(matrix, vector):
+    """Return matrix · vector for ``[..., 3, 3]`` and ``[..., 3]``, broadcast against each other."""
+    return (matrix @ vector[..., None])[..., 0]
+
+
+def rotmatx(angle: float) -> np.ndarray:
+    """Return the rotation about the x axis.
+
+    Parameters
+    ----------
+    angle : float or array
+        Degrees, ``[...]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[..., 3, 3]``, for column vectors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import rotmatx
+    >>> np.round(rotmatx(90.0) @ [0, 1, 0], 12)
+    array([0., 0., 1.])
+    """
+    return axis_rotation("X", _floats("angle", angle))
+
+
+def rotmaty(angle: float) -> np.ndarray:
+    """Return the rotation about the y axis; see :func:`rotmatx`."""
+    return axis_rotation("Y", _floats("angle", angle))
+
+
+def rotmatz(angle: float) -> np.ndarray:
+    """Return the rotation about the z axis; see :func:`rotmatx`."""
+    return axis_rotation("Z", _floats("angle", angle))
+
+
+def rotate_point(
+    point,
+    angles: Sequence[float] = (0, 0, 0),
+    mode: str = "XYZ",
+    origin: Sequence[float] = (0, 0, 0),
+    offset: Sequence[float] = (0, 0, 0),
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rotate one point: R·(point − origin) + origin + offset.
+
+    Parameters
+    ----------
+    point : sequence of float
+        x, y, z.
+    angles : sequence of float
+        Degrees about X, Y and Z.
+    mode : str
+        Order of the rotations, first letter first; one of the six permutations of "XYZ".
+    origin : sequence of float
+        Centre of the rotation.
+    offset : sequence of float
+        Shift after the rotation.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        The point ``[3]`` and the matrices about X, Y and Z.
+
+    Raises
+    ------
+    ValueError
+        If a shape or the mode is wrong.
+
+    Examples
+    --------
+    >>> from odak.tools import rotate_point
+    >>> rotate_point([1.0, 0.0, 0.0], angles=[0, 0, 90])[0].round(12)
+    array([0., 1., 0.])
+    """
+    point = _floats("point", point, (3,))
+    angles = _floats("angles", angles, (3,))
+    rotated = rotate_points(point, angles, mode, origin, offset)[0]
+    return (rotated, *(axis_rotation(axis, angles[i]) for i, axis in enumerate("XYZ")))
+
+
+def rotate_points(
+    points,
+    angles: Sequence[float] = (0, 0, 0),
+    mode: str = "XYZ",
+    origin: Sequence[float] = (0, 0, 0),
+    offset: Sequence[float] = (0, 0, 0),
+) -> np.ndarray:
+    """Rotate points: R·(point − origin) + origin + offset.
+
+    Parameters
+    ----------
+    points : array
+        ``[n, 3]`` or ``[3]``. It is not changed.
+    angles, mode, origin, offset
+        As in :func:`rotate_point`; `origin` and `offset` may also be ``[n, 3]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[n, 3]``, float64 unless all is float32.
+    """
+    points = _floats("points", points)
+    if points.ndim == 0 or points.shape[-1] != 3:
+        raise ValueError(f"points must be [n, 3] or [3], got {points.shape}")
+    points = points.reshape(-1, 3)
+    origin, offset = (np.asarray(value, dtype=points.dtype) for value in (origin, offset))
+    matrix = rotation_matrix(_floats("angles", angles, (3,)), mode).astype(points.dtype)
+    return apply_matrix(matrix, points - origin) + origin + offset
+
+
+def tilt_towards(location: Sequence[float], lookat: Sequence[float]) -> list[float]:
+    """Return the angles that turn the z axis away from `lookat`, along location − lookat.
+
+    Parameters
+    ----------
+    location, lookat : sequence of float
+        Two points.
+
+    Returns
+    -------
+    list
+        [0, θ, φ] in degrees: θ = acos(d_z/|d|), φ = atan2(d_y, d_x), d = location − lookat.
+
+    Raises
+    ------
+    ValueError
+        If the points coincide or are not three numbers each.
+
+    Examples
+    --------
+    >>> from odak.tools import tilt_towards
+    >>> tilt_towards([0, 0, 0], [1, 0, 0])
+    [0, 90.0, 180.0]
+    """
+    ends = [_validate.numbers(_validate.real(name, v)) for name, v in (("location", location), ("lookat", lookat))]
+    if any(len(end) != 3 for end in ends):
+        raise ValueError(f"location and lookat must be three numbers each, got {len(ends[0])} and {len(ends[1])}")
+    dx, dy, dz = (a - b for a, b in zip(*ends, strict=True))
+    across = math.hypot(dx, dy)
+    if across == dz == 0:
+        raise ValueError(f"location and lookat must differ, got {ends[0]} twice")
+    # atan2 keeps its digits where acos loses half of them, near the axis.
+    return [0, math.degrees(math.atan2(across, dz)), math.degrees(math.atan2(dy, dx))]
+
+
+def _floats(name: str, value, shape: tuple[int, ...] | None = None) -> np.ndarray:
+    value = np.asarray(value)
+    if value.dtype.kind not in "iuf":
+        raise TypeError(f"{name} must be real numbers, got {value.dtype}")
+    value = value if value.dtype == np.float32 else value.astype(np.float64)
+    if shape is not None and value.size != math.prod(shape):
+        raise ValueError(f"{name} must have the shape {shape}, got {value.shape}")
+    return value if shape is None else value.reshape(shape)

@@ -1,0 +1,237 @@
+"""SSIM, MS-SSIM and PSNR against NumPy and SciPy; the wrappers of other packages with stand-ins for them."""
+
+import logging
+import sys
+import types
+
+import numpy as np
+import pytest
+import torch
+from scipy import ndimage
+
+from odak.learn import perception
+from odak.learn.perception import CVVDP, FVVDP, LPIPS, MSSSIM, PSNR, SSIM, learned_perceptual_losses
+from odak.learn.perception.image_quality_losses import SCALE_WEIGHTS
+
+
+def pictures(*shape, noise=0.1, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    one = torch.rand(shape, dtype=torch.float64, generator=generator)
+    return one, (one + noise * torch.randn(shape, dtype=torch.float64, generator=generator)).clamp(0, 1)
+
+
+def terms_by_definition(one, two, data_range=1.0):
+    """Luminance and contrast–structure of Wang et al. 2004, window by window."""
+
+    def mean(values):
+        # σ = 1.5, truncated at 5 samples; the border where the window does not fit is dropped.
+        return ndimage.gaussian_filter(values, 1.5, mode="constant", radius=5)[5:-5, 5:-5]
+
+    c1, c2 = (0.01 * data_range) ** 2, (0.03 * data_range) ** 2
+    m1, m2 = mean(one), mean(two)
+    v1, v2, covariance = mean(one**2) - m1**2, mean(two**2) - m2**2, mean(one * two) - m1 * m2
+    return (2 * m1 * m2 + c1) / (m1**2 + m2**2 + c1), (2 * covariance + c2) / (v1 + v2 + c2)
+
+
+@pytest.mark.parametrize("shape", [(24, 31), (3, 24, 31), (2, 3, 24, 31)])
+@pytest.mark.parametrize("data_range", [1.0, 255.0])
+def test_ssim_by_its_definition(shape, data_range):
+    one, two = (data_range * picture for picture in pictures(*shape))
+    planes = zip(one.reshape(-1, *shape[-2:]).numpy(), two.reshape(-1, *shape[-2:]).numpy(), strict=True)
+    expected = np.mean([np.prod(terms_by_definition(*pair, data_range), axis=0) for pair in planes])
+    result = SSIM()(one, two, data_range)
+    assert result.ndim == 0
+    assert result.item() == pytest.approx(expected, rel=1e-10)
+    assert SSIM()(one.float(), two.float(), data_range).item() == pytest.approx(expected, abs=1e-5)
+
+
+def ms_ssim_by_definition(one, two):
+    result = 1.0
+    for scale, weight in enumerate(SCALE_WEIGHTS):
+        luminance, structure = (
+            np.stack(terms)
+            for terms in zip(*(terms_by_definition(*pair) for pair in zip(one, two, strict=True)), strict=True)
+        )
+        last = scale == len(SCALE_WEIGHTS) - 1
+        result *= max((luminance * structure if last else structure).mean(), 0.0) ** weight
+        one, two = (
+            (v[:, : v.shape[1] // 2 * 2, : v.shape[2] // 2 * 2].reshape(3, v.shape[1] // 2, 2, -1, 2)).mean((2, 4))
+            for v in (one, two)
+        )
+    return result
+
+
+def test_ms_ssim_by_its_definition():
+    one, two = pictures(2, 3, 177, 190, noise=0.3)
+    expected = [ms_ssim_by_definition(*pair) for pair in zip(one.numpy(), two.numpy(), strict=True)]
+    result = MSSSIM()(one, two)
+    assert result.ndim == 0
+    assert result.item() == pytest.approx(np.mean(expected), rel=1e-10)
+    assert sum(SCALE_WEIGHTS) == pytest.approx(1, abs=1e-3)
+
+
+def test_equal_and_opposite_pictures():
+    one, _ = pictures(1, 3, 180, 180)
+    assert SSIM()(one, one).item() == MSSSIM()(one, one).item() == 1.0
+    assert PSNR()(one, one).item() == np.inf
+    opposite = (1 - one).requires_grad_()
+    assert SSIM()(one, opposite).item() < 0
+    score = MSSSIM()(one, opposite)
+    assert score.item() == 0.0
+    (gradient,) = torch.autograd.grad(score, opposite)
+    assert gradient.isfinite().all()
+
+
+def test_flat_pictures():
+    """Without structure what is left is the luminance term (2ab + c₁)/(a² + b² + c₁)."""
+    a, b = 0.3, 0.6
+    flat = torch.full((1, 12, 12), a, dtype=torch.float64), torch.full((1, 12, 12), b, dtype=torch.float64)
+    assert SSIM()(*flat).item() == pytest.approx((2 * a * b + 1e-4) / (a * a + b * b + 1e-4), rel=1e-12)
+
+
+def test_gradients():
+    one, two = pictures(1, 13, 12)
+    assert torch.autograd.gradcheck(SSIM(), (one.requires_grad_(), two.requires_grad_()))
+    assert torch.autograd.gradcheck(PSNR(), (one, two))
+    one, two = (picture.requires_grad_() for picture in pictures(176, 176))
+    (gradient,) = torch.autograd.grad(MSSSIM()(one, two), one)
+    direction = torch.randn(176, 176, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        ahead, behind = (MSSSIM()(one + step * direction, two) for step in (1e-6, -1e-6))
+    assert ((ahead - behind) / 2e-6).item() == pytest.approx((gradient * direction).sum().item(), rel=1e-6)
+
+
+def test_psnr():
+    one, two = pictures(1, 3, 8, 9)
+    expected = -10 * torch.log10(((one - two) ** 2).mean())
+    assert PSNR()(one, two).item() == pytest.approx(expected.item(), rel=1e-12)
+    assert PSNR()(one, two, peak_value=10.0).item() == pytest.approx(expected.item() + 20, rel=1e-12)
+
+
+@pytest.mark.parametrize("measure", [PSNR, SSIM, MSSSIM, CVVDP, LPIPS])
+def test_refused(measure):
+    picture = torch.ones(3, 180, 180)
+    with pytest.raises(ValueError, match="predictions and targets must have one shape"):
+        measure()(picture, picture[:1])
+    with pytest.raises(TypeError, match=r"targets must be a tensor of real floats, got torch\.int32"):
+        measure()(picture, picture.int())
+
+
+@pytest.mark.parametrize(("measure", "side"), [(SSIM(), 11), (MSSSIM(), 176)])
+def test_too_small(measure, side):
+    measure(*pictures(side, side))
+    with pytest.raises(ValueError, match=rf"at least {side} x {side}, got \({side - 1}, {side}\)"):
+        measure(*pictures(side - 1, side))
+    with pytest.raises(ValueError, match="data_range must be positive"):
+        measure(*pictures(side, side), data_range=0)
+
+
+PACKAGES = [(CVVDP, "pycvvdp", "cvvdp"), (FVVDP, "pyfvvdp", "pyfvvdp"), (LPIPS, "lpips", "lpips")]
+
+
+@pytest.fixture
+def without_packages(monkeypatch):
+    for _, module, _ in PACKAGES:
+        monkeypatch.setitem(sys.modules, module, None)
+    learned_perceptual_losses._warn_once.cache_clear()
+    yield
+    learned_perceptual_losses._warn_once.cache_clear()
+
+
+@pytest.mark.parametrize(("measure", "module", "package"), PACKAGES)
+def test_without_the_package(measure, module, package, without_packages, caplog):
+    with pytest.raises(ImportError, match=rf"{measure.__name__} needs the package {package} .*: pip install {package}"):
+        measure(required=True)
+    with caplog.at_level(logging.WARNING, "odak"):
+        measures = [measure(), measure()]
+    assert len(caplog.records) == 1
+    assert f"pip install {package}" in caplog.text
+    assert not measures[0].available
+    # Neither a result nor an error: nothing that could be taken for a loss of zero.
+    assert measures[0](torch.rand(1, 3, 16, 16), torch.rand(1, 3, 16, 16)).isnan()
+
+
+class Predictor:
+    """Stands in for the two predictors: ten less the mean difference, of one picture at a time."""
+
+    def __init__(self, **options):
+        self.options = options
+
+    def predict(self, one, two, dim_order):
+        assert one.shape[0] == 1
+        assert dim_order == "BCHW"
+        assert one.dtype == torch.float32
+        return 10 - (one - two).abs().mean(), {}
+
+
+@pytest.mark.parametrize(("measure", "module"), [(CVVDP, "pycvvdp"), (FVVDP, "pyfvvdp")])
+def test_difference_predictors(measure, module, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, types.SimpleNamespace(cvvdp=Predictor, fvvdp=Predictor))
+    metric = measure()
+    assert metric.available
+    assert getattr(metric, measure.__name__.lower()).options["display_name"] == "standard_4k"
+    one, two = (picture.requires_grad_() for picture in pictures(2, 3, 6, 7))
+    expected = 10 - (one - two).abs().mean().item()
+    score = metric(one, two)
+    assert score.item() == pytest.approx(expected, rel=1e-6)
+    score.backward()
+    assert one.grad.any()
+    last = [picture.movedim(1, -1) for picture in (one, two)]
+    assert metric(*last, dim_order="BHWC").item() == pytest.approx(expected, rel=1e-6)
+    assert metric(one[0], one[0]).item() == 10
+    for wrong, message in (
+        ((one[0, 0], one[0, 0]), "three or four axes"),
+        ((one[:, :2], one[:, :2]), "one or three channels, got 2"),
+        ((one, two, "BCFW"), "dim_order must name"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            metric(*wrong)
+
+
+def test_lpips(monkeypatch):
+    class Network(torch.nn.Module):
+        def __init__(self, net, verbose):
+            super().__init__()
+            self.weight = torch.nn.Parameter(torch.ones(()))
+            self.net = net
+
+        def forward(self, one, two):
+            assert one.shape[1] == 3
+            assert one.amin() >= -1
+            assert one.amax() <= 1
+            return self.weight * ((one - two) ** 2).mean((1, 2, 3), keepdim=True)
+
+    monkeypatch.setitem(sys.modules, "lpips", types.SimpleNamespace(LPIPS=Network))
+    metric = LPIPS()
+    assert metric.lpips is None
+    one, two = pictures(2, 1, 6, 7)
+    one = (one * 1.5).requires_grad_()
+    expected = 4 * ((one.clamp(0, 1) - two) ** 2).mean().item()
+    distance = metric(one, two)
+    assert distance.item() == pytest.approx(expected, rel=1e-5)
+    assert metric.lpips.net == "squeeze"
+    assert not metric.lpips.weight.requires_grad
+    distance.backward()
+    assert one.grad.any()
+    assert metric(two, two).item() == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("measure", [CVVDP, FVVDP])
+def test_with_the_package(measure):
+    metric = measure()
+    if not metric.available:
+        pytest.skip(f"{measure.__name__}'s package is not installed")
+    one, two = (picture.float() for picture in pictures(1, 3, 64, 64))
+    two.requires_grad_()
+    score = metric(two, one)
+    assert 5 < score.item() < 9.9
+    score.backward()
+    assert two.grad.isfinite().all()
+    assert two.grad.any()
+    assert metric(one, one).item() == pytest.approx(10, abs=1e-3)
+
+
+def test_names():
+    assert perception.SSIM is SSIM
+    assert perception.structural_similarity(*pictures(11, 11)) == SSIM()(*pictures(11, 11))
