@@ -69,7 +69,9 @@ def _fans(polygons: np.ndarray) -> np.ndarray:
     """Return triangles (0, k, k + 1) of all polygons, in order."""
     if not len(polygons):
         return np.zeros((0, 3), dtype=np.int64)
-    counts = np.array([len(p) for p in polygons]) if polygons.dtype == object else np.full(len(polygons), polygons.shape[1])
+    counts = (
+        np.array([len(p) for p in polygons]) if polygons.dtype == object else np.full(len(polygons), polygons.shape[1])
+    )
     corners = np.concatenate([np.ravel(p) for p in polygons]) if polygons.dtype == object else polygons.ravel()
     first, fans = np.cumsum(counts) - counts, np.maximum(counts - 2, 0)
     start = np.repeat(first, fans)

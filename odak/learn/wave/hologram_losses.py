@@ -55,7 +55,7 @@ def keywords_of(loss: Callable) -> set[str]:
     return _OF_A_PLANE if anything else _OF_A_PLANE & set(parameters)
 
 
-def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: torch.Tensor, reduction: str) -> torch.Tensor:
+def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reduction: str) -> torch.Tensor:
     """Return how far source powers are from what the brightest pixels need, and how near a frame is to darkness.
 
     Parameters
@@ -64,8 +64,8 @@ def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: torch.Tensor, 
         Amplitudes of the sources ``[F, C]``.
     targets : torch.Tensor
         Intensities ``[D, C, ms, ns]``.
-    peak : torch.Tensor
-        Brightness of the targets.
+    peak : float
+        Brightness asked for.
     reduction : {"sum", "mean"}
         How colours are put together.
 

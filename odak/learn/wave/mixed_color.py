@@ -130,4 +130,4 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         phases = self.gradient_descent(number_of_iterations, weights)
         powers = self.propagator.get_laser_powers().detach()
         images = self._shown(phases)
-        return phases, images, powers, self.channel_power.detach(), float(self.peak_amplitude.detach())
+        return phases, images, powers, self.channel_power.detach(), float(self.peak_amplitude)

@@ -53,9 +53,10 @@ class multi_color_hologram_optimizer:
         ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
         keywords it does not know are left out. The squared error by default.
     peak_amplitude : float
-        Brightness of the targets, in units of what a source of power one gives where light is spread evenly.
+        Brightness of the targets, in units of what a source of power one gives where light is spread evenly. The light
+        loss pulls the sum of all source amplitudes to F times that.
     optimize_peak_amplitude : bool
-        Learn that brightness.
+        Leave the targets' brightness free: in each iteration it is the one at which the images are closest to them.
     img_loss_thres : float
         Taken for the sake of older callers, and not used.
     reduction : {"sum", "mean"}
@@ -160,10 +161,9 @@ class multi_color_hologram_optimizer:
                 raise ValueError(f"{name} must be the propagator's {theirs}, got {ours}")
 
     def init_peak_amplitude_scale(self) -> None:
-        """Set the brightness of the targets, learned if asked."""
+        """Set the brightness of the targets to begin with."""
         peak = _validate.real("peak_amplitude", self._peak, positive=True)
         self.peak_amplitude = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
-        self.peak_amplitude.requires_grad_(self.optimize_peak_amplitude)
 
     def init_phase_scale(self) -> None:
         """Take over the propagator's scale of the phase at each colour."""
@@ -220,9 +220,10 @@ class multi_color_hologram_optimizer:
             "phase_offset": self.phase_offset,
             "channel_power": self.channel_power,
             "amplitude": self.amplitude,
-            "peak_amplitude": self.peak_amplitude,
         }
         self.parameters = {name: tensor for name, tensor in learned.items() if tensor.requires_grad}
+        # Not learned, but part of the state that a checkpoint holds.
+        self.parameters["peak_amplitude"] = self.peak_amplitude
         self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
 
     def evaluate(
@@ -364,7 +365,7 @@ class multi_color_hologram_optimizer:
             phases = even_levels(phases, levels) * (TURN / levels)
         amplitude = torch.relu(self.amplitude).detach()
         powers = self.propagator.get_laser_powers().detach()
-        peak = float(self.peak_amplitude.detach())
+        peak = float(self.peak_amplitude)
         return amplitude, phases, self._shown(phases), powers, self.channel_power.detach(), peak
 
     def _shown(self, phases):
@@ -386,7 +387,7 @@ class multi_color_hologram_optimizer:
         roots = [self.propagator.holograms(phases, amplitude)] + ([powers] if powers.requires_grad else [])
         # Planes stop at these, so that each chunk is done with when its slopes have been added to theirs.
         leaves = [root.detach().requires_grad_() for root in roots]
-        total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers)
+        total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers, iteration == 0)
         rest = self._other_losses(phases, phase_loss, powers)
         reached = [(root, leaf.grad) for root, leaf in zip(roots, leaves, strict=True) if leaf.grad is not None]
         if rest is not None and rest.requires_grad:
@@ -394,17 +395,33 @@ class multi_color_hologram_optimizer:
         torch.autograd.backward(*zip(*reached, strict=True))
         return total if rest is None else total + rest.detach()
 
-    def _image_gradient(self, phases, hologram, powers):
-        total = torch.zeros((), dtype=self.targets.dtype, device=self.device)
+    def _image_gradient(self, phases, hologram, powers, first):
         captured = None if self.camera is None else captured_by(self.camera, phases, tuple(self.targets.shape))
-        for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
-            images = self.propagator.exposures(hologram, planes, powers)
-            if captured is not None:
-                images = seen(images, captured[planes])
+        if self.optimize_peak_amplitude and first:
+            with torch.no_grad():
+                shown = self._images(hologram, powers, captured)
+                self._set_peak([_overlap(images, self.targets[planes]) for planes, images in shown])
+        total, light = torch.zeros_like(self.peak_amplitude), []
+        for planes, images in self._images(hologram, powers, captured):
             loss = self.weights["image"] * self._image_loss(images, planes)
             loss.backward()
             total += loss.detach()
+            if self.optimize_peak_amplitude:
+                light.append(_overlap(images.detach(), self.targets[planes]))
+        if light:
+            self._set_peak(light)
         return total
+
+    def _images(self, hologram, powers, captured):
+        """Yield some planes and their intensities, until all were there."""
+        for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
+            images = self.propagator.exposures(hologram, planes, powers)
+            yield planes, images if captured is None else seen(images, captured[planes])
+
+    def _set_peak(self, overlaps):
+        """Set the brightness at which the images of this iteration were closest to the targets, ⟨I, I⟩/⟨I, T⟩."""
+        own, common = torch.stack(overlaps).sum(0)
+        self.peak_amplitude.copy_(own / common.clamp_min(torch.finfo(common.dtype).tiny))
 
     def _image_loss(self, images, planes):
         # Relative to the brightness sought: were targets scaled by it, darkness would be the best image of all.
@@ -419,11 +436,17 @@ class multi_color_hologram_optimizer:
 
     def _other_losses(self, phases, phase_loss, powers):
         losses = []
-        if self.weights["light"] and (powers.requires_grad or self.peak_amplitude.requires_grad):
-            loss = light_loss(powers, self.targets, self.peak_amplitude, self.reduction)
+        if self.weights["light"] and powers.requires_grad:
+            loss = light_loss(powers, self.targets, self._peak, self.reduction)
             losses.append(self.weights["light"] * loss)
         if self.weights["eyebox"]:
             losses.append(self.weights["eyebox"] * self.eyebox_constrain(phases, **self._eyebox))
         if phase_loss is not None:
             losses.append(self.weights["phase"] * phase_loss)
         return sum(losses) if losses else None
+
+
+def _overlap(images, targets):
+    """Return ⟨I, I⟩ and ⟨I, T⟩ in one tensor."""
+    images, targets = images.flatten(), targets.flatten()
+    return torch.stack([torch.dot(images, images), torch.dot(images, targets)])

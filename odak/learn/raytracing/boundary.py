@@ -1,0 +1,332 @@
+"""Rays at surfaces: differentiable intersections, normals, reflection, refraction and Fresnel coefficients."""
+
+import torch
+
+from odak.learn.raytracing import arguments
+from odak.raytracing import geometry, interfaces, intersections
+from odak.raytracing.interfaces import Fresnel
+
+__all__ = [
+    "fresnel_coefficients",
+    "get_sphere_normal_torch",
+    "get_triangle_normal",
+    "intersect_w_circle",
+    "intersect_w_sphere",
+    "intersect_w_surface",
+    "intersect_w_surface_batch",
+    "intersect_w_triangle",
+    "intersect_w_triangle_batch",
+    "reflect",
+    "refract",
+]
+
+
+def refract(vector, normvector, n1, n2, error: float = 0.01) -> torch.Tensor:
+    """Refract rays at surfaces by Snell's law.
+
+    Parameters
+    ----------
+    vector : torch.Tensor
+        Rays, ``[2, 3]`` or ``[m, 2, 3]``.
+    normvector : torch.Tensor
+        Normals as rays, of any length and sign; one serves many rays, and the reverse.
+    n1, n2 : float or torch.Tensor
+        Refractive indices before and behind the surface, numbers or ``[m]``.
+    error : float
+        Not used: the result is exact. Kept for older calls.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``: rays that start at the normals' points. A totally reflected ray has a NaN direction and no
+        gradient. Differentiable in rays, normals and indices.
+
+    Notes
+    -----
+    Spencer and Murty, J. Opt. Soc. Am. 52, 672 (1962), with the closed root; see
+    :func:`odak.raytracing.interfaces.refract_directions`, which also returns statuses.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import refract
+    >>> normal = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
+    tensor([0.0000, 0.4000, 0.9165])
+    """
+    ray, normal, n1, n2 = arguments.tensors(vector=vector, normvector=normvector, n1=n1, n2=n2)
+    ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
+    n1, n2 = n1.reshape(-1), n2.reshape(-1)
+    direction, _ = interfaces.refract_directions(ray[:, 1], normal[:, 1], n1, n2)
+    return arguments.as_rays(normal[:, 0], direction)
+
+
+def reflect(input_ray, normal) -> torch.Tensor:
+    """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
+
+    Parameters
+    ----------
+    input_ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    normal : torch.Tensor
+        Normals as rays, of any length and sign; one serves many rays, and the reverse.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``: rays that start at the normals' points; NaN where a normal is zero.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import reflect
+    >>> normal = torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
+    >>> reflect(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal)[0, 1]
+    tensor([ 0.0000,  0.6000, -0.8000])
+    """
+    ray, normal = arguments.tensors(input_ray=input_ray, normal=normal)
+    ray, normal = arguments.rays("input_ray", ray), arguments.rays("normal", normal)
+    return arguments.as_rays(normal[:, 0], interfaces.reflect_directions(ray[:, 1], normal[:, 1]))
+
+
+def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
+    """Return the Fresnel coefficients of rays at surfaces; see :func:`odak.raytracing.fresnel_coefficients`.
+
+    Parameters
+    ----------
+    ray, normal : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    n1 : float or torch.Tensor
+        Real index before the surface.
+    n2 : float, complex or torch.Tensor
+        Index behind it; a positive imaginary part absorbs.
+
+    Returns
+    -------
+    Fresnel
+        Named tuple of tensors ``[m]``, differentiable in all arguments.
+    """
+    ray, normal = arguments.tensors(ray=ray, normal=normal)
+    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (n1, n2))
+    return interfaces.fresnel(arguments.rays("ray", ray)[:, 1], arguments.rays("normal", normal)[:, 1], n1, n2)
+
+
+def intersect_w_sphere(
+    ray, sphere, learning_rate: float = 2e-1, number_of_steps: int = 5000, error_threshold: float = 1e-2
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Meet a sphere in closed form: the nearest point ahead, or the exit when the ray starts inside.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    sphere : torch.Tensor
+        ``[4]`` or ``[1, 4]``, or ``[m, 4]``: one for each ray.
+    learning_rate, number_of_steps, error_threshold
+        Not used; kept for older calls, which iterated.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        - rays ``[k, 2, 3]`` from the points hit, in the rays' directions, for the k rays that hit;
+        - normals ``[k, 2, 3]``: the sphere's centre and the outward unit normal;
+        - distances ``[m]`` of all rays, NaN for those that miss, which have no gradient;
+        - bool ``[m]``: which rays hit.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_sphere, intersect_w_sphere
+    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> intersect_w_sphere(ray, define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0])))[2]
+    tensor([2.])
+    """
+    ray, sphere = arguments.tensors(ray=ray, sphere=sphere)
+    ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
+    if len(sphere) not in (1, len(ray)) and len(ray) != 1:
+        raise ValueError(f"sphere must hold one sphere or one for each of {len(ray)} rays, got {len(sphere)}")
+    center = sphere[:, :3]
+    hit = intersections.sphere(ray[:, 0], ray[:, 1], center, sphere[:, 3])
+    check = hit.hit
+    rays = arguments.as_rays(hit.point, ray[:, 1])[check]
+    return rays, arguments.as_rays(center, hit.normal)[check], hit.distance, check
+
+
+def intersect_w_triangle(ray, triangle) -> tuple:
+    """Meet one triangle, ahead of the starts or behind them.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    triangle : torch.Tensor
+        ``[3, 3]`` or ``[1, 3, 3]``.
+
+    Returns
+    -------
+    tuple
+        - normals ``[m, 2, 3]``: where each ray meets the triangle's plane, and the unit normal;
+        - distances ``[m, 1]`` to the plane, negative behind the start, NaN for rays along it;
+        - the k rays that hit the triangle, ``[k, 2, 3]``;
+        - their normals ``[k, 2, 3]``;
+        - bool ``[1, m]``: which rays hit, by the rule of :func:`odak.learn.raytracing.is_it_on_triangle`.
+    """
+    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
+    ray, triangle = arguments.rays("ray", ray), _one("triangle", triangle)
+    normal, distance, check = _meet_triangles(ray, triangle)
+    return normal[0], distance[0][:, None], ray[check[0]], normal[0][check[0]], check
+
+
+def intersect_w_triangle_batch(ray, triangle) -> tuple:
+    """Meet many triangles with many rays.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[n, 2, 3]``.
+    triangle : torch.Tensor
+        ``[3, 3]`` or ``[m, 3, 3]``.
+
+    Returns
+    -------
+    tuple
+        - normals ``[m, n, 2, 3]``: where each ray meets each plane, and the unit normals;
+        - lists with one entry for each triangle that is hit, in order: distances ``[k]``, rays ``[k, 2, 3]`` and
+          normals ``[k, 2, 3]`` of the rays that hit it;
+        - bool ``[m, n]``: which ray hits which triangle.
+    """
+    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
+    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
+    normal, distance, check = _meet_triangles(ray, triangle)
+    struck = check.any(dim=1).nonzero().flatten().tolist()
+    distances = [distance[i][check[i]] for i in struck]
+    return normal, distances, [ray[check[i]] for i in struck], [normal[i][check[i]] for i in struck], check
+
+
+def intersect_w_surface(ray, points) -> tuple[torch.Tensor, torch.Tensor]:
+    """Meet the plane through three points.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    points : torch.Tensor
+        Three points, ``[3, 3]`` or ``[1, 3, 3]``; ``[m, 3, 3]`` gives each ray its own plane.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Normals ``[m, 2, 3]`` (where the plane is met, unit normal) and distances ``[m, 1]``, negative behind the
+        start. Point and distance are NaN for rays along the plane.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_plane, intersect_w_surface
+    >>> ray = torch.tensor([[0.0, 0.0, 20.0], [0.0, 0.6, 0.8]])
+    >>> intersect_w_surface(ray, define_plane(torch.tensor([0.0, 0.0, 10.0])))[1]
+    tensor([[-12.5000]])
+    """
+    ray, points = arguments.tensors(ray=ray, points=points)
+    ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
+    hit = _meet_plane(ray, points)
+    return arguments.as_rays(hit.point, hit.normal), hit.distance[:, None]
+
+
+def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor]:
+    """Meet the planes of m triangles with n rays: normals ``[m, n, 2, 3]`` and signed distances ``[m, n]``.
+
+    Each entry is that of :func:`intersect_w_surface`.
+    """
+    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
+    hit = _meet_plane(arguments.rays("ray", ray), arguments.triangles("triangle", triangle)[:, None])
+    return arguments.as_rays(hit.point, hit.normal), hit.distance
+
+
+def get_triangle_normal(triangle, triangle_center=None) -> torch.Tensor:
+    """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
+
+    Parameters
+    ----------
+    triangle : torch.Tensor
+        ``[3, 3]`` or ``[m, 3, 3]``.
+    triangle_center : torch.Tensor, optional
+        Where the normals start; by default the mean of the corners.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN normal where the corners are in line.
+    """
+    given = {"triangle": triangle} if triangle_center is None else {"triangle": triangle, "center": triangle_center}
+    triangle, *center = arguments.tensors(**given)
+    triangle = arguments.triangles("triangle", triangle)
+    start = arguments.points("triangle_center", center[0]) if center else triangle.mean(dim=-2)
+    normal = arguments.as_rays(start, geometry.triangle_normal(triangle))
+    return normal[0] if len(normal) == 1 else normal
+
+
+def get_sphere_normal_torch(point, sphere) -> torch.Tensor:
+    """Return the rays from points of a sphere towards its centre.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        ``[3]`` or ``[m, 3]``.
+    sphere : torch.Tensor
+        ``[4]`` or ``[1, 4]``: centre and radius.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``.
+    """
+    point, sphere = arguments.tensors(point=point, sphere=sphere)
+    point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
+    return arguments.as_rays(point, geometry.unit(sphere[:, :3] - point))
+
+
+def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
+    """Meet the plane of a circle; the distance is 0 where the point lies outside the circle.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    circle : list
+        [plane, centre, radius] of :func:`odak.learn.raytracing.define_circle`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
+    """
+    ray, plane, center, radius = arguments.tensors(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
+    normal, distance = intersect_w_surface(ray, plane)
+    arm = normal[:, 0] - center
+    outside = geometry.dot(arm, arm) > radius.reshape(-1) ** 2
+    distance = torch.where(outside[:, None], 0.0, distance)
+    return normal if ray.ndim > 2 else normal[0], distance
+
+
+def _meet_triangles(ray, triangle) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return normals ``[k, m, 2, 3]``, signed distances and membership ``[k, m]`` of m rays and k triangles."""
+    hit = _meet_plane(ray, triangle[:, None])
+    return (
+        arguments.as_rays(hit.point, hit.normal),
+        hit.distance,
+        intersections.within(hit.point, hit.hit, triangle[:, None]),
+    )
+
+
+def _meet_plane(ray, triangle) -> intersections.Hit:
+    """Meet the planes of triangles through their centres, which rounding harms least."""
+    centre = triangle.mean(dim=-2)
+    return intersections.plane(ray[..., 0, :], ray[..., 1, :], centre, geometry.triangle_normal(triangle))
+
+
+def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:
+    triangle = arguments.triangles(name, triangle)
+    if len(triangle) != 1:
+        raise ValueError(f"{name} must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
+    return triangle

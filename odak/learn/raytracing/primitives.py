@@ -1,0 +1,179 @@
+"""Planes, triangles, circles and spheres as tensors, and the test whether points lie on triangles."""
+
+from collections.abc import Sequence
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing import arguments
+from odak.raytracing.intersections import within
+from odak.raytracing.primitives import PLANE_CORNERS
+from odak.tools.transformation import apply_matrix, rotation_matrix
+
+_NONE = torch.tensor([0.0, 0.0, 0.0])
+
+
+def define_plane(point, angles=_NONE) -> torch.Tensor:
+    """Return three points of a plane through `point`, tilted.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        ``[3]``; the last of the three points.
+    angles : torch.Tensor
+        Degrees about X, Y and Z, applied in this order. Without tilt the plane is z = point[2].
+
+    Returns
+    -------
+    torch.Tensor
+        ``[3, 3]``, a point per row; the right-hand normal is the rotated z axis.
+    """
+    point, angles = _beside(point, angles)
+    if point.numel() != 3 or angles.numel() != 3:
+        raise ValueError(f"point and angles must be [3], got {tuple(point.shape)} and {tuple(angles.shape)}")
+    corners = torch.tensor(PLANE_CORNERS, dtype=point.dtype, device=point.device)
+    return point.reshape(3) + apply_matrix(rotation_matrix(angles.reshape(3)), corners)
+
+
+def define_plane_mesh(
+    number_of_meshes: Sequence[int] = (10, 10),
+    size: Sequence[float] = (1.0, 1.0),
+    angles=_NONE,
+    offset=_NONE,
+) -> torch.Tensor:
+    """Return a flat rectangle cut into triangles.
+
+    Parameters
+    ----------
+    number_of_meshes : sequence of int
+        Number of squares n0, n1 along x and y.
+    size : sequence of float
+        Extent along x and y, about the origin.
+    angles : torch.Tensor
+        Degrees about X, Y and Z, applied in this order about the rectangle's centre.
+    offset : torch.Tensor
+        Shift after the rotation: ``[3]``, ``[1, 3]``, or ``[2·n0·n1, 3]`` for one per triangle.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[2·n0·n1, 3, 3]``: the triangles (i, j), (i+1, j), (i, j+1) of all squares, the second index fast, then the
+        triangles (i+1, j+1), (i+1, j), (i, j+1).
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing import define_plane_mesh
+    >>> define_plane_mesh([1, 1], [2.0, 2.0])[0]
+    tensor([[-1., -1.,  0.],
+            [ 1., -1.,  0.],
+            [-1.,  1.,  0.]])
+    """
+    n0, n1 = _validate.size("number_of_meshes", number_of_meshes)
+    # The defaults are taken as plain numbers: they must not decide the device.
+    angles, offset = ([0.0, 0.0, 0.0] if v is _NONE else v for v in (angles, offset))
+    size, angles, offset = arguments.tensors(size=size, angles=angles, offset=offset)
+    if size.numel() != 2 or angles.numel() != 3:
+        raise ValueError(f"size must be [2] and angles [3], got {tuple(size.shape)} and {tuple(angles.shape)}")
+    offset = arguments.points("offset", offset)
+    if len(offset) not in (1, 2 * n0 * n1):
+        raise ValueError(f"offset must be [3], [1, 3] or [{2 * n0 * n1}, 3], got {tuple(offset.shape)}")
+    axes = (
+        (torch.arange(n + 1, dtype=size.dtype, device=size.device) / n - 0.5) * extent
+        for n, extent in zip((n0, n1), size.reshape(2), strict=True)
+    )
+    x, y = torch.meshgrid(*axes, indexing="ij")
+    grid = torch.stack((x, y, torch.zeros_like(x)), dim=-1)
+    near, right, up, far = grid[:-1, :-1], grid[1:, :-1], grid[:-1, 1:], grid[1:, 1:]
+    corners = [torch.stack(c, dim=-2).reshape(-1, 3, 3) for c in ((near, right, up), (far, right, up))]
+    return apply_matrix(rotation_matrix(angles.reshape(3)), torch.cat(corners)) + offset[:, None]
+
+
+def center_of_triangle(triangle) -> torch.Tensor:
+    """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
+    (triangle,) = arguments.tensors(triangle=triangle)
+    return arguments.triangles("triangle", triangle).mean(dim=-2)
+
+
+def is_it_on_triangle(point_to_check, triangle) -> torch.Tensor:
+    """Say which points lie on which triangles, judged along the triangles' normals.
+
+    Parameters
+    ----------
+    point_to_check : torch.Tensor
+        Points, ``[3]`` or ``[m, 3]``.
+    triangle : torch.Tensor
+        Triangles, ``[3, 3]`` or ``[k, 3, 3]``.
+
+    Returns
+    -------
+    torch.Tensor
+        bool ``[k, m]``. The first corner and the two edges at it belong to a triangle, its last edge does not. False
+        for NaN points and for triangles without area.
+
+    Notes
+    -----
+    Barycentric: u ≥ 0, v ≥ 0 and u + v < 1 (blackpawn.com/texts/pointinpoly).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import is_it_on_triangle
+    >>> is_it_on_triangle(torch.tensor([[1.0, 1, 0], [4, 4, 0]]), torch.tensor([[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]))
+    tensor([[ True, False]])
+    """
+    point, triangle = arguments.tensors(point_to_check=point_to_check, triangle=triangle)
+    point, triangle = arguments.points("point_to_check", point), arguments.triangles("triangle", triangle)
+    return within(point, point.isfinite().all(dim=-1), triangle[:, None])
+
+
+def is_it_on_triangle_batch(point_to_check, triangle) -> torch.Tensor:
+    """Say which points of row i lie on triangle i: ``[k, m, 3]`` and ``[k, 3, 3]`` give bool ``[k, m]``.
+
+    The rule is that of :func:`is_it_on_triangle`.
+    """
+    point, triangle = arguments.tensors(point_to_check=point_to_check, triangle=triangle)
+    triangle = arguments.triangles("triangle", triangle)
+    point = arguments.shaped("point_to_check", point, (3,), "[k, m, 3]")
+    return within(point, point.isfinite().all(dim=-1), triangle[:, None])
+
+
+def define_sphere(center=None, radius=None) -> torch.Tensor:
+    """Return spheres as ``[m, 4]``: centre and radius.
+
+    Parameters
+    ----------
+    center : torch.Tensor
+        ``[3]``, ``[1, 3]`` or ``[m, 3]``; the origin by default.
+    radius : torch.Tensor
+        A number, ``[1]``, ``[m]`` or ``[m, 1]``; 1 by default.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 4]``; one centre serves many radii, and the reverse.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_sphere
+    >>> define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0]))
+    tensor([[0., 0., 5., 3.]])
+    """
+    center = [[0.0, 0.0, 0.0]] if center is None else center
+    center, radius = arguments.tensors(center=center, radius=[1.0] if radius is None else radius)
+    center, radius = arguments.points("center", center), radius.reshape(-1, 1)
+    if len(center) != len(radius) and 1 not in (len(center), len(radius)):
+        raise ValueError(f"center and radius must be as many, or one; got {len(center)} and {len(radius)}")
+    count = max(len(center), len(radius))
+    return torch.cat((center.expand(count, 3), radius.expand(count, 1)), dim=-1)
+
+
+def define_circle(center, radius, angles) -> list:
+    """Return a circle as [plane ``[3, 3]``, centre, radius ``[1]``]; see :func:`define_plane`."""
+    plane = define_plane(center, angles)
+    return [plane, center, torch.as_tensor(radius, dtype=plane.dtype, device=plane.device).reshape(1)]
+
+
+def _beside(point, angles) -> list[torch.Tensor]:
+    """Return both as tensors; the default angles do not widen or move anything."""
+    return arguments.tensors(point=point, angles=[0.0, 0.0, 0.0] if angles is _NONE else angles)

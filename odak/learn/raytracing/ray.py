@@ -1,0 +1,261 @@
+"""Rays as tensors ``[m, 2, 3]``: start and direction cosines."""
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing import arguments
+from odak.raytracing.geometry import unit
+from odak.tools.transformation import apply_matrix, rotation_matrix
+
+__all__ = [
+    "create_ray",
+    "create_ray_from_all_pairs",
+    "create_ray_from_grid_w_luminous_angle",
+    "create_ray_from_point_w_luminous_angle",
+    "create_ray_from_two_points",
+    "get_points_along_a_ray_segment",
+    "propagate_a_ray",
+    "propagate_ray",
+]
+
+
+def create_ray(xyz, abg, direction: bool = False) -> torch.Tensor:
+    """Return rays from points with given angles to the three axes.
+
+    Parameters
+    ----------
+    xyz : torch.Tensor
+        Starts, ``[3]`` or ``[m, 3]``.
+    abg : torch.Tensor
+        Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``; one row serves many starts, and the reverse.
+    direction : bool
+        Take `abg` as direction cosines.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray
+    >>> create_ray(torch.tensor([1.0, 2.0, 3.0]), torch.tensor([90.0, 60.0, 30.0]))[0, 1].round(decimals=3).abs()
+    tensor([0.0000, 0.5000, 0.8660])
+    """
+    xyz, abg = arguments.tensors(xyz=xyz, abg=abg)
+    abg = arguments.points("abg", abg)
+    return arguments.as_rays(arguments.points("xyz", xyz), abg if direction else torch.cos(torch.deg2rad(abg)))
+
+
+def create_ray_from_two_points(x0y0z0, x1y1z1) -> torch.Tensor:
+    """Return rays that start at the first points and head to the second ones.
+
+    Parameters
+    ----------
+    x0y0z0, x1y1z1 : torch.Tensor
+        Starts and ends, ``[3]`` or ``[m, 3]``; one of either serves many of the other.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``; NaN directions, with zero gradients, where start and end coincide.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray_from_two_points
+    >>> create_ray_from_two_points(torch.zeros(3), torch.tensor([0.0, 3.0, 4.0]))
+    tensor([[[0.0000, 0.0000, 0.0000],
+             [0.0000, 0.6000, 0.8000]]])
+    """
+    start, end = arguments.tensors(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
+    start, end = arguments.points("x0y0z0", start), arguments.points("x1y1z1", end)
+    return arguments.as_rays(start, unit(end - start))
+
+
+def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> torch.Tensor:
+    """Return the rays from every start to every end.
+
+    Parameters
+    ----------
+    x0y0z0, x1y1z1 : torch.Tensor
+        Starts ``[m, 3]`` and ends ``[n, 3]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m·n, 2, 3]``; ray i·n + j goes from start i to end j. NaN where both coincide.
+    """
+    start, end = arguments.tensors(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
+    start, end = arguments.points("x0y0z0", start)[:, None], arguments.points("x1y1z1", end)
+    return arguments.as_rays(start, unit(end - start)).reshape(-1, 2, 3)
+
+
+def create_ray_from_grid_w_luminous_angle(
+    center, size, no, tilt, num_ray_per_light: int, angle_limit, seed: int | None = None, generator=None
+) -> torch.Tensor:
+    """Return random rays from a tilted grid of lights, each within a cone about the grid's normal.
+
+    Parameters
+    ----------
+    center : torch.Tensor
+        Centre of the grid, ``[3]``.
+    size : sequence of float
+        Its extent along both axes; the outer lights sit on its rim.
+    no : sequence of int
+        Number of lights along both axes.
+    tilt : torch.Tensor
+        Degrees about X, Y and Z, applied in this order.
+    num_ray_per_light : int
+        Rays of each light.
+    angle_limit : float
+        Half-angle of the cones in degrees, 0 … 180. Directions are uniform in solid angle.
+    seed : int, optional
+        Makes the result repeatable.
+    generator : torch.Generator, optional
+        The same, with the caller's generator.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[no[0]·no[1]·num_ray_per_light, 2, 3]``: all lights, first axis slow, then all again. On center's device.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray_from_grid_w_luminous_angle
+    >>> create_ray_from_grid_w_luminous_angle(torch.zeros(3), [2, 2], [2, 3], torch.zeros(3), 5, 15.0, seed=1).shape
+    torch.Size([30, 2, 3])
+    """
+    center, size, tilt = arguments.tensors(center=center, size=size, tilt=tilt)
+    rows, columns = _validate.size("no", no)
+    if size.numel() != 2:
+        raise ValueError(f"size must be two numbers, got {tuple(size.shape)}")
+    axes = [_spread(half, n) for half, n in zip(size.reshape(2) / 2, (rows, columns), strict=True)]
+    x, y = torch.meshgrid(*axes, indexing="ij")
+    flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
+    matrix = rotation_matrix(_vector("tilt", tilt))
+    lights = apply_matrix(matrix, flat) + _vector("center", center)
+    count = _validate.integer("num_ray_per_light", num_ray_per_light, minimum=0)
+    return _cone(lights.repeat(count, 1), matrix, angle_limit, seed, generator)
+
+
+def create_ray_from_point_w_luminous_angle(
+    origin, num_ray: int, tilt, angle_limit, seed: int | None = None, generator=None
+) -> torch.Tensor:
+    """Return random rays from one point within a cone.
+
+    Parameters
+    ----------
+    origin : torch.Tensor
+        Start of all rays, ``[3]``.
+    num_ray : int
+        Number of rays.
+    tilt, angle_limit, seed, generator
+        As in :func:`create_ray_from_grid_w_luminous_angle`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[num_ray, 2, 3]``, on origin's device.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray_from_point_w_luminous_angle
+    >>> create_ray_from_point_w_luminous_angle(torch.zeros(3), 1, torch.zeros(3), 0.0)[0, 1]
+    tensor([0., 0., 1.])
+    """
+    origin, tilt = arguments.tensors(origin=origin, tilt=tilt)
+    count = _validate.integer("num_ray", num_ray, minimum=0)
+    matrix = rotation_matrix(_vector("tilt", tilt))
+    return _cone(_vector("origin", origin).expand(count, 3), matrix, angle_limit, seed, generator)
+
+
+def propagate_ray(ray, distance) -> torch.Tensor:
+    """Return rays whose starts have moved along their directions; the directions stay.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    distance : torch.Tensor or float
+        A number, ``[1]``, ``[m]``, ``[m, 1]`` or ``[1, m]``; negative goes backwards.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import propagate_ray
+    >>> propagate_ray(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), 10.0)[0, 0]
+    tensor([0., 6., 8.])
+    """
+    ray, distance = arguments.tensors(ray=ray, distance=distance)
+    ray, distance = arguments.rays("ray", ray), distance.reshape(-1, 1)
+    return arguments.as_rays(ray[..., 0, :] + distance * ray[..., 1, :], ray[..., 1, :])
+
+
+propagate_a_ray = propagate_ray
+
+
+def get_points_along_a_ray_segment(ray, distances) -> torch.Tensor:
+    """Return the points at given distances along rays.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]``, ``[1, 2, 3]`` or ``[m, 2, 3]``.
+    distances : torch.Tensor
+        ``[k]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[k, 3]`` for one ray, ``[m, k, 3]`` for several.
+    """
+    ray, distances = arguments.tensors(ray=ray, distances=distances)
+    ray = arguments.rays("ray", ray)
+    points = ray[:, None, 0] + distances.reshape(-1, 1) * ray[:, None, 1]
+    return points[0] if len(ray) == 1 else points
+
+
+def _spread(half: torch.Tensor, count: int) -> torch.Tensor:
+    """Return linspace(−half, half, count), differentiable in `half`."""
+    return half * torch.linspace(-1, 1, count, dtype=half.dtype, device=half.device)
+
+
+def _vector(name: str, value: torch.Tensor) -> torch.Tensor:
+    if value.numel() != 3:
+        raise ValueError(f"{name} must be three numbers, got {tuple(value.shape)}")
+    return value.reshape(3)
+
+
+def _cone(start: torch.Tensor, matrix: torch.Tensor, angle_limit, seed, generator) -> torch.Tensor:
+    """Return rays of random directions about the rotated z axis, uniform in solid angle."""
+    limit = _half_angle(angle_limit, start)
+    if generator is None and seed is not None:
+        generator = torch.Generator(device=start.device).manual_seed(seed)
+    draw = torch.rand(2, len(start), dtype=start.dtype, device=start.device, generator=generator)
+    # 1 − cos θ from the half angle, which keeps narrow cones exact where 1 − cos α would round to zero.
+    rise = draw[0] * 2 * torch.sin(limit / 2) ** 2
+    across, turn = (rise * (2 - rise)).clamp(min=0).sqrt(), 2 * torch.pi * draw[1]
+    direction = torch.stack((across * torch.cos(turn), across * torch.sin(turn), 1 - rise), dim=-1)
+    return arguments.as_rays(start, apply_matrix(matrix, direction))
+
+
+def _half_angle(angle_limit, like: torch.Tensor) -> torch.Tensor:
+    _validate.real("angle_limit", angle_limit)
+    angle = torch.as_tensor(angle_limit, dtype=like.dtype, device=like.device).reshape(())
+    if not like.is_cuda and not 0 <= float(angle.detach()) <= 180:
+        raise ValueError(f"angle_limit must lie within 0 … 180 degrees, got {float(angle.detach())!r}")
+    return torch.deg2rad(angle)

@@ -1,0 +1,115 @@
+"""Vectors and triangles on plain arrays, for every array library.
+
+A missing value is NaN in the result; the arithmetic under it runs on a dummy, so that no gradient turns NaN.
+"""
+
+import math
+
+from odak._array import namespace
+from odak.tools.vector import cross, dot, on_same_side
+
+__all__ = [
+    "barycentric",
+    "cross",
+    "dot",
+    "epsilon",
+    "finite_rays",
+    "is_on_triangle",
+    "masked",
+    "nearest_on_lines",
+    "safe_divide",
+    "safe_sqrt",
+    "triangle_normal",
+    "unit",
+]
+
+
+def safe_sqrt(value):
+    """Return the root of positive values, 0 with a zero gradient elsewhere."""
+    xp = namespace(value)
+    positive = value > 0
+    return xp.where(positive, xp.sqrt(xp.where(positive, value, 1.0)), 0.0)
+
+
+def safe_divide(numerator, denominator, where):
+    """Return numerator/denominator where `where` holds, 0 with zero gradients elsewhere."""
+    xp = namespace(numerator, denominator)
+    return xp.where(where, numerator, 0.0) / xp.where(where, denominator, 1.0)
+
+
+def masked(value, where):
+    """Return `value`, ``[...]`` or ``[..., 3]``, with NaN where `where`, ``[...]``, does not hold."""
+    xp = namespace(value)
+    return xp.where(where if value.ndim == where.ndim else where[..., None], value, math.nan)
+
+
+def epsilon(value) -> float:
+    """Return the spacing of floats at 1 in the precision of `value`."""
+    return float(namespace(value).finfo(value.dtype).eps)
+
+
+def unit(vector):
+    """Return vector/|vector|, ``[..., 3]``; NaN for a vector of length zero."""
+    xp = namespace(vector)
+    squared = dot(vector, vector)
+    exists = squared > 0
+    return masked(vector / xp.sqrt(xp.where(exists, squared, 1.0))[..., None], exists)
+
+
+def finite_rays(start, direction):
+    """Return rays with the ones that hold NaN or infinity replaced by zeros, and which were kept.
+
+    A ray lost at an earlier surface must not poison the gradients of a surface it shares with others.
+    """
+    xp = namespace(start, direction)
+    kept = xp.isfinite(dot(start, xp.ones_like(start)) + dot(direction, xp.ones_like(direction)))
+    return xp.where(kept[..., None], start, 0.0), xp.where(kept[..., None], direction, 0.0), kept
+
+
+def triangle_normal(triangle):
+    """Return the unit normal (p1 − p0) × (p2 − p0)/|…| of triangles ``[..., 3, 3]``; NaN for corners in line."""
+    p0, p1, p2 = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
+    edge1, edge2 = p1 - p0, p2 - p0
+    area = cross(edge1, edge2)
+    squared = dot(area, area)
+    exists = squared > (4 * epsilon(triangle)) ** 2 * dot(edge1, edge1) * dot(edge2, edge2)
+    xp = namespace(triangle)
+    return masked(area / xp.sqrt(xp.where(exists, squared, 1.0))[..., None], exists)
+
+
+def barycentric(point, triangle):
+    """Return (u, v) with point ≈ p0 + u·(p2 − p0) + v·(p1 − p0), by projection; NaN where the corners are in line.
+
+    `point` is ``[..., 3]``, `triangle` ``[..., 3, 3]``. Source: blackpawn.com/texts/pointinpoly.
+    """
+    p0 = triangle[..., 0, :]
+    edge2, edge1, arm = triangle[..., 2, :] - p0, triangle[..., 1, :] - p0, point - p0
+    d00, d01, d11 = dot(edge2, edge2), dot(edge2, edge1), dot(edge1, edge1)
+    d02, d12 = dot(edge2, arm), dot(edge1, arm)
+    area = cross(edge1, edge2)
+    squared = dot(area, area)
+    exists = squared > (4 * epsilon(triangle)) ** 2 * d00 * d11
+    u = safe_divide(d11 * d02 - d01 * d12, squared, exists)
+    v = safe_divide(d00 * d12 - d01 * d02, squared, exists)
+    return masked(u, exists), masked(v, exists)
+
+
+def is_on_triangle(point, p0, p1, p2):
+    """Say whether points lie within a triangle or on its rim, judged by projection: the same-side test of all edges."""
+    return on_same_side(point, p0, p1, p2) & on_same_side(point, p1, p0, p2) & on_same_side(point, p2, p0, p1)
+
+
+def nearest_on_lines(start0, direction0, start1, direction1):
+    """Return how far along each of two lines their nearest points lie, in lengths of the directions; ``[...]`` both.
+
+    For parallel lines the first is 0 and the second the foot of `start0`.
+    """
+    n = cross(direction0, direction1)
+    squared = dot(n, n)
+    length0, length1 = dot(direction0, direction0), dot(direction1, direction1)
+    crossing = squared > (4 * epsilon(start0)) ** 2 * length0 * length1
+    gap = start1 - start0
+    t0 = safe_divide(dot(cross(gap, direction1), n), squared, crossing)
+    t1 = safe_divide(dot(cross(gap, direction0), n), squared, crossing)
+    foot = safe_divide(-dot(gap, direction1), length1, length1 > 0)
+    return t0, namespace(t1).where(crossing, t1, foot)

@@ -1,0 +1,115 @@
+"""What happens at a surface: reflection, refraction and the Fresnel coefficients, on plain arrays of any rank."""
+
+from typing import Any, NamedTuple
+
+from odak._array import complex_dtype, namespace
+from odak.raytracing.geometry import dot, finite_rays, masked, safe_divide, safe_sqrt
+from odak.raytracing.intersections import status_array
+from odak.raytracing.status import RayStatus
+
+
+class Fresnel(NamedTuple):
+    """Fresnel coefficients of an interface for both polarisations.
+
+    Attributes
+    ----------
+    reflected_s, reflected_p, transmitted_s, transmitted_p : array
+        Amplitude coefficients, complex ``[...]``.
+    reflectance_s, reflectance_p, transmittance_s, transmittance_p : array
+        Shares of the power, real ``[...]``. Each pair adds up to 1.
+    """
+
+    reflected_s: Any
+    reflected_p: Any
+    transmitted_s: Any
+    transmitted_p: Any
+    reflectance_s: Any
+    reflectance_p: Any
+    transmittance_s: Any
+    transmittance_p: Any
+
+
+def reflect_directions(direction, normal):
+    """Return d − 2(d·n)/(n·n)·n; NaN where the normal is zero or not finite. Neither need be a unit vector."""
+    direction, normal, kept = finite_rays(direction, normal)
+    squared = dot(normal, normal)
+    exists = kept & (squared > 0)
+    factor = safe_divide(2 * dot(direction, normal), squared, exists)
+    return masked(direction - factor[..., None] * normal, exists)
+
+
+def refract_directions(direction, normal, n1, n2):
+    """Return the refracted directions and their statuses, by Snell's law in vector form.
+
+    Parameters
+    ----------
+    direction, normal : array
+        ``[..., 3]``. The normal may have any length and either sign; the direction's length is kept.
+    n1, n2 : array or float
+        Indices before and behind the surface, ``[...]``.
+
+    Returns
+    -------
+    tuple
+        Directions ``[..., 3]``, NaN for total internal reflection and for rays that do not exist, and int8 statuses.
+
+    Notes
+    -----
+    d' = μd + τn with μ = n1/n2 and the root τ of τ² + 2aτ + b = 0 that keeps the ray on its way through: Spencer and
+    Murty, J. Opt. Soc. Am. 52, 672 (1962), eqs. 18–21. A ray in the surface is bent by the critical angle towards the
+    normal for n1 < n2 and totally reflected otherwise.
+    """
+    xp = namespace(direction, normal)
+    direction, normal, kept = finite_rays(direction, normal)
+    squared = dot(normal, normal)
+    exists = kept & (squared > 0) & (dot(direction, direction) > 0)
+    normal = normal / xp.where(exists, squared, 1.0)[..., None] ** 0.5
+    ratio = n1 / n2 + 0 * squared
+    cosine = dot(direction, normal)
+    tangential = direction - cosine[..., None] * normal
+    # |d|² − μ²|d_t|², from the tangential part itself: 1 − cos² would lose digits.
+    inside = dot(direction, direction) - ratio * ratio * dot(tangential, tangential)
+    through = exists & (inside >= 0) & ((cosine != 0) | (ratio < 1))
+    root = safe_sqrt(xp.where(exists, inside, 1.0))
+    out = ratio[..., None] * tangential + xp.where(cosine < 0, -root, root)[..., None] * normal
+    status = status_array(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
+    return masked(out, through), xp.where(exists, status, status_array(exists))
+
+
+def fresnel(direction, normal, n1, n2) -> Fresnel:
+    """Return the Fresnel coefficients of an interface between indices n1 (real) and n2 (real or complex).
+
+    Parameters
+    ----------
+    direction, normal : array
+        ``[..., 3]``; lengths and signs do not matter.
+    n1, n2 : array or number
+        Indices before and behind. Absorption is a positive imaginary part of `n2`: exp(+ikz) is a wave going forward.
+
+    Notes
+    -----
+    Born and Wolf, Principles of Optics (1999), section 1.5.2, eqs. 20 and 21; r_p follows their sign, so that
+    r_p = −r_s at normal incidence. Where the ray does not exist, all are NaN.
+    """
+    xp = namespace(direction, normal)
+    direction, normal, kept = finite_rays(direction, normal)
+    scale = dot(direction, direction) * dot(normal, normal)
+    exists = kept & (scale > 0)
+    cosine = abs(safe_divide(dot(direction, normal), safe_sqrt(xp.where(exists, scale, 1.0)), exists))
+    dtype = complex_dtype(cosine)
+    cos1, n1, n2 = (xp.astype(v + 0 * cosine, dtype) for v in (cosine, n1, n2))
+    tangential = n1 / n2
+    cos2 = xp.sqrt(1 - tangential * tangential * (1 - cos1 * cos1))
+    a, b, c, d = n1 * cos1, n2 * cos2, n2 * cos1, n1 * cos2
+    s, p = a + b, c + d
+    amplitudes = ((a - b) / s, (c - d) / p, 2 * a / s, 2 * a / p)
+    # Power, not amplitude: the wave behind is narrower and in another medium. Free of 0/0 at grazing incidence.
+    through_s = 4 * xp.real(a) * xp.real(b) / _square(s)
+    through_p = 4 * xp.real(a) * xp.real(n2 * xp.conj(cos2)) / _square(p)
+    powers = (_square(amplitudes[0]), _square(amplitudes[1]), through_s, through_p)
+    return Fresnel(*(xp.where(exists, value, float("nan")) for value in (*amplitudes, *powers)))
+
+
+def _square(value):
+    xp = namespace(value)
+    return xp.real(value) ** 2 + xp.imag(value) ** 2
