@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 0.02
-SLOW: set[str] = set()
+SLOW = {"guides/design_a_display.md", "guides/multiplane_and_colour.md"}
 _NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
