@@ -12,11 +12,11 @@ import pathlib
 import platform
 import sys
 
+import torch
+
 FOLDER = pathlib.Path(__file__).parent
 GROUPS = sorted(path.stem for path in FOLDER.glob("[a-z]*.py") if path.stem != "measure")
 sys.path.insert(0, str(FOLDER))
-
-import torch
 
 
 def main() -> int:
