@@ -4,11 +4,12 @@ Exit codes: 0 all is well, 1 unexpected failure, 2 the command line or what it n
 """
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from odak.cli import options
+from odak.cli import metamer_options, options
 from odak.cli.errors import InputError
 from odak.cli.job import Job
 
@@ -97,6 +98,44 @@ def hologram(
         raise typer.Exit(_fail(str(error), FAILURE)) from None
     if not quiet:
         _summarise(job, report)
+
+
+@app.command(
+    help="Make a picture that looks the same as another to an eye that looks at one place of it.\n\n"
+    "Away from the gaze it is noise with the picture's local statistics. Writes metamer.png, pooling_map.png (how wide "
+    "the regions are that the eye pools, on a scale of doublings) and comparison.png."
+)
+def metamer(
+    image: metamer_options.Image = "photo",
+    output: metamer_options.Output = Path("output"),
+    gaze: metamer_options.Gaze = (0.5, 0.5),
+    width: metamer_options.Width = 0.6,
+    distance: metamer_options.Distance = 0.7,
+    alpha: metamer_options.Alpha = 0.2,
+    mode: metamer_options.Mode = "quadratic",
+    levels: metamer_options.Levels = 5,
+    orientations: metamer_options.Orientations = 2,
+    iterations: metamer_options.Iterations = 0,
+    seed: metamer_options.Seed = 0,
+    device: metamer_options.Device = "auto",
+    quiet: metamer_options.Quiet = False,
+) -> None:
+    """Make a metamer; the parameters are those of :class:`odak.cli.metamer.MetamerJob`."""
+    values = dict(locals())
+    try:
+        from odak.cli.metamer import MetamerJob, run
+
+        report = run(MetamerJob(**values))
+    except InputError as error:
+        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
+    except OSError as error:
+        raise typer.Exit(_fail(str(error), FAILURE)) from None
+    if not quiet:
+        psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
+        typer.echo(
+            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, pooling up to {report['largest_pooling']:.3g} px"
+        )
+        typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
 
 
 @app.command(help="Print versions, devices, threads and FFT libraries.")

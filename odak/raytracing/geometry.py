@@ -80,18 +80,22 @@ def triangle_normal(triangle):
 def barycentric(point, triangle):
     """Return (u, v) with point ≈ p0 + u·(p2 − p0) + v·(p1 − p0), by projection; NaN where the corners are in line.
 
-    `point` is ``[..., 3]``, `triangle` ``[..., 3, 3]``. Source: blackpawn.com/texts/pointinpoly.
+    `point` is ``[..., 3]`` or a tuple of its components, `triangle` ``[..., 3, 3]``. Source:
+    blackpawn.com/texts/pointinpoly.
     """
+    xp = namespace(triangle)
     p0 = triangle[..., 0, :]
-    edge2, edge1, arm = triangle[..., 2, :] - p0, triangle[..., 1, :] - p0, point - p0
+    edge2, edge1 = triangle[..., 2, :] - p0, triangle[..., 1, :] - p0
+    parts = point if isinstance(point, tuple) else xp.unstack(point, axis=-1)
+    x, y, z = (a - b for a, b in zip(parts, xp.unstack(p0, axis=-1), strict=True))
+    d02, d12 = (ex * x + ey * y + ez * z for ex, ey, ez in (xp.unstack(e, axis=-1) for e in (edge2, edge1)))
     d00, d01, d11 = dot(edge2, edge2), dot(edge2, edge1), dot(edge1, edge1)
-    d02, d12 = dot(edge2, arm), dot(edge1, arm)
     area = cross(edge1, edge2)
     squared = dot(area, area)
     exists = squared > (4 * epsilon(triangle)) ** 2 * d00 * d11
-    u = safe_divide(d11 * d02 - d01 * d12, squared, exists)
-    v = safe_divide(d00 * d12 - d01 * d02, squared, exists)
-    return masked(u, exists), masked(v, exists)
+    # The few triangles carry the NaN to their many points.
+    area2 = xp.where(exists, squared, math.nan)
+    return (d11 * d02 - d01 * d12) / area2, (d00 * d12 - d01 * d02) / area2
 
 
 def is_on_triangle(point, p0, p1, p2):

@@ -3,7 +3,9 @@
 from typing import Any, NamedTuple
 
 from odak._array import complex_dtype, namespace
-from odak.raytracing.geometry import dot, finite_rays, masked, safe_divide, safe_sqrt
+from odak.raytracing import components as vec
+from odak.raytracing.batches import in_pieces
+from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
 from odak.raytracing.intersections import status_array
 from odak.raytracing.status import RayStatus
 
@@ -31,11 +33,17 @@ class Fresnel(NamedTuple):
 
 def reflect_directions(direction, normal):
     """Return d − 2(d·n)/(n·n)·n; NaN where the normal is zero or not finite. Neither need be a unit vector."""
-    direction, normal, kept = finite_rays(direction, normal)
-    squared = dot(normal, normal)
-    exists = kept & (squared > 0)
-    factor = safe_divide(2 * dot(direction, normal), squared, exists)
-    return masked(direction - factor[..., None] * normal, exists)
+    return in_pieces(lambda *a: vec.join(reflected(*a)), (1, 1), direction, normal)
+
+
+def reflected(direction, normal) -> vec.Vector:
+    """Return the components of :func:`reflect_directions`."""
+    xp, direction, normal, kept, followed = vec.lines(direction, normal)
+    squared = vec.dot(normal, normal)
+    exists = kept & (squared > 0) & (squared < xp.inf)
+    factor = vec.divided(2 * vec.dot(direction, normal), squared, exists, followed)
+    factor = vec.shown(factor, exists & (abs(factor) < xp.inf), followed)
+    return vec.hidden(vec.along(direction, -factor, normal), exists, followed)
 
 
 def refract_directions(direction, normal, n1, n2):
@@ -59,21 +67,32 @@ def refract_directions(direction, normal, n1, n2):
     Murty, J. Opt. Soc. Am. 52, 672 (1962), eqs. 18–21. A ray in the surface is bent by the critical angle towards the
     normal for n1 < n2 and totally reflected otherwise.
     """
-    xp = namespace(direction, normal)
-    direction, normal, kept = finite_rays(direction, normal)
-    squared = dot(normal, normal)
-    exists = kept & (squared > 0) & (dot(direction, direction) > 0)
-    normal = normal / xp.where(exists, squared, 1.0)[..., None] ** 0.5
-    ratio = n1 / n2 + 0 * squared
-    cosine = dot(direction, normal)
-    tangential = direction - cosine[..., None] * normal
+
+    def bend(*arrays):
+        out, through, exists = refracted(*arrays)
+        status = status_array(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
+        return vec.join(out), status - namespace(exists).astype(~exists, status.dtype)
+
+    return in_pieces(bend, (1, 1, 0, 0), direction, normal, n1, n2)
+
+
+def refracted(direction, normal, n1, n2) -> tuple:
+    """Return the components of :func:`refract_directions`, which rays go through, and which exist."""
+    # Indices that a graph follows make NaN as harmful as rays that it follows.
+    xp, direction, normal, kept, followed = vec.lines(direction, normal, n1, n2)
+    squared, length = vec.dot(normal, normal), vec.dot(direction, direction)
+    exists = kept & (squared > 0) & (length > 0) & (squared + length < xp.inf)
+    normal = vec.unit(normal, followed)
+    ratio = n1 / n2
+    cosine = vec.dot(direction, normal)
+    tangential = vec.along(direction, -cosine, normal)
     # |d|² − μ²|d_t|², from the tangential part itself: 1 − cos² would lose digits.
-    inside = dot(direction, direction) - ratio * ratio * dot(tangential, tangential)
+    inside = length - (ratio * ratio) * vec.dot(tangential, tangential)
     through = exists & (inside >= 0) & ((cosine != 0) | (ratio < 1))
-    root = safe_sqrt(xp.where(exists, inside, 1.0))
-    out = ratio[..., None] * tangential + xp.where(cosine < 0, -root, root)[..., None] * normal
-    status = status_array(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
-    return masked(out, through), xp.where(exists, status, status_array(exists))
+    root = vec.rooted(xp.where(exists, inside, 1.0) if followed else inside, followed)
+    root = xp.copysign(vec.shown(root, through, followed), cosine + 0.0)
+    out = vec.along(vec.scaled(tangential, ratio), root, normal)
+    return vec.hidden(out, through, followed), through, exists
 
 
 def fresnel(direction, normal, n1, n2) -> Fresnel:

@@ -1,24 +1,20 @@
-"""Where rays meet planes, triangles, discs, spheres and cylinders: closed forms on plain arrays of any rank.
+"""Where rays meet planes, triangles, discs, spheres, cylinders and conics: closed forms on plain arrays of any rank.
 
 Starts and directions are ``[..., 3]`` and broadcast against the surfaces' arrays, so that rays ``[m, 1, 3]`` and
 surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance counts lengths of the direction.
 Every result is a :class:`Hit`. A ray that meets nothing has NaN distance, point and normal, and zero gradients.
+
+The formulas stand in :mod:`odak.raytracing.closed_forms`. Large batches go through them piece by piece, each of which
+stays in the processor's cache, unless a graph follows.
 """
 
 from typing import Any, NamedTuple
 
 from odak._array import namespace
-from odak.raytracing.geometry import (
-    barycentric,
-    dot,
-    epsilon,
-    finite_rays,
-    masked,
-    safe_divide,
-    safe_sqrt,
-    triangle_normal,
-    unit,
-)
+from odak.raytracing import closed_forms
+from odak.raytracing.batches import in_pieces
+from odak.raytracing.components import join
+from odak.raytracing.geometry import barycentric
 from odak.raytracing.status import RayStatus
 
 
@@ -50,8 +46,8 @@ class Hit(NamedTuple):
 
 def status_array(hit, otherwise: RayStatus = RayStatus.MISS):
     """Return int8 statuses: HIT where `hit` holds, `otherwise` elsewhere."""
-    xp = namespace(hit)
-    return xp.astype(~hit, xp.int8) * int(otherwise)
+    missed = namespace(hit).astype(~hit, namespace(hit).int8)
+    return missed if int(otherwise) == 1 else missed * int(otherwise)
 
 
 def plane(start, direction, point, normal) -> Hit:
@@ -59,42 +55,31 @@ def plane(start, direction, point, normal) -> Hit:
 
     A ray parallel to the plane within two units of rounding is a miss. The normal is returned as given.
     """
-    xp = namespace(start, direction)
-    start, direction, kept = finite_rays(start, direction)
-    # A degenerate triangle's normal is NaN: a null vector makes it parallel to everything.
-    real_normal = xp.where(xp.isfinite(normal), normal, 0.0)
-    slope = dot(real_normal, direction)
-    limit = (2 * epsilon(start)) ** 2 * dot(real_normal, real_normal) * dot(direction, direction)
-    hit = kept & (slope * slope > limit)
-    distance = safe_divide(dot(real_normal, point - start), slope, hit)
-    place = start + distance[..., None] * direction
-    return Hit(masked(distance, hit), masked(place, hit), xp.broadcast_to(normal, place.shape), status_array(hit))
+    return in_pieces(lambda *a: _as_hit(closed_forms.plane(*a)), (1, 1, 1, 1), start, direction, point, normal)
 
 
 def triangle(start, direction, corners) -> Hit:
     """Meet triangles ``[..., 3, 3]`` on either side; rims p0p1 and p0p2 belong to them, p1p2 does not.
 
-    Hits behind the start count: the distance is signed.
+    Hits behind the start count: the distance is signed. A ray past the triangle keeps the plane's normal.
     """
-    flat = plane(start, direction, corners[..., 0, :], triangle_normal(corners))
-    inside = flat.hit & within(flat.point, flat.hit, corners)
-    return Hit(masked(flat.distance, inside), masked(flat.point, inside), flat.normal, status_array(inside))
+    return in_pieces(lambda *a: _as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
 
 
 def within(point, known, corners):
     """Say whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
+    return in_pieces(_within, (1, 0, 2), point, known, corners)
+
+
+def _within(point, known, corners):
     xp = namespace(point)
-    u, v = barycentric(xp.where(known[..., None], point, 0.0), corners)
-    return known & (u >= 0) & (v >= 0) & (u + v < 1)
+    return known & closed_forms.encloses(*barycentric(xp.where(known[..., None], point, 0.0), corners))
 
 
 def disc(start, direction, point, normal, centre, radius) -> Hit:
     """Meet a plane within `radius` of `centre`; the rest misses. The distance is signed."""
-    xp = namespace(start, direction)
-    flat = plane(start, direction, point, normal)
-    arm = xp.where(flat.hit[..., None], flat.point, 0.0) - centre
-    inside = flat.hit & (dot(arm, arm) <= radius * radius)
-    return Hit(masked(flat.distance, inside), masked(flat.point, inside), flat.normal, status_array(inside))
+    ranks, arrays = (1, 1, 1, 1, 1, 0), (start, direction, point, normal, centre, radius)
+    return in_pieces(lambda *a: _as_hit(closed_forms.disc(*a)), ranks, *arrays)
 
 
 def sphere(start, direction, centre, radius) -> Hit:
@@ -105,17 +90,7 @@ def sphere(start, direction, centre, radius) -> Hit:
     The discriminant is r² − |f − (f·d)d|², f = start − centre, which keeps its digits far away (Haines, Günther and
     Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a hit.
     """
-    start, direction, kept = finite_rays(start, direction)
-    arm = start - centre
-    squared = dot(direction, direction)
-    along = dot(arm, direction)
-    moving = kept & (squared > 0)
-    distance, hit = nearest_ahead(
-        squared, along, arm, direction, radius, moving, epsilon(start) * dot(centre, centre) ** 0.5
-    )
-    place = start + distance[..., None] * direction
-    normal = unit(namespace(place).where(hit[..., None], place - centre, 1.0))
-    return Hit(masked(distance, hit), masked(place, hit), masked(normal, hit), status_array(hit))
+    return in_pieces(lambda *a: _as_hit(closed_forms.sphere(*a)), (1, 1, 1, 0), start, direction, centre, radius)
 
 
 def cylinder(start, direction, centre, radius, axis) -> Hit:
@@ -123,17 +98,8 @@ def cylinder(start, direction, centre, radius, axis) -> Hit:
 
     A ray along the axis misses.
     """
-    start, direction, kept = finite_rays(start, direction)
-    axis = unit(axis)
-    arm, across = _reject(start - centre, axis), _reject(direction, axis)
-    squared = dot(across, across)
-    moving = kept & (squared > (4 * epsilon(start)) ** 2 * dot(direction, direction))
-    distance, hit = nearest_ahead(
-        squared, dot(arm, across), arm, across, radius, moving, epsilon(start) * dot(centre, centre) ** 0.5
-    )
-    place = start + distance[..., None] * direction
-    normal = unit(namespace(place).where(hit[..., None], _reject(place - centre, axis), 1.0))
-    return Hit(masked(distance, hit), masked(place, hit), masked(normal, hit), status_array(hit))
+    ranks, arrays = (1, 1, 1, 0, 1), (start, direction, centre, radius, axis)
+    return in_pieces(lambda *a: _as_hit(closed_forms.cylinder(*a)), ranks, *arrays)
 
 
 def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> Hit:
@@ -156,93 +122,24 @@ def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> H
         Normals point to +z. A ray that meets the sheet only beyond the aperture is VIGNETTED. A start within rounding
         of the sheet, measured by its coordinates and the aperture, is not a hit.
     """
-    xp = namespace(start, direction)
-    start, direction, kept = finite_rays(start, direction)
-    moving = kept & (dot(direction, direction) > 0)
-    k = 1 + constant
-    # From the point nearest the vertex, so that a far start costs no digits.
-    offset = safe_divide(-dot(start, direction), dot(direction, direction), moving)
-    x, y, z = xp.unstack(start + offset[..., None] * direction, axis=-1)
-    dx, dy, dz = xp.unstack(direction, axis=-1)
-    a = curvature * (dx * dx + dy * dy + k * dz * dz)
-    b = curvature * (x * dx + y * dy + k * z * dz) - dz
-    c = curvature * (x * x + y * y + k * z * z) - 2 * z
-    discriminant = b * b - a * c
-    root = safe_sqrt(discriminant)
-    q = -(b + xp.where(b < 0, -root, root))
-    candidates = []
-    for t, exists in ((safe_divide(q, a, a != 0), a != 0), (safe_divide(c, q, q != 0), q != 0)):
-        height = z + t * dz
-        on_sheet = moving & exists & (discriminant >= 0) & (1 - k * curvature * height > 0)
-        candidates.append((t + offset, on_sheet, height, (x + t * dx) ** 2 + (y + t * dy) ** 2))
-    return _choose(start, direction, candidates, curvature, k, aperture, ahead)
+
+    def meet(start, direction, curvature, constant, aperture):
+        meeting, sheet = closed_forms.conic(start, direction, curvature, constant, aperture, ahead)
+        status = status_array(meeting.hit)
+        if aperture is not None:
+            status = status + namespace(sheet).astype(sheet & ~meeting.hit, status.dtype) * _BEYOND
+        return _as_hit(meeting, status)
+
+    return in_pieces(meet, (1, 1, 0, 0, 0), start, direction, curvature, constant, aperture)
 
 
-def _choose(start, direction, candidates, curvature, k, aperture, ahead) -> Hit:
-    """Return the better of two points of a conic."""
-    xp = namespace(start)
-    (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
-    if ahead:
-        x, y, z = xp.unstack(start, axis=-1)
-        terms = (curvature * (x * x + y * y), curvature * k * z * z, -2 * z)
-        # The aperture stands for the length that the start's rounding comes from, which near the vertex is not its own.
-        size = sum(abs(term) for term in terms) + (0.0 if aperture is None else 2 * aperture)
-        leaving = abs(sum(terms)) <= 16 * epsilon(start) * size
-        nearer = abs(t1) <= abs(t2)
-        on1, on2 = on1 & (t1 > 0) & ~(leaving & nearer), on2 & (t2 > 0) & ~(leaving & ~nearer)
-    order = t1 <= t2 if ahead else abs(z1) <= abs(z2)
-    sheet = on1 | on2
-    if aperture is not None:
-        on1, on2 = on1 & (r1 <= aperture * aperture), on2 & (r2 <= aperture * aperture)
-    hit = on1 | on2
-    distance = xp.where(hit, xp.where(on1 & (order | ~on2), t1, t2), 0.0)
-    place = start + distance[..., None] * direction
-    x, y, z = xp.unstack(place, axis=-1)
-    normal = xp.stack(xp.broadcast_arrays(-curvature * x, -curvature * y, 1 - curvature * k * z), axis=-1)
-    normal = unit(xp.where(hit[..., None], normal, 1.0))
-    status = xp.where(sheet, status_array(hit, RayStatus.VIGNETTED), status_array(hit))
-    return Hit(masked(distance, hit), masked(place, hit), masked(normal, hit), status)
+_BEYOND = int(RayStatus.VIGNETTED) - int(RayStatus.MISS)
 
 
-def _reject(vector, axis):
-    """Return the part of a vector that is perpendicular to a unit axis."""
-    return vector - dot(vector, axis)[..., None] * axis
-
-
-def nearest_ahead(squared, along, arm, direction, radius, moving, offset_error):
-    """Return the nearest positive t with |arm + t·direction| = radius, and whether there is one.
-
-    Parameters
-    ----------
-    squared, along : array
-        direction·direction and arm·direction.
-    arm, direction : array
-        ``[..., 3]``.
-    radius : array
-        Radius.
-    moving : array
-        Rays to consider; the others miss.
-    offset_error : array
-        Rounding error of the arm that comes from coordinates far from the origin.
-
-    Notes
-    -----
-    A start within a few roundings of the surface is taken as on it: its root there is exactly 0 and not ahead, so
-    that a reflected or refracted ray does not meet again the surface it leaves.
-    """
-    xp = namespace(arm, direction)
-    foot = arm - safe_divide(along, squared, moving)[..., None] * direction
-    discriminant = squared * (radius * radius - dot(foot, foot))
-    inward = dot(arm, arm)
-    reach = inward**0.5 + abs(radius)
-    height = inward - radius * radius
-    height = xp.where(abs(height) <= 8 * reach * (epsilon(arm) * reach + offset_error), 0.0, height)
-    root = safe_sqrt(discriminant)
-    # The root of larger magnitude has no cancellation; the other one follows from their product.
-    q = -(along + xp.where(along < 0, -root, root))
-    first = safe_divide(q, squared, moving)
-    second = safe_divide(height, q, q != 0)
-    near, far = xp.minimum(first, second), xp.maximum(first, second)
-    distance = xp.where(near > 0, near, far)
-    hit = moving & (discriminant >= 0) & (distance > 0)
-    return xp.where(hit, distance, 0.0), hit
+def _as_hit(meeting: closed_forms.Meeting, status=None) -> Hit:
+    """Return a hit with its vectors joined."""
+    distance, point, normal, hit = meeting
+    point, normal = join(point), join(normal)
+    if normal.shape != point.shape:
+        normal = namespace(point).broadcast_to(normal, point.shape)
+    return Hit(distance, point, normal, status_array(hit) if status is None else status)

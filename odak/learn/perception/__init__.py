@@ -32,7 +32,7 @@ __getattr__, __dir__, __all__ = attach(
         "color_difference": ("ciede2000", "delta_e"),
         "color_matrices": ("change_primaries", "rgb_to_xyz_matrix"),
         "color_vision_deficiency": ("CVDLoss", "simulate_color_vision_deficiency"),
-        "contrast_sensitivity": ("CSFLoss", "contrast_sensitivity", "pupil_diameter"),
+        "csf": ("CSFLoss", "contrast_sensitivity", "pupil_diameter"),
         "cvd_loss_functions": (
             "color_information_loss",
             "compute_local_contrast_similarity",

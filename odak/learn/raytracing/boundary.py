@@ -2,8 +2,11 @@
 
 import torch
 
+from odak._array import is_readable
 from odak.learn.raytracing import arguments
-from odak.raytracing import geometry, interfaces, intersections
+from odak.learn.raytracing.recompute import in_pieces
+from odak.raytracing import closed_forms, geometry, interfaces
+from odak.raytracing import components as vec
 from odak.raytracing.interfaces import Fresnel
 
 __all__ = [
@@ -57,8 +60,7 @@ def refract(vector, normvector, n1, n2, error: float = 0.01) -> torch.Tensor:
     ray, normal, n1, n2 = arguments.tensors(vector=vector, normvector=normvector, n1=n1, n2=n2)
     ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
     n1, n2 = n1.reshape(-1), n2.reshape(-1)
-    direction, _ = interfaces.refract_directions(ray[:, 1], normal[:, 1], n1, n2)
-    return arguments.as_rays(normal[:, 0], direction)
+    return in_pieces(_refracted, (2, 2, 0, 0), ray, normal, n1, n2)
 
 
 def reflect(input_ray, normal) -> torch.Tensor:
@@ -86,7 +88,7 @@ def reflect(input_ray, normal) -> torch.Tensor:
     """
     ray, normal = arguments.tensors(input_ray=input_ray, normal=normal)
     ray, normal = arguments.rays("input_ray", ray), arguments.rays("normal", normal)
-    return arguments.as_rays(normal[:, 0], interfaces.reflect_directions(ray[:, 1], normal[:, 1]))
+    return in_pieces(_reflected, (2, 2), ray, normal)
 
 
 def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
@@ -145,11 +147,11 @@ def intersect_w_sphere(
     ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
     if len(sphere) not in (1, len(ray)) and len(ray) != 1:
         raise ValueError(f"sphere must hold one sphere or one for each of {len(ray)} rays, got {len(sphere)}")
-    center = sphere[:, :3]
-    hit = intersections.sphere(ray[:, 0], ray[:, 1], center, sphere[:, 3])
-    check = hit.hit
-    rays = arguments.as_rays(hit.point, ray[:, 1])[check]
-    return rays, arguments.as_rays(center, hit.normal)[check], hit.distance, check
+    rays, normals, distance, check = in_pieces(_sphere_hits, (2, 1), ray, sphere)
+    # Rays that all hit need not be picked; a GPU would have to be asked first.
+    if not (is_readable(check) and bool(check.all())):
+        rays, normals = rays[check], normals[check]
+    return rays, normals, distance, check
 
 
 def intersect_w_triangle(ray, triangle) -> tuple:
@@ -229,8 +231,8 @@ def intersect_w_surface(ray, points) -> tuple[torch.Tensor, torch.Tensor]:
     """
     ray, points = arguments.tensors(ray=ray, points=points)
     ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
-    hit = _meet_plane(ray, points)
-    return arguments.as_rays(hit.point, hit.normal), hit.distance[:, None]
+    normal, distance = in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(points))
+    return normal, distance[:, None]
 
 
 def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor]:
@@ -239,8 +241,8 @@ def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor
     Each entry is that of :func:`intersect_w_surface`.
     """
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
-    hit = _meet_plane(arguments.rays("ray", ray), arguments.triangles("triangle", triangle)[:, None])
-    return arguments.as_rays(hit.point, hit.normal), hit.distance
+    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
+    return in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(triangle[:, None]))
 
 
 def get_triangle_normal(triangle, triangle_center=None) -> torch.Tensor:
@@ -311,18 +313,38 @@ def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
 
 def _meet_triangles(ray, triangle) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return normals ``[k, m, 2, 3]``, signed distances and membership ``[k, m]`` of m rays and k triangles."""
-    hit = _meet_plane(ray, triangle[:, None])
-    return (
-        arguments.as_rays(hit.point, hit.normal),
-        hit.distance,
-        intersections.within(hit.point, hit.hit, triangle[:, None]),
-    )
+    triangle = triangle[:, None]
+    return in_pieces(_triangle_hits, (2, 1, 1, 2), ray, *_planes(triangle), triangle)
 
 
-def _meet_plane(ray, triangle) -> intersections.Hit:
-    """Meet the planes of triangles through their centres, which rounding harms least."""
-    centre = triangle.mean(dim=-2)
-    return intersections.plane(ray[..., 0, :], ray[..., 1, :], centre, geometry.triangle_normal(triangle))
+def _planes(triangle):
+    """Return the centres of triangles, which rounding harms least, and their normals."""
+    return triangle.mean(dim=-2), geometry.triangle_normal(triangle)
+
+
+def _plane_hits(ray, centre, normal):
+    hit = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
+    return vec.join(hit.point, hit.normal), hit.distance
+
+
+def _triangle_hits(ray, centre, normal, triangle):
+    hit = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
+    return vec.join(hit.point, hit.normal), hit.distance, closed_forms.on_triangle(hit, triangle)
+
+
+def _sphere_hits(ray, sphere):
+    hit = closed_forms.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
+    rays = vec.join(hit.point, vec.split(ray[..., 1, :]))
+    return rays, vec.join(vec.split(sphere[..., :3]), hit.normal), hit.distance, hit.hit
+
+
+def _reflected(ray, normal):
+    return vec.join(vec.split(normal[..., 0, :]), interfaces.reflected(ray[..., 1, :], normal[..., 1, :]))
+
+
+def _refracted(ray, normal, n1, n2):
+    direction, _, _ = interfaces.refracted(ray[..., 1, :], normal[..., 1, :], n1, n2)
+    return vec.join(vec.split(normal[..., 0, :]), direction)
 
 
 def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:
