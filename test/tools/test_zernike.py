@@ -62,9 +62,7 @@ def test_orthonormal_over_the_disc():
     rho, area = (nodes + 1) / 2, weights * (nodes + 1) / 2  # ∫ ρ dρ from 0 to 1, twice
     theta = 2 * np.pi * np.arange(32) / 32
     list_of_modes = [osa_to_nm(j) for j in range(28)]
-    values = np.stack(
-        [zernike_norm(*mode) * zernike_polynomial(*mode, rho[:, None], theta) for mode in list_of_modes]
-    )
+    values = np.stack([zernike_norm(*mode) * zernike_polynomial(*mode, rho[:, None], theta) for mode in list_of_modes])
     products = np.einsum("aij,bij,i->ab", values, values, area) / 32
     np.testing.assert_allclose(products, np.eye(28), atol=1e-12)
 

@@ -250,6 +250,12 @@ def test_point_wise_kernel_is_the_fresnel_sum(monkeypatch):
         wave.get_point_wise_impulse_response_fresnel_kernel(*arguments, distance=0.05)
 
 
+def test_a_modulator_of_finer_samples_is_refused(target):
+    slm = wave.spatial_light_modulator(samples_per_pixel=2)
+    with pytest.raises(ValueError, match="slm must have one sample per pixel"):
+        wave.stochastic_gradient_descent(target, WAVELENGTH, DISTANCE, DX, slm=slm, progress=False)
+
+
 def test_adam_is_torchs_adam():
     generator = torch.Generator().manual_seed(0)
     start, weights = (torch.randn(5, 4, dtype=torch.float64, generator=generator) for _ in range(2))

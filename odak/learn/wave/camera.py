@@ -1,0 +1,187 @@
+"""A display and the camera in front of it, simulated: what camera-in-the-loop optimisation is tried out on."""
+
+from collections.abc import Callable
+
+import torch
+
+from odak import _validate
+from odak.learn.wave.fields import intensity, unit_phasor
+from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.slm import on_samples, panel_map
+
+
+class simulated_camera(torch.nn.Module):
+    """Shows a phase on a display with faults that a model does not know of, and returns the intensity it captures.
+
+    The light of the modulator, times illumination and aberration, is propagated; each pixel of the sensor collects
+    the light of one pixel of the hologram. An intensity I becomes I·exposure·full_well electrons on average, drawn by
+    Poisson's law; the amplifier adds normal noise; what is outside 0 … full_well is cut; the rest is rounded to the
+    levels of the converter, and divided by the gain again. A captured image is therefore on the scale of the model's
+    intensity, of mean I and variance I/(exposure·full_well) + (read_noise/(exposure·full_well))², within
+    0 … 1/exposure.
+
+    Give it as ``camera=`` to :func:`odak.learn.wave.stochastic_gradient_descent`. What the camera shows the model only
+    has to know roughly, but its slopes must point the right way: faults that move the image by half a pixel or more,
+    such as strong aberration over a long distance, have to be put into the model first, by registering the image.
+
+    Parameters
+    ----------
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from hologram to sensor in metres: the real one, which may differ from the model's.
+    pixel_pitch : float
+        Pixel pitch of the hologram in metres.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`; fields are padded to twice their size.
+    slm : callable, optional
+        ``slm(phase)`` is the field that the modulator sends out, such as
+        :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. If it draws several samples per
+        pixel, the sensor adds up their light.
+    aberration : torch.Tensor, optional
+        Phase error of the light on the hologram in radians, ``[m, n]``, such as
+        :func:`odak.learn.wave.zernike_phase`.
+    illumination : torch.Tensor, optional
+        Amplitude of the light on the hologram, real ``[m, n]``; one by default.
+    exposure : float
+        Share of the full well that an intensity of 1 fills: the sensor saturates at an intensity of 1/exposure.
+    full_well : float, optional
+        Electrons that a pixel of the sensor holds. None for a sensor without shot noise.
+    read_noise : float
+        Standard deviation of the amplifier's noise in electrons; needs `full_well`.
+    bits : int, optional
+        Bits of the converter, 1 to 16; None for one without levels.
+    seed : int, optional
+        Makes the noise reproducible, on one device.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Sensor: EMVA standard 1288, release 4.0 (2021), section 2, without dark current. Camera in the loop: Peng et al.,
+    ACM Trans. Graph. 39, 185 (2020).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import simulated_camera, zernike_phase
+    >>> camera = simulated_camera(532e-9, 1e-3, 8e-6, aberration=zernike_phase(16, 16, {(2, 0): 0.5}), bits=8, seed=0)
+    >>> captured = camera(torch.zeros(16, 16))
+    >>> captured.shape, bool((captured >= 0).all()), bool((captured <= 4).all())
+    (torch.Size([16, 16]), True, True)
+    """
+
+    def __init__(
+        self,
+        wavelength: float,
+        distance: float,
+        pixel_pitch: float,
+        propagation_type: str = "Bandlimited Angular Spectrum",
+        *,
+        slm: Callable | None = None,
+        aberration: torch.Tensor | None = None,
+        illumination: torch.Tensor | None = None,
+        exposure: float = 0.25,
+        full_well: float | None = 10000.0,
+        read_noise: float = 0.0,
+        bits: int | None = None,
+        seed: int | None = None,
+    ):
+        super().__init__()
+        self.wavelength = _validate.real("wavelength", wavelength, positive=True)
+        self.distance = _validate.real("distance", distance)
+        self.pixel_pitch = _validate.real("pixel_pitch", pixel_pitch, positive=True)
+        self.propagation_type, self.slm = propagation_type, slm
+        self.register_buffer("aberration", panel_map("aberration", aberration))
+        self.register_buffer("illumination", panel_map("illumination", illumination))
+        self.exposure = float(_validate.real("exposure", exposure, positive=True))
+        self.full_well = None if full_well is None else float(_validate.real("full_well", full_well, positive=True))
+        self.read_noise = float(_validate.real("read_noise", read_noise))
+        if self.read_noise < 0 or (self.read_noise > 0 and full_well is None):
+            raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
+        self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
+        if bits is not None and bits > 16:
+            raise ValueError(f"bits must be at most 16, got {bits}")
+        self.seed, self._generator = seed, None
+
+    def light(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the intensity on the sensor, without its noise and limits: the mean of what is captured.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase shown, in radians, ``[..., m, n]``, float32 or float64.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[..., m, n]``, in the phase's precision; differentiable.
+        """
+        field = unit_phasor(phase) if self.slm is None else self.slm(phase)
+        s = field.shape[-1] // phase.shape[-1]
+        if self.illumination is not None:
+            field = field * on_samples("illumination", self.illumination.to(phase), field.shape, s)
+        if self.aberration is not None:
+            field = field * on_samples("aberration", unit_phasor(self.aberration).to(field), field.shape, s)
+        field = propagate_beam(field, None, self.distance, self.pixel_pitch / s, self.wavelength, self.propagation_type)
+        light = intensity(field)
+        return light if s == 1 else light.unflatten(-2, (-1, s)).unflatten(-1, (-1, s)).mean((-3, -1))
+
+    @torch.no_grad()
+    def forward(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return a captured image.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase to show, in radians, ``[..., m, n]``, float32 or float64.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[..., m, n]``, 0 … 1/exposure, in the phase's precision, without a graph.
+        """
+        if not isinstance(phase, torch.Tensor) or phase.dtype not in (torch.float32, torch.float64):
+            kind = phase.dtype if isinstance(phase, torch.Tensor) else type(phase).__name__
+            raise TypeError(f"phase must be a float32 or float64 tensor, got {kind}")
+        return self.captured(self.light(_validate.image("phase", phase)))
+
+    @torch.no_grad()
+    def captured(self, light: torch.Tensor) -> torch.Tensor:
+        """Return what the sensor makes of an intensity: noise, saturation and levels.
+
+        Parameters
+        ----------
+        light : torch.Tensor
+            Intensity, real, not negative.
+
+        Returns
+        -------
+        torch.Tensor
+            Of its shape, 0 … 1/exposure.
+        """
+        share = light * self.exposure
+        if self.full_well is not None:
+            random = self._random(light.device)
+            electrons = torch.poisson(share * self.full_well, generator=random)
+            if self.read_noise:
+                noise = torch.empty_like(electrons).normal_(generator=random)
+                electrons = electrons + self.read_noise * noise
+            share = electrons / self.full_well
+        share = share.clamp(0, 1)
+        if self.bits is not None:
+            steps = 2**self.bits - 1
+            share = torch.round(share * steps) / steps
+        return share / self.exposure
+
+    def _random(self, device):
+        if self._generator is None or self._generator.device != device:
+            self._generator = torch.Generator(device)
+            if self.seed is None:
+                self._generator.seed()
+            else:
+                self._generator.manual_seed(self.seed)
+        return self._generator

@@ -1,0 +1,330 @@
+"""A phase-only spatial light modulator as it is: levels, crosstalk, gaps between pixels, light it does not modulate."""
+
+import cmath
+from collections.abc import Sequence
+
+import torch
+
+from odak import _array, _validate
+from odak.learn.wave.crosstalk import gaussian_kernel, smooth
+from odak.learn.wave.fields import unit_phasor
+from odak.learn.wave.phase_levels import TURN, even_levels, nearest_levels, within_range
+
+
+class spatial_light_modulator(torch.nn.Module):
+    """Turns the phase asked for into the field that a phase-only modulator makes of it.
+
+    The phase is wrapped, shown by the nearest level, smoothed by crosstalk, multiplied by `scale`, and mixed with the
+    light of the gaps: field = amplitude·exp(i·scale·aberration)·(F·exp(i·scale·shown) + (1 − F)·dead + zero order).
+    Gradients pass through the levels as if they were not there (straight-through; Bengio et al., arXiv:1308.3432). With
+    4 bits or fewer that alone gains nothing: optimising with ``bits=None`` and rounding at the end is then as good.
+
+    Arguments that may be tensors are buffers, and learnt if given as :class:`torch.nn.Parameter`.
+
+    Parameters
+    ----------
+    bits : int, optional
+        Bits per pixel, 1 to 16; None for a phase without levels.
+    phase_range : float, optional
+        Level ℓ shows ℓ·phase_range/2^bits radians; 2π by default. Without levels, phases beyond it take its nearer
+        end, and by default nothing is wrapped.
+    lut : torch.Tensor, optional
+        Measured phase of each level in radians, ``[2^bits]``, in place of `phase_range`: of any shape and span.
+    crosstalk : float or torch.Tensor
+        Standard deviation, in pixels, of the Gaussian that the fringing field smooths the shown phase by; 0 for none.
+        Or a kernel on the sample grid with odd lengths, ``[k]`` (along both axes) or ``[k, l]``, divided by its sum.
+    fill_factor : float or torch.Tensor
+        Share F of the panel's area that modulates, a centred square of each pixel.
+    dead_area_phase, dead_area_amplitude : float or torch.Tensor
+        Phase in radians and amplitude of the light from the gaps.
+    zero_order : complex or torch.Tensor
+        Amplitude of further unmodulated light, as from the cover glass.
+    aberration : torch.Tensor, optional
+        Phase of the panel's curvature in radians, on the pixels or on the samples.
+    amplitude : torch.Tensor, optional
+        Amplitude of the illumination, real or complex, on the pixels or on the samples.
+    samples_per_pixel : int
+        Samples of the field along each side of a pixel. With 1 the gaps are averaged over the pixel, with more they
+        are drawn, edges by their share of a sample. For even n the axis of the finer grid, its sample n·s // 2, is
+        the edge of pixel n // 2.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import spatial_light_modulator
+    >>> slm = spatial_light_modulator(bits=2, fill_factor=0.9)
+    >>> slm.levels(torch.tensor([[0.0, 1.5, 3.2, 6.2]])).tolist()
+    [[0, 1, 2, 0]]
+    >>> slm(torch.zeros(4, 4)).dtype
+    torch.complex64
+    """
+
+    def __init__(
+        self,
+        *,
+        bits: int | None = 8,
+        phase_range: float | None = None,
+        lut: torch.Tensor | None = None,
+        crosstalk: float | torch.Tensor = 0.0,
+        fill_factor: float | torch.Tensor = 1.0,
+        dead_area_phase: float | torch.Tensor = 0.0,
+        dead_area_amplitude: float | torch.Tensor = 1.0,
+        zero_order: complex | torch.Tensor = 0.0,
+        aberration: torch.Tensor | None = None,
+        amplitude: torch.Tensor | None = None,
+        samples_per_pixel: int = 1,
+    ):
+        super().__init__()
+        self.samples_per_pixel = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
+        if bits is not None and bits > 16:
+            raise ValueError(f"bits must be at most 16, got {bits}")
+        self.phase_range = None if phase_range is None else _validate.real("phase_range", phase_range, positive=True)
+        self._hold_lut(lut)
+        self._hold_crosstalk(crosstalk)
+        parts = {
+            "fill_factor": _share("fill_factor", fill_factor),
+            "dead_area_phase": _validate.real("dead_area_phase", dead_area_phase),
+            "dead_area_amplitude": _validate.real("dead_area_amplitude", dead_area_amplitude),
+            "zero_order": _finite("zero_order", zero_order),
+            "aberration": panel_map("aberration", aberration),
+            "amplitude": panel_map("amplitude", amplitude),
+        }
+        for name, value in parts.items():
+            self._hold(name, value)
+
+    def forward(self, phase: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
+        """Return the field behind the modulator.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase asked for in radians, ``[..., m, n]``, float32 or float64.
+        scale : float or torch.Tensor
+            Multiplies the phase that is shown, and the aberration: λ0/λ for a panel set up at λ0 and lit at λ. A
+            tensor broadcasts against the phase, as ``[colours, 1, 1]``.
+
+        Returns
+        -------
+        torch.Tensor
+            complex64 or complex128, ``[..., m·s, n·s]`` with s samples per pixel.
+        """
+        shown = self.displayed_phase(phase)
+        scale = scale.to(shown) if isinstance(scale, torch.Tensor) else _validate.real("scale", scale)
+        light = unit_phasor(_times(shown, scale))
+        if isinstance(self.fill_factor, torch.Tensor) or self.fill_factor != 1:
+            light = self._with_gaps(light)
+        if isinstance(self.zero_order, torch.Tensor) or self.zero_order != 0:
+            light = light + _like(self.zero_order, light)
+        if self.aberration is not None:
+            light = light * unit_phasor(_times(self._on_samples("aberration", shown), scale))
+        if self.amplitude is not None:
+            light = light * self._on_samples("amplitude", light if self.amplitude.is_complex() else shown)
+        return light
+
+    def displayed_phase(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the phase that the panel shows: wrapped, of the nearest level, then smoothed by crosstalk.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase asked for in radians, ``[..., m, n]``.
+
+        Returns
+        -------
+        torch.Tensor
+            Phase in radians, ``[..., m·s, n·s]``; differentiable, the levels straight through.
+        """
+        shown = self._quantised(_checked_phase(phase))
+        s = self.samples_per_pixel
+        if s > 1:
+            shown = shown.repeat_interleave(s, -2).repeat_interleave(s, -1)
+        return shown if self.crosstalk is None else smooth(shown, _like(self.crosstalk, shown))
+
+    def levels(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the levels to send to the device for a phase in radians: int32, 0 … 2^bits − 1, of its shape.
+
+        Raises
+        ------
+        ValueError
+            If the modulator has no levels.
+        """
+        if self.lut is None:
+            raise ValueError("bits must be given for a modulator to have levels, got None")
+        phase = _checked_phase(phase).detach()
+        if self._even:
+            return even_levels(phase, 2**self.bits).to(torch.int32)
+        return nearest_levels(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
+
+    def _quantised(self, phase):
+        if self.lut is None:
+            if self.phase_range is None:
+                return phase
+            target = within_range(phase.detach(), self.phase_range)
+        else:
+            lut = _like(self.lut, phase, self.lut.dtype)
+            if self._even:
+                target = even_levels(phase.detach(), 2**self.bits) * (TURN / 2**self.bits)
+            else:
+                target = lut.to(phase.dtype)[nearest_levels(phase, lut)]
+        # The difference is exactly zero: it adds the gradient and no rounding.
+        return target + (phase - phase.detach())
+
+    def _with_gaps(self, light):
+        """Return the light with the share of each sample that lies in a gap replaced by that of the dead area."""
+        s = self.samples_per_pixel
+        real = light.real.dtype
+        fill = torch.as_tensor(self.fill_factor, dtype=real, device=light.device)
+        start = torch.arange(s, dtype=real, device=light.device)
+        half = fill.sqrt() * s / 2
+        line = (torch.minimum(start + 1, s / 2 + half) - torch.maximum(start, s / 2 - half)).clamp_min(0)
+        cover = line[:, None, None] * line  # [s, 1, s] against [..., m, s, n, s]
+        *batch, rows, columns = light.shape
+        pixels = light.reshape(*batch, rows // s, s, columns // s, s)
+        return (pixels * cover + (1 - cover) * self._dead_light(light)).reshape(light.shape)
+
+    def _dead_light(self, light):
+        phase, amplitude = self.dead_area_phase, self.dead_area_amplitude
+        if not isinstance(phase, torch.Tensor):
+            phasor = cmath.rect(1.0, phase)
+        else:
+            phasor = unit_phasor(_like(phase, light, light.real.dtype))
+        return phasor * (
+            _like(amplitude, light, light.real.dtype) if isinstance(amplitude, torch.Tensor) else amplitude
+        )
+
+    def _on_samples(self, name, like):
+        return on_samples(name, _like(getattr(self, name), like), like.shape, self.samples_per_pixel)
+
+    def _hold(self, name, value, persistent=True):
+        """Keep a tensor as a buffer, a Parameter as one, and a number as it is."""
+        if isinstance(value, torch.Tensor) and not isinstance(value, torch.nn.Parameter):
+            self.register_buffer(name, value, persistent=persistent)
+        else:
+            setattr(self, name, value)
+
+    def _hold_lut(self, lut):
+        self._even = lut is None and self.bits is not None and self.phase_range is None
+        if lut is None and self.bits is not None:
+            span = TURN if self.phase_range is None else self.phase_range
+            self._hold("lut", torch.arange(2**self.bits, dtype=torch.float64) * (span / 2**self.bits), False)
+            return
+        if lut is not None:
+            _validate.real("lut", lut)
+            if self.bits is None or self.phase_range is not None:
+                raise ValueError("lut needs bits and takes the place of phase_range, got bits None or a phase_range")
+            if not isinstance(lut, torch.Tensor) or tuple(lut.shape) != (2**self.bits,):
+                raise ValueError(f"lut must be a tensor of {2**self.bits} phases for {self.bits} bits, got {lut!r:.80}")
+        self._hold("lut", lut)
+
+    def _hold_crosstalk(self, crosstalk):
+        if isinstance(crosstalk, torch.Tensor):
+            if crosstalk.ndim not in (1, 2) or any(n % 2 == 0 for n in crosstalk.shape):
+                raise ValueError(f"crosstalk must have one or two axes of odd length, got {tuple(crosstalk.shape)}")
+            self._hold("crosstalk", crosstalk)
+            return
+        if _validate.real("crosstalk", crosstalk) < 0:
+            raise ValueError(f"crosstalk must be at least 0, got {crosstalk!r}")
+        kernel = None if crosstalk == 0 else gaussian_kernel(crosstalk * self.samples_per_pixel)
+        self._hold("crosstalk", kernel, False)
+
+
+def temporal_average(intensity: torch.Tensor, dim: int = -3) -> torch.Tensor:
+    """Return the mean of intensities shown one after another, faster than the eye or the camera tells apart.
+
+    Parameters
+    ----------
+    intensity : torch.Tensor
+        Real, ``[..., frames, m, n]``.
+    dim : int
+        Axis of the frames.
+
+    Returns
+    -------
+    torch.Tensor
+        `intensity` without that axis.
+    """
+    return intensity.mean(dim)
+
+
+def panel_map(name: str, value: torch.Tensor | None) -> torch.Tensor | None:
+    """Return a map of the panel ``[..., rows, columns]``, or None, after checking that it is one."""
+    if value is not None and not isinstance(value, torch.Tensor):
+        raise TypeError(f"{name} must be a torch.Tensor, got {type(value).__name__}")
+    return value if value is None else _validate.image(name, value)
+
+
+def on_samples(name: str, value: torch.Tensor, shape: Sequence[int], samples_per_pixel: int) -> torch.Tensor:
+    """Return a map of the panel, given on its pixels or on its samples, on the samples.
+
+    Parameters
+    ----------
+    name : str
+        What the map is called in an error.
+    value : torch.Tensor
+        ``[..., rows, columns]`` of the pixels or of the samples; an axis of length 1 holds for all.
+    shape : sequence of int
+        Shape whose last two axes are those of the samples.
+    samples_per_pixel : int
+        Samples along each side of a pixel.
+
+    Returns
+    -------
+    torch.Tensor
+        Broadcasts against `shape`.
+
+    Raises
+    ------
+    ValueError
+        If the map is of another panel.
+    """
+    s = samples_per_pixel
+    if s > 1 and all(n * s == size for n, size in zip(value.shape[-2:], shape[-2:], strict=True)):
+        value = value.repeat_interleave(s, -2).repeat_interleave(s, -1)
+    for have, want in zip(value.shape[-2:], shape[-2:], strict=True):
+        if have not in (1, want):
+            raise ValueError(
+                f"{name} must have the modulator's pixels or samples {tuple(shape[-2:])}, got {tuple(value.shape)}"
+            )
+    return value
+
+
+def _times(phase, scale):
+    return phase if not isinstance(scale, torch.Tensor) and scale == 1 else phase * scale
+
+
+def _like(value, like, dtype=None):
+    """Return a number or a tensor on the device of `like` and in its precision (or `dtype`), for arithmetic with it."""
+    if not isinstance(value, torch.Tensor):
+        return value
+    return _array.cast(value, like, dtype)
+
+
+def _share(name, value):
+    _validate.real(name, value)
+    for number in _validate.numbers(value) if _array.is_readable(value) else []:
+        if not 0 <= number <= 1:
+            raise ValueError(f"{name} must be between 0 and 1, got {number!r}")
+    return value
+
+
+def _finite(name, value):
+    if isinstance(value, torch.Tensor):
+        return value
+    if not isinstance(value, (int, float, complex)) or isinstance(value, bool):
+        raise TypeError(f"{name} must be a number or a tensor, got {type(value).__name__}")
+    if not cmath.isfinite(value):
+        raise ValueError(f"{name} must be finite, got {value!r}")
+    return value
+
+
+def _checked_phase(phase):
+    if not isinstance(phase, torch.Tensor) or phase.dtype not in (torch.float32, torch.float64):
+        kind = phase.dtype if isinstance(phase, torch.Tensor) else type(phase).__name__
+        raise TypeError(f"phase must be a float32 or float64 tensor, got {kind}")
+    return _validate.image("phase", phase)

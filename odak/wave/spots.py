@@ -1,0 +1,288 @@
+"""Arrays of spots and images in the far field by weighted Gerchberg–Saxton."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from odak import _array, _validate
+from odak.wave.utils import calculate_amplitude
+
+
+def spot_hologram(
+    points,
+    resolution: Sequence[int],
+    wavelength: float,
+    dx: float,
+    n_iterations: int = 30,
+    focal: float | None = None,
+    *,
+    intensities=None,
+    illumination=None,
+    fixed_phase_after: int | None = None,
+    seed=None,
+):
+    """Return a phase-only hologram that focuses light into points of space, of even or given brightness.
+
+    The field of each spot is a lens and a prism, which is a column times a row, so that sums over all spots and
+    pixels are matrix products. Each turn makes the spots brighter that came out too dim.
+
+    Parameters
+    ----------
+    points : array
+        Spots ``[..., N, 3]`` as (x, y, z) in metres: x along columns, y along rows, from the optical axis; z from the
+        hologram, or, with `focal`, from the focal plane of the lens. Its precision is that of the result.
+    resolution : sequence of int
+        Rows m and columns n of the hologram.
+    wavelength : float
+        Wavelength in metres.
+    dx : float
+        Pixel pitch in metres.
+    n_iterations : int
+        Number of iterations.
+    focal : float, optional
+        Focal length of a lens with the hologram in its front focal plane; by default there is no lens.
+    intensities : array, optional
+        Share of light wanted in each spot, ``[..., N]``, up to a common factor; equal by default.
+    illumination : array, optional
+        Amplitude of the light on the hologram ``[..., m, n]``; one by default.
+    fixed_phase_after : int, optional
+        Iterations after which the phases of the spots stay as they are; two thirds of them by default. The weights
+        then settle fast: 100 spots after 30 iterations are even to 0.996 instead of 0.95 (Kim et al., Opt. Lett. 44,
+        3178 (2019)).
+    seed : int or numpy.random.Generator, optional
+        Makes the random start reproducible.
+
+    Returns
+    -------
+    tuple of array
+        Hologram, complex of amplitude one ``[..., m, n]``, and fields of the spots ``[..., N]``: |·|² is the share of
+        the light that is in each spot. For spots that do not overlap their sum is the efficiency.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), eqs. 1 and 15–19. Paraxial: phases are those of
+    Fresnel's approximation. Twin orders and the pixels' envelope are not part of it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import spot_hologram, uniformity
+    >>> points = np.asarray([[-2e-4, 0.0, 0.05], [1e-4, 2e-4, 0.05], [2e-4, -1e-4, 0.06]])
+    >>> hologram, spots = spot_hologram(points, (64, 64), 532e-9, 8e-6, seed=0)
+    >>> bool(uniformity(abs(spots) ** 2) > 0.99)
+    True
+    """
+    n_iterations = _validate.integer("n_iterations", n_iterations, minimum=1)
+    columns, rows = _lens_factors(points, resolution, wavelength, dx, focal)
+    xp, shape = _array.namespace(columns), (columns.shape[-1], rows.shape[-1])
+    count, free = tuple(rows.shape[:-1]), _free_turns(fixed_phase_after, n_iterations)
+    wanted = xp.ones(count, dtype=_array.real_dtype(rows), device=_array.device_of(rows))
+    if intensities is not None:
+        wanted = wanted * xp.sqrt(_shares(intensities, wanted))
+    lit = None if illumination is None else _lit(illumination, wanted, shape)
+    total = math.prod(shape) if lit is None else xp.sum(lit**2, axis=(-2, -1), keepdims=True)[..., 0]
+    norm = (math.prod(shape) * total) ** 0.5
+    weights, direction = wanted, _random_phasor(count, seed, rows)
+    hologram = _superpose(direction * weights, columns, rows)
+    for turn in range(n_iterations):
+        spots = _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
+        weights = weights * _push(xp.abs(spots), wanted)
+        direction = _unit(spots) if turn < free else direction
+        hologram = _superpose(direction * weights, columns, rows)
+    return hologram, _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
+
+
+def weighted_gerchberg_saxton(
+    field,
+    n_iterations: int = 30,
+    *,
+    illumination=None,
+    initial_phase=None,
+    fixed_phase_after: int | None = None,
+    seed=None,
+):
+    """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
+
+    Where the target is not zero its amplitude is weighted up or down each turn, until what comes out is even: for
+    arrays of spots and for images alike. Where it is zero there should be no light.
+
+    Parameters
+    ----------
+    field : array
+        ``[..., rows, columns]``; its amplitude is the target amplitude. Sample n // 2 is the optical axis, a sample is
+        λf/(n·dx) wide.
+    n_iterations : int
+        Number of iterations.
+    illumination : array, optional
+        Amplitude of the light on the hologram ``[..., rows, columns]``; one by default.
+    initial_phase : array, optional
+        Phase of the far field to start from in radians; uniform between 0 and 2π by default.
+    fixed_phase_after : int, optional
+        Iterations after which the phase of the far field stays as it is, see :func:`spot_hologram`.
+    seed : int or numpy.random.Generator, optional
+        Makes the random start reproducible.
+
+    Returns
+    -------
+    tuple of array
+        Hologram of amplitude one, and its far field, complex ``[..., rows, columns]``; Σ|far field|² = 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), on the grid of the Fourier transform.
+    """
+    target = calculate_amplitude(_validate.image("field", field))
+    if _array.is_readable(target) and not 0 < float(_array.namespace(target).max(target)) < math.inf:
+        raise ValueError("field must be finite and not zero everywhere, got NaN, infinite or only zeros")
+    n_iterations = _validate.integer("n_iterations", n_iterations, minimum=1)
+    free = _free_turns(fixed_phase_after, n_iterations)
+    xp, axes, shape = _array.namespace(target), (-2, -1), tuple(target.shape)
+    # In the order of the transform, so that nothing is shifted in the loop.
+    wanted = xp.fft.ifftshift(target, axes=axes)
+    lit = None if illumination is None else xp.fft.ifftshift(_lit(illumination, wanted, shape), axes=axes)
+    direction = xp.fft.ifftshift(_starting_phasor(initial_phase, seed, target), axes=axes)
+    total = math.prod(shape[-2:]) if lit is None else xp.sum(lit**2, axis=axes, keepdims=True)
+    norm = (math.prod(shape[-2:]) * total) ** 0.5
+
+    def far_field(hologram):
+        return xp.fft.fftn(hologram if lit is None else hologram * lit, axes=axes)
+
+    weights, hologram = wanted, _unit(xp.fft.ifftn(direction * wanted, axes=axes))
+    for turn in range(n_iterations):
+        image = far_field(hologram)
+        weights = weights * _push(xp.abs(image), wanted, axes)
+        direction = _unit(image) if turn < free else direction
+        hologram = _unit(xp.fft.ifftn(direction * weights, axes=axes))
+    return xp.fft.fftshift(hologram, axes=axes), xp.fft.fftshift(far_field(hologram) / norm, axes=axes)
+
+
+def uniformity(intensities, axis: int = -1):
+    """Return 1 − (max − min)/(max + min) of the intensities of spots: 1 for equal ones (Di Leonardo 2007, eq. 5).
+
+    Parameters
+    ----------
+    intensities : array
+        Real, not negative, ``[..., N]``; where spots are to differ, over what is wanted.
+    axis : int
+        Axis of the spots.
+
+    Returns
+    -------
+    array
+        `intensities` without that axis.
+    """
+    if not _array.is_array(intensities):
+        raise TypeError(f"intensities must be an array or a tensor, got {type(intensities).__name__}")
+    xp = _array.namespace(intensities)
+    most, least = xp.max(intensities, axis=axis), xp.min(intensities, axis=axis)
+    return 1 - (most - least) / (most + least)
+
+
+def _lens_factors(points, resolution, wavelength, dx, focal):
+    """Return the fields of the spots' lenses along columns ``[..., N, m]`` and along rows ``[..., N, n]``."""
+    shape = _validate.size("resolution", resolution)
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("dx", dx, positive=True)
+    if not _array.is_array(points):
+        raise TypeError(f"points must be an array or a tensor, got {type(points).__name__}")
+    _validate.real("points", points)
+    if points.ndim < 2 or points.shape[-1] != 3 or 0 in points.shape:
+        raise ValueError(f"points must be [..., N, 3] with N at least 1, got {tuple(points.shape)}")
+    xp, dtype = _array.namespace(points), _array.complex_dtype(points)
+    points = xp.astype(points, xp.float64)
+    z = points[..., 2, None]
+    if focal is None:
+        if _array.is_readable(z) and 0 in _validate.numbers(z):
+            raise ValueError("points must have z other than 0 where there is no focal")
+        slope, bend = 1 / (wavelength * z), -0.5 / (wavelength * z)
+    else:
+        focal = float(_validate.real("focal", focal, nonzero=True))
+        slope, bend = 1 / (wavelength * focal), 0.5 * z / (wavelength * focal**2)
+    factors = []
+    for n, along in zip(shape, (points[..., 1, None], points[..., 0, None]), strict=True):
+        place = (xp.arange(n, dtype=xp.float64, device=_array.device_of(points)) - n // 2) * dx
+        factors.append(_array.phasor_of_cycles(place * (slope * along + bend * place), dtype))
+    return factors
+
+
+def _free_turns(fixed_phase_after, n_iterations):
+    if fixed_phase_after is None:
+        return n_iterations - n_iterations // 3
+    return _validate.integer("fixed_phase_after", fixed_phase_after)
+
+
+def _superpose(light, columns, rows):
+    """Return the phase-only part of the sum of the spots' lenses, each times its light ``[..., N]``."""
+    xp = _array.namespace(light)
+    return _unit(xp.matmul(xp.matrix_transpose(columns * light[..., None]), rows))
+
+
+def _spots(field, columns, rows):
+    """Return the field that a hologram sends into each spot, ``[..., N]``, of a light of one per pixel."""
+    xp = _array.namespace(field)
+    return xp.sum(xp.matmul(xp.conj(columns), field) * xp.conj(rows), axis=-1)
+
+
+def _push(amplitude, wanted, axes=-1):
+    """Return what is wanted over what came, both on the same mean."""
+    xp = _array.namespace(amplitude)
+    came, whole = (xp.sum(part * wanted, axis=axes, keepdims=True) for part in (amplitude, wanted))
+    return wanted * (came / whole) / _not_zero(amplitude)
+
+
+def _not_zero(amplitude):
+    """Return the amplitude, one where it is zero."""
+    xp = _array.namespace(amplitude)
+    return xp.where(amplitude > 0, amplitude, xp.ones((), dtype=amplitude.dtype, device=_array.device_of(amplitude)))
+
+
+def _unit(field):
+    """Return the field of the same phase and amplitude one; one where it is dark."""
+    xp = _array.namespace(field)
+    amplitude = xp.abs(field)
+    one = xp.ones((), dtype=field.dtype, device=_array.device_of(field))
+    return xp.where(amplitude > 0, field / _not_zero(amplitude), one)
+
+
+def _starting_phasor(initial_phase, seed, target):
+    if initial_phase is None:
+        return _random_phasor(tuple(target.shape), seed, target)
+    if tuple(_validate.image("initial_phase", initial_phase).shape) != tuple(target.shape):
+        raise ValueError(
+            f"initial_phase must have the field's shape {tuple(target.shape)}, got {tuple(initial_phase.shape)}"
+        )
+    return _array.phasor(_array.cast(initial_phase, target), _array.complex_dtype(target))
+
+
+def _random_phasor(shape, seed, like):
+    cycles = np.random.default_rng(seed).random(shape)
+    return _array.phasor_of_cycles(
+        _array.cast(cycles, like, _array.namespace(like).float64), _array.complex_dtype(like)
+    )
+
+
+def _shares(intensities, wanted):
+    shares = _array.cast(_validate.real("intensities", intensities), wanted)
+    if shares.ndim == 0 or shares.shape[-1] not in (1, wanted.shape[-1]):
+        raise ValueError(f"intensities must be one for each of {wanted.shape[-1]} spots, got {tuple(shares.shape)}")
+    if _array.is_readable(shares) and min(_validate.numbers(shares)) <= 0:
+        raise ValueError("intensities must be positive")
+    return shares
+
+
+def _lit(illumination, like, shape):
+    light = _array.cast(_validate.real("illumination", illumination), like)
+    if light.ndim < 2 or tuple(light.shape[-2:]) != tuple(shape[-2:]):
+        raise ValueError(f"illumination must have the hologram's shape {tuple(shape[-2:])}, got {tuple(light.shape)}")
+    return light
