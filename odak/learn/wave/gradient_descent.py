@@ -118,7 +118,7 @@ def stochastic_gradient_descent(
     modulate = unit_phasor if slm is None else slm
     if getattr(slm, "samples_per_pixel", 1) != 1:
         raise ValueError(
-            f"slm must have one sample per pixel here, got {slm.samples_per_pixel}; odak.learn.wave.propagator takes more"
+            f"slm must have one sample per pixel here, got {slm.samples_per_pixel}; a propagator takes more"
         )
     reconstruct = functools.partial(
         propagate_beam,

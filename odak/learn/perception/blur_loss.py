@@ -1,0 +1,94 @@
+"""A loss for the periphery: distance from a picture that is blurred away from the gaze."""
+
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+
+from odak.learn.perception.radially_varying_blur import RadiallyVaryingBlur
+from odak.learn.perception.util import check_loss_inputs
+
+
+class BlurLoss(nn.Module):
+    """Mean squared distance from the target as blurred for a gaze.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    alpha : float
+        Growth of the eye's pooling regions with eccentricity.
+    real_image_width, real_viewing_distance : float
+        Width of the picture as shown and distance of the eye from its centre, in one unit.
+    mode : str
+        "quadratic" or "linear" growth.
+    blur_source : bool
+        Blur the image as well as the target.
+    equi : bool
+        Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
+
+    Attributes
+    ----------
+    target, blur, loss_func
+        The last target, the blur and the mean squared error.
+
+    Notes
+    -----
+    A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye only cannot tell.
+    """
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        mode: str = "quadratic",
+        blur_source: bool = False,
+        equi: bool = False,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
+        self.alpha = alpha
+        self.real_image_width, self.real_viewing_distance = real_image_width, real_viewing_distance
+        self.mode, self.blur_source, self.equi = mode, blur_source, equi
+        self.blur = RadiallyVaryingBlur().to(device)
+        self.target: torch.Tensor | None = None
+        self.loss_func = nn.MSELoss()
+
+    @property
+    def device(self) -> torch.device:
+        """Where the loss was last moved to."""
+        return self._place.device
+
+    def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
+        """Return a picture ``[B, C, H, W]`` blurred for a gaze (x, y), 0 to 1 from the top-left corner."""
+        return self.blur.blur(
+            image, self.alpha, self.real_image_width, self.real_viewing_distance, gaze, self.mode, self.equi
+        )
+
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1, any colour space.
+        gaze : sequence of float
+            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable in both; 0 for equal pictures with `blur_source` only.
+
+        Raises
+        ------
+        ValueError
+            If the pictures cannot be compared or an argument makes no map.
+        """
+        check_loss_inputs("BlurLoss", image, target)
+        self.target = target.detach()
+        if self.blur_source:
+            image = self.blur_image(image, gaze)
+        return self.loss_func(image, self.blur_image(target, gaze))

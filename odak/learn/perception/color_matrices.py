@@ -1,0 +1,133 @@
+"""Matrices between colour spaces, derived from primaries and a white, and their application to pictures."""
+
+import functools
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from odak import _validate
+
+BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
+BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
+P3_PRIMARIES = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))
+PRIMARIES = {"BT.709": BT709_PRIMARIES, "BT.2020": BT2020_PRIMARIES, "Display P3": P3_PRIMARIES}
+
+# D65 is written down in several roundings. The first two are those of the library's earlier releases.
+XYZ_WHITE = (0.950456, 1.0, 1.088754)
+LAB_WHITE = (0.31271 / 0.32902, 1.0, (1 - 0.31271 - 0.32902) / 0.32902)
+IEC_WHITE = (0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290)
+
+
+@functools.lru_cache(maxsize=64)
+def _rgb_to_xyz_rows(primaries, white):
+    columns = np.array([(x / y, 1.0, (1 - x - y) / y) for x, y in primaries]).T
+    return columns * np.linalg.solve(columns, np.array(white))
+
+
+def rgb_to_xyz_matrix(
+    primaries: Sequence[Sequence[float]] = BT709_PRIMARIES, white: Sequence[float] = IEC_WHITE
+) -> torch.Tensor:
+    """Return the matrix from linear RGB to CIE XYZ of a display.
+
+    Parameters
+    ----------
+    primaries : sequence
+        Chromaticities (x, y) of red, green and blue.
+    white : sequence of float
+        XYZ of R = G = B = 1.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[3, 3]``, float64.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the primaries are not three pairs or the white not three numbers.
+
+    Notes
+    -----
+    SMPTE RP 177:1993. The defaults are IEC 61966-2-1's primaries and D65 = (0.3127, 0.3290).
+
+    Examples
+    --------
+    >>> from odak.learn.perception import rgb_to_xyz_matrix
+    >>> [round(value, 4) for value in rgb_to_xyz_matrix()[1].tolist()]
+    [0.2126, 0.7152, 0.0722]
+    """
+    return torch.from_numpy(_rgb_to_xyz_rows(*_checked_space(primaries, white)).copy())
+
+
+def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = "BT.2020") -> torch.Tensor:
+    """Return linear RGB of one set of primaries as linear RGB of another; both have the white D65.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Linear RGB ``[..., 3, H, W]``.
+    source, target : {"BT.709", "BT.2020", "Display P3"}
+        Primaries of the picture and of the result.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, H, W]``, four axes for three; colours that the target cannot show have values below 0 or above 1.
+        Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the picture has other axes, or the primaries are not known.
+
+    Notes
+    -----
+    ITU-R BT.2087-0 gives the matrix from BT.709 to BT.2020.
+    """
+    source, target = (
+        _validate.one_of(name, value, PRIMARIES) for name, value in (("source", source), ("target", target))
+    )
+    to_xyz, to_target = (_rgb_to_xyz_rows(PRIMARIES[space], IEC_WHITE) for space in (source, target))
+    return mix(rows(np.linalg.solve(to_target, to_xyz)), as_pictures("image", image))
+
+
+def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
+    """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
+        wanted = "C" if channels is None else channels
+        raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")
+    return image if image.ndim > 3 else image[None]
+
+
+def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+    """Return a matrix as nested tuples, which can be looked up."""
+    return tuple(map(tuple, matrix.tolist()))
+
+
+def mix(matrix, image: torch.Tensor) -> torch.Tensor:
+    """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision."""
+    if not isinstance(matrix, torch.Tensor):
+        build = _constant.__wrapped__ if torch.compiler.is_compiling() else _constant
+        matrix = build(matrix, image.dtype, image.device)
+    return (matrix.to(image) @ image.flatten(-2)).unflatten(-1, image.shape[-2:])
+
+
+@functools.lru_cache(maxsize=256)
+def _constant(matrix, dtype, device):
+    # A tensor born in inference mode could not be used for gradients later.
+    with torch.inference_mode(False):
+        return torch.tensor(matrix, dtype=dtype, device=device)
+
+
+def _checked_space(primaries, white):
+    pairs = tuple(tuple(_validate.numbers(_validate.real("primaries", pair))) for pair in primaries)
+    if len(pairs) != 3 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
+        raise ValueError(f"primaries must be three pairs (x, y) with y > 0, got {primaries!r}")
+    levels = tuple(_validate.numbers(_validate.real("white", white, positive=True)))
+    if len(levels) != 3:
+        raise ValueError(f"white must be three numbers X, Y, Z, got {white!r}")
+    return pairs, levels

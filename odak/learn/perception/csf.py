@@ -1,0 +1,251 @@
+"""The eye's contrast sensitivity (Barten) and a loss that counts differences in multiples of what can just be seen."""
+
+import math
+
+import torch
+from torch import nn
+
+from odak import _validate
+from odak.learn.perception.color_conversion import _decoded
+from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.util import check_loss_inputs
+
+SIGNAL_TO_NOISE = 3.0
+INTEGRATION_TIME = 0.1
+QUANTUM_EFFICIENCY = 0.03
+PHOTONS_PER_TROLAND = 1.2274e6
+NEURAL_NOISE = 3e-8
+INHIBITION_END = 7.0
+LARGEST_SIZE = 12.0
+MOST_CYCLES = 15.0
+BLUR, BLUR_PER_PUPIL = 0.5 / 60, 0.08 / 60
+_BT709_LUMINANCE = (0.2126, 0.7152, 0.0722)
+
+
+def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float = 60.0) -> torch.Tensor:
+    """Return the diameter of the pupil in millimetres.
+
+    Parameters
+    ----------
+    luminance : torch.Tensor or float
+        Of the field, in cd/m².
+    size : torch.Tensor or float
+        Side of the square field, in degrees.
+
+    Returns
+    -------
+    torch.Tensor
+        5 − 3·tanh(0.4·log₁₀(L·X²/40²)), float64 of plain numbers.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not positive.
+
+    Notes
+    -----
+    Barten, *Contrast Sensitivity of the Human Eye* (SPIE, 1999), chapter 3.
+    """
+    luminance, size = _numbers(luminance=luminance, size=size)
+    return 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
+
+
+def contrast_sensitivity(
+    frequency: torch.Tensor | float, luminance: torch.Tensor | float = 100.0, size: torch.Tensor | float = 60.0
+) -> torch.Tensor:
+    """Return how sensitive the eye is to gratings: one over the modulation that is seen half of the time.
+
+    Parameters
+    ----------
+    frequency : torch.Tensor or float
+        In cycles per degree, positive.
+    luminance : torch.Tensor or float
+        Mean of the grating, in cd/m².
+    size : torch.Tensor or float
+        Side of the square field, in degrees.
+
+    Returns
+    -------
+    torch.Tensor
+        Sensitivity of the broadcast shape, float64 of plain numbers. Differentiable in all three.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not positive.
+
+    Notes
+    -----
+    Barten, *Contrast Sensitivity of the Human Eye* (SPIE, 1999), chapter 3, and Proc. SPIE 5294, 231 (2004): young
+    observers, both eyes, photopic light, k = 3, T = 0.1 s, η = 0.03, σ₀ = 0.5′, C = 0.08′/mm, Φ₀ = 3e-8 s·deg²,
+    u₀ = 7 cycles per degree, p = 1.2274e6 photons per s, deg² and troland (a white CRT). Retinal illuminance counts the
+    Stiles–Crawford effect.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import contrast_sensitivity
+    >>> [round(contrast_sensitivity(u).item()) for u in (0.5, 4.0, 30.0)]
+    [335, 657, 30]
+    """
+    frequency, luminance, size = _numbers(frequency=frequency, luminance=luminance, size=size)
+    return _sensitivity(frequency, luminance, size)
+
+
+class CSFLoss(nn.Module):
+    """Differences of luminance weighted by the contrast sensitivity of the eye, in squared multiples of the threshold.
+
+    The difference of two pictures over the target's mean luminance is a sum of gratings, each of which weighs as many
+    times as it exceeds what can just be seen: loss = 2·mean(filtered²). A grating at its threshold costs 1, ten times
+    that 100. Luminance alone counts; add another loss for colour.
+
+    The eye faces the middle of a flat picture, perpendicular, and looks everywhere alike (no fall-off towards the
+    periphery). Pictures are taken as periodic. A uniform difference counts as the lowest frequency of the picture.
+
+    Parameters
+    ----------
+    real_image_width : float
+        Width of the picture as shown.
+    real_viewing_distance : float
+        Distance to the eye, in the same unit.
+    peak_luminance : float
+        Of white, in cd/m².
+    black_luminance : float
+        Of black, in cd/m².
+    encoding : {"sRGB", "linear"}
+        How pictures hold light.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import CSFLoss
+    >>> target = torch.full((1, 3, 32, 32), 0.5)
+    >>> loss = CSFLoss(real_image_width=0.3, real_viewing_distance=0.6)
+    >>> loss(target, target).item(), bool(loss(target + 0.1, target) > 1)
+    (0.0, True)
+    """
+
+    def __init__(
+        self,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        peak_luminance: float = 100.0,
+        black_luminance: float = 0.1,
+        encoding: str = "sRGB",
+    ):
+        super().__init__()
+        self.real_image_width = float(_validate.real("real_image_width", real_image_width, positive=True))
+        self.real_viewing_distance = float(
+            _validate.real("real_viewing_distance", real_viewing_distance, positive=True)
+        )
+        self.peak_luminance = float(_validate.real("peak_luminance", peak_luminance, positive=True))
+        self.black_luminance = float(_validate.real("black_luminance", black_luminance, positive=True))
+        if self.black_luminance >= self.peak_luminance:
+            raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
+        self.encoding = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
+        self.register_buffer("frequencies", None, persistent=False)
+        self._kept = None
+
+    def forward(self, image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            Pictures ``[B, C, H, W]`` of one shape, one or three channels, nominally 0 … 1. The target sets the eye's
+            adaptation and gets no gradient through it.
+
+        Returns
+        -------
+        torch.Tensor
+            The mean over the pictures, without axes, in their precision; 0 for equal luminance.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures are not as said, hold values below −1 or above 2, or are a single pixel.
+        """
+        for name, picture in (("image", image), ("target", target)):
+            _check_range(name, as_pictures(name, picture, None))
+        check_loss_inputs("CSFLoss", image, target)
+        dtype = torch.promote_types(image.dtype, target.dtype)
+        image, target = image.to(dtype), target.to(dtype)
+        if image.shape[-2:].numel() < 2:
+            raise ValueError(f"image and target must have two pixels or more, got {tuple(image.shape)}")
+        shown, wanted = self._luminance(image), self._luminance(target)
+        mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.black_luminance)
+        spectrum = torch.fft.rfft2((shown - wanted) / mean, norm="forward")
+        sensitivity = _sensitivity(self._frequencies(image), mean, self._size(image))
+        # Half a spectrum: every column but the first, and the last of an even width, stands for two.
+        columns = image.shape[-1]
+        weights = sensitivity.new_full((spectrum.shape[-1],), 4.0)
+        weights[0] = 2.0
+        if columns % 2 == 0:
+            weights[-1] = 2.0
+        power = spectrum.real**2 + spectrum.imag**2
+        return (weights * sensitivity**2 * power).sum((-2, -1)).mean()
+
+    def _luminance(self, picture):
+        light = _decoded(picture) if self.encoding == "sRGB" else picture
+        if picture.shape[-3] == 3:
+            red, green, blue = light.unbind(-3)
+            light = (_BT709_LUMINANCE[0] * red + _BT709_LUMINANCE[1] * green + _BT709_LUMINANCE[2] * blue)[
+                ..., None, :, :
+            ]
+        return self.black_luminance + (self.peak_luminance - self.black_luminance) * light
+
+    def _size(self, picture):
+        """Return the side in degrees of a square that looks as large as the picture."""
+        width = _angle(self.real_image_width, self.real_viewing_distance)
+        height = _angle(self.real_image_width * picture.shape[-2] / picture.shape[-1], self.real_viewing_distance)
+        return math.sqrt(width * height)
+
+    def _frequencies(self, picture):
+        """Return frequencies in cycles per degree at the middle of the picture, kept by size."""
+        key = (tuple(picture.shape[-2:]), picture.dtype, picture.device)
+        if self._kept != key:
+            rows, columns = picture.shape[-2:]
+            pitch = math.degrees(self.real_image_width / columns / self.real_viewing_distance)
+            down = torch.fft.fftfreq(rows, pitch, dtype=torch.float64)
+            across = torch.fft.rfftfreq(columns, pitch, dtype=torch.float64)
+            frequencies = torch.hypot(down[:, None], across)
+            lowest = 1 / (max(rows, columns) * pitch)
+            with torch.inference_mode(False):
+                self.frequencies = frequencies.clamp_min(lowest).to(picture.device, picture.dtype)
+            self._kept = key
+        return self.frequencies
+
+
+def _sensitivity(frequency, luminance, size):
+    pupil = 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
+    illuminance = math.pi * pupil**2 / 4 * luminance * (1 - (pupil / 9.7) ** 2 + (pupil / 12.4) ** 4)
+    blur = BLUR**2 + (BLUR_PER_PUPIL * pupil) ** 2
+    transfer = torch.exp(-2 * math.pi**2 * blur * frequency**2)
+    area = 1 / size**2 + 1 / LARGEST_SIZE**2 + (frequency / MOST_CYCLES) ** 2
+    photon_noise = 1 / (QUANTUM_EFFICIENCY * PHOTONS_PER_TROLAND * illuminance)
+    neural_noise = NEURAL_NOISE / -torch.expm1(-((frequency / INHIBITION_END) ** 2))
+    return transfer / SIGNAL_TO_NOISE / (2 / INTEGRATION_TIME * area * (photon_noise + neural_noise)).sqrt()
+
+
+def _numbers(**values):
+    """Return positive numbers and tensors as tensors that broadcast."""
+    tensors = [v for v in values.values() if isinstance(v, torch.Tensor)]
+    kind = {"dtype": torch.float64} if not tensors else {"dtype": tensors[0].dtype, "device": tensors[0].device}
+    for name, value in values.items():
+        _validate.real(name, value, positive=True)
+    return [v if isinstance(v, torch.Tensor) else torch.tensor(float(v), **kind) for v in values.values()]
+
+
+def _angle(length, distance):
+    return 2 * math.degrees(math.atan(length / 2 / distance))
+
+
+def _check_range(name, picture):
+    _validate.real(name, picture)
+    if not picture.is_cuda and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
+        low, high = picture.detach().aminmax()
+        raise ValueError(f"{name} must be about 0 … 1, got {float(low):.3g} … {float(high):.3g}")

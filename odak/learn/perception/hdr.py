@@ -1,0 +1,330 @@
+"""Absolute luminance as signals and back: PQ, HLG and PU21, differentiable.
+
+Luminance is in candelas per square metre. Every function works element by element on tensors of any shape unless it
+needs the three channels. Values are those of the standards; gradients are finite everywhere. Where the true slope at
+black is infinite (PQ, the square root of HLG) the gradient is that of a small luminance instead; docstrings name it.
+"""
+
+import math
+
+import torch
+
+from odak import _validate
+
+PQ_PEAK = 10000.0
+_M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
+_C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
+# Below this luminance over the peak, the gradient stays what it is here.
+_PQ_FLOOR = 1e-9
+_PQ_POWER = _PQ_FLOOR**_M1
+_PQ_RATIO = (_C1 + _C2 * _PQ_POWER) / (1 + _C3 * _PQ_POWER)
+_PQ_SLOPE = _M2 * _PQ_RATIO ** (_M2 - 1) * (_C2 - _C1 * _C3) / (1 + _C3 * _PQ_POWER) ** 2
+_PQ_SLOPE *= _M1 * _PQ_POWER / _PQ_FLOOR
+
+_HLG_A = 0.17883277
+_HLG_B, _HLG_C = 1 - 4 * _HLG_A, 0.5 - _HLG_A * math.log(4 * _HLG_A)
+_HLG_FLOOR = 1e-6
+_HLG_SLOPE = 0.5 * math.sqrt(3 / _HLG_FLOOR)
+_BT2020_LUMA = (0.2627, 0.6780, 0.0593)
+_DARKEST = 1e-9
+
+PU21_LIMITS = (0.005, 10000.0)
+PU21_PARAMETERS = {
+    "banding": (1.070275272, 0.4088273932, 0.153224308, 0.2520326168, 1.063512885, 1.14115047, 521.4527484),
+    "banding_glare": (
+        0.353487901, 0.3734658629, 8.277049286e-05, 0.9062562627, 0.09150303166, 0.9099517204, 596.3148142,
+    ),
+    "peaks": (1.043882782, 0.6459495343, 0.3194584211, 0.374025247, 1.114783422, 1.095360363, 384.9217577),
+    "peaks_glare": (
+        816.885024, 1479.463946, 0.001253215609, 0.9329636822, 0.06746643971, 1.573435413, 419.6006374,
+    ),
+}  # fmt: skip
+
+
+def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
+    """Return the PQ signal of luminance (inverse EOTF of SMPTE ST 2084:2014 and ITU-R BT.2100-2, table 4).
+
+    Parameters
+    ----------
+    luminance : torch.Tensor
+        In cd/m²; below 0 counts as 0, above 10 000 as 10 000.
+
+    Returns
+    -------
+    torch.Tensor
+        0 … 1 in the input's shape and precision. The gradient below 1e-5 cd/m² is that at 1e-5, as the true one
+        grows without bound; outside 0 … 10 000 it is 0.
+
+    Raises
+    ------
+    TypeError
+        If the luminance is not a tensor of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import pq_encode
+    >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
+    [0.5081, 1.0]
+    """
+    y = _floats("luminance", luminance).clamp(0, PQ_PEAK) / PQ_PEAK
+    return _with_bounded_slope(_pq_signal, y, _PQ_FLOOR, _PQ_SLOPE)
+
+
+def pq_decode(signal: torch.Tensor) -> torch.Tensor:
+    """Return the luminance of a PQ signal (EOTF of SMPTE ST 2084:2014): the inverse of :func:`pq_encode`.
+
+    Parameters
+    ----------
+    signal : torch.Tensor
+        0 … 1; values outside count as 0 and 1.
+
+    Returns
+    -------
+    torch.Tensor
+        0 … 10 000 cd/m² in the input's shape and precision, with finite gradients.
+
+    Raises
+    ------
+    TypeError
+        If the signal is not a tensor of real floats.
+    """
+    signal = _floats("signal", signal).clamp(_C1**_M2, 1)
+    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
+    e = torch.expm1(signal.log() / _M2)
+    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
+    return PQ_PEAK * ratio ** (1 / _M1)
+
+
+def hlg_encode(light: torch.Tensor) -> torch.Tensor:
+    """Return the HLG signal of scene light (OETF, ITU-R BT.2100-2, table 5).
+
+    Parameters
+    ----------
+    light : torch.Tensor
+        Linear scene light, 1 at the peak; below 0 counts as 0, above 1 the logarithm goes on.
+
+    Returns
+    -------
+    torch.Tensor
+        0 … 1 in the input's shape and precision. The gradient below 1e-6 is that at 1e-6; below 0 it is 0.
+
+    Raises
+    ------
+    TypeError
+        If the light is not a tensor of real floats.
+    """
+    return _with_bounded_slope(_hlg_signal, _floats("light", light).clamp_min(0), _HLG_FLOOR, _HLG_SLOPE)
+
+
+def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
+    """Return the scene light of an HLG signal: the inverse of :func:`hlg_encode`, with finite gradients.
+
+    Parameters
+    ----------
+    signal : torch.Tensor
+        0 … 1; below 0 counts as 0, above 1 the exponential goes on.
+
+    Returns
+    -------
+    torch.Tensor
+        Linear scene light in the input's shape and precision.
+
+    Raises
+    ------
+    TypeError
+        If the signal is not a tensor of real floats.
+    """
+    signal = _floats("signal", signal).clamp_min(0)
+    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
+    return torch.where(signal > 0.5, bright, signal**2 / 3)
+
+
+def hlg_system_gamma(peak_luminance: float) -> float:
+    """Return the system gamma of an HLG display (ITU-R BT.2100-2, notes to table 5).
+
+    Parameters
+    ----------
+    peak_luminance : float
+        Of white, in cd/m².
+
+    Returns
+    -------
+    float
+        1.2 + 0.42·log₁₀(L/1000) for 400 … 2000 cd/m², 1.2·1.111^log₂(L/1000) elsewhere.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the luminance is not positive.
+    """
+    peak_luminance = float(_validate.real("peak_luminance", peak_luminance, positive=True))
+    if 400 <= peak_luminance <= 2000:
+        return 1.2 + 0.42 * math.log10(peak_luminance / 1000)
+    return 1.2 * 1.111 ** math.log2(peak_luminance / 1000)
+
+
+def hlg_to_luminance(
+    signal: torch.Tensor, peak_luminance: float = 1000.0, black_luminance: float = 0.0
+) -> torch.Tensor:
+    """Return what an HLG display emits (EOTF, ITU-R BT.2100-2, table 5).
+
+    Parameters
+    ----------
+    signal : torch.Tensor
+        HLG R′G′B′ ``[..., 3, H, W]`` with the primaries of BT.2020, 0 … 1.
+    peak_luminance, black_luminance : float
+        Of the display, in cd/m².
+
+    Returns
+    -------
+    torch.Tensor
+        Luminance of each channel in cd/m², ``[..., 3, H, W]`` in the input's precision, with finite gradients.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the signal does not have three channels of real floats, or the luminances are not rising.
+    """
+    gamma, lift = _hlg_display(peak_luminance, black_luminance)
+    light = hlg_decode((1 - lift) * _rgb("signal", signal) + lift)
+    return peak_luminance * _luminance(light).clamp_min(_DARKEST) ** (gamma - 1) * light
+
+
+def luminance_to_hlg(
+    luminance: torch.Tensor, peak_luminance: float = 1000.0, black_luminance: float = 0.0
+) -> torch.Tensor:
+    """Return the HLG signal that makes a display emit a picture: the inverse of :func:`hlg_to_luminance`.
+
+    Parameters
+    ----------
+    luminance : torch.Tensor
+        Of each channel in cd/m², ``[..., 3, H, W]`` with the primaries of BT.2020; below 0 counts as 0.
+    peak_luminance, black_luminance : float
+        Of the display, in cd/m².
+
+    Returns
+    -------
+    torch.Tensor
+        Signal ``[..., 3, H, W]`` in the input's precision; below 0 where the display is never so dark.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the picture does not have three channels of real floats, or the luminances are not rising.
+    """
+    gamma, lift = _hlg_display(peak_luminance, black_luminance)
+    emitted = _rgb("luminance", luminance).clamp_min(0) / peak_luminance
+    light = _luminance(emitted).clamp_min(_DARKEST**gamma) ** (1 / gamma - 1) * emitted
+    return (hlg_encode(light) - lift) / (1 - lift)
+
+
+def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
+    """Return perceptually uniform values of luminance, on which metrics for ordinary pictures may be used.
+
+    Parameters
+    ----------
+    luminance : torch.Tensor
+        In cd/m²; below 0.005 counts as 0.005, above 10 000 as 10 000.
+    variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
+        Threshold data behind the curve.
+
+    Returns
+    -------
+    torch.Tensor
+        From 0 at 0.005 cd/m² through about 256 at 100 to 595.4 ("banding_glare") at 10 000, in the input's shape and
+        precision. The gradient is finite, and 0 outside the range.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the luminance is not a tensor of real floats or the variant is not known.
+
+    Notes
+    -----
+    Mantiuk and Azimi, Picture Coding Symposium (2021), and the parameters published with it. Give metrics a data range
+    of 256 where white of 100 cd/m² is the peak.
+    """
+    p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
+    power = _fine(_floats("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
+    values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
+    return values.clamp_min(0).to(luminance)
+
+
+def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
+    """Return the luminance of perceptually uniform values: the inverse of :func:`pu21_encode`.
+
+    Parameters
+    ----------
+    values : torch.Tensor
+        As :func:`pu21_encode` gives them; values outside its range count as the nearest inside.
+    variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
+        Threshold data behind the curve.
+
+    Returns
+    -------
+    torch.Tensor
+        0.005 … 10 000 cd/m² in the input's shape and precision, with finite gradients.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the values are not a tensor of real floats or the variant is not known.
+    """
+    p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
+    power_limits = [limit ** p[3] for limit in PU21_LIMITS]
+    low, high = (p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5]) for power in power_limits)
+    root = (_fine(_floats("values", values)).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
+    power = (root - p[0]) / (p[1] - p[2] * root)
+    # Rounding must not leave the range, below which the power has no gradient.
+    return (power.clamp(*power_limits) ** (1 / p[3])).to(values)
+
+
+def _pq_signal(y):
+    power = y**_M1
+    # As c₂ − c₃ = 1 − c₁, the ratio is 1 − (1 − c₁)·(1 − t)/(1 + c₃·t), which keeps its digits near the peak.
+    return torch.exp(_M2 * torch.log1p(-(1 - _C1) * (1 - power) / (1 + _C3 * power)))
+
+
+def _hlg_signal(light):
+    bright = _HLG_A * torch.log(12 * light.clamp_min(1 / 12) - _HLG_B) + _HLG_C
+    return torch.where(light > 1 / 12, bright, (3 * light).sqrt())
+
+
+def _with_bounded_slope(function, value, floor, slope):
+    """Return function(value) with the gradient `slope` for values below `floor`."""
+    with torch.no_grad():
+        exact = function(value.detach())
+    dark = exact + slope * (value - value.detach())
+    return torch.where(value < floor, dark, function(value.clamp_min(floor)))
+
+
+def _hlg_display(peak, black):
+    gamma = hlg_system_gamma(peak)
+    black = float(_validate.real("black_luminance", black))
+    if not 0 <= black < peak:
+        raise ValueError(f"black_luminance must be at least 0 and less than the peak {peak}, got {black}")
+    return gamma, math.sqrt(3 * (black / peak) ** (1 / gamma))
+
+
+def _luminance(rgb):
+    red, green, blue = rgb.unbind(-3)
+    return (_BT2020_LUMA[0] * red + _BT2020_LUMA[1] * green + _BT2020_LUMA[2] * blue).unsqueeze(-3)
+
+
+def _rgb(name, picture):
+    picture = _floats(name, picture)
+    if picture.ndim < 3 or picture.shape[-3] != 3:
+        raise ValueError(f"{name} must be pictures [..., 3, H, W], got {tuple(picture.shape)}")
+    return picture
+
+
+def _fine(value):
+    """Return a value in float64 where the device has it: roots of the eleventh order lose two digits."""
+    return value if value.device.type == "mps" else value.double()
+
+
+def _floats(name, value):
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        raise TypeError(f"{name} must be a tensor of real floats, got {getattr(value, 'dtype', type(value).__name__)}")
+    return value

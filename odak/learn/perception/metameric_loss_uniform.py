@@ -1,0 +1,188 @@
+"""The metameric loss without a gaze: statistics pooled over regions of one size, for pictures seen from anywhere."""
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from odak import _validate
+from odak.learn.perception import pyramid_statistics as statistics
+from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid, pad_image_for_pyramid
+
+
+def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
+    """Return means over squares, enlarged bilinearly to the picture's size.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``.
+    pooling_size : float
+        Side of the squares in pixels, positive; at least one square fits always.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, H, W]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the size is not positive.
+    """
+    size = _validate.image("image", image, axes=4).shape[-2:]
+    pooling_size = float(_validate.real("pooling_size", pooling_size, positive=True))
+    squares = [max(1, int(side / pooling_size)) for side in size]
+    means = functional.adaptive_avg_pool2d(image, squares)
+    return functional.interpolate(means, size, mode="bilinear", align_corners=False)
+
+
+class MetamericLossUniform(nn.Module):
+    """Distance between the pooled statistics of two pictures, the same everywhere.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    pooling_size : float
+        Side of the pooling regions in pixels of the finest level; half of it at each next level.
+    n_pyramid_levels : int
+        Levels of the pyramid, at least 2.
+    n_orientations : int
+        Orientations of the bands.
+
+    Attributes
+    ----------
+    target, target_stats, loss_map, pyramid_maker
+        Of the last call; None before.
+
+    Notes
+    -----
+    See :class:`odak.learn.perception.MetamericLoss`; statistics of the target are kept in the same way.
+    """
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        pooling_size: float = 32,
+        n_pyramid_levels: int = 5,
+        n_orientations: int = 2,
+    ) -> None:
+        super().__init__()
+        self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
+        self.pooling_size = _validate.real("pooling_size", pooling_size, positive=True)
+        self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
+        self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
+        self.pyramid_maker: SpatialSteerablePyramid | None = None
+        self.target = self.target_stats = self.loss_map = None
+        self._kept = statistics.TargetCache()
+
+    @property
+    def device(self) -> torch.device:
+        """Where the loss was last moved to."""
+        return self._place.device
+
+    def forward(
+        self,
+        image: torch.Tensor,
+        target: torch.Tensor,
+        image_colorspace: str = "RGB",
+        visualise_loss: bool = False,
+    ) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
+        image_colorspace : str
+            "RGB", or anything else if both pictures are in Y′CrCb already.
+        visualise_loss : bool
+            Keep a map of the differences of the first picture as `loss_map`.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable; 0 for equal pictures.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures cannot be compared or are too small for the pyramid.
+        """
+        statistics.checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
+        key = (self.pooling_size, self.n_pyramid_levels, self.n_orientations, image_colorspace, target.dtype)
+        self.target, self.target_stats = self._kept.get(target, key, lambda: self._described(target, image_colorspace))
+        stats = self._described(image, image_colorspace)[1]
+        if visualise_loss:
+            self.visualise_loss_map(stats)
+        return self.metameric_loss_stats(stats, self.target_stats)
+
+    def calc_statsmaps(self, image: torch.Tensor, pooling_size: float) -> list[torch.Tensor]:
+        """Return the pooled statistics of a picture.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            ``[B, C, H, W]``, sides multiples of 2ⁿ⁻¹ for n levels, in the colour space to compare in.
+        pooling_size : float
+            Side of the pooling regions in pixels of the finest level.
+
+        Returns
+        -------
+        list of torch.Tensor
+            Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+        """
+        pyramid = self._maker(image.shape[1]).construct_pyramid(image, self.n_pyramid_levels)
+        return statistics.pooled_statistics(pyramid, lambda bands, level: uniform_blur(bands, pooling_size / 2**level))
+
+    def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
+        """Return the mean over two lists of statistics of their mean squared differences."""
+        return statistics.mean_distance(statsmap_a, statsmap_b)
+
+    def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
+        """Keep how far the first picture's statistics are from the target's as `loss_map` ``[H, W]``."""
+        if self.target_stats is None:
+            raise ValueError("visualise_loss_map needs the statistics of a target: call the loss first")
+        self.loss_map = statistics.difference_map(image_stats, self.target_stats)[0]
+
+    def gen_metamer(self, image: torch.Tensor, seed: int = 0) -> torch.Tensor:
+        """Return noise with the pooled statistics of a picture.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            RGB or grey ``[B, C, H, W]``, about 0 … 1.
+        seed : int
+            Of the noise.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, H, W]``, not clipped to 0 … 1.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture is too small for the pyramid, or no picture.
+        """
+        statistics.checked_pictures("MetamericLossUniform", image, image, self.n_pyramid_levels)
+        padded, stats = self._described(image, "RGB")
+        maker = self._maker(image.shape[1])
+        metamer = statistics.matched_noise(padded, stats, maker, self.n_pyramid_levels, seed)
+        return statistics.as_picture(metamer, image.shape)
+
+    def _apply(self, function, recurse=True):
+        self._kept.clear()
+        return super()._apply(function, recurse)
+
+    def _described(self, picture, colourspace):
+        picture = statistics.converted(pad_image_for_pyramid(picture, self.n_pyramid_levels), colourspace)
+        return picture, self.calc_statsmaps(picture, self.pooling_size)
+
+    def _maker(self, channels):
+        maker = self.pyramid_maker
+        if maker is None or (maker.n_channels, maker.n_orientations) != (channels, self.n_orientations):
+            self.pyramid_maker = SpatialSteerablePyramid(
+                False, channels, 5, self.n_orientations, "cropped", self.device
+            )
+        return self.pyramid_maker

@@ -1,0 +1,304 @@
+"""Design of the small filters of a spatial steerable pyramid: least squares on its response, not tables of taps.
+
+Every band of K orientations is a mixture of the same K filters, one per product cosⁱθ·sin^(K−1−i)θ. They are even or
+odd along each axis and one another's transposes, so that few numbers are unknown and the bank is exactly steerable.
+"""
+
+import functools
+import math
+
+import numpy as np
+
+# Points per axis of the grid of frequencies on which the responses are asked for.
+GRID = 24
+FOOT = 0.3
+# How much an ideal response counts beside one of flatness. Less: flatter, but less like the ideal; see the notes.
+PULL, BAND_PULL, SINGLE_PULL = 0.01, 0.1, 0.03
+ALIASING, SUMS, FLOOR = 3.0, 100.0, 0.01
+STEPS, TOLERANCE, DAMPING = 100, 1e-6, 1e-9
+
+
+def ideal_gains(radius: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the ideal gains of the high-pass residual, the first low-pass, the bands together and the low-pass.
+
+    Parameters
+    ----------
+    radius : numpy.ndarray
+        Length of the frequency vector in radians per pixel.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        H₀(r) = H(r/2), L₀(r) = L(r/2)/2, H(r), L(r), for which H₀² + L₀² = 1 and H² + L²/4 = 1.
+
+    Notes
+    -----
+    Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), eqs. 1 to 4: a raised cosine over
+    log₂ r, one octave wide.
+    """
+    high = [np.sin(_octave_angle(radius / scale)) for scale in (2, 1)]
+    low = [np.cos(_octave_angle(radius / scale)) for scale in (2, 1)]
+    return high[0], low[0], high[1], 2 * low[1]
+
+
+def band_amplitude(n_orientations: int) -> float:
+    """Return a = 2ᴷ⁻¹(K−1)!/√(K(2K−2)!), for which Σₖ a²·cos²⁽ᴷ⁻¹⁾(θ − πk/K) = 1."""
+    order = n_orientations - 1
+    return 2**order * math.factorial(order) / math.sqrt(n_orientations * math.factorial(2 * order))
+
+
+def steering(n_orientations: int, angles: np.ndarray) -> np.ndarray:
+    """Return the shares of the K products cosⁱθ·sin^(K−1−i)θ in a·cosᴷ⁻¹(θ − angle).
+
+    Parameters
+    ----------
+    n_orientations : int
+        K.
+    angles : numpy.ndarray
+        ``[A]``, in radians.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[A, K]``.
+    """
+    order = n_orientations - 1
+    index = np.arange(n_orientations)
+    binomial = np.array([math.comb(order, i) for i in index], dtype=float)
+    # 0⁰ is 1 here, as it is in NumPy.
+    powers = np.cos(angles)[:, None] ** index * np.sin(angles)[:, None] ** (order - index)
+    return band_amplitude(n_orientations) * binomial * powers
+
+
+@functools.lru_cache(maxsize=64)
+def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
+    """Return filters whose pyramid reconstructs a picture nearly perfectly.
+
+    Parameters
+    ----------
+    n_orientations : int
+        Number K ≥ 1 of orientations.
+    sizes : tuple of int
+        Odd sizes of the low-pass "l", the first low-pass "l0", the high-pass residual "h0" and the bands.
+
+    Returns
+    -------
+    dict
+        "l", "l0", "h0": ``[k, k]``; "b": ``[K, k, k]``, to be applied by correlation; "steerable": the filters
+        ``[K, k, k]`` that bands are mixtures of; all float64, read-only.
+
+    Notes
+    -----
+    Starts from the linear least-squares fit to the ideal responses of Portilla and Simoncelli (2000). Minimised
+    together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4), that of the inner sum as the next level sees it,
+    the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the ideal responses.
+    """
+    problem = _Problem(n_orientations, sizes)
+    taps = _descend(problem)
+    filters = problem.filters(taps)
+    for value in filters.values():
+        value.setflags(write=False)
+    return filters
+
+
+def _descend(problem) -> np.ndarray:
+    """Return the taps of least cost, by Levenberg and Marquardt's damped Gauss–Newton steps."""
+    taps, damping = problem.start(), 1e-4
+    residual, jacobian = problem.residual(taps)
+    cost = residual @ residual + problem.quadratic_cost(taps)
+    for _ in range(STEPS):
+        normal = problem.normal + jacobian.T @ jacobian
+        slope = problem.normal @ taps - problem.pulled + jacobian.T @ residual
+        normal[np.diag_indices_from(normal)] += damping
+        trial = taps - np.linalg.solve(normal, slope)
+        residual_there, jacobian_there = problem.residual(trial)
+        cost_there = residual_there @ residual_there + problem.quadratic_cost(trial)
+        if cost_there >= cost:
+            damping *= 4
+            continue
+        gain = (cost - cost_there) / cost
+        taps, residual, jacobian, cost, damping = trial, residual_there, jacobian_there, cost_there, damping / 4
+        if gain < TOLERANCE:
+            break
+    return taps
+
+
+def orientations(n_orientations: int) -> np.ndarray:
+    """Return the K angles πk/K in radians, counter-clockwise with y upwards."""
+    return np.arange(n_orientations) * math.pi / n_orientations
+
+
+class _Problem:
+    """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
+
+    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int]) -> None:
+        self.count = n_orientations
+        axis = np.linspace(0, math.pi, GRID)
+        self.x, self.y = np.meshgrid(axis, axis, indexing="xy")
+        self.parts = self._parts(sizes)
+        self.slices, start = [], 0
+        for taps, *_ in self.parts:
+            self.slices.append(slice(start, start + len(taps)))
+            start += len(taps)
+        self.length = start
+        self.halved = self._response(self.parts[0][0], 0, 0, 0.5)
+        self.power = self._power()
+        self.normal, self.pulled, self.constant = self._quadratic()
+
+    def _parts(self, sizes):
+        """Return taps ``[n, k, k]``, gains ``[points, n]`` and ideal gains of l, l0, h0 and half of the products."""
+        radius, angle = np.hypot(self.x, self.y), np.arctan2(self.y, self.x)
+        high0, low0, band, _ = ideal_gains(radius)
+        # A foot below the octave, so that small filters keep their sign down to slow ramps.
+        band = np.maximum(band, np.minimum(FOOT * radius * 4 / math.pi, FOOT))
+        low = 2 * np.sqrt(1 - band**2)
+        parts = [self._part(size, 0, 0, True, ideal) for size, ideal in zip(sizes, (low, low0, high0), strict=False)]
+        order = self.count - 1
+        for i in range((order + 2) // 2):
+            product = band * np.cos(angle) ** i * np.sin(angle) ** (order - i)
+            parts.append(self._part(sizes[3], i % 2, (order - i) % 2, 2 * i == order, product))
+        return parts
+
+    def _part(self, size, odd_x, odd_y, symmetric, ideal):
+        taps = _symmetric_taps(size, odd_x, odd_y, symmetric)
+        return taps, self._response(taps, odd_x, odd_y), ideal.ravel()
+
+    def _response(self, taps, odd_x, odd_y, scale=1.0):
+        """Return the gains ``[points, n]`` of filters at the grid's frequencies times a scale."""
+        size = taps.shape[-1]
+        offset = np.arange(size) - size // 2
+        # Rows grow downwards and y upwards; odd products stand for −j times a real gain.
+        along_x = [np.cos, np.sin][odd_x](scale * self.x.ravel()[:, None] * offset)
+        along_y = [np.cos, np.sin][odd_y](scale * self.y.ravel()[:, None] * -offset)
+        sign = -1.0 if odd_x or odd_y else 1.0
+        outer = along_y[:, :, None] * along_x[:, None, :]
+        return sign * outer.reshape(-1, size * size) @ taps.reshape(len(taps), -1).T
+
+    def _power(self):
+        """Return C with Σₖ|Bₖ|² = Σᵢⱼ Cᵢⱼ·Mᵢ·Mⱼ for the products Mᵢ."""
+        shares = steering(self.count, orientations(self.count))
+        return shares.T @ shares
+
+    def products(self, taps):
+        """Return the gains of the K products ``[K, points]``, and the taps and responses that each comes from."""
+        gains, sources = [], []
+        for i in range(self.count):
+            mirrored = i > (self.count - 1) // 2 and 2 * i != self.count - 1
+            part = 3 + (self.count - 1 - i if mirrored else i)
+            response = self.parts[part][1]
+            if mirrored:
+                response = response.reshape(GRID, GRID, -1).transpose(1, 0, 2).reshape(GRID * GRID, -1)
+            gains.append(response @ taps[self.slices[part]])
+            sources.append((self.slices[part], response))
+        return np.array(gains), sources
+
+    def relevance(self, part):
+        """Return weights of the frequencies: the bands and the low-pass see only what the first low-pass leaves."""
+        ideal_low0 = self.parts[1][2]
+        return np.ones_like(ideal_low0) if part in (1, 2) else np.maximum(ideal_low0**2, FLOOR)
+
+    def start(self):
+        taps = np.zeros(self.length)
+        for part, (_, response, ideal) in enumerate(self.parts):
+            weight = np.sqrt(self.relevance(part))
+            taps[self.slices[part]] = np.linalg.lstsq(response * weight[:, None], ideal * weight, rcond=1e-10)[0]
+        return taps
+
+    def residual(self, taps):
+        """Return every residual ``[m]`` that is not quadratic, and its Jacobian ``[m, n]``."""
+        low, low0, high0 = (part[1] @ taps[where] for part, where in zip(self.parts[:3], self.slices[:3], strict=True))
+        inner, inner_slope = self._inner(taps, low)
+        flat = high0**2 + low0**2 * inner - 1
+        slope = low0[:, None] ** 2 * inner_slope
+        for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
+            slope[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
+        # A coarser level sees what the low-pass leaves at half the frequency.
+        half = self.halved @ taps[self.slices[0]]
+        deep = half**2 / 4 * (inner - 1)
+        deep_slope = half[:, None] ** 2 / 4 * inner_slope
+        deep_slope[:, self.slices[0]] += (half * (inner - 1) / 2)[:, None] * self.halved
+        aliasing = self._aliasing(taps)
+        rows = [(flat / GRID, slope / GRID), (deep / GRID, deep_slope / GRID), aliasing]
+        return np.concatenate([r for r, _ in rows]), np.concatenate([j for _, j in rows])
+
+    def _inner(self, taps, low):
+        """Return Σₖ|Bₖ|² + L²/4 and its slope: what the bands and the low-pass of one level hold together."""
+        products, sources = self.products(taps)
+        mixed = self.power @ products
+        slope = np.zeros((low.size, self.length))
+        slope[:, self.slices[0]] = (low / 2)[:, None] * self.parts[0][1]
+        for row, (where, response) in zip(mixed, sources, strict=True):
+            slope[:, where] += 2 * row[:, None] * response
+        return (products * mixed).sum(0) + low**2 / 4, slope
+
+    def _aliasing(self, taps):
+        """Return what folds back onto a frequency from half the sampling rate away, along one axis or both."""
+        grid, where = self.parts[0][1].reshape(GRID, GRID, -1), self.slices[0]
+        residuals, jacobians = [], []
+        # π − ω is on the grid too, and L is even.
+        for folded in (grid[:, ::-1], grid[::-1, ::-1]):
+            one, two = grid @ taps[where], folded @ taps[where]
+            slope = one[..., None] * folded + two[..., None] * grid
+            jacobian = np.zeros((GRID * GRID, self.length))
+            jacobian[:, where] = slope.reshape(GRID * GRID, -1)
+            residuals.append((one * two).ravel())
+            jacobians.append(jacobian)
+        scale = ALIASING / (4 * GRID)
+        return scale * np.concatenate(residuals), scale * np.concatenate(jacobians)
+
+    def quadratic_cost(self, taps):
+        """Return the cost of the filters' sums and of the distance from the ideal responses, but for a constant."""
+        return taps @ self.normal @ taps - 2 * taps @ self.pulled + self.constant
+
+    def _quadratic(self):
+        normal, pulled, constant = DAMPING * np.eye(self.length), np.zeros(self.length), 0.0
+        sums = [2.0, 1.0, *[0.0] * (len(self.parts) - 2)]
+        # A single band has no tuning to keep.
+        band_pull = BAND_PULL if self.count > 1 else SINGLE_PULL
+        pulls = [PULL, PULL, PULL, *[band_pull] * (len(self.parts) - 3)]
+        for part, (basis, response, ideal) in enumerate(self.parts):
+            where, row = self.slices[part], SUMS * basis.sum((1, 2))
+            weighted = (pulls[part] / GRID) ** 2 * (response * self.relevance(part)[:, None]).T
+            normal[where, where] += weighted @ response + np.outer(row, row)
+            pulled[where] += weighted @ ideal + SUMS * sums[part] * row
+            constant += (pulls[part] / GRID) ** 2 * self.relevance(part) @ ideal**2 + (SUMS * sums[part]) ** 2
+        return normal, pulled, constant
+
+    def filters(self, taps):
+        maps = [np.tensordot(taps[where], part[0], 1) for where, part in zip(self.slices, self.parts, strict=True)]
+        products = []
+        for i in range(self.count):
+            mirrored = i > (self.count - 1) // 2 and 2 * i != self.count - 1
+            product = maps[3 + (self.count - 1 - i if mirrored else i)]
+            # x and y change places: rows grow downwards, hence both flips.
+            products.append(np.ascontiguousarray(product.T[::-1, ::-1]) if mirrored else product)
+        products = np.array(products)
+        bands = np.tensordot(steering(self.count, orientations(self.count)), products, 1)
+        return {"l": maps[0], "l0": maps[1], "h0": maps[2], "b": bands, "steerable": products}
+
+
+def _octave_angle(radius):
+    """Return an angle that rises from 0 at π/4 to π/2 at π/2 over one octave of the radius."""
+    position = np.log2(np.maximum(radius, 1e-12) * 4 / math.pi)
+    return np.clip(position, 0, 1) * math.pi / 2
+
+
+def _symmetric_taps(size, odd_x, odd_y, symmetric):
+    """Return an orthogonal basis ``[n, k, k]`` of the filters that are even or odd along each axis."""
+    half = size // 2
+    columns, rows = ([_line(size, offset, odd) for offset in range(int(odd), half + 1)] for odd in (odd_x, odd_y))
+    basis = [np.outer(row, column) for row in rows for column in columns]
+    if symmetric:
+        basis = [
+            np.outer(rows[i], columns[j]) + (np.outer(rows[j], columns[i]) if i != j else 0)
+            for i in range(len(rows))
+            for j in range(i + 1)
+        ]
+    return np.array(basis)
+
+
+def _line(size, offset, odd):
+    line = np.zeros(size)
+    line[size // 2 + offset] = 1.0
+    line[size // 2 - offset] = -1.0 if odd else 1.0
+    return line

@@ -1,0 +1,305 @@
+"""The metameric losses: what they see, what they forgive, what they remember; and metamers."""
+
+import math
+
+import pytest
+import torch
+
+from odak.learn.perception import (
+    MetamericLoss,
+    MetamericLossUniform,
+    MetamerMSELoss,
+    RadiallyVaryingBlur,
+    SpatialSteerablePyramid,
+    rgb_2_ycrcb,
+    uniform_blur,
+)
+
+VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
+SHALLOW = {"n_pyramid_levels": 3, **VIEW}
+
+
+def noise(*shape, seed=0):
+    return torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def losses():
+    return {"foveated": MetamericLoss(**SHALLOW), "uniform": MetamericLossUniform(pooling_size=8, n_pyramid_levels=3)}
+
+
+@pytest.mark.parametrize("kind", ["foveated", "uniform"])
+def test_zero_for_equal_pictures_and_growing_with_the_difference(kind):
+    loss, target = losses()[kind], noise(1, 3, 32, 48)
+    assert float(loss(target, target)) == 0
+    ripple = torch.sin(torch.arange(48.0).double() * 1.3)
+    values = [float(loss(target + size * ripple, target)) for size in (0.01, 0.05, 0.2)]
+    assert 0 < values[0] < values[1] < values[2]
+
+
+def test_statistics_are_local_means_and_deviations_of_the_bands():
+    picture = noise(2, 1, 32, 32)
+    loss = MetamericLoss(n_pyramid_levels=3, use_l2_foveal_loss=False)
+    gaze = [0.3, 0.6]
+    found = loss.calc_statsmaps(picture, gaze, 0.5, 0.5, 0.5, "linear")
+    assert len(found) == 2 * (1 + 2 * 2) + 1
+    pyramid = SpatialSteerablePyramid(False, 1, 5, 2, "cropped").construct_pyramid(picture, 3)
+    blur = RadiallyVaryingBlur()
+
+    def pool(band):
+        return blur.blur(band, 0.5, 0.5, 0.5, gaze, "linear")
+
+    expected = []
+    for band in (pyramid[0]["h"], *pyramid[0]["b"], *pyramid[1]["b"]):
+        mean = pool(band)
+        expected += [mean, (pool(band**2) - mean**2).clamp_min(1e-7).sqrt()]
+    expected.append(pyramid[2]["l"])
+    for one, two in zip(found, expected, strict=True):
+        torch.testing.assert_close(one, two)
+
+
+def test_the_loss_is_the_sum_of_its_two_parts():
+    image, target = noise(2, 3, 32, 32), noise(2, 3, 32, 32, seed=1)
+    loss = MetamericLoss(**SHALLOW)
+    value = loss(image, target, [0.3, 0.6])
+    lod = loss.blurs[0].lod_map
+    mask = torch.where(lod < 1e-6, 1.0, (1 - lod / lod.max()) ** 10)
+    assert torch.equal(loss.fovea_mask, mask.expand(2, 3, 32, 32))
+    assert torch.equal(loss.periphery_mask, 1 - loss.fovea_mask)
+    fovea = ((mask * (rgb_2_ycrcb(image) - rgb_2_ycrcb(target))) ** 2).mean()
+    without = MetamericLoss(**SHALLOW, fovea_weight=0.0)(image, target, [0.3, 0.6])
+    assert float(value) == pytest.approx(float(without + 20 * fovea), rel=1e-9)
+    converted = loss(rgb_2_ycrcb(image), rgb_2_ycrcb(target), [0.3, 0.6], image_colorspace="YCrCb")
+    assert float(converted) == pytest.approx(float(value), rel=1e-9)
+
+
+def test_detail_counts_more_under_the_gaze_than_away_from_it():
+    target = torch.full((1, 3, 64, 64), 0.5, dtype=torch.float64)
+    checks = target.clone()
+    checks[..., 24:40:2, 24:40:2] += 0.2
+    loss = MetamericLoss(n_pyramid_levels=4, **VIEW)
+    values = [float(loss(checks, target, gaze)) for gaze in ([0.5, 0.5], [0.9, 0.5], [1.6, 0.5])]
+    assert values[0] > 10 * values[1] > 0
+    assert values[0] > 10 * values[2] > 0
+
+
+def test_other_noise_of_the_same_kind_is_forgiven_away_from_the_gaze():
+    """Pixels differ as much from other noise as from its blur; statistics tell them apart."""
+    one, two = 0.3 * noise(1, 3, 64, 64) + 0.35, 0.3 * noise(1, 3, 64, 64, seed=1) + 0.35
+    flat = torch.full_like(one, 0.5)
+    loss = MetamericLossUniform(pooling_size=64, n_pyramid_levels=4)
+    assert float(loss(two, one)) < 0.5 * float(loss(flat, one))
+    assert float(((two - one) ** 2).mean()) > 1.5 * float(((flat - one) ** 2).mean())
+
+
+def test_global_statistics_do_not_see_where_things_are():
+    """Pooled over all of it, a picture turned by half a turn has the same deviations and opposite mean slopes."""
+    picture = noise(1, 1, 32, 32)
+    loss = MetamericLossUniform(pooling_size=32, n_pyramid_levels=2)
+    # With one level of bands, the low-pass that is left is the only thing that is not pooled.
+    one, two = loss.calc_statsmaps(picture, 32), loss.calc_statsmaps(picture.flip(2, 3), 32)
+    torch.testing.assert_close(one[1], two[1])
+    for mean, deviation in ((2, 3), (4, 5)):
+        torch.testing.assert_close(one[mean], -two[mean])
+        torch.testing.assert_close(one[deviation], two[deviation])
+
+
+@pytest.mark.parametrize("kind", ["foveated", "uniform"])
+def test_a_batch_is_the_mean_of_its_items(kind):
+    loss, image, target = losses()[kind], noise(3, 3, 32, 32), noise(3, 3, 32, 32, seed=1)
+    items = [float(loss(image[i : i + 1], target[i : i + 1])) for i in range(3)]
+    assert float(loss(image, target)) == pytest.approx(sum(items) / 3, rel=1e-9)
+
+
+def test_float32_agrees_with_float64():
+    image, target = noise(1, 3, 32, 32), noise(1, 3, 32, 32, seed=1)
+    for loss in losses().values():
+        fine, coarse = loss(image, target), loss(image.float(), target.float())
+        assert fine.dtype == torch.float64
+        assert coarse.dtype == torch.float32
+        assert float(coarse) == pytest.approx(float(fine), rel=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["foveated", "uniform"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gradient(kind, channels):
+    loss, target = losses()[kind], noise(1, channels, 16, 16, seed=1)
+    with torch.inference_mode():
+        loss(target.clone(), target.clone())
+    with torch.no_grad():
+        loss(target, target)
+    image = noise(1, channels, 16, 16).requires_grad_()
+    assert torch.autograd.gradcheck(lambda picture: loss(picture, target), image, fast_mode=True)
+    # At the target itself, too, every slope is finite.
+    flat = torch.zeros(1, channels, 16, 16, requires_grad=True)
+    loss(flat, flat.detach()).backward()
+    assert flat.grad.isfinite().all()
+
+
+def test_gradient_reaches_a_target_that_asks_for_one():
+    loss, image = MetamericLoss(**SHALLOW), noise(1, 1, 16, 16)
+    target = noise(1, 1, 16, 16, seed=1).requires_grad_()
+    for _ in range(2):
+        loss(image, target).backward()
+    assert target.grad.abs().max() > 0
+
+
+def test_what_is_kept_of_the_target():
+    loss, image, target = MetamericLoss(**SHALLOW), noise(1, 3, 16, 16), noise(1, 3, 16, 16, seed=1)
+    gaze = [0.3, 0.3]
+    first = float(loss(image, target, gaze))
+    kept = loss.target_stats
+    assert float(loss(image, target[:], gaze)) == first
+    assert loss.target_stats is kept
+
+    def fresh(gaze=gaze):
+        return float(MetamericLoss(**{**SHALLOW, "alpha": loss.alpha})(image, target.clone(), gaze))
+
+    gaze[0] = 0.8
+    assert float(loss(image, target, gaze)) == fresh()
+    assert loss.target_stats is not kept
+    target[..., :8, :8] = 0
+    assert float(loss(image, target, gaze)) == fresh()
+    loss.alpha = 0.9
+    assert float(loss(image, target, gaze)) == fresh()
+    assert float(loss(image[:, :1], target[:, :1], gaze)) > 0
+    uniform = MetamericLossUniform(pooling_size=8, n_pyramid_levels=3)
+    black = torch.zeros(1, 1, 16, 16)
+    assert float(uniform(black, black)) == 0
+    assert float(uniform(black + 0.5, black)) > 0
+    assert float(uniform(torch.zeros(1, 1, 24, 16), torch.zeros(1, 1, 24, 16))) == 0
+
+
+def test_options():
+    image, target = noise(1, 3, 32, 40), noise(1, 3, 32, 40, seed=1)
+    plain = MetamericLoss(**SHALLOW, use_l2_foveal_loss=False)
+    radial = MetamericLoss(**SHALLOW, use_l2_foveal_loss=False, use_radial_weight=True)
+    full = MetamericLoss(**SHALLOW, use_l2_foveal_loss=False, use_fullres_l0=True)
+    equi = MetamericLoss(**SHALLOW, use_l2_foveal_loss=False, equi=True)
+    values = {
+        name: float(loss(image, target, [0.2, 0.9]))
+        for name, loss in locals().items()
+        if name in ("plain", "radial", "full", "equi")
+    }
+    assert len(set(values.values())) == 4
+    assert full.target_stats[-1].shape == (1, 3, 32, 40)
+    with pytest.raises(ValueError, match="exclude one another"):
+        MetamericLoss(use_fullres_l0=True)
+    plain(image, target, visualise_loss=True)
+    assert plain.loss_map.shape == (1, 32, 40)
+    assert plain.loss_map.min() >= 0
+    assert plain.to(torch.float64) is plain
+    assert float(plain(image, target, [0.2, 0.9])) == pytest.approx(values["plain"], rel=1e-9)
+    picture = noise(1, 3, 33, 50)
+    assert float(MetamericLoss(**SHALLOW)(picture, picture)) == 0
+
+
+def test_uniform_blur():
+    picture = noise(1, 2, 16, 24)
+    blurred = uniform_blur(picture, 8)
+    means = picture.reshape(1, 2, 2, 8, 3, 8).mean((3, 5))
+    # A bilinear sample half-way between two squares is the mean of both.
+    expected = torch.nn.functional.interpolate(means, (16, 24), mode="bilinear", align_corners=False)
+    torch.testing.assert_close(blurred, expected)
+    whole = uniform_blur(picture, 100)
+    torch.testing.assert_close(whole, picture.mean((2, 3), keepdim=True).expand_as(picture))
+    with pytest.raises(ValueError, match="pooling_size must be positive"):
+        uniform_blur(picture, 0)
+
+
+def psnr(one, two):
+    return -10 * math.log10(float(((one - two) ** 2).mean()))
+
+
+@pytest.fixture(scope="module")
+def texture():
+    """Noise that is strong on the right and weak on the left, over a slow ramp."""
+    strength = torch.linspace(0.02, 0.4, 64, dtype=torch.float64)
+    ramp = torch.linspace(0.3, 0.7, 64, dtype=torch.float64)[:, None]
+    return ramp + strength * (noise(1, 3, 64, 64, seed=7) - 0.5)
+
+
+def test_foveated_metamer(texture):
+    loss = MetamerMSELoss(n_pyramid_levels=4, **VIEW)
+    before = torch.get_rng_state()
+    metamer = loss.gen_metamer(texture, [0.5, 0.5])
+    assert torch.equal(torch.get_rng_state(), before)
+    assert torch.equal(metamer, loss.gen_metamer(texture, [0.5, 0.5]))
+    lod = loss.metameric_loss.blurs[0].lod_map
+    inside = torch.zeros(64, 64, dtype=torch.bool)
+    inside[29:35, 29:35] = True
+    assert lod[inside].max() == 0
+    assert psnr(metamer[..., inside], texture[..., inside]) > 25
+    far = lod > 3
+    assert psnr(metamer[..., far], texture[..., far]) < 22
+    # It is closer to the picture in what the eye pools than other noise of one strength is.
+    judge = MetamericLoss(n_pyramid_levels=4, use_l2_foveal_loss=False, **VIEW)
+    other = texture.mean((2, 3), keepdim=True) + texture.std() * math.sqrt(12) * (noise(1, 3, 64, 64, seed=9) - 0.5)
+    assert float(judge(metamer, texture)) < 0.2 * float(judge(other, texture))
+
+
+def test_uniform_metamer(texture):
+    loss = MetamericLossUniform(pooling_size=16, n_pyramid_levels=4)
+    metamer = loss.gen_metamer(texture)
+    assert metamer.shape == texture.shape
+    rough = metamer.diff(dim=2).std((0, 1, 2))
+    assert float(rough[:16].mean()) < 0.5 * float(rough[48:].mean())
+    flat = torch.nn.functional.interpolate(uniform_blur(texture, 16), (64, 64))
+    assert float(loss(metamer, texture)) < 0.3 * float(loss(flat, texture))
+    assert psnr(metamer, texture) < 25
+    assert not torch.equal(metamer, loss.gen_metamer(texture, seed=1))
+    assert loss.gen_metamer(texture[:, :1, :50, :60]).shape == (1, 1, 50, 60)
+
+
+def test_metamer_loss(texture):
+    loss = MetamerMSELoss(n_pyramid_levels=4, **VIEW)
+    gaze = [0.3, 0.5]
+    value = loss(texture, texture, gaze)
+    metamer = loss.gen_metamer(texture, [0.3, 0.5])
+    assert float(value) == pytest.approx(float(((texture - metamer) ** 2).mean()))
+    assert float(loss(metamer, texture, gaze)) == pytest.approx(0, abs=1e-20)
+    kept = loss.target_metamer
+    loss(texture, texture, gaze)
+    assert loss.target_metamer is kept
+    gaze[0] = 0.9
+    loss(texture, texture, gaze)
+    assert loss.target_metamer is not kept
+    target = texture.clone().requires_grad_()
+    image = texture.clone().requires_grad_()
+    for _ in range(2):
+        loss(image, target).backward(retain_graph=True)
+    assert image.grad.abs().max() > 0
+    assert target.grad is None
+    assert loss.to("cpu") is loss
+
+
+BAD = {
+    "sizes": (noise(1, 3, 32, 32), noise(1, 3, 32, 40), "one size"),
+    "axes": (noise(3, 32, 32), noise(3, 32, 32), "four axes"),
+    "channels": (noise(1, 2, 32, 32), noise(1, 2, 32, 32), "one or three channels"),
+    "range": (noise(1, 3, 32, 32), 255 * noise(1, 3, 32, 32), "target must hold finite values of about 0 to 1"),
+    "nan": (noise(1, 3, 32, 32) * math.nan, noise(1, 3, 32, 32), "image must hold finite values"),
+    "small": (noise(1, 3, 1, 1), noise(1, 3, 1, 1), "sides must be"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_refused(case):
+    image, target, message = BAD[case]
+    for loss in (*losses().values(), MetamerMSELoss(n_pyramid_levels=3)):
+        with pytest.raises(ValueError, match=rf"{type(loss).__name__} ERROR: .*{message}"):
+            loss(image, target)
+
+
+def test_refused_arguments():
+    with pytest.raises(ValueError, match="mode must be one of"):
+        MetamericLoss(mode="cubic")
+    with pytest.raises(ValueError, match="n_pyramid_levels must be at least 2"):
+        MetamericLossUniform(n_pyramid_levels=1)
+    with pytest.raises(ValueError, match="pooling_size must be positive"):
+        MetamericLossUniform(pooling_size=0)
+    with pytest.raises(TypeError, match="tensor of real floats"):
+        MetamericLoss()(torch.ones(1, 3, 64, 64, dtype=torch.uint8), torch.ones(1, 3, 64, 64, dtype=torch.uint8))
+    with pytest.raises(ValueError, match="gaze must be two finite numbers"):
+        MetamericLoss(n_pyramid_levels=3)(noise(1, 3, 32, 32), noise(1, 3, 32, 32), [0.5, math.nan])
+    with pytest.raises(ValueError, match="call the loss first"):
+        MetamericLoss().visualise_loss_map([])

@@ -1,0 +1,242 @@
+"""The spatial pyramid and its designed filters: flat responses, tuning, reconstruction."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from odak.learn.perception import (
+    SpatialSteerablePyramid,
+    crop_steerable_pyramid_filters,
+    get_steerable_pyramid_filters,
+    pad_image_for_pyramid,
+)
+from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
+
+COUNTS = [1, 2, 3, 4, 6]
+
+
+def noise(*shape, seed=0):
+    return torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def smooth(size):
+    y, x = torch.meshgrid(*[torch.arange(size, dtype=torch.float64) / size] * 2, indexing="ij")
+    return (0.5 + 0.2 * torch.sin(9 * x + 4 * y**2) + 0.15 * torch.cos(23 * y * x + 3))[None, None]
+
+
+def response(taps, x, y):
+    """Return what correlation with a filter makes of exp(i(x·column − y·row)), y upwards."""
+    taps = taps[0, 0].numpy()
+    offset = np.arange(len(taps)) - len(taps) // 2
+    return np.einsum(
+        "rc,...r,...c->...", taps, np.exp(-1j * np.multiply.outer(y, offset)), np.exp(1j * np.multiply.outer(x, offset))
+    )
+
+
+def psnr(one, two):
+    return -10 * math.log10(float(((one - two) ** 2).mean()))
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_the_bank_is_flat_does_not_alias_and_keeps_means(count):
+    filters = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)
+    x, y = np.meshgrid(*[np.linspace(-math.pi, math.pi, 41)] * 2)
+    low, low0, high0 = (response(filters[name], x, y) for name in ("l", "l0", "h0"))
+    bands = sum(abs(response(band, x, y)) ** 2 for band in filters["b"])
+    total = abs(high0) ** 2 + abs(low0) ** 2 * (bands + abs(low) ** 2 / 4)
+    assert abs(total - 1).max() < 0.01
+    assert math.sqrt(((total - 1) ** 2).mean()) < 0.002
+    for shift in ((math.pi, 0), (math.pi, math.pi)):
+        assert abs(low * response(filters["l"], x + shift[0], y + shift[1]) / 4).max() < 0.008
+    sums = [float(filters[name].sum()) for name in ("l", "l0", "h0")]
+    assert sums == pytest.approx([2, 1, 0], abs=1e-5)
+    assert max(abs(float(band.sum())) for band in filters["b"]) < 1e-5
+
+
+@pytest.mark.parametrize("count", COUNTS[1:])
+def test_bands_are_tuned_as_powers_of_the_cosine(count):
+    filters = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)
+    angle = np.linspace(0, math.pi, 720, endpoint=False)
+    x, y = math.pi / 2 * np.cos(angle), math.pi / 2 * np.sin(angle)
+    for k, band in enumerate(filters["b"]):
+        gain = response(band, x, y) * (1j if count % 2 == 0 else 1)
+        assert abs(gain.imag).max() < 1e-12
+        ideal = band_amplitude(count) * np.cos(angle - math.pi * k / count) ** (count - 1)
+        # Odd bands are minus derivatives: −i times a positive gain along their own direction.
+        assert gain.real @ ideal > 0
+        assert np.corrcoef(abs(gain), abs(ideal))[0, 1] > 0.997
+        assert abs(gain).max() == pytest.approx(band_amplitude(count), rel=0.05)
+        off = (np.degrees(angle[abs(gain).argmax()]) - 180 * k / count + 90) % 180 - 90
+        assert abs(off) < 3
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_bands_are_exactly_steerable(count):
+    """A band turned by 90° or mirrored is a mixture of the bands, as its cosine is."""
+    bands = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)["b"]
+    stacked = torch.cat(bands)[:, 0].numpy()
+    turn = steering(count, orientations(count) + math.pi / 2) @ np.linalg.inv(steering(count, orientations(count)))
+    np.testing.assert_allclose(np.tensordot(turn, stacked, 1), np.rot90(stacked, axes=(1, 2)), atol=1e-12)
+
+
+def test_ideal_gains_add_up():
+    radius = np.linspace(0, 5, 200)
+    high0, low0, high, low = ideal_gains(radius)
+    np.testing.assert_allclose(high0**2 + low0**2, 1)
+    np.testing.assert_allclose(high**2 + low**2 / 4, 1)
+    assert ideal_gains(np.array([math.pi / 4, math.pi / 2]))[3].tolist() == pytest.approx([2, 0], abs=1e-12)
+    assert ideal_gains(np.array(math.pi / 2 / math.sqrt(2)))[2] == pytest.approx(math.sqrt(0.5))
+
+
+FLOORS = [
+    ("full", False, 9, 50),
+    ("cropped", False, 5, 40),
+    ("full", True, 9, 33),
+    ("cropped", True, 5, 25),
+]
+
+
+@pytest.mark.parametrize(("kind", "bilinear", "size", "floor"), FLOORS)
+@pytest.mark.parametrize("count", [2, 4, 6])
+def test_reconstruction(kind, bilinear, size, floor, count):
+    picture = smooth(64)
+    maker = SpatialSteerablePyramid(bilinear, 1, size, count, kind)
+    pyramid = maker.construct_pyramid(picture, 2)
+    before = pyramid[0]["b"][0].clone()
+    assert psnr(maker.reconstruct_from_pyramid(pyramid), picture) > floor
+    assert torch.equal(pyramid[0]["b"][0], before)
+
+
+@pytest.mark.parametrize("count", COUNTS)
+def test_deep_reconstruction_of_noise_is_as_good_at_the_border(count):
+    picture = noise(2, 3, 72, 80)
+    maker = SpatialSteerablePyramid(False, 3, 9, count)
+    back = maker.reconstruct_from_pyramid(maker.construct_pyramid(picture, 4))
+    assert psnr(back, picture) > 50
+    border = torch.ones(72, 80, dtype=torch.bool)
+    border[3:-3, 3:-3] = False
+    assert psnr(back[..., border], picture[..., border]) > 45
+
+
+@pytest.mark.parametrize("bilinear", [True, False])
+def test_shapes_levels_and_means(bilinear):
+    maker = SpatialSteerablePyramid(bilinear, 3, n_orientations=2)
+    pyramid = maker.construct_pyramid(torch.full((1, 3, 64, 96), 0.7), 4, multiple_highpass=True)
+    assert [tuple(level["l"].shape[-2:]) for level in pyramid] == [(64, 96), (32, 48), (16, 24), (8, 12)]
+    assert [len(level.get("b", [])) for level in pyramid] == [2, 2, 2, 0]
+    assert ["h" in level for level in pyramid] == [True, True, True, False]
+    factors = [1, 1, 1, 1] if bilinear else [1, 2, 4, 8]
+    for level, factor in zip(pyramid, factors, strict=True):
+        torch.testing.assert_close(level["l"], torch.full_like(level["l"], 0.7 * factor))
+        assert all(band.abs().max() < 1e-5 for band in level.get("b", []))
+
+
+@pytest.mark.parametrize("band", range(4))
+def test_a_grating_lands_in_its_band(band):
+    angle = math.pi * band / 4
+    y, x = torch.meshgrid(*[torch.arange(64, dtype=torch.float64)] * 2, indexing="ij")
+    grating = torch.cos(math.pi / 2 * (math.cos(angle) * x - math.sin(angle) * y))[None, None]
+    bands = SpatialSteerablePyramid(False, 1, 9, 4).construct_pyramid(grating, 2)[0]["b"]
+    energy = [float((value[..., 10:-10, 10:-10] ** 2).sum()) for value in bands]
+    assert int(np.argmax(energy)) == band
+    shares = [math.cos(math.pi * (k - band) / 4) ** 6 for k in range(4)]
+    assert np.array(energy) / sum(energy) == pytest.approx(np.array(shares) / sum(shares), abs=0.03)
+
+
+def test_signs_of_the_bands():
+    maker = SpatialSteerablePyramid(False, 1, 9, 2)
+    ramp = (torch.arange(32.0) / 32).expand(32, 32)[None, None]
+    right, down = (maker.construct_pyramid(picture, 2)[0]["b"] for picture in (ramp, ramp.mT))
+    assert (right[0][..., 8:-8, 8:-8] < -1e-4).all()
+    assert right[1][..., 8:-8, 8:-8].abs().max() < 1e-6
+    assert (down[1][..., 8:-8, 8:-8] > 1e-4).all()
+
+
+def test_cropped_and_trained_banks():
+    full, cropped, trained = (get_steerable_pyramid_filters(5, 2, kind) for kind in ("full", "cropped", "trained"))
+    sizes = {name: cropped[name].shape[-1] for name in ("l", "l0", "h0")}
+    assert sizes == {"l": 13, "l0": 5, "h0": 5}
+    assert [full[name].shape[-1] for name in ("l", "l0", "h0")] == [17, 9, 9]
+    assert all(band.shape == (1, 1, 5, 5) for band in cropped["b"] + trained["b"])
+    assert torch.equal(trained["b"][1], trained["b"][0].mT)
+    assert float(trained["b"][0].norm()) == pytest.approx(0.13, abs=0.002)
+    assert trained["b"][0][0, 0, 2, 1] == pytest.approx(0.061)
+    assert [get_steerable_pyramid_filters(5, 6, "cropped")[name].shape[-1] for name in ("l", "l0")] == [9, 5]
+
+
+def test_cropping():
+    filters = {"l": noise(1, 1, 17, 17), "l0": noise(1, 1, 9, 9), "h0": noise(1, 1, 9, 9), "b": [noise(1, 1, 9, 9)]}
+    before = {name: filters[name].clone() for name in ("l", "l0", "h0")}
+    cut = crop_steerable_pyramid_filters(filters, 5)
+    assert cut["l"].shape[-1] == 13
+    assert float(cut["l"].sum()) == pytest.approx(float(filters["l"].sum()))
+    torch.testing.assert_close(
+        cut["l0"] / cut["l0"].sum(), filters["l0"][..., 2:7, 2:7] / filters["l0"][..., 2:7, 2:7].sum()
+    )
+    assert torch.equal(cut["h0"], filters["h0"][..., 2:7, 2:7])
+    band = filters["b"][0][..., 2:7, 2:7]
+    torch.testing.assert_close(cut["b"][0], band - band.mean())
+    assert all(torch.equal(filters[name], value) for name, value in before.items())
+    assert crop_steerable_pyramid_filters(filters, 11)["h0"].shape[-1] == 9
+
+
+def test_padding():
+    picture = noise(1, 2, 50, 64)
+    padded = pad_image_for_pyramid(picture, 5)
+    assert padded.shape == (1, 2, 64, 64)
+    assert torch.equal(padded[..., :50, :], picture)
+    assert torch.equal(padded[..., 50, :], picture[..., 48, :])
+    assert pad_image_for_pyramid(padded, 5) is padded
+    assert pad_image_for_pyramid(noise(1, 1, 3, 3), 5).shape[-2:] == (32, 32)
+
+
+def test_precision_follows_the_picture():
+    maker = SpatialSteerablePyramid(False, 1, 9, 2)
+    one = maker.construct_pyramid(noise(1, 1, 32, 32), 2)[0]["b"][0]
+    assert one.dtype == maker.filt_h0.dtype == torch.float64
+    fresh = SpatialSteerablePyramid(False, 1, 9, 2).to(torch.float64)
+    # Moved, taps keep all their digits.
+    assert torch.equal(fresh.construct_pyramid(noise(1, 1, 32, 32), 2)[0]["b"][0], one)
+    assert maker.construct_pyramid(noise(1, 1, 32, 32).float(), 2)[0]["h"].dtype == torch.float32
+    assert len(maker.band_filters) == 2
+    assert maker.band_filters[1].shape == (1, 1, 9, 9)
+
+
+def test_gradient():
+    maker, picture = SpatialSteerablePyramid(False, 1, 5, 3, "cropped"), noise(1, 1, 8, 8).requires_grad_()
+    with torch.inference_mode():
+        maker.construct_pyramid(picture, 2)
+
+    def there_and_back(image):
+        pyramid = maker.construct_pyramid(image, 2)
+        return maker.reconstruct_from_pyramid(pyramid) + pyramid[0]["b"][1] ** 2
+
+    assert torch.autograd.gradcheck(there_and_back, picture, fast_mode=True)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((9, 2, "full-size"), "filter_type must be one of 'full', 'cropped', 'trained'"),
+        ((9, 0, "full"), "n_orientations must be at least 1"),
+        ((4, 2, "cropped"), "size must be odd"),
+        ((11, 2, "cropped"), "size must be at most 9"),
+        ((9, 2, "trained"), "'trained' needs size=5 and n_orientations=2"),
+        ((5, 4, "trained"), "'trained' needs size=5 and n_orientations=2"),
+    ],
+)
+def test_refused_filters(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        get_steerable_pyramid_filters(*arguments)
+
+
+def test_refused_pictures():
+    maker = SpatialSteerablePyramid(False, 1, 9, 2)
+    with pytest.raises(ValueError, match="sides of at least 36 for 4 levels"):
+        maker.construct_pyramid(noise(1, 1, 32, 64), 4)
+    with pytest.raises(ValueError, match="n_channels = 1"):
+        maker.construct_pyramid(noise(1, 3, 32, 32), 2)
+    with pytest.raises(ValueError, match="n_levels must be at least 2"):
+        maker.construct_pyramid(noise(1, 1, 32, 32), 1)
