@@ -304,11 +304,9 @@ def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
         Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
     """
     ray, plane, center, radius = arguments.tensors(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
-    normal, distance = intersect_w_surface(ray, plane)
-    arm = normal[:, 0] - center
-    outside = geometry.dot(arm, arm) > radius.reshape(-1) ** 2
-    distance = torch.where(outside[:, None], 0.0, distance)
-    return normal if ray.ndim > 2 else normal[0], distance
+    rays, plane = arguments.rays("ray", ray), arguments.triangles("circle[0]", plane)
+    normal, distance = in_pieces(_circle_hits, (2, 1, 1, 1, 0), rays, *_planes(plane), center, radius.reshape(-1))
+    return normal if ray.ndim > 2 else normal[0], distance[:, None]
 
 
 def _meet_triangles(ray, triangle) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -325,6 +323,13 @@ def _planes(triangle):
 def _plane_hits(ray, centre, normal):
     hit = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
     return vec.join(hit.point, hit.normal), hit.distance
+
+
+def _circle_hits(ray, centre, normal, middle, radius):
+    hit = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
+    arm = vec.minus(hit.point, vec.split(middle))
+    distance = torch.where(vec.dot(arm, arm) > radius * radius, 0.0, hit.distance)
+    return vec.join(hit.point, hit.normal), distance
 
 
 def _triangle_hits(ray, centre, normal, triangle):

@@ -171,7 +171,7 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
     ValueError, TypeError
         If a region is empty or leaves the image, or the image has other axes.
     """
-    high, low = _region_means(image, roi_high, roi_low)
+    high, low = region_means(image, roi_high, roi_low)
     return (high - low) / low
 
 
@@ -180,7 +180,7 @@ def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Se
 
     Parameters, result and errors are those of :func:`weber_contrast`; not a number where H + L = 0.
     """
-    high, low = _region_means(image, roi_high, roi_low)
+    high, low = region_means(image, roi_high, roi_low)
     return (high - low) / (high + low)
 
 
@@ -287,7 +287,8 @@ def _histogram(batch, bins, low, high, soft):
     return counts.scatter_add(1, lower.clamp(min=0), inside - share)
 
 
-def _region_means(image, *regions):
+def region_means(image: torch.Tensor, *regions: Sequence[int]) -> list[torch.Tensor]:
+    """Return the mean of each of two regions, as :func:`weber_contrast` takes them: ``[C]`` or ``[B, C]`` each."""
     batch = _as_batch("image", image)
     means = []
     for name, region in zip(("roi_high", "roi_low"), regions, strict=True):

@@ -1,0 +1,82 @@
+"""Large batches of rays with gradients: nothing is kept of the way to a result, it is computed again piece by piece."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak.raytracing import batches
+
+
+def in_pieces(function: Callable, ranks: Sequence[int], *tensors: torch.Tensor):
+    """Return ``function(*tensors)`` with little memory, whether a graph follows the tensors or not.
+
+    Small batches keep their graph, as do forward mode, torch.func and torch.compile. Of a large one only the arguments
+    are saved, and the backward pass runs through `function` again.
+
+    Parameters
+    ----------
+    function, ranks
+        As in :func:`odak.raytracing.batches.in_pieces`.
+    *tensors : torch.Tensor
+        The arguments.
+    """
+    if not batches.is_followed(*tensors):
+        return batches.in_pieces(function, ranks, *tensors)
+    if batches.is_transformed(*tensors) or batches.pieces(tensors, ranks) is None:
+        return function(*tensors)
+    kinds = []
+    result = _Recomputed.apply(function, ranks, kinds, *tensors)
+    (kind,) = kinds
+    return result[0] if not issubclass(kind, tuple) else kind(*result) if hasattr(kind, "_fields") else result
+
+
+class _Recomputed(torch.autograd.Function):
+    """A function of a batch that saves nothing but its arguments."""
+
+    @staticmethod
+    def forward(ctx, function, ranks, kinds, *tensors):
+        ctx.function, ctx.ranks = function, ranks
+        ctx.save_for_backward(*tensors)
+        result = batches.in_pieces(function, ranks, *tensors)
+        kinds.append(type(result))
+        result = result if isinstance(result, tuple) else (result,)
+        ctx.mark_non_differentiable(*(r for r in result if not r.is_floating_point()))
+        return result
+
+    @staticmethod
+    def backward(ctx, *gradients):
+        needed = ctx.needs_input_grad[3:]
+        tensors = ctx.saved_tensors
+        if torch.is_grad_enabled() or tensors[0].is_cuda:
+            found = _pull(ctx.function, tensors, needed, gradients, torch.is_grad_enabled())
+        else:
+            found = _pull_pieces(ctx.function, ctx.ranks, tensors, needed, gradients)
+        return None, None, None, *found
+
+
+def _pull(function, tensors, needed, gradients, create_graph: bool) -> list:
+    """Return the gradients of the arguments needed, None for the others."""
+    with torch.enable_grad():
+        # Views of their own: an argument made from another must not pass its gradient on to it here.
+        inputs = [t.view_as(t) if create_graph else t.detach() for t in tensors]
+        inputs = [t if create_graph or not need else t.requires_grad_() for t, need in zip(inputs, needed, strict=True)]
+        result = function(*inputs)
+        result = result if isinstance(result, tuple) else (result,)
+        pairs = [(r, g) for r, g in zip(result, gradients, strict=True) if r.requires_grad and g is not None]
+        wanted = [t for t, need in zip(inputs, needed, strict=True) if need]
+        results, weights = zip(*pairs, strict=True)
+        found = iter(torch.autograd.grad(results, wanted, weights, create_graph=create_graph, allow_unused=True))
+    return [next(found) if need else None for need in needed]
+
+
+def _pull_pieces(function, ranks, tensors, needed, gradients) -> list:
+    """Return the same piece by piece, without a graph."""
+    plan = batches.pieces(tensors, ranks)
+    total = [torch.zeros_like(t) if need else None for t, need in zip(tensors, needed, strict=True)]
+    for place in plan.places():
+        along = (slice(None),) * plan.axis + (place,)
+        part = _pull(function, plan.take(tensors, place, ranks), needed, [g[along] for g in gradients], False)
+        for whole, found in zip(plan.take(total, place, ranks), part, strict=True):
+            if found is not None:
+                whole += found
+    return total

@@ -1,0 +1,124 @@
+"""The numbers of one system or of a batch of them, apart from the modules that hold them."""
+
+from typing import NamedTuple
+
+import torch
+
+from odak.learn.raytracing.system.elements import Layout, Numbers
+
+
+class Prescription(NamedTuple):
+    """Numbers of a batch of systems, float64; leading axes ``[...]`` are systems, S counts surfaces, W wavelengths.
+
+    Attributes
+    ----------
+    curvature, conic, thickness : torch.Tensor
+        ``[..., S]``.
+    coefficients : torch.Tensor
+        ``[..., S, K]`` of r², r⁴, …
+    index : torch.Tensor
+        ``[..., W, S + 1]``: before the first surface, and behind each.
+    shift, tilt : torch.Tensor or None
+        ``[..., S, 2]``; None where no surface has any. Tilts in degrees.
+    """
+
+    curvature: torch.Tensor
+    conic: torch.Tensor
+    thickness: torch.Tensor
+    coefficients: torch.Tensor
+    index: torch.Tensor
+    shift: torch.Tensor | None = None
+    tilt: torch.Tensor | None = None
+
+    @property
+    def batch(self) -> torch.Size:
+        """Leading axes of the batch."""
+        return torch.broadcast_shapes(
+            self.curvature.shape[:-1],
+            self.conic.shape[:-1],
+            self.thickness.shape[:-1],
+            self.coefficients.shape[:-2],
+            self.index.shape[:-2],
+            *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
+        )
+
+    def numbers(self, image: bool = True, start: torch.Tensor | None = None) -> Numbers:
+        """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image plane added.
+
+        Parameters
+        ----------
+        image : bool
+            End at the image plane rather than at the last surface.
+        start : torch.Tensor, optional
+            Distance from the rays' plane z = 0 to the first vertex; 0 by default.
+        """
+        batch, wavelengths = self.batch, self.index.shape[-2]
+        rows = (*batch, wavelengths)
+
+        def spread(value, own: int):
+            """Give `value` the wavelengths' axis and the batch's, and make rows of them."""
+            tail = value.shape[value.ndim - own :]
+            value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
+            return value.expand(*rows, *tail).reshape(-1, *tail)
+
+        first = torch.zeros_like(self.thickness[..., :1]) if start is None else start[..., None]
+        distance = torch.cat([first.expand_as(self.thickness[..., :1]), self.thickness], -1)
+        index = self.index.expand(*rows, self.index.shape[-1]).reshape(-1, self.index.shape[-1])
+        curvature, conic, coefficients = self.curvature, self.conic, self.coefficients
+        if image:
+            curvature, conic = (torch.nn.functional.pad(value, (0, 1)) for value in (curvature, conic))
+            coefficients = torch.nn.functional.pad(coefficients, (0, 0, 0, 1))
+            index = torch.cat([index, index[:, -1:]], -1)
+        else:
+            distance = distance[..., :-1]
+        return Numbers(spread(curvature, 1), spread(conic, 1), spread(distance, 1), spread(coefficients, 2), index)
+
+
+def layout_of(surfaces, prescription: Prescription, image: bool = True, vignetting: bool = True) -> Layout:
+    """Return what about a row of surfaces is no number.
+
+    Parameters
+    ----------
+    surfaces : sequence of surface
+        The surfaces.
+    prescription : Prescription
+        Their numbers: a surface is plane only if no number bends it and none is being varied.
+    image : bool
+        Add the image plane.
+    vignetting : bool
+        Let semi-diameters block rays.
+    """
+    kinds, actions, signs, limits = [], [], [], []
+    sign, before = 1, None
+    for i, item in enumerate(surfaces):
+        kinds.append(_kind(prescription, i))
+        medium = _medium_key(item)
+        action = "reflect" if item.reflects else "pass" if medium == (before or ("air",)) else "refract"
+        actions.append(action)
+        signs.append(sign)
+        limits.append(item.semi_diameter if vignetting else None)
+        sign = -sign if item.reflects else sign
+        before = before if item.reflects else medium
+    if image:
+        kinds, actions, signs, limits = [*kinds, "plane"], [*actions, "pass"], [*signs, sign], [*limits, None]
+    return Layout(tuple(kinds), tuple(actions), tuple(signs), tuple(limits))
+
+
+def _kind(prescription: Prescription, i: int) -> str:
+    coefficients = prescription.coefficients[..., i, :]
+    if coefficients.requires_grad and coefficients.shape[-1] or _any(coefficients):
+        return "asphere"
+    return "conic" if prescription.curvature.requires_grad or _any(prescription.curvature[..., i]) else "plane"
+
+
+def _any(value: torch.Tensor) -> bool:
+    """Say whether any number is not zero; numbers that cannot be read may be anything."""
+    if torch._C._functorch.is_functorch_wrapped_tensor(value):
+        return value.numel() > 0
+    return bool(value.detach().any())
+
+
+def _medium_key(item) -> tuple:
+    if item.material is None:
+        return ("index", id(item))
+    return ("air",) if item.material == "air" else ("material", getattr(item.material, "name", ""))

@@ -1,0 +1,258 @@
+"""Meshes of triangles that rays meet in bulk: nearest hit, without gaps, differentiable in rays and vertices."""
+
+import itertools
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing import arguments, embree, triangle_search, triangle_tree
+from odak.learn.raytracing.triangle_hits import (
+    Frame,
+    MeshHit,
+    advanced,
+    evaluate,
+    misses,
+    nearest_approach,
+    turned_vertices,
+)
+from odak.raytracing import geometry, watertight
+from odak.tools import _ply
+
+__all__ = ["MeshHit", "triangle_mesh"]
+
+BACKENDS = ("auto", "torch", "embree")
+
+
+class triangle_mesh:
+    """Triangles over shared vertices, for rays to meet.
+
+    Parameters
+    ----------
+    vertices : torch.Tensor
+        ``[v, 3]``. May require a gradient.
+    faces : torch.Tensor
+        Integers ``[t, 3]``: three vertices each, counter-clockwise seen from where the normal points.
+    normals : str or torch.Tensor
+        "flat": the triangles' own; "smooth": interpolated from :meth:`vertex_normals`, for surfaces that refract;
+        or normals at the vertices, ``[v, 3]``.
+    backend : str
+        "torch": the search of this library, any device and precision, without gaps. "embree": Embree's, in single
+        precision on the CPU; needs the package embreex (``pip install odak[mesh]``). "auto": Embree for float32 on the
+        CPU when it is installed, else torch.
+    memory_budget : int
+        Bytes that the search may hold beside its result, whatever the number of rays.
+
+    Raises
+    ------
+    TypeError
+        If faces are not integers.
+    ValueError
+        If a shape is wrong, a face names a vertex that does not exist, or a vertex is not finite.
+    ImportError
+        If `backend` is "embree" and embreex is not installed.
+
+    Notes
+    -----
+    The search: a bounding volume hierarchy of eight branches, which all rays descend together, and the test of Woop,
+    Benthin and Wald, J. Comput. Graph. Tech. 2(1), 65 (2013). It keeps the faces alone; distance, point and normal are
+    computed again from them, so that gradients cost memory for one triangle per ray. They do not see that a ray may
+    move to another face. Triangles without area are not hit. Embree rounds more coarsely and may miss at edges.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import triangle_mesh
+    >>> square = torch.tensor([[0.0, 0, 5], [1, 0, 5], [1, 1, 5], [0, 1, 5]])
+    >>> mesh = triangle_mesh(square, torch.tensor([[0, 1, 2], [0, 2, 3]]))
+    >>> hit = mesh.intersect(torch.tensor([[[0.5, 0.25, 0.0], [0.0, 0.0, 1.0]], [[2.0, 2.0, 0.0], [0.0, 0.0, 1.0]]]))
+    >>> hit.distance, hit.face
+    (tensor([5., nan]), tensor([ 0, -1]))
+    """
+
+    def __init__(self, vertices, faces, normals="flat", backend: str = "auto", memory_budget: int = 2**28) -> None:
+        (vertices,) = arguments.tensors(vertices=vertices)
+        self.vertices = _checked_vertices(vertices)
+        self.faces = _checked_faces(faces, self.vertices)
+        self.backend = _validate.one_of("backend", backend, BACKENDS)
+        if self.backend == "embree" and not embree.is_installed():
+            raise ImportError(embree.HINT)
+        self.memory_budget = _validate.integer("memory_budget", memory_budget, minimum=2**16)
+        self.normals = _checked_normals(normals, self.vertices)
+        self._leaves, self._trees, self._scene = None, {}, None
+
+    def moved(self, vertices) -> "triangle_mesh":
+        """Return the same mesh with its vertices elsewhere; the hierarchy is refitted, not built again.
+
+        Meant for the steps of an optimization. Normals given at vertices are kept.
+        """
+        if len(vertices) != len(self.vertices):
+            raise ValueError(f"vertices must be as many as before, {len(self.vertices)}; got {len(vertices)}")
+        mesh = triangle_mesh(vertices, self.faces, self.normals, self.backend, self.memory_budget)
+        mesh._leaves = self._sorted()
+        return mesh
+
+    def triangles(self) -> torch.Tensor:
+        """Return the corners of all faces, ``[t, 3, 3]``."""
+        return self.vertices[self.faces]
+
+    def vertex_normals(self) -> torch.Tensor:
+        """Return unit normals at the vertices, ``[v, 3]``, differentiable; NaN at vertices without a face.
+
+        The faces around a vertex count by Max's weights, which are exact on a sphere (J. Graphics Tools 4(2), 1, 1999).
+        """
+        corners = self.triangles()
+        total = torch.zeros_like(self.vertices)
+        for i in range(3):
+            edge1, edge2 = corners[:, (i + 1) % 3] - corners[:, i], corners[:, (i + 2) % 3] - corners[:, i]
+            weight = watertight.corner_weights(edge1, edge2)
+            total = total.index_add(0, self.faces[:, i], weight[:, None] * geometry.cross(edge1, edge2))
+        return geometry.unit(total)
+
+    def intersect(self, rays, minimum_distance=None, leaving=None) -> MeshHit:
+        """Return the nearest hit ahead of each ray.
+
+        Parameters
+        ----------
+        rays : torch.Tensor
+            ``[..., 2, 3]``. Directions need not be unit vectors. A ray that is not finite or has no direction misses.
+        minimum_distance : float or torch.Tensor, optional
+            Hits that are not farther than this, in lengths of the direction, do not count; a number or ``[...]``. By
+            default a few roundings of the mesh's size, so that a ray does not meet again the face it starts on.
+        leaving : torch.Tensor, optional
+            Faces that the rays start on, integers ``[...]``, −1 for none: they are left out, wherever the start has
+            been rounded to. Searched by torch whatever the backend.
+
+        Returns
+        -------
+        MeshHit
+            Named tuple of distance ``[...]``, point and normal ``[..., 3]``, face ``[...]``, barycentric ``[..., 3]``
+            and status ``[...]``, in the wider precision of rays and mesh, on the mesh's device.
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong.
+        """
+        vertices, rays = arguments.tensors(vertices=self.vertices, rays=rays)
+        if rays.shape[-2:] != (2, 3):
+            raise ValueError(f"rays must be [2, 3] or [..., 2, 3], got {tuple(rays.shape)}")
+        batch, flat = rays.shape[:-2], rays.reshape(-1, 2, 3)
+        if len(flat) and len(self.faces):
+            limits = _per_ray("minimum_distance", minimum_distance, rays), _per_ray("leaving", leaving, rays)
+            hit = self._nearest(vertices, flat, *limits)
+        else:
+            hit = misses(flat)
+        return MeshHit(*(field.reshape(batch + field.shape[1:]) for field in hit))
+
+    def write_PLY(self, filename: str, text: bool = False) -> None:
+        """Write vertices and faces as a PLY file, binary unless `text`; it appears whole or not at all."""
+        _ply.write_mesh(filename, self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy(), text)
+
+    @classmethod
+    def read_PLY(cls, filename: str, device=None, **options) -> "triangle_mesh":
+        """Read a PLY file; polygons become fans of triangles. `options` are those of the class.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no such file.
+        ValueError
+            If it is not a PLY file of a mesh.
+        """
+        vertices, faces = (torch.from_numpy(v).to(device) for v in _ply.read_mesh(filename))
+        return cls(vertices, faces, **options)
+
+    def _nearest(self, vertices, rays, minimum, leaving) -> MeshHit:
+        with torch.no_grad():
+            tree = self._fitted(vertices)
+        turned = turned_vertices(Frame(tree.centre, tree.scale), vertices)
+        normals = self.vertex_normals() if isinstance(self.normals, str) and self.normals == "smooth" else self.normals
+        normals = normals.to(vertices) if torch.is_tensor(normals) else None
+        # Pieces that stay in the cache, search and evaluation in turn.
+        size = triangle_search.pairs_at_a_time(tree, self.memory_budget)
+        limits = (itertools.repeat(None) if v is None else v.split(size) for v in (minimum, leaving))
+        pieces = [self._piece(tree, turned, normals, *piece) for piece in zip(rays.split(size), *limits, strict=False)]
+        return MeshHit(*map(torch.cat, zip(*pieces, strict=True)))
+
+    def _piece(self, tree, turned, normals, rays, minimum, leaving) -> MeshHit:
+        start, direction, kept = geometry.finite_rays(rays[:, 0], rays[:, 1])
+        kept = kept & (geometry.dot(direction, direction) > 0)
+        direction = torch.where(kept[:, None], direction, 1.0)
+        frame = Frame(tree.centre, tree.scale)
+        with torch.no_grad():
+            face, shift = self._search(tree, frame, start, direction, minimum, leaving)
+            face = torch.where(kept, face, -1)
+        return evaluate(frame, turned, self.faces, normals, start, direction, face, shift)
+
+    def _search(self, tree, frame, start, direction, minimum, leaving) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the faces met and where along the rays their search started."""
+        shift = nearest_approach(frame, start, direction)
+        near = advanced(frame, start, direction, shift)
+        if minimum is None:
+            reach = 1 + (start - frame.centre.to(start)).norm(dim=1) * frame.scale.to(start)
+            first = 16 * geometry.epsilon(start) * reach / direction.norm(dim=1)
+        else:
+            first = minimum.double() * frame.scale
+        first = (first - shift * frame.scale).to(start.dtype)
+        if leaving is None and self._uses_embree(start):
+            return embree.nearest_faces(self._embree_scene(tree), near, direction, first), shift
+        return triangle_search.nearest_faces(tree, near, direction, first, leaving, self.memory_budget), shift
+
+    def _uses_embree(self, start: torch.Tensor) -> bool:
+        fits = start.dtype == torch.float32 and start.device.type == "cpu" and embree.is_installed()
+        return self.backend == "embree" or (self.backend == "auto" and fits)
+
+    def _sorted(self) -> torch.Tensor:
+        if self._leaves is None:
+            self._leaves = triangle_tree.sort_faces(self.vertices, self.faces)
+        return self._leaves
+
+    def _fitted(self, vertices: torch.Tensor) -> triangle_tree.Tree:
+        if vertices.dtype not in self._trees:
+            self._trees[vertices.dtype] = triangle_tree.fit(vertices, self.faces, self._sorted())
+        return self._trees[vertices.dtype]
+
+    def _embree_scene(self, tree: triangle_tree.Tree):
+        if self._scene is None:
+            placed = triangle_tree.to_frame(self.vertices.detach(), tree.centre, tree.scale)
+            self._scene = embree.build_scene(placed, self.faces)
+        return self._scene
+
+
+def _checked_vertices(vertices: torch.Tensor) -> torch.Tensor:
+    if vertices.ndim != 2 or vertices.shape[1] != 3:
+        raise ValueError(f"vertices must be [v, 3], got {tuple(vertices.shape)}")
+    if not bool(vertices.detach().isfinite().all()):
+        raise ValueError("vertices must be finite")
+    return vertices
+
+
+def _checked_faces(faces, vertices: torch.Tensor) -> torch.Tensor:
+    faces = torch.as_tensor(faces, device=vertices.device)
+    if faces.dtype.is_floating_point or faces.dtype.is_complex or faces.dtype == torch.bool:
+        raise TypeError(f"faces must be integers, got {faces.dtype}")
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise ValueError(f"faces must be [t, 3], got {tuple(faces.shape)}")
+    if faces.numel() and not (int(faces.min()) >= 0 and int(faces.max()) < len(vertices)):
+        span = f"{int(faces.min())} … {int(faces.max())}"
+        raise ValueError(f"faces must name vertices 0 … {len(vertices) - 1}, got {span}")
+    return faces.long()
+
+
+def _checked_normals(normals, vertices: torch.Tensor):
+    if isinstance(normals, str):
+        return _validate.one_of("normals", normals, ("flat", "smooth"))
+    (normals,) = arguments.tensors(normals=normals)
+    if normals.shape != vertices.shape:
+        raise ValueError(f"normals must be {tuple(vertices.shape)} as the vertices, got {tuple(normals.shape)}")
+    return normals
+
+
+def _per_ray(name: str, value, rays: torch.Tensor) -> torch.Tensor | None:
+    """Return a value for each ray ``[m]``, without a graph."""
+    if value is None:
+        return None
+    try:
+        return torch.as_tensor(value, device=rays.device).detach().expand(rays.shape[:-2]).reshape(-1)
+    except RuntimeError as error:
+        raise ValueError(f"{name} must be a number or {tuple(rays.shape[:-2])}, one per ray") from error

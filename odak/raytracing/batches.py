@@ -1,0 +1,113 @@
+"""Large batches in pieces that fit a processor's cache, and the question whether a graph follows the arrays."""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import array_api_compat
+import numpy as np
+
+from odak._array import device_of, is_array, is_readable, is_torch, namespace
+
+# Large enough that the calls themselves cost little, small enough for a cache: 32 768 rays of 10 to 20 numbers.
+CHUNK = 1 << 15
+
+
+def is_followed(*values) -> bool:
+    """Say whether derivatives or a transform follow the arrays, so that NaN must not enter the arithmetic."""
+    if any(array_api_compat.is_jax_array(value) for value in values):
+        return True
+    tensors = [value for value in values if is_torch(value)]
+    if not tensors:
+        return False
+    import torch
+
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
+        return True
+    return is_transformed(*tensors)
+
+
+def is_transformed(*tensors) -> bool:
+    """Say whether torch.func, forward-mode differentiation or torch.compile hold the tensors."""
+    import torch
+
+    if torch.compiler.is_compiling() or torch.autograd.forward_ad._current_level >= 0:
+        return True
+    return not all(is_readable(tensor) for tensor in tensors if not tensor.is_cuda)
+
+
+class Pieces(NamedTuple):
+    """How a batch is cut: ``axis`` counted from the front of the batch, its ``length``, the ``step``, and which arrays
+    have it.
+    """  # noqa: D205
+
+    shape: tuple[int, ...]
+    axis: int
+    step: int
+    cut: tuple[bool, ...]
+
+    def places(self) -> list[slice]:
+        """Return the pieces' ranges along the axis."""
+        length = self.shape[self.axis]
+        return [slice(a, min(a + self.step, length)) for a in range(0, length, self.step)]
+
+    def take(self, arrays: Sequence, place: slice, ranks: Sequence[int]) -> list:
+        """Return what a piece needs of each array."""
+        behind = len(self.shape) - self.axis
+        return [
+            array[(slice(None),) * (array.ndim - rank - behind) + (place,)] if cut else array
+            for array, cut, rank in zip(arrays, self.cut, ranks, strict=True)
+        ]
+
+
+def pieces(arrays: Sequence, ranks: Sequence[int]) -> Pieces | None:
+    """Return how to cut arrays whose last `ranks` axes are no batch axes; None when the batch is small.
+
+    The batch is cut along its longest axis.
+    """
+    batches = [tuple(a.shape[: a.ndim - rank]) if is_array(a) else () for a, rank in zip(arrays, ranks, strict=True)]
+    shape = np.broadcast_shapes(*batches)
+    total = int(np.prod(shape))
+    if total <= CHUNK:
+        return None
+    axis = int(np.argmax(shape))
+    behind = len(shape) - axis
+    step = max(1, CHUNK * shape[axis] // total)
+    return Pieces(shape, axis, step, tuple(len(b) >= behind and b[len(b) - behind] > 1 for b in batches))
+
+
+def in_pieces(function: Callable, ranks: Sequence[int], *arrays):
+    """Return ``function(*arrays)``, computed piece by piece where the batch is large and nothing follows it.
+
+    Parameters
+    ----------
+    function : callable
+        Takes the arrays and returns an array or a (named) tuple of arrays whose first axes are the batch's.
+    ranks : sequence of int
+        Number of axes of each array that do not belong to its batch.
+    *arrays
+        Arrays or numbers.
+    """
+    if is_followed(*arrays):
+        return function(*arrays)
+    # NaN marks the rays that are lost: no cause for NumPy's warnings.
+    with np.errstate(all="ignore"):
+        return _run(function, ranks, arrays)
+
+
+def _run(function, ranks, arrays):
+    xp = namespace(*arrays)
+    example = next((a for a in arrays if is_array(a)), None)
+    on_host = str(getattr(device_of(example), "type", device_of(example))) == "cpu"
+    plan = pieces(arrays, ranks) if on_host else None
+    if plan is None:
+        return function(*arrays)
+    whole = None
+    for place in plan.places():
+        result = function(*plan.take(arrays, place, ranks))
+        parts = result if isinstance(result, tuple) else (result,)
+        if whole is None:
+            kind = type(result)
+            whole = [xp.empty(plan.shape + tuple(p.shape[len(plan.shape) :]), dtype=p.dtype) for p in parts]
+        for out, part in zip(whole, parts, strict=True):
+            out[(slice(None),) * plan.axis + (place,)] = part
+    return whole[0] if not issubclass(kind, tuple) else kind(*whole) if hasattr(kind, "_fields") else tuple(whole)
