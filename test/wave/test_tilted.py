@@ -1,0 +1,150 @@
+"""Tilted planes against the direct sum at their points, ordinary propagation, rotated plane waves and energy."""
+
+import numpy as np
+import pytest
+from physics import coordinates, gaussian_beam, relative_error, wrapped_phasor
+
+from odak.wave import propagate_to_tilted_plane, propagate_to_window
+from odak.wave.nonuniform import spectrum_at
+
+WAVELENGTH, DX = 532e-9, 2e-6
+
+
+def rotation(angles):
+    """Return Rz·Ry·Rx, written out from the three elementary rotations."""
+    a, b, c = np.deg2rad(angles)
+    about_x = [[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]]
+    about_y = [[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]]
+    about_z = [[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]]
+    return np.array(about_z) @ about_y @ about_x
+
+
+def points(angles, distance, shape, dx, offset=(0.0, 0.0)):
+    y, x = coordinates(shape, dx)
+    flat = np.stack(np.broadcast_arrays(x + offset[1], y + offset[0], 0.0), -1)
+    return flat @ rotation(angles).T + [0, 0, distance]
+
+
+def direct_sum(field, wavelength, dx, targets):
+    """Return the first Rayleigh–Sommerfeld integral (Goodman 2005, eq. 3-41, near term kept) at points (x, y, z)."""
+    y, x = coordinates(field.shape, dx)
+    targets = targets[..., None, None, :]
+    z = targets[..., 2]
+    r = np.sqrt((targets[..., 0] - x) ** 2 + (targets[..., 1] - y) ** 2 + z**2)
+    kernel = z / r**2 * (1 / (2 * np.pi * r) - 1j / wavelength) * wrapped_phasor(r, wavelength)
+    return (field * kernel).sum((-1, -2)) * dx**2
+
+
+def patch(shape=(48, 44)):
+    y, x = coordinates(shape, DX)
+    return np.exp(-(y**2 + x**2) / 1.5e-5**2) * (1 + 0.5 * np.cos(2 * np.pi * x / 1.5e-5 + 1)) * np.exp(2e5j * y)
+
+
+@pytest.mark.parametrize("angles", [(0, 30, 0), (-35, 0, 0), (0, 0, 25), (40, -20, 70), (0, 70, 0)])
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (6e-5, -4e-5)])
+def test_direct_sum_at_the_tilted_points(angles, offset):
+    distance, window = 3e-3, ((30, 27), 1.7e-6)
+    expected = direct_sum(patch(), WAVELENGTH, DX, points(angles, distance, *window, offset))
+    result = propagate_to_tilted_plane(patch(), WAVELENGTH, distance, DX, angles, *window, offset)
+    assert np.abs(result - expected).max() < 5e-7 * np.abs(patch()).max()
+    assert relative_error(result, expected) < 2e-6
+    single = propagate_to_tilted_plane(patch().astype(np.complex64), WAVELENGTH, distance, DX, angles, *window, offset)
+    assert single.dtype == np.complex64
+    assert np.abs(single - expected).max() < 1e-6 * np.abs(patch()).max()
+
+
+def test_no_tilt_is_ordinary_propagation(random):
+    field = random.normal(size=(31, 40)) + 1j * random.normal(size=(31, 40))
+    window = (20, 25), 1.1e-6, (1e-5, -2e-5)
+    expected = propagate_to_window(field, WAVELENGTH, 1e-3, DX, *window)
+    assert relative_error(propagate_to_tilted_plane(field, WAVELENGTH, 1e-3, DX, (0, 0, 0), *window), expected) < 1e-10
+
+
+def test_a_quarter_turn_about_the_light_turns_the_picture():
+    field = patch((49, 49))
+    expected = propagate_to_window(field, WAVELENGTH, 1e-3, DX)
+    turned = propagate_to_tilted_plane(field, WAVELENGTH, 1e-3, DX, (0, 0, 90.0))
+    # Target (x, y) looks at (−y, x).
+    assert relative_error(turned, expected.T[::-1]) < 1e-10
+
+
+@pytest.mark.parametrize("angles", [(0, 40, 0), (25, 0, 0), (20, -30, 10)])
+def test_plane_wave_has_its_rotated_frequency(angles):
+    shape, dx = (150, 150), 4e-6
+    y, x = coordinates(shape, dx)
+    wave = np.array([2e4, -3e4, 0.0])
+    wave[2] = np.sqrt(1 / WAVELENGTH**2 - (wave**2).sum())
+    envelope = np.exp(-(((x**2 + y**2) / 2e-4**2) ** 4))
+    field = envelope * np.exp(2j * np.pi * (wave[0] * x + wave[1] * y))
+    distance, window = 5e-4, ((20, 21), 1e-7)
+    result = propagate_to_tilted_plane(field, WAVELENGTH, distance, dx, angles, *window)
+    v, u = coordinates(*window)
+    turned = rotation(angles).T @ wave
+    expected = np.exp(2j * np.pi * (turned[0] * u + turned[1] * v)) * wrapped_phasor(distance * wave[2], 1.0)
+    np.testing.assert_allclose(result, expected, atol=2e-3)
+
+
+@pytest.mark.parametrize("angle", [-45.0, 30.0, 60.0])
+def test_gaussian_beam_keeps_its_power(angle):
+    dx, waist = 4e-6, 6e-5
+    start = gaussian_beam((101, 101), dx, waist, 0.0, WAVELENGTH)
+    result = propagate_to_tilted_plane(start, WAVELENGTH, 2e-3, dx, (0, angle, 0), (150, 250), 4e-6)
+    # A tilted plane sees the beam stretched by 1/cos: its area times its cosine is what conserves power.
+    power = (np.abs(result) ** 2).sum() * np.cos(np.deg2rad(angle))
+    # Waves of the beam meet the plane at angles that differ by λ/(π·waist).
+    assert power == pytest.approx((np.abs(start) ** 2).sum(), rel=1e-4)
+
+
+def test_flux_of_every_plane_wave_is_conserved():
+    field, dx, angle = patch(), DX, 35.0
+    fine = 2.5e-7
+    # Beyond λ/2 the samples of the tilted plane tell every frequency.
+    result = propagate_to_tilted_plane(field, WAVELENGTH, 1e-4, dx, (0, angle, 0), (200, 1000), fine)
+
+    def flux(u, pitch):
+        fy, fx = (np.fft.fftfreq(n, pitch) for n in u.shape)
+        axial = np.sqrt(np.maximum(1 / WAVELENGTH**2 - fy[:, None] ** 2 - fx**2, 0)) * WAVELENGTH
+        return (np.abs(np.fft.fft2(u)) ** 2 * axial).sum() / u.size * pitch**2
+
+    assert flux(result, fine) == pytest.approx(flux(field, dx), rel=1e-6)
+
+
+def test_batches_and_libraries(as_array, random):
+    field = np.stack([patch(), patch()[::-1]])[:, None] * (1 + 1j * random.normal())
+    wavelengths, distances = [450e-9, 532e-9, 638e-9], [[1e-3], [2e-3]]
+    arguments = DX, (10.0, 20.0, 0.0), (8, 7)
+    result = propagate_to_tilted_plane(as_array(field), np.array(wavelengths), np.array(distances), *arguments)
+    assert tuple(result.shape) == (2, 3, 8, 7)
+    for i in range(2):
+        for j in range(3):
+            one = propagate_to_tilted_plane(field[i, 0], wavelengths[j], distances[i][0], *arguments)
+            # What depends on the frequencies that a batch shares is the guard's error.
+            assert np.abs(np.asarray(result)[i, j] - one).max() < 1e-6 * np.abs(field).max()
+
+
+def test_spectrum_at_any_frequency_is_the_direct_sum(random):
+    field = random.normal(size=(3, 21, 30)) + 1j * random.normal(size=(3, 21, 30))
+    cy, cx = random.uniform(-2, 2, (2, 7, 5))
+    wave_y = np.exp(-2j * np.pi * cy[..., None] * (np.arange(21) - 10))
+    wave_x = np.exp(-2j * np.pi * cx[..., None] * (np.arange(30) - 15))
+    expected = np.einsum("bnm,pqn,pqm->bpq", field, wave_y, wave_x)
+    assert relative_error(spectrum_at(field, cy, cx), expected) < 1e-12
+    assert relative_error(spectrum_at(field.astype(np.complex64), cy, cx), expected) < 1e-6
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"angles": (0, 0)}, ValueError, "angles"),
+        ({"angles": (0, float("nan"), 0)}, ValueError, "angles"),
+        ({"angles": (0, 90, 0)}, ValueError, "angles"),
+        ({"angles": (180, 0, 0)}, ValueError, "angles"),
+        ({"distance": float("inf")}, ValueError, "distance"),
+        ({"window_dx": -1e-6}, ValueError, "window_dx"),
+        ({"field": 3}, TypeError, "field"),
+    ],
+)
+def test_bad_arguments(change, error, message):
+    arguments = {"field": patch(), "wavelength": WAVELENGTH, "distance": 1e-3, "dx": DX, **change}
+    with pytest.raises(error, match=message):
+        propagate_to_tilted_plane(**arguments)
