@@ -54,7 +54,7 @@ class Pieces(NamedTuple):
         """Return what a piece needs of each array."""
         behind = len(self.shape) - self.axis
         return [
-            array[(slice(None),) * (array.ndim - rank - behind) + (place,)] if cut else array
+            array[(slice(None),) * (array.ndim - rank - behind) + (place,)] if cut and array is not None else array
             for array, cut, rank in zip(arrays, self.cut, ranks, strict=True)
         ]
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from odak._array import cast, is_torch, namespace
 from odak.raytracing import arguments, intersections, sag
+from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, epsilon, finite_rays, masked, unit
 from odak.raytracing.intersections import Hit
 from odak.raytracing.status import RayStatus
@@ -194,8 +195,7 @@ def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=No
     surface = type(surface)(**{name: np.asarray(value, dtype=ray.dtype) for name, value in kinds.items()})
     matrix = None if angles is None else rotation_matrix(arguments.points("angles", angles)).astype(ray.dtype)
     start, direction = to_local(start, direction, center, matrix)
-    distance, status = solve_sag(start, direction, surface, aperture, ahead)
-    return to_global(hit_on_sag(start, direction, distance, status, surface), center, matrix)
+    return to_global(meet_sag(start, direction, surface, aperture, ahead), center, matrix)
 
 
 def to_local(start, direction, center, matrix):
@@ -228,8 +228,38 @@ def hit_on_sag(start, direction, distance, status, surface: Surface) -> Hit:
     return Hit(masked(distance, hit), masked(place, hit), masked(normal, hit), status)
 
 
+def ranks(surface: Surface | type[Surface]) -> tuple[int, ...]:
+    """Return how many axes of each parameter of a surface do not belong to a batch."""
+    return tuple(_RANKS.get(field.name, 0) for field in fields(surface))
+
+
+_RANKS = {"coefficients": 1, "heights": 2, "size": 1}
+
+
+def meet_sag(start, direction, surface: Surface, aperture=None, ahead: bool = True) -> Hit:
+    """Return where rays meet a surface in its own frame, without gradients; large batches piece by piece."""
+    kind = type(surface)
+
+    def meet(start, direction, aperture, *parameters):
+        held = kind(*parameters)
+        if kind.closed_form:
+            return intersections.conic(start, direction, *held.base(), aperture, ahead)
+        return hit_on_sag(start, direction, *_solve(start, direction, held, aperture, ahead), held)
+
+    return in_pieces(meet, (1, 1, 0, *ranks(kind)), start, direction, aperture, *surface.parameters())
+
+
 def solve_sag(start, direction, surface: Surface, aperture=None, ahead: bool = True):
     """Return distances ``[...]``, NaN unless hit, and int8 statuses, in the surface's own frame, without gradients."""
+    kind = type(surface)
+
+    def solve(start, direction, aperture, *parameters):
+        return _solve(start, direction, kind(*parameters), aperture, ahead)
+
+    return in_pieces(solve, (1, 1, 0, *ranks(kind)), start, direction, aperture, *surface.parameters())
+
+
+def _solve(start, direction, surface: Surface, aperture, ahead: bool):
     xp = namespace(start, direction)
     if surface.closed_form:
         hit = intersections.conic(start, direction, *surface.base(), aperture, ahead)

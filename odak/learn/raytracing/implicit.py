@@ -5,7 +5,9 @@ from dataclasses import fields, is_dataclass
 import torch
 
 from odak.learn.raytracing import arguments
+from odak.learn.raytracing.recompute import in_pieces
 from odak.raytracing import surfaces
+from odak.raytracing.batches import is_followed
 from odak.raytracing.geometry import dot
 from odak.raytracing.intersections import Hit
 from odak.raytracing.surfaces import Conic, EvenAsphere, SplineFreeform, Surface, Toroid, ZernikeFreeform
@@ -76,8 +78,14 @@ def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=No
 
 def _meet(start, direction, surface: Surface, parameters, aperture, ahead: bool) -> Hit:
     kind = type(surface)
+    if not is_followed(start, direction, *parameters):
+        return surfaces.meet_sag(start, direction, kind(*parameters), aperture, ahead)
     distance, status = _Distance.apply(start, direction, kind, aperture, ahead, *parameters)
-    return surfaces.hit_on_sag(start, direction, distance, status, kind(*parameters))
+
+    def hit(start, direction, distance, status, *parameters):
+        return surfaces.hit_on_sag(start, direction, distance, status, kind(*parameters))
+
+    return in_pieces(hit, (1, 1, 0, 0, *surfaces.ranks(kind)), start, direction, distance, status, *parameters)
 
 
 def _level(kind: type, point, *parameters):

@@ -54,10 +54,12 @@ class Trace(torch.autograd.Function):
 
     @staticmethod
     def forward(layout, x, y, z, u, v, w, *numbers):
-        """Return x, y, z, u, v, w, path and status ``[B, R]``; failed rays lie on the axis."""
+        """Return x, y, z, u, v, w, path and status ``[B, R]``; NaN where a ray failed."""
         numbers, rays = Numbers(*numbers), (x, y, z, u, v, w)
         if not x.device.type == "cpu":
-            return tuple(plain_trace(layout, numbers, rays))
+            state = plain_trace(layout, numbers, rays)
+            lost = state.status != RayStatus.HIT
+            return (*(value.masked_fill(lost, torch.nan) for value in state[:7]), state.status)
         out = [torch.empty(x.shape, dtype=x.dtype) for _ in range(7)]
         status = torch.empty(x.shape, dtype=torch.int8)
 
@@ -67,6 +69,8 @@ class Trace(torch.autograd.Function):
             if held is None:
                 few = Numbers(*(value[rows] for value in numbers))
                 *held, marks = plain_trace(layout, few, block)
+                lost = marks != RayStatus.HIT
+                held = [value.masked_fill_(lost, torch.nan) for value in held]
             for target, value in zip(out, held, strict=True):
                 target[rows, columns] = value
             status[rows, columns] = marks
@@ -113,6 +117,8 @@ def _again(layout, tensors, gradients, needed):
     tensors = [value.view_as(value) if need else value for value, need in zip(tensors, needed, strict=True)]
     wanted = [value for value, need in zip(tensors, needed, strict=True) if need]
     state = plain_trace(layout, Numbers(*tensors[6:]), tuple(tensors[:6]))
+    lost = state.status != RayStatus.HIT
+    gradients = [torch.where(lost, 0.0, value) for value in gradients]
     found = iter(torch.autograd.grad(state[:7], wanted, gradients, create_graph=True, allow_unused=True))
     return [next(found) if need else None for need in needed]
 
@@ -181,7 +187,7 @@ def _run(block, sequence, keep: list | None = None):
         return None
     if beyond is None:
         return (x, y, z, u, v, w, path), torch.zeros(x.shape, dtype=torch.int8)
-    held = [value.masked_fill(beyond, 0.0) for value in (x, y, z, u, v, w, path)]
+    held = [value.masked_fill(beyond, torch.nan) for value in (x, y, z, u, v, w, path)]
     return held, beyond.to(torch.int8).mul_(RayStatus.VIGNETTED.value)
 
 
