@@ -2,6 +2,7 @@
 
 import warnings
 
+import numpy as np
 import scipy.sparse
 import torch
 from torch.nn import functional
@@ -20,16 +21,17 @@ class MipSampler:
     Notes
     -----
     Level l + 1 holds the 2 × 2 means of level l, down to one pixel; levels are enlarged bilinearly. On a CPU a pixel's
-    eight weights are a row of a sparse matrix: several times faster than enlarging whole levels, and its transpose is
-    the gradient. Elsewhere levels are enlarged and weighted one by one.
+    eight weights are a row of a sparse matrix, and so are the means of the chain: several times faster than enlarging
+    whole levels, and the transposes are the gradient. Elsewhere levels are enlarged and weighted one by one.
     """
 
     def __init__(self, lod: torch.Tensor, dtype: torch.dtype) -> None:
         self.dtype, self.device, self.size = dtype, lod.device, tuple(lod.shape)
         self.weights = level_weights(lod)
-        self.matrices = None
+        self.matrices, self.halvings = None, []
         if lod.device.type == "cpu" and torch.backends.mkl.is_available() and dtype in (torch.float32, torch.float64):
             self.matrices = _matrices(self.weights, dtype)
+            self.halvings = _halvings(self.size, len(self.weights) - 1, dtype)
         self.weights = self.weights.to(dtype)
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
@@ -38,13 +40,12 @@ class MipSampler:
             return image * self.weights[0]
         if self.matrices is None:
             return _weighted_levels(image, self.weights)
-        # Planes last: a row of the matrix then gathers whole vectors.
-        planes = image.flatten(0, 1).permute(1, 2, 0).contiguous()
-        level = planes.permute(2, 0, 1)[None]
-        chain = [planes.flatten(0, 1)]
-        for _ in range(len(self.weights) - 1):
-            level = functional.adaptive_avg_pool2d(level, _halved(level.shape[-2:]))
-            chain.append(level[0].permute(1, 2, 0).flatten(0, 1))
+        # Planes last: a row of a matrix then gathers whole vectors.
+        level = image.flatten(0, 1).permute(1, 2, 0).flatten(0, 1)
+        chain = [level]
+        for pair in self.halvings:
+            level = _Product.apply(level, *pair)
+            chain.append(level)
         sampled = _Product.apply(torch.cat(chain), *self.matrices)
         return sampled.T.reshape(image.shape)
 
@@ -88,7 +89,30 @@ def _matrices(weights, dtype):
         here = _halved(here)
     entries = (torch.cat(values).numpy(), (torch.cat(rows).numpy(), torch.cat(columns).numpy()))
     matrix = scipy.sparse.coo_matrix(entries, shape=(weights[0].numel(), offset)).tocsr()
-    return _as_tensor(matrix, dtype), _as_tensor(matrix.T.tocsr(), dtype)
+    return _pair(matrix, dtype)
+
+
+def _halvings(size, count, dtype):
+    """Return the matrices, with their transposes, that make each level of the chain of the last one."""
+    matrices = []
+    for _ in range(count):
+        down, across = (_means(fine, coarse) for fine, coarse in zip(size, _halved(size), strict=True))
+        matrices.append(_pair(scipy.sparse.kron(down, across), dtype))
+        size = _halved(size)
+    return matrices
+
+
+def _means(fine, coarse):
+    """Return the matrix of the means over the windows of adaptive pooling: pairs, overlapping where a side is odd."""
+    index = np.arange(coarse)
+    starts, ends = index * fine // coarse, -(-(index + 1) * fine // coarse)
+    pixels = np.arange(fine)
+    inside = (pixels >= starts[:, None]) & (pixels < ends[:, None])
+    return scipy.sparse.csr_matrix(inside / (ends - starts)[:, None])
+
+
+def _pair(matrix, dtype):
+    return _as_tensor(matrix.tocsr(), dtype), _as_tensor(matrix.T.tocsr(), dtype)
 
 
 def _as_tensor(matrix, dtype):

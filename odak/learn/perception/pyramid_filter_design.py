@@ -71,7 +71,7 @@ def steering(n_orientations: int, angles: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
+def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool = False) -> dict[str, np.ndarray]:
     """Return filters whose pyramid reconstructs a picture nearly perfectly.
 
     Parameters
@@ -80,6 +80,9 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, n
         Number K ≥ 1 of orientations.
     sizes : tuple of int
         Odd sizes of the low-pass "l", the first low-pass "l0", the high-pass residual "h0" and the bands.
+
+    bilinear : bool
+        For pyramids that halve by 2 × 2 means and enlarge bilinearly; "l" then is not theirs.
 
     Returns
     -------
@@ -93,7 +96,7 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, n
     together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4), that of the inner sum as the next level sees it,
     the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the ideal responses.
     """
-    problem = _Problem(n_orientations, sizes)
+    problem = _Problem(n_orientations, sizes, bilinear)
     taps = _descend(problem)
     filters = problem.filters(taps)
     for value in filters.values():
@@ -131,8 +134,8 @@ def orientations(n_orientations: int) -> np.ndarray:
 class _Problem:
     """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
 
-    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int]) -> None:
-        self.count = n_orientations
+    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool) -> None:
+        self.count, self.bilinear = n_orientations, bilinear
         axis = np.linspace(0, math.pi, GRID)
         self.x, self.y = np.meshgrid(axis, axis, indexing="xy")
         self.parts = self._parts(sizes)
@@ -206,30 +209,40 @@ class _Problem:
 
     def residual(self, taps):
         """Return every residual ``[m]`` that is not quadratic, and its Jacobian ``[m, n]``."""
-        low, low0, high0 = (part[1] @ taps[where] for part, where in zip(self.parts[:3], self.slices[:3], strict=True))
-        inner, inner_slope = self._inner(taps, low)
+        low0, high0 = (part[1] @ taps[where] for part, where in zip(self.parts[1:3], self.slices[1:3], strict=True))
+        inner, inner_slope = self._inner(taps)
         flat = high0**2 + low0**2 * inner - 1
         slope = low0[:, None] ** 2 * inner_slope
         for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
             slope[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
         # A coarser level sees what the low-pass leaves at half the frequency.
-        half = self.halved @ taps[self.slices[0]]
-        deep = half**2 / 4 * (inner - 1)
-        deep_slope = half[:, None] ** 2 / 4 * inner_slope
-        deep_slope[:, self.slices[0]] += (half * (inner - 1) / 2)[:, None] * self.halved
+        passed, passed_slope = self._passed(taps, self.halved, 0.5)
+        deep = passed * (inner - 1)
+        deep_slope = passed[:, None] * inner_slope
+        deep_slope[:, self.slices[0]] += (inner - 1)[:, None] * passed_slope
         aliasing = self._aliasing(taps)
         rows = [(flat / GRID, slope / GRID), (deep / GRID, deep_slope / GRID), aliasing]
         return np.concatenate([r for r, _ in rows]), np.concatenate([j for _, j in rows])
 
-    def _inner(self, taps, low):
+    def _inner(self, taps):
         """Return Σₖ|Bₖ|² + L²/4 and its slope: what the bands and the low-pass of one level hold together."""
         products, sources = self.products(taps)
         mixed = self.power @ products
-        slope = np.zeros((low.size, self.length))
-        slope[:, self.slices[0]] = (low / 2)[:, None] * self.parts[0][1]
+        passed, passed_slope = self._passed(taps, self.parts[0][1], 1.0)
+        slope = np.zeros((passed.size, self.length))
+        slope[:, self.slices[0]] = passed_slope
         for row, (where, response) in zip(mixed, sources, strict=True):
             slope[:, where] += 2 * row[:, None] * response
-        return (products * mixed).sum(0) + low**2 / 4, slope
+        return (products * mixed).sum(0) + passed, slope
+
+    def _passed(self, taps, response, scale):
+        """Return L²/4 at the grid's frequencies times a scale, and its slope in the taps of L."""
+        if self.bilinear:
+            # A mean of two pixels passes cos(ω/2), and a bilinear enlargement cos³(ω/2).
+            power = (np.cos(scale * self.x / 2) * np.cos(scale * self.y / 2)) ** 4
+            return power.ravel(), np.zeros_like(response)
+        low = response @ taps[self.slices[0]]
+        return low**2 / 4, (low / 2)[:, None] * response
 
     def _aliasing(self, taps):
         """Return what folds back onto a frequency from half the sampling rate away, along one axis or both."""

@@ -45,8 +45,9 @@ class SpatialSteerablePyramid(nn.Module):
     Parameters
     ----------
     use_bilinear_downup : bool
-        Halve by 2 × 2 means and enlarge bilinearly: fast, but coarser levels come back blurred. Otherwise filter and
-        take every second pixel: nearly perfect reconstruction, and each level's mean is twice the last one's.
+        Halve by 2 × 2 means and enlarge bilinearly: fast, good for smooth pictures, with a bank designed for it; fine
+        detail comes back with aliasing. Otherwise filter and take every second pixel: nearly perfect reconstruction,
+        and each level's mean is twice the last one's.
     n_channels : int
         Channels of the pictures.
     filter_size, n_orientations, filter_type
@@ -162,14 +163,14 @@ class SpatialSteerablePyramid(nn.Module):
     def _build(self, dtype, device) -> None:
         options = {"dtype": dtype, "device": device}
         arguments = (self.filter_size, self.n_orientations, self.filter_type)
-        filters = get_steerable_pyramid_filters(*arguments, **options)
+        filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
         # Whatever mode the caller is in, the filters must serve gradients later.
         with torch.inference_mode(False):
             for name in ("h0", "l0") if self.use_bilinear_downup else ("h0", "l0", "l"):
                 self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
             bands = torch.cat(filters["b"])
             self._set("_bands", bands.repeat(self.n_channels, 1, 1, 1))
-            mixing, parts = _unsteered(*arguments)
+            mixing, parts = _unsteered(*arguments, self.use_bilinear_downup)
             self._set("_mixing", torch.tensor(mixing, **options))
             self._set("_parts", torch.tensor(parts, **options)[None].repeat(self.n_channels, 1, 1, 1).flip(2, 3))
 
@@ -245,13 +246,13 @@ class SpatialSteerablePyramid(nn.Module):
 
 
 @functools.lru_cache(maxsize=64)
-def _unsteered(size, count, kind):
+def _unsteered(size, count, kind, bilinear):
     """Return the matrix ``[K, K]`` and the filters ``[K, k, k]`` that turn bands into parts of one symmetry and back.
 
-    With bands b = S·m for parts m, Σₖ b̃ₖ∗bₖ = Σᵢ m̃ᵢ∗(SᵀS·(S⁻¹b))ᵢ = Σᵢ m̃ᵢ∗(Sᵀb)ᵢ: the matrix is Sᵀ. Its rows mix
-    products of one parity only after SᵀS is seen to join i and j of equal parity alone.
+    With filters b = S·m of parts m, Σₖ b̃ₖ∗yₖ = Σᵢ m̃ᵢ∗(Sᵀ·y)ᵢ for any bands y and transposed filters b̃, m̃: the
+    matrix is Sᵀ.
     """
-    bands = get_steerable_pyramid_filters(size, count, kind, dtype=torch.float64)["b"]
+    bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
     shares = steering(count, orientations(count))
     parts = np.linalg.solve(shares, torch.cat(bands)[:, 0].numpy().reshape(count, -1))
     return shares.T, parts.reshape(count, *bands[0].shape[-2:])

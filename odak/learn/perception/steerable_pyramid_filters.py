@@ -21,6 +21,7 @@ def get_steerable_pyramid_filters(
     n_orientations: int,
     filter_type: str,
     *,
+    bilinear: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> dict[str, torch.Tensor | list[torch.Tensor]]:
@@ -36,6 +37,8 @@ def get_steerable_pyramid_filters(
         "full": sizes at which the pyramid reconstructs best; "cropped": designed at the smaller sizes that cropping to
         `size` would give, and so an order of magnitude flatter than cut filters; "trained": the cropped bank of size 5
         with two small derivative kernels as bands (K = 2 only).
+    bilinear : bool
+        Design the bank for pyramids that halve by 2 × 2 means and enlarge bilinearly.
     dtype : torch.dtype
         Precision of the taps.
     device : torch.device, optional
@@ -57,14 +60,14 @@ def get_steerable_pyramid_filters(
     Notes
     -----
     Designed by :func:`odak.learn.perception.pyramid_filter_design.design` on first use (under a second) and kept.
-    Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.004 for K = 1, 2, 4, 6.
+    Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.01 for K = 1, 2, 3, 4, 6.
     """
     count = _validate.integer("n_orientations", n_orientations, minimum=1)
     kind = _validate.one_of("filter_type", filter_type, FILTER_TYPES)
     sizes = FULL_SIZES.get(count, OTHER_FULL_SIZES)
     if kind != "full":
         sizes = _cropped_sizes(size, sizes)
-    bank = pyramid_filter_design.design(count, sizes)
+    bank = pyramid_filter_design.design(count, sizes, bool(bilinear))
     bands = bank["b"]
     if kind == "trained":
         bands = _trained(size, count)

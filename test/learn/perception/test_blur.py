@@ -26,13 +26,12 @@ def trilinear(picture, lod):
     def sample(level, i, j):
         level = chain[min(level, len(chain) - 1)]
         result = 0.0
-        for axis_weights in ((i, level.shape[0], picture.shape[0], j, level.shape[1], picture.shape[1]),):
-            i, rows, height, j, columns, width = axis_weights
-            y = max((i + 0.5) * rows / height - 0.5, 0)
-            x = max((j + 0.5) * columns / width - 0.5, 0)
-            for row, share_y in ((math.floor(y), 1 - y % 1), (math.floor(y) + 1, y % 1)):
-                for column, share_x in ((math.floor(x), 1 - x % 1), (math.floor(x) + 1, x % 1)):
-                    result += share_y * share_x * level[min(row, rows - 1), min(column, columns - 1)]
+        (rows, columns), (height, width) = level.shape, picture.shape
+        y = max((i + 0.5) * rows / height - 0.5, 0)
+        x = max((j + 0.5) * columns / width - 0.5, 0)
+        for row, share_y in ((math.floor(y), 1 - y % 1), (math.floor(y) + 1, y % 1)):
+            for column, share_x in ((math.floor(x), 1 - x % 1), (math.floor(x) + 1, x % 1)):
+                result += share_y * share_x * level[min(row, rows - 1), min(column, columns - 1)]
         return result
 
     result = np.empty_like(picture)
@@ -86,6 +85,18 @@ def test_the_map_follows_the_gaze_the_size_and_the_precision():
     assert blur.blur(picture[..., :20, :], 2.0, 0.5, 0.4, gaze).shape == (2, 3, 20, 32)
     assert blur.size == (20, 32)
     assert torch.equal(blur.blur(picture), blur.blur(picture, centre=[0.5, 0.5]))
+
+
+def test_without_sparse_matrices(monkeypatch):
+    picture = noise(2, 3, 37, 20).requires_grad_()
+    blurs = [RadiallyVaryingBlur(), RadiallyVaryingBlur()]
+    fast = blurs[0].blur(picture, **STRONG)
+    monkeypatch.setattr(torch.backends.mkl, "is_available", lambda: False)
+    plain = blurs[1].blur(picture, **STRONG)
+    torch.testing.assert_close(fast, plain)
+    weights = noise(2, 3, 37, 20, seed=1)
+    gradients = [torch.autograd.grad((result * weights).sum(), picture)[0] for result in (fast, plain)]
+    torch.testing.assert_close(*gradients)
 
 
 def test_a_batch_is_its_items():

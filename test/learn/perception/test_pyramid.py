@@ -91,10 +91,10 @@ def test_ideal_gains_add_up():
 
 
 FLOORS = [
-    ("full", False, 9, 50),
-    ("cropped", False, 5, 40),
-    ("full", True, 9, 33),
-    ("cropped", True, 5, 25),
+    ("full", False, 9, 60),
+    ("cropped", False, 5, 50),
+    ("full", True, 9, 45),
+    ("cropped", True, 5, 45),
 ]
 
 

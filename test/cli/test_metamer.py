@@ -1,0 +1,108 @@
+"""`odak metamer` from a file to its three pictures."""
+
+import os
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from odak.cli import app, main
+from odak.learn.perception import make_pooling_size_map_pixels
+
+ROWS, COLUMNS = 60, 72
+VIEW = ["--gaze", "0.25", "0.5", "--width", "0.6", "--distance", "0.5", "--alpha", "0.6", "--levels", "4"]
+
+
+def run(*arguments):
+    result = CliRunner().invoke(app, ["metamer", *map(str, arguments), "--device", "cpu"])
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    return result
+
+
+def pixels(path):
+    with Image.open(path) as image:
+        return np.asarray(image)
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    values = np.random.default_rng(0).integers(0, 256, (ROWS, COLUMNS, 3)).astype(np.uint8)
+    path = tmp_path_factory.mktemp("pictures") / "noise.png"
+    Image.fromarray(values).save(path)
+    return path
+
+
+def test_three_pictures(file, tmp_path):
+    result = run(file, "--output", tmp_path, *VIEW)
+    assert "metameric loss" in result.stdout
+    assert "metamer" in result.stderr
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.png", "metamer.png", "pooling_map.png"]
+    metamer, picture = pixels(tmp_path / "metamer.png").astype(float), pixels(file).astype(float)
+    assert metamer.shape == picture.shape
+    error = abs(metamer - picture).mean(-1)
+    pooling = make_pooling_size_map_pixels([0.25, 0.5], (ROWS, COLUMNS), 0.6, 0.6, 0.5).numpy()
+    # Sharp vision sees the picture, the rest is other noise.
+    assert error[pooling < 0.5].mean() < 10
+    assert error[pooling > 4].mean() > 25
+    shade = np.round(np.log2(pooling.clip(1)) / np.log2(pooling.max()) * 255)
+    assert abs(pixels(tmp_path / "pooling_map.png") - shade).max() <= 1
+    sheet = pixels(tmp_path / "comparison.png")
+    assert np.array_equal(sheet[52 : 52 + ROWS, 12 : 12 + COLUMNS], picture)
+    assert np.array_equal(sheet[52 : 52 + ROWS, 264 : 264 + COLUMNS], metamer)
+
+
+def test_iterations_lower_the_loss_and_the_seed_reproduces(file, tmp_path):
+    losses = []
+    for iterations in (0, 5):
+        out = run(file, "--output", tmp_path / str(iterations), *VIEW, "--iterations", iterations).stdout
+        losses.append(float(out.split("metameric loss ")[1].split(",")[0]))
+    assert losses[1] < losses[0]
+    quiet = run(file, "--output", tmp_path / "again", *VIEW, "--quiet")
+    assert quiet.output == ""
+    run(file, "--output", tmp_path / "other", *VIEW, "--quiet", "--seed", 1)
+    first, again, other = (pixels(tmp_path / name / "metamer.png") for name in ("0", "again", "other"))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_grey_pictures(tmp_path):
+    path = tmp_path / "grey.png"
+    Image.fromarray(np.tile(np.arange(64, dtype=np.uint8) * 4, (64, 1))).save(path)
+    run(path, "--output", tmp_path / "out", "--levels", 3, "--quiet")
+    assert pixels(tmp_path / "out" / "metamer.png").shape == (64, 64)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["nowhere.png"], "nowhere.png"),
+        (["--gaze", "nan", "0"], "--gaze"),
+        (["--width", "0"], "--width"),
+        (["--distance", "-1"], "--distance"),
+        (["--alpha", "inf"], "--alpha"),
+        (["--mode", "cubic"], "'quadratic', 'linear'"),
+        (["--levels", "1"], "--levels"),
+        (["--iterations", "-1"], "--iterations"),
+        (["--device", "abacus"], "--device"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(arguments, named, tmp_path, capsys):
+    assert main(["metamer", *arguments, "--output", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith("odak: ")
+    assert captured.err.count("\n") == 1
+    assert named in captured.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_failed_write_is_code_1_and_leaves_the_old_file(file, tmp_path, capsys, monkeypatch):
+    (tmp_path / "metamer.png").write_text("old")
+
+    def full(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert main(["metamer", str(file), "--output", str(tmp_path), *VIEW, "--quiet"]) == 1
+    assert "disk full" in capsys.readouterr().err
+    assert (tmp_path / "metamer.png").read_text() == "old"
