@@ -61,8 +61,9 @@ def _start(
 
 @app.command(
     help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files show it.\n\n"
-    "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files), "
-    "reconstruction.png, comparison.png and report.json."
+    "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files) or, with "
+    "multi-color, hologram_frame<k>.png; reconstruction.png, comparison.png and report.json; with planes also "
+    "focal_stack.png."
 )
 def hologram(
     image: options.Image = Job.image,
@@ -72,6 +73,10 @@ def hologram(
     pixel_pitch: options.PixelPitch = Job.pixel_pitch,
     resolution: options.Resolution = Job.resolution,
     distance: options.Distance = Job.distance,
+    planes: options.Planes = Job.planes,
+    depth_map: options.DepthMap = Job.depth_map,
+    volume_depth: options.VolumeDepth = Job.volume_depth,
+    frames: options.Frames = Job.frames,
     method: options.Method = Job.method,
     propagation_type: options.PropagationType = Job.propagation_type,
     iterations: options.Iterations = Job.iterations,
@@ -138,6 +143,39 @@ def metamer(
         typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
 
 
+@app.command(
+    help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss), a .json file written by odak, or "
+    "a Zemax .zmx file.\n\n"
+    "Writes layout.png, spots.png and report.json with first-order properties, spot sizes and what became of the rays."
+)
+def trace(
+    system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json or .zmx file.")],
+    output: options.Output = Path("trace"),
+    rings: Annotated[int, typer.Option(metavar="COUNT", help="Rings of rays in the pupil, 1 to 100.")] = 6,
+    aim: Annotated[str, typer.Option(metavar="paraxial|real", help="Which pupil rays are aimed at.")] = "paraxial",
+    quiet: options.Quiet = False,
+) -> None:
+    """Trace a system; see :mod:`odak.cli.trace`."""
+    try:
+        from odak.cli.trace import run
+
+        report = run(system, output, rings, aim)
+    except InputError as error:
+        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
+    except OSError as error:
+        raise typer.Exit(_fail(str(error), FAILURE)) from None
+    if quiet:
+        return
+    unit, found = report["system"]["unit"], report["first_order"]
+    typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
+    for field in report["fields"]:
+        spot = "no rays" if field["rms_spot"] is None else f"RMS spot {field['rms_spot']:.3g} {unit}"
+        typer.echo(f"field {field['field'][0]:g}, {field['field'][1]:g}: {spot}")
+    for line in report["ignored"]:
+        typer.echo(f"ignored: {line}", err=True)
+    typer.echo(f"layout.png, spots.png, report.json in {output}")
+
+
 @app.command(help="Print versions, devices, threads and FFT libraries.")
 def info() -> None:
     """Print what odak runs on."""
@@ -154,7 +192,8 @@ def _summarise(job: Job, report: dict) -> None:
     typer.echo(f"PSNR {psnr}, SSIM {report['ssim']:.4f}, efficiency {report['efficiency']:.1%} (saved patterns)")
     if report["seconds_per_iteration"] is not None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
-    typer.echo(f"{', '.join(report['pattern']['files'])}, comparison.png, report.json in {job.output}")
+    others = ["comparison.png", *(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
+    typer.echo(f"{', '.join([*report['pattern']['files'], *others])} in {job.output}")
 
 
 def _fail(message: str, code: int) -> int:

@@ -12,6 +12,7 @@ from odak.cli.job import Job
 from odak.learn import wave
 
 FILTER = 0.5
+NOISE = {"slight": 0.3, "normal": 1.0}
 
 
 def compute(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, float | None]:
@@ -33,9 +34,9 @@ def compute(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch
     """
     if job.method == "double-phase":
         return _double_phase(job, intensity, wavelength), None
-    with _progress(job, wavelength) as clock:
+    with progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
         hologram = (_descend if job.method == "sgd" else _retrieve)(job, intensity, wavelength, clock.tick)
-        _finish(intensity.device)
+        finish(intensity.device)
     return hologram, clock.seconds_per_tick()
 
 
@@ -151,25 +152,25 @@ def starting_phase(job: Job, like: torch.Tensor, wavelength: float) -> torch.Ten
     job : Job
         What was asked for.
     like : torch.Tensor
-        Real ``[rows, columns]``, whose shape, precision and device the phase takes.
+        Real ``[..., rows, columns]``, whose shape, precision and device the phase takes.
     wavelength : float
         Wavelength in metres.
 
     Returns
     -------
     torch.Tensor
-        Zeros; a lens of focal length 2·distance; normal noise of deviation 1 rad; or noise uniform over 2π.
+        Zeros; a lens of focal length 2·distance; normal noise of deviation 0.3 or 1 rad; or noise uniform over 2π.
     """
     generator = torch.Generator().manual_seed(job.seed)
     if job.initial_phase == "quadratic":
-        phase = wave.lens_phase(tuple(like.shape), 2 * job.distance, job.pixel_pitch, wavelength)
-    elif job.initial_phase == "normal":
-        phase = torch.randn(like.shape, generator=generator)
+        phase = wave.lens_phase(tuple(like.shape[-2:]), 2 * job.distance, job.pixel_pitch, wavelength)
+    elif job.initial_phase in NOISE:
+        phase = NOISE[job.initial_phase] * torch.randn(like.shape, generator=generator)
     elif job.initial_phase == "uniform":
         phase = 2 * math.pi * torch.rand(like.shape, generator=generator)
     else:
         phase = torch.zeros(like.shape)
-    return phase.to(like)
+    return phase.to(like).expand(like.shape).clone()
 
 
 class _Clock:
@@ -189,16 +190,17 @@ class _Clock:
 
 
 @contextmanager
-def _progress(job: Job, wavelength: float):
+def progress(job: Job, description: str):
+    """Show a progress bar, and yield the clock whose `tick` moves it."""
     start = time.perf_counter()
-    with tqdm(total=job.iterations, desc=f"{wavelength * 1e9:.6g} nm", unit="it", disable=job.quiet) as bar:
+    with tqdm(total=job.iterations, desc=description, unit="it", disable=job.quiet) as bar:
         clock = _Clock(bar)
         clock.first = start
         yield clock
         clock.last = time.perf_counter()
 
 
-def _finish(device: torch.device) -> None:
+def finish(device: torch.device) -> None:
     """Wait for the device, whose work runs behind the program, so that times are true."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)

@@ -7,13 +7,21 @@ from pathlib import Path
 from odak import _validate
 from odak.cli.errors import InputError
 
-METHODS = ("sgd", "gs", "double-phase")
-INITIAL_PHASES = ("flat", "quadratic", "normal", "uniform")
-DEFAULT_INITIAL_PHASE = {"sgd": "flat", "gs": "uniform", "double-phase": "flat"}
+VOLUME_METHODS = ("multiplane", "multi-color")
+METHODS = ("sgd", "gs", "double-phase", *VOLUME_METHODS)
+INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform")
+DEFAULT_INITIAL_PHASE = {
+    "sgd": "flat",
+    "gs": "uniform",
+    "double-phase": "flat",
+    "multiplane": "slight",
+    "multi-color": "slight",
+}
 GREY_WAVELENGTH = 532e-9
 COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 SMALLEST_SIDE = 16
-SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png"}
+SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
+SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
 
 
 @dataclass(frozen=True)
@@ -23,7 +31,7 @@ class Job:
     Attributes
     ----------
     image : str
-        Path of the picture, or the name of a shipped one: "photo", "chart".
+        Path of the picture, or the name of a shipped one: "photo", "chart", "scene".
     output : Path
         Folder to write to.
     wavelengths : tuple of float
@@ -34,8 +42,16 @@ class Job:
         Pixel pitch of the modulator, and distance from it to the picture.
     resolution : tuple of int
         Rows and columns of the modulator.
-    method : str
-        One of `METHODS`.
+    planes : int
+        Planes that the picture is spread over by its depth.
+    depth_map : str, optional
+        Path of a grey picture of the depth, 0 the first plane and 1 the last; "scene" names that picture's own.
+    volume_depth : float
+        Distance from the first plane to the last, about `distance`.
+    frames : int, optional
+        Patterns shown one after another with the method "multi-color"; as many as colours by default.
+    method : str, optional
+        One of `METHODS`; by default "sgd", or "multiplane" for more than one plane.
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`.
     iterations : int
@@ -65,7 +81,11 @@ class Job:
     pixel_pitch: float = 8e-6
     resolution: tuple[int, int] = (1080, 1920)
     distance: float = 0.15
-    method: str = "sgd"
+    planes: int = 1
+    depth_map: str | None = None
+    volume_depth: float = 4e-3
+    frames: int | None = None
+    method: str | None = None
     propagation_type: str = "Bandlimited Angular Spectrum"
     iterations: int = 200
     learning_rate: float = 0.2
@@ -86,7 +106,9 @@ class Job:
             _validate.integer("--seed", self.seed)
             for side in self.resolution:
                 _validate.integer("--resolution", side, minimum=SMALLEST_SIDE)
-            self._set("method", _validate.one_of("--method", self.method, METHODS))
+            chosen = self.method or ("multiplane" if self.planes > 1 else "sgd")
+            self._set("method", _validate.one_of("--method", chosen, METHODS))
+            self._set_volume()
             self._set_initial_phase()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
@@ -96,6 +118,32 @@ class Job:
 
     def _set(self, name: str, value) -> None:
         object.__setattr__(self, name, value)
+
+    def _set_volume(self) -> None:
+        """Check what planes and frames ask for; lengths and counts first, then what goes with what."""
+        _validate.integer("--planes", self.planes, minimum=1)
+        _validate.real("--volume-depth", self.volume_depth, positive=True)
+        if self.frames is not None:
+            _validate.integer("--frames", self.frames, minimum=1)
+            if self.method != "multi-color":
+                raise InputError("--frames needs --method multi-color: other methods show one frame for each colour")
+        if self.planes == 1:
+            if self.depth_map is not None:
+                raise InputError("--depth-map needs --planes of at least 2")
+            return
+        if self.method not in VOLUME_METHODS:
+            raise InputError(
+                f"--planes {self.planes} needs --method {' or '.join(VOLUME_METHODS)}, got {self.method!r}"
+            )
+        if self.volume_depth >= 2 * self.distance:
+            raise InputError(
+                f"--volume-depth must be below twice --distance, or planes lie behind the modulator; "
+                f"got {self.volume_depth!r} at {self.distance!r}"
+            )
+        if self.depth_map is None:
+            if self.image not in SHIPPED_DEPTH_MAPS:
+                raise InputError(f"--planes {self.planes} needs --depth-map, to say what lies where")
+            self._set("depth_map", self.image)
 
     def _set_initial_phase(self) -> None:
         chosen = self.initial_phase
@@ -144,7 +192,7 @@ def image_path(image: str) -> Path:
     Parameters
     ----------
     image : str
-        Path, "photo" or "chart".
+        Path, or the name of a shipped picture.
 
     Returns
     -------
@@ -156,11 +204,20 @@ def image_path(image: str) -> Path:
     InputError
         If there is no such file.
     """
-    path = Path(image).expanduser()
-    if image in SHIPPED_IMAGES and not path.is_file():
-        return Path(__file__).resolve().parents[1] / "assets" / SHIPPED_IMAGES[image]
+    return _existing("IMAGE", image, SHIPPED_IMAGES)
+
+
+def depth_map_path(depth_map: str) -> Path:
+    """Return the path of the depth map asked for, as :func:`image_path` does that of the picture."""
+    return _existing("--depth-map", depth_map, SHIPPED_DEPTH_MAPS)
+
+
+def _existing(name, value, shipped) -> Path:
+    path = Path(value).expanduser()
+    if value in shipped and not path.is_file():
+        return Path(__file__).resolve().parents[1] / "assets" / shipped[value]
     if path.is_dir():
-        raise InputError(f"IMAGE must be a picture, but {str(path)!r} is a directory")
+        raise InputError(f"{name} must be a picture, but {str(path)!r} is a directory")
     if not path.is_file():
-        raise InputError(f"IMAGE not found: {str(path)!r} (shipped pictures: {', '.join(SHIPPED_IMAGES)})")
+        raise InputError(f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)})")
     return path.resolve()

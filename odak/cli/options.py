@@ -35,33 +35,57 @@ Resolution = Annotated[
     tuple[int, int], typer.Option(metavar="ROWS COLUMNS", help="Resolution of the modulator in pixels.")
 ]
 Distance = Annotated[float, typer.Option(metavar="METRES", help="Distance from modulator to picture in metres.")]
+Planes = Annotated[int, typer.Option(metavar="COUNT", help="Planes that the picture is spread over, by its depth map.")]
+DepthMap = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PICTURE",
+        help="Grey picture of the depth: 0 (black) is the first plane, nearest to the modulator, 1 the last.",
+        show_default="its own for the shipped picture 'scene'",
+    ),
+]
+VolumeDepth = Annotated[
+    float, typer.Option(metavar="METRES", help="Distance from the first plane to the last, about --distance.")
+]
+Frames = Annotated[
+    int | None,
+    typer.Option(
+        metavar="COUNT",
+        help="Patterns shown one after another (multi-color).",
+        show_default="one for each colour",
+    ),
+]
 Method = Annotated[
-    str,
+    str | None,
     typer.Option(
         metavar="|".join(METHODS),
         help="sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band "
-        "Fourier filter that such holograms need.",
+        "Fourier filter that such holograms need; multiplane: one pattern for each colour, all planes together; "
+        "multi-color: patterns that are each lit by all colours, at powers that are found too.",
+        show_default="sgd; multiplane for more than one plane",
     ),
 ]
 PropagationType = Annotated[
     str, typer.Option(metavar="NAME", help="How light is propagated while the hologram is computed, or 'auto'.")
 ]
-Iterations = Annotated[int, typer.Option(metavar="COUNT", help="Number of iterations (sgd, gs).")]
-LearningRate = Annotated[float, typer.Option(metavar="RADIANS", help="Step size in radians (sgd).")]
+Iterations = Annotated[int, typer.Option(metavar="COUNT", help="Number of iterations (all but double-phase).")]
+LearningRate = Annotated[
+    float, typer.Option(metavar="RADIANS", help="Step size in radians (sgd, multiplane, multi-color).")
+]
 Scale = Annotated[
     bool,
     typer.Option(
-        help="Leave the picture's brightness free (sgd) rather than ask for the stored values as they are: 10 dB "
-        "better on the shipped photo, as less light has to be thrown away."
+        help="Leave the picture's brightness free (methods with a step size) rather than ask for the stored values as "
+        "they are: 10 dB better on the shipped photo, as less light has to be thrown away."
     ),
 ]
 InitialPhase = Annotated[
     str | None,
     typer.Option(
         metavar="|".join(INITIAL_PHASES),
-        help="Phase to start from: zero, a lens of twice the distance, normal noise of 1 rad, noise uniform over 2 pi. "
-        "Of the hologram; with double-phase, of the picture.",
-        show_default="uniform with gs, flat otherwise",
+        help="Phase to start from: zero, normal noise of 0.3 rad, a lens of twice the distance, normal noise of 1 rad, "
+        "noise uniform over 2 pi. Of the hologram; with double-phase, of the picture.",
+        show_default="flat with sgd and double-phase, uniform with gs, otherwise slight",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the random initial phases.")]

@@ -28,30 +28,35 @@ def to_image(values: torch.Tensor) -> Image.Image:
 
 
 def side_by_side(panels: list[tuple[str, torch.Tensor]]) -> Image.Image:
-    """Return captioned panels in a row, none wider than 960 pixels.
+    """Return captioned panels in a row, none wider than 960 pixels; see :func:`grid`."""
+    return grid([panels])
+
+
+def grid(rows: list[list[tuple[str, torch.Tensor]]]) -> Image.Image:
+    """Return captioned panels in rows, none wider than 960 pixels.
 
     Parameters
     ----------
-    panels : list of tuple
-        Caption and intensities ``[1 or 3, rows, columns]`` of each panel.
+    rows : list of list of tuple
+        Caption and intensities ``[1 or 3, rows, columns]`` of each panel, all of one size.
 
     Returns
     -------
     PIL.Image.Image
         RGB.
     """
-    images = [_shrink(to_image(values).convert("RGB")) for _, values in panels]
-    width, height = images[0].size
+    images = [[_shrink(to_image(values).convert("RGB")) for _, values in row] for row in rows]
+    width, height = images[0][0].size
     # Narrow panels leave room for their captions all the same.
-    cell = max(width, 240)
-    size = (len(images) * (cell + MARGIN) + MARGIN, height + 2 * MARGIN + CAPTION_HEIGHT)
-    sheet = Image.new("RGB", size, PAPER)
+    cell, line = max(width, 240), height + CAPTION_HEIGHT + MARGIN
+    sheet = Image.new("RGB", (len(images[0]) * (cell + MARGIN) + MARGIN, len(images) * line + MARGIN), PAPER)
     draw = ImageDraw.Draw(sheet)
-    font = _font_for(draw, [caption for caption, _ in panels], cell)
-    for index, ((caption, _), image) in enumerate(zip(panels, images, strict=True)):
-        left = MARGIN + index * (cell + MARGIN)
-        draw.text((left, MARGIN), caption, fill=INK, font=font)
-        sheet.paste(image, (left, MARGIN + CAPTION_HEIGHT))
+    font = _font_for(draw, [caption for row in rows for caption, _ in row], cell)
+    for above, (row, pasted) in enumerate(zip(rows, images, strict=True)):
+        for index, ((caption, _), image) in enumerate(zip(row, pasted, strict=True)):
+            left, top = MARGIN + index * (cell + MARGIN), MARGIN + above * line
+            draw.text((left, top), caption, fill=INK, font=font)
+            sheet.paste(image, (left, top + CAPTION_HEIGHT))
     return sheet
 
 

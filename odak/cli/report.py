@@ -7,7 +7,7 @@ from importlib import metadata
 import torch
 
 from odak.cli import metrics, pattern
-from odak.cli.job import Job, pattern_name
+from odak.cli.job import Job
 from odak.cli.target import Target
 
 LIT = 0.1
@@ -27,6 +27,12 @@ DEFINITIONS = {
     "efficiency": "Energy of I over the whole frame, divided by the modulator's energy (unit amplitude, so its number "
     "of pixels).",
     "efficiency_lit": f"Energy of I where T is at least {LIT} of its maximum, divided by the modulator's energy.",
+    "planes": "With several planes, I is taken from the plane that each pixel belongs to by the depth map, and "
+    "psnr_db, ssim, scale and efficiency above are those of this image. Each plane by itself is held against its own "
+    "target, the picture blurred outside the plane: over the picture's window (psnr_db, ssim) and over the pixels that "
+    "belong to the plane (psnr_in_focus_db), all with the scale of the colour.",
+    "source_amplitudes": "Amplitude of each wavelength's source in each frame. I is the sum over frames, divided by "
+    "the sum of their squares: what a source of that light would give, spread evenly.",
     "seconds_per_iteration": "Mean over all iterations but the first, which builds the kernel.",
 }
 
@@ -92,7 +98,7 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     }
 
 
-def describe(job: Job, target: Target, device: torch.device) -> dict:
+def describe(job: Job, target: Target, names: list[str], device: torch.device) -> dict:
     """Return the part of the report that is known before the computation.
 
     Parameters
@@ -101,6 +107,8 @@ def describe(job: Job, target: Target, device: torch.device) -> dict:
         What was asked for.
     target : Target
         The fitted picture.
+    names : list of str
+        Files of the patterns.
     device : torch.device
         Where the work is done.
 
@@ -118,7 +126,7 @@ def describe(job: Job, target: Target, device: torch.device) -> dict:
             "columns": [columns.start, columns.stop],
         },
         "pattern": {
-            "files": [pattern_name(wavelength) for wavelength in target.wavelengths],
+            "files": names,
             "bits": job.bits,
             "file_depth": pattern.depth(job.bits),
             "phase_radians": f"grey * 2 * pi / {2 ** pattern.depth(job.bits)}",

@@ -4,9 +4,9 @@ import time
 
 import torch
 
-from odak.cli import files, hologram, pattern, pictures, report
+from odak.cli import files, hologram, pattern, pictures, report, volume
 from odak.cli.errors import InputError
-from odak.cli.job import Job, pattern_name
+from odak.cli.job import VOLUME_METHODS, Job, pattern_name
 from odak.cli.target import Target, load_target
 from odak.learn.wave import generate_complex_field
 from odak.wave import sampling_report
@@ -38,25 +38,37 @@ def run(job: Job) -> dict:
     device = find_device(job.device)
     target = load_target(job)
     folder = files.writable_folder(job.output)
-    results = [
-        _channel(job, target, channel, wavelength, folder, device)
-        for channel, wavelength in enumerate(target.wavelengths)
-    ]
-    images = torch.stack([result.pop("image") for result in results])
-    phases = torch.stack([result.pop("phase") for result in results])
-    quality = report.overall(target, images, results)
+    work = volume.show if job.method in VOLUME_METHODS else _show
+    shown = work(job, target, folder, device)
+    images, phases = shown.pop("images"), shown.pop("phases")
+    quality = report.overall(target, images, shown["channels"])
     files.write_png(folder / "reconstruction.png", pictures.to_image(images))
     files.write_png(folder / "comparison.png", _comparison(job, target, images, phases, quality))
+    names = shown.pop("files")
     summary = {
         **quality,
-        "channels": results,
+        **shown,
         "verification": _verification(job, target),
-        **report.describe(job, target, device),
-        "seconds_per_iteration": _mean(result["seconds_per_iteration"] for result in results),
+        **report.describe(job, target, names, device),
         "seconds_total": time.perf_counter() - start,
     }
     files.write_json(folder / "report.json", summary)
     return summary
+
+
+def _show(job: Job, target: Target, folder, device) -> dict:
+    """Compute, save, read back and measure one hologram for each wavelength, all on one plane."""
+    results = [
+        _channel(job, target, channel, wavelength, folder, device)
+        for channel, wavelength in enumerate(target.wavelengths)
+    ]
+    return {
+        "images": torch.stack([result.pop("image") for result in results]),
+        "phases": torch.stack([result.pop("phase") for result in results]),
+        "channels": results,
+        "files": [pattern_name(wavelength) for wavelength in target.wavelengths],
+        "seconds_per_iteration": _mean(result["seconds_per_iteration"] for result in results),
+    }
 
 
 def _channel(job: Job, target: Target, channel: int, wavelength: float, folder, device) -> dict:
@@ -99,12 +111,15 @@ def _verification(job: Job, target: Target) -> dict:
 
 def _comparison(job: Job, target: Target, images, phases, quality: dict):
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
-    colours = " (red, green, blue)" if len(phases) == 3 else ""
+    shared = job.method == "multi-color"
+    parts = "three frames" if shared else "red, green, blue"
+    colours = f" ({parts})" if len(phases) >= 3 else " (first frame)" if shared and len(phases) == 2 else ""
+    where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
     return pictures.side_by_side(
         [
             ("Target", target.intensity),
-            (f"Reconstruction at {job.distance * 1e3:.4g} mm{psnr}, SSIM {quality['ssim']:.3f}", images),
-            (f"SLM phase{colours}, {job.bits} bit", phases / (2 * torch.pi)),
+            (f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
+            (f"SLM phase{colours}, {job.bits} bit", (phases[:3] if len(phases) >= 3 else phases[:1]) / (2 * torch.pi)),
         ]
     )
 

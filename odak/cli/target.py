@@ -52,9 +52,9 @@ def load_target(job: Job) -> Target:
         If the picture is missing, unreadable or black.
     """
     path = image_path(job.image)
-    picture = _read(path)
+    picture = read_picture(path)
     if job.grey or len(job.wavelengths) == 1:
-        picture = _grey(picture)
+        picture = to_grey(picture)
     wavelengths = job.wavelengths or (COLOUR_WAVELENGTHS if len(picture) == 3 else (GREY_WAVELENGTH,))
     picture = picture.expand(len(wavelengths), -1, -1)
     intensity, window = fit(picture, job.resolution)
@@ -63,7 +63,12 @@ def load_target(job: Job) -> Target:
     return Target(path, intensity, window, wavelengths)
 
 
-def fit(picture: torch.Tensor, resolution: tuple[int, int]) -> tuple[torch.Tensor, tuple[slice, slice]]:
+def fit(
+    picture: torch.Tensor,
+    resolution: tuple[int, int],
+    mode: str = "bicubic",
+    size: tuple[int, int] | None = None,
+) -> tuple[torch.Tensor, tuple[slice, slice]]:
     """Resize a picture to the largest size that fits the frame with its aspect ratio kept, black around it.
 
     Parameters
@@ -72,6 +77,10 @@ def fit(picture: torch.Tensor, resolution: tuple[int, int]) -> tuple[torch.Tenso
         ``[channels, rows, columns]``, 0 … 1.
     resolution : tuple of int
         Rows and columns of the frame.
+    mode : str
+        "bicubic", or "nearest-exact" for values that must not be mixed.
+    size : tuple of int, optional
+        Rows and columns to resize to instead.
 
     Returns
     -------
@@ -79,17 +88,35 @@ def fit(picture: torch.Tensor, resolution: tuple[int, int]) -> tuple[torch.Tenso
         Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
     """
     ratio = min(frame / side for frame, side in zip(resolution, picture.shape[-2:], strict=True))
-    size = [min(frame, max(1, round(side * ratio))) for frame, side in zip(resolution, picture.shape[-2:], strict=True)]
-    if size != list(picture.shape[-2:]):
-        picture = torch.nn.functional.interpolate(picture[None], size, mode="bicubic", antialias=True)[0].clamp(0, 1)
+    fitting = (
+        min(frame, max(1, round(side * ratio))) for frame, side in zip(resolution, picture.shape[-2:], strict=True)
+    )
+    size = tuple(fitting) if size is None else size
+    if size != tuple(picture.shape[-2:]) and mode == "bicubic":
+        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp(0, 1)
+    elif size != tuple(picture.shape[-2:]):
+        picture = torch.nn.functional.interpolate(picture[None], size, mode=mode)[0]
     window = tuple(slice((f - s) // 2, (f - s) // 2 + s) for f, s in zip(resolution, size, strict=True))
     frame = torch.zeros(len(picture), *resolution)
     frame[:, window[0], window[1]] = picture
     return frame, window
 
 
-def _read(path: Path) -> torch.Tensor:
-    """Return a picture as ``[1 or 3, rows, columns]``; transparent parts are black, equal channels are one."""
+def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
+    """Return a picture as ``[1 or 3, rows, columns]``; transparent parts are black, equal channels are one.
+
+    Parameters
+    ----------
+    path : Path
+        Existing file.
+    name : str
+        What to call it in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read or holds values beyond 0 … 1.
+    """
     from odak.learn.tools import load_image
 
     try:
@@ -100,11 +127,12 @@ def _read(path: Path) -> torch.Tensor:
     if len(picture) in (2, 4):
         picture = picture[:-1] * picture[-1:]
     if not bool(((picture >= 0) & (picture <= 1)).all()):
-        raise InputError(f"IMAGE must hold values from 0 to 1, those of {str(path)!r} go beyond")
+        raise InputError(f"{name} must hold values from 0 to 1, those of {str(path)!r} go beyond")
     return picture[:1] if bool((picture == picture[:1]).all()) else picture
 
 
-def _grey(picture: torch.Tensor) -> torch.Tensor:
+def to_grey(picture: torch.Tensor) -> torch.Tensor:
+    """Return the brightness of a picture, ``[1, rows, columns]``."""
     if len(picture) == 1:
         return picture
     weights = torch.tensor(LUMINANCE).reshape(3, 1, 1)

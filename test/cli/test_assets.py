@@ -1,4 +1,5 @@
 import importlib.util
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,17 @@ ROOT = Path(__file__).resolve().parents[2]
 ASSETS = ROOT / "odak" / "assets"
 
 
-@pytest.fixture(scope="module")
-def script():
-    spec = importlib.util.spec_from_file_location("draw_test_chart", ROOT / "scripts" / "draw_test_chart.py")
+def load(name):
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
     module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def script():
+    return load("draw_test_chart")
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +72,26 @@ def test_the_photograph_is_the_documented_one():
         assert picture.mode == "RGB"
     digest = hashlib.sha256((ASSETS / "photo.png").read_bytes()).hexdigest()
     assert digest in (ASSETS / "SOURCES.md").read_text(encoding="utf-8")
+
+
+def test_the_scene_is_what_the_script_renders():
+    rows = slice(500, 512)
+    colours, depth = load("render_scene").render(rows=rows)
+    with Image.open(ASSETS / "scene.png") as picture, Image.open(ASSETS / "scene_depth.png") as map_of_depth:
+        shipped, shipped_depth = np.asarray(picture), np.asarray(map_of_depth)
+    assert shipped.shape == (1080, 1920, 3)
+    assert shipped.dtype == np.uint8
+    assert shipped_depth.dtype == np.uint16
+    # Where a ray grazes an edge, another C library may decide otherwise.
+    assert (np.abs(colours.astype(float) - shipped[rows]) <= 1).mean() > 0.999
+    assert (np.abs(depth.astype(float) - shipped_depth[rows]) <= 1).mean() > 0.999
+
+
+def test_the_scene_lies_on_every_plane():
+    with Image.open(ASSETS / "scene_depth.png") as picture:
+        depth = np.asarray(picture) / 65535
+    assert depth.min() == 0
+    assert depth.max() == 1
+    shares = np.bincount(np.round(3 * depth).astype(int).ravel()) / depth.size
+    assert shares.min() > 0.1
+    assert shares.max() < 0.5

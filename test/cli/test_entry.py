@@ -25,7 +25,7 @@ def test_help_states_units_and_defaults():
         "metres. [default: 8e-06]",
         "[default: 1080, 1920]",
         "6.38e-07",
-        "[default: sgd]",
+        "[default: (sgd; multiplane for more than one plane)]",
         "radians",
         "1 to 16",
     ):

@@ -1,4 +1,3 @@
-import json
 import math
 import os
 import subprocess
@@ -7,41 +6,10 @@ import sys
 import numpy as np
 import pytest
 import torch
+from command import COLUMNS, ROWS, SMALL, angular_spectrum_intensity, pixels, read_report, run
 from PIL import Image
-from typer.testing import CliRunner
 
-from odak.cli import app, main
-
-ROWS, COLUMNS = 64, 96
-SMALL = ["--resolution", str(ROWS), str(COLUMNS), "--distance", "3e-3", "--iterations", "5", "--device", "cpu"]
-
-
-def run(*arguments, expect=0):
-    result = CliRunner().invoke(app, ["hologram", *map(str, arguments)])
-    assert result.exit_code == expect, result.output + repr(result.exception)
-    return result
-
-
-def read_report(folder):
-    return json.loads((folder / "report.json").read_text(encoding="utf-8"))
-
-
-def pixels(path):
-    with Image.open(path) as image:
-        return np.asarray(image)
-
-
-def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None):
-    """Propagate a phase pattern with nothing but NumPy: zero padding to twice the size, exact transfer function."""
-    rows, columns = phase.shape
-    field = np.zeros((2 * rows, 2 * columns), complex)
-    inner = np.s_[rows - rows // 2 : 2 * rows - rows // 2, columns - columns // 2 : 2 * columns - columns // 2]
-    field[inner] = np.exp(1j * phase)
-    fy, fx = np.fft.fftfreq(2 * rows, pitch)[:, None], np.fft.fftfreq(2 * columns, pitch)[None, :]
-    kernel = np.exp(2j * np.pi * distance * np.sqrt(1 / wavelength**2 - fx**2 - fy**2))
-    if aperture is not None:
-        kernel = kernel * aperture(fy, fx)
-    return np.abs(np.fft.ifft2(np.fft.fft2(field) * kernel)[inner]) ** 2
+from odak.cli import main
 
 
 def psnr_of(intensity, target):
@@ -104,6 +72,10 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "pixel_pitch": 6.4e-6,
         "resolution": [ROWS, COLUMNS],
         "distance": 3e-3,
+        "planes": 1,
+        "depth_map": None,
+        "volume_depth": 4e-3,
+        "frames": None,
         "method": "sgd",
         "propagation_type": "Bandlimited Angular Spectrum",
         "iterations": 5,

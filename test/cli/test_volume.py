@@ -1,0 +1,149 @@
+"""`odak hologram` with planes and with colours that share frames."""
+
+import numpy as np
+import pytest
+import torch
+from command import SMALL, angular_spectrum_intensity, pixels, read_report, run
+from PIL import Image
+
+from odak.cli import main
+
+ROWS, COLUMNS = 48, 72
+VOLUME = ["--resolution", ROWS, COLUMNS, "--distance", "5e-3", "--volume-depth", "2e-3", "--device", "cpu", "--quiet"]
+WAVELENGTHS = (638e-9, 520e-9, 450e-9)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A colour picture and its depth: the left half near, the right half far."""
+    folder = tmp_path_factory.mktemp("scene")
+    y, x = np.mgrid[0:ROWS, 0:COLUMNS]
+    waves = [0.5 + 0.4 * np.sin((x + 5 * c) / (6 + c)) * np.cos(y / (5 + c)) for c in range(3)]
+    Image.fromarray(np.round(255 * np.stack(waves, -1)).astype(np.uint8)).save(folder / "picture.png")
+    Image.fromarray(np.where(x < COLUMNS // 2, 0, 255).astype(np.uint8)).save(folder / "depth.png")
+    return folder / "picture.png", folder / "depth.png"
+
+
+def psnr(image, target, mask=True):
+    return 10 * np.log10(1 / np.mean(((image - target) ** 2)[np.broadcast_to(mask, target.shape)]))
+
+
+@pytest.mark.parametrize("method", ["multiplane", "multi-color"])
+@pytest.mark.parametrize("options", [[], ["--grating", "--bits", "10"]])
+def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
+    picture, depth = files
+    run(picture, "--planes", 2, "--depth-map", depth, "--method", method, "--iterations", 30, *options,
+        "--output", tmp_path, *VOLUME)  # fmt: skip
+    report = read_report(tmp_path)
+    target = pixels(picture) / 255
+    near = np.arange(COLUMNS)[None, :] < COLUMNS // 2
+    turn = 2 * np.pi / (65536 if options else 256)
+    grating = np.pi * (np.arange(COLUMNS) % 2 == 0) if options else 0
+    phases = [pixels(tmp_path / name) * turn - grating for name in report["pattern"]["files"]]
+    powers = np.array([frame["source_amplitudes"] for frame in report["frames"]])
+    assert powers.shape == (3, 3)
+    assert [plane["distance"] for plane in report["planes"]] == pytest.approx([4e-3, 6e-3])
+    for c, wavelength in enumerate(WAVELENGTHS):
+        stack = [
+            sum(
+                power**2 * angular_spectrum_intensity(phase, wavelength, 8e-6, plane["distance"])
+                for power, phase in zip(powers[:, c], phases, strict=True)
+            )
+            / np.sum(powers[:, c] ** 2)
+            for plane in report["planes"]
+        ]
+        sharp = np.where(near, *stack)
+        scale = np.sum(sharp * target[..., c]) / np.sum(sharp**2)
+        channel = report["channels"][c]
+        assert channel["scale"] == pytest.approx(scale, rel=2e-3)
+        assert channel["psnr_db"] == pytest.approx(psnr(scale * sharp, target[..., c]), abs=0.02)
+        assert channel["efficiency"] == pytest.approx(sharp.mean(), rel=2e-3)
+        for plane, image, mask in zip(report["planes"], stack, (near, ~near), strict=True):
+            assert plane["share_in_focus"] == 0.5
+            in_focus = psnr(scale * image, target[..., c], mask)
+            assert plane["channels"][c]["psnr_in_focus_db"] == pytest.approx(in_focus, abs=0.02)
+            assert in_focus > 13
+    assert report["psnr_db"] > 14
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *report["pattern"]["files"], "reconstruction.png", "comparison.png", "focal_stack.png", "report.json",
+    }  # fmt: skip
+    assert pixels(tmp_path / "focal_stack.png").shape[1] > 2 * COLUMNS
+
+
+def test_planes_choose_the_method_and_the_scene_its_depth(tmp_path):
+    run("scene", "--planes", 3, "--iterations", 2, "--output", tmp_path, *VOLUME)
+    report = read_report(tmp_path)
+    assert report["parameters"]["method"] == "multiplane"
+    assert report["parameters"]["depth_map"] == "scene"
+    assert report["parameters"]["initial_phase"] == "slight"
+    assert np.linalg.matrix_rank(np.array([frame["source_amplitudes"] for frame in report["frames"]])) == 3
+    shares = [plane["share_in_focus"] for plane in report["planes"]]
+    assert sum(shares) == pytest.approx(1)
+    assert min(shares) > 0.1
+
+
+@pytest.mark.parametrize("frames", [None, 2])
+def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
+    options = [] if frames is None else ["--frames", frames]
+    run(files[0], "--method", "multi-color", "--iterations", 20, *options, "--output", tmp_path, *VOLUME)
+    report = read_report(tmp_path)
+    count = frames or 3
+    assert report["pattern"]["files"] == [f"hologram_frame{k + 1}.png" for k in range(count)]
+    assert np.shape([frame["source_amplitudes"] for frame in report["frames"]]) == (count, 3)
+    assert report["psnr_db"] > 12
+    assert not (tmp_path / "focal_stack.png").exists()
+    first = pixels(tmp_path / "hologram_frame1.png")
+    run(files[0], "--method", "multi-color", "--iterations", 20, *options, "--output", tmp_path / "b", *VOLUME)
+    assert np.array_equal(first, pixels(tmp_path / "b" / "hologram_frame1.png"))
+
+
+def test_a_grey_picture_and_a_larger_depth_map(files, tmp_path):
+    with Image.open(files[1]) as depth:
+        depth.resize((COLUMNS * 3, ROWS * 3)).save(tmp_path / "large.png")
+    run(files[0], "--grey", "--planes", 2, "--depth-map", tmp_path / "large.png", "--iterations", 3,
+        "--output", tmp_path / "out", *VOLUME)  # fmt: skip
+    report = read_report(tmp_path / "out")
+    assert report["pattern"]["files"] == ["hologram_532nm.png"]
+    assert [plane["share_in_focus"] for plane in report["planes"]] == [0.5, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--planes", "0"], "--planes must be at least 1"),
+        (["--planes", "2"], "--planes 2 needs --depth-map"),
+        (["--depth-map", "{depth}"], "--depth-map needs --planes"),
+        (["--planes", "2", "--depth-map", "nowhere.png"], "--depth-map not found"),
+        (["--planes", "2", "--depth-map", "{flat}"], "--depth-map has one depth only"),
+        (["--planes", "2", "--depth-map", "{narrow}"], "--depth-map must have the picture's shape"),
+        (["--planes", "2", "--depth-map", "{depth}", "--method", "sgd"], "needs --method multiplane or multi-color"),
+        (["--planes", "2", "--depth-map", "{depth}", "--volume-depth", "1"], "--volume-depth must be below"),
+        (["--volume-depth", "0"], "--volume-depth must be positive"),
+        (["--frames", "0"], "--frames must be at least 1"),
+        (["--frames", "2"], "--frames needs --method multi-color"),
+    ],
+)
+def test_bad_input_is_one_line_and_code_2(options, message, files, tmp_path, capsys):
+    Image.new("L", (COLUMNS, ROWS), 7).save(tmp_path / "flat.png")
+    Image.fromarray(np.arange(64, dtype=np.uint8).reshape(8, 8)).save(tmp_path / "narrow.png")
+    names = {"depth": files[1], "flat": tmp_path / "flat.png", "narrow": tmp_path / "narrow.png"}
+    arguments = [str(option).format(**names) for option in options]
+    small = [str(word) for word in SMALL]
+    assert main(["hologram", str(files[0]), *small, *arguments, "--output", str(tmp_path / "out")]) == 2
+    captured = capsys.readouterr().err
+    assert message in captured
+    assert captured.count("\n") == 1
+    assert not (tmp_path / "out" / "report.json").exists()
+
+
+@pytest.mark.slow
+def test_planes_and_colours_reach_their_quality(tmp_path):
+    torch.manual_seed(0)
+    size = ["--resolution", 270, 480, "--distance", "0.03", "--iterations", 60, "--device", "cpu", "--quiet"]
+    for method, whole, each in (("multiplane", 17.5, 15.0), ("multi-color", 18.0, 16.5)):
+        run("scene", "--planes", 4, "--method", method, "--output", tmp_path / method, *size)
+        report = read_report(tmp_path / method)
+        assert report["psnr_db"] > whole
+        for plane in report["planes"]:
+            for channel in plane["channels"]:
+                assert channel["psnr_in_focus_db"] > each
