@@ -65,6 +65,16 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
     return vertices, faces
 
 
+def read_points(filename: str) -> np.ndarray:
+    """Return the vertices ``[v, 3]`` of a PLY file, which need not hold faces; raises as :func:`read_mesh` does."""
+    _check_name(filename)
+    try:
+        points = plyfile.PlyData.read(os.path.expanduser(filename))["vertex"].data
+        return np.stack([points[axis] for axis in "xyz"], axis=-1)
+    except (plyfile.PlyParseError, KeyError, ValueError, UnicodeDecodeError) as error:
+        raise ValueError(f"{filename!r} cannot be read as a PLY file of points: {error}") from error
+
+
 def _fans(polygons: np.ndarray) -> np.ndarray:
     """Return triangles (0, k, k + 1) of all polygons, in order."""
     if not len(polygons):

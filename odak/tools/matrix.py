@@ -1,10 +1,27 @@
-"""Padding, cropping, quantising and blurring about the centre, for the arrays of any library."""
+"""Padding, cropping, quantising, filtering and blurring about the centre, for the arrays of any library."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 
 from odak import _array, _validate
+from odak.tools._bands import create_empty_list, generate_bandlimits
+from odak.tools._filters import convolve2d, correlation_2d, smooth_pad
+from odak.tools._frame import frame, last_two
+from odak.tools._nonuniform import nufft2, nuifft2
 
-_METHODS = ("center", "left", "left aligned")
+__all__ = [
+    "blur_gaussian",
+    "convolve2d",
+    "correlation_2d",
+    "create_empty_list",
+    "crop_center",
+    "generate_2d_gaussian",
+    "generate_bandlimits",
+    "nufft2",
+    "nuifft2",
+    "quantize",
+    "smooth_pad",
+    "zero_pad",
+]
 
 
 def zero_pad(field, size: Sequence[int] | None = None, method: str = "center"):
@@ -34,12 +51,8 @@ def zero_pad(field, size: Sequence[int] | None = None, method: str = "center"):
     ValueError
         If the size is smaller than the field, or the method is not known.
     """
-    rows, columns = _validate.image("field", field).shape[-2:]
-    height, width = (2 * rows, 2 * columns) if size is None else _last_two(size)
-    if height < rows or width < columns:
-        raise ValueError(f"size must be at least that of the field, {[rows, columns]}; got {[height, width]}")
-    centred = _validate.one_of("method", method, _METHODS) == "center"
-    top, left = (height // 2 - rows // 2, width // 2 - columns // 2) if centred else (0, 0)
+    height, width, top, left = frame(field, size, method)
+    rows, columns = field.shape[-2:]
     bottom, right = height - rows - top, width - columns - left
     if _array.is_torch(field):
         import torch
@@ -77,7 +90,7 @@ def crop_center(field, size: Sequence[int] | None = None):
         If the size is larger than the field.
     """
     rows, columns = _validate.image("field", field).shape[-2:]
-    height, width = (max(1, rows // 2), max(1, columns // 2)) if size is None else _last_two(size)
+    height, width = (max(1, rows // 2), max(1, columns // 2)) if size is None else last_two(size)
     if height > rows or width > columns:
         raise ValueError(f"size must be at most that of the field, {[rows, columns]}; got {[height, width]}")
     top, left = rows // 2 - height // 2, columns // 2 - width // 2
@@ -191,10 +204,7 @@ def blur_gaussian(
             f"kernel_length must give a kernel no larger than the field {tuple(field.shape[-2:])}, "
             f"got one of {tuple(kernel.shape)}"
         )
-    kernel = xp.fft.ifftshift(zero_pad(kernel, field.shape[-2:]), axes=(-2, -1))
-    spectrum = xp.fft.fftn(_array.to_complex(field), axes=(-2, -1))
-    kernel = xp.astype(kernel, spectrum.dtype)
-    blurred = xp.real(xp.fft.ifftn(spectrum * xp.fft.fftn(kernel, axes=(-2, -1)), axes=(-2, -1)))
+    blurred = convolve2d(field, xp.astype(kernel, field.dtype))
     if not normalize:
         return blurred
     peak = xp.max(blurred, axis=(-2, -1), keepdims=True)
@@ -211,7 +221,3 @@ def _gaussian(kernel_length, nsigma, xp, device):
         for count, width in zip((columns, rows), widths, strict=True)
     )
     return y[:, None] * x[None, :] / (xp.sum(y) * xp.sum(x))
-
-
-def _last_two(size):
-    return _validate.size("size", tuple(size)[-2:] if isinstance(size, Iterable) else size)

@@ -6,7 +6,21 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.learn.tools._kernels import generate_2d_dirac_delta
 from odak.tools import matrix
+from odak.tools.matrix import convolve2d, correlation_2d
+
+__all__ = [
+    "blur_gaussian",
+    "convolve2d",
+    "correlation_2d",
+    "crop_center",
+    "generate_2d_dirac_delta",
+    "generate_2d_gaussian",
+    "quantize",
+    "smooth_pad",
+    "zero_pad",
+]
 
 _MOST_BITS = 30
 _SMALLEST_SIGMA = 1e-5
@@ -62,6 +76,41 @@ def crop_center(field: torch.Tensor, size: Sequence[int] | None = None) -> torch
         If the size is larger than the field.
     """
     return _on_images(lambda planes: matrix.crop_center(planes, size), field)
+
+
+def smooth_pad(
+    field: torch.Tensor,
+    size: Sequence[int] | None = None,
+    method: str = "center",
+    smooth_factor: Sequence[float] | None = None,
+) -> torch.Tensor:
+    """Surround a field with its own border samples, fading to zero at the rim; see :func:`odak.tools.smooth_pad`.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Real or complex ``[..., H, W]``. Three and four axes of which the last is exactly 3 long are read as colour.
+    size : sequence of int, optional
+        Rows and columns of the result; by default twice those of the field.
+    method : {"center", "left", "left aligned"}
+        Put the field in the centre, or in the corner where rows and columns begin.
+    smooth_factor : sequence of float, optional
+        How steeply columns and rows (in this order) fade; by default by a raised cosine.
+
+    Returns
+    -------
+    torch.Tensor
+        The same layout, dtype and device; ``[1, C, H, W]`` loses its batch axis. Gradients pass through the content,
+        not through its copies in the border.
+
+    Raises
+    ------
+    TypeError
+        If `field` is not a tensor of floating numbers.
+    ValueError
+        If the size is smaller than the field, or an argument is not known.
+    """
+    return _on_images(lambda planes: matrix.smooth_pad(planes, size, method, smooth_factor), field)
 
 
 def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] = (0.0, 1.0)) -> torch.Tensor:

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.tools.asset import read_PLY
 from odak.tools.transformation import apply_matrix, axis_rotation, rotation_matrix, tilt_towards
 
 __all__ = [
     "get_rotation_matrix",
+    "load_voxelized_PLY",
     "point_cloud_to_voxel",
     "quaternion_to_rotation_matrix",
     "rotate_points",
@@ -212,6 +214,44 @@ def point_cloud_to_voxel(
     steps = (torch.arange(n, dtype=points.dtype, device=points.device) + 0.5 for n in cells.tolist())
     locations = low + torch.stack(torch.meshgrid(*steps, indexing="ij"), dim=-1) * size
     return locations, grid
+
+
+def load_voxelized_PLY(
+    ply_filename: str, voxel_size: Sequence[float] = (0.05, 0.05, 0.05), device: torch.device | str = "cpu"
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mark the cells of a regular grid that hold the centre of a triangle of a mesh.
+
+    Parameters
+    ----------
+    ply_filename : str
+        A ``.ply`` file.
+    voxel_size : sequence of float
+        Size of a cell along x, y and z, after the mesh is scaled: the mean of all its numbers is taken off each of
+        them, and the largest of the rest becomes 1.
+    device : torch.device or str
+        Where the result lives.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        float32 centres of the cells ``[g, 3]``, and 1 where a cell holds a triangle's centre, else 0, ``[g]``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a PLY file of a mesh, or the mesh is a single point.
+    """
+    centres = torch.from_numpy(read_PLY(ply_filename).mean(axis=1)).to(device)
+    if len(centres) == 0:
+        raise ValueError(f"{ply_filename!r} holds no triangles")
+    centres = centres - centres.mean()
+    largest = centres.amax()
+    if not largest > 0:
+        raise ValueError(f"{ply_filename!r} must hold more than a single point")
+    locations, grid = point_cloud_to_voxel(centres / largest, voxel_size)
+    return locations.reshape(-1, 3), grid.reshape(-1)
 
 
 def _squeezed(axis: str, angle) -> torch.Tensor:

@@ -1,0 +1,290 @@
+"""Pictures as sums of cubic B-splines and as layers of ever smoother ones, as differentiable tensors."""
+
+from collections.abc import Sequence
+
+import torch
+
+from odak import _validate
+from odak.tools._splines import bspline_factor
+
+
+class SeparableBasis:
+    """A basis of products of splines: two small factors in place of the matrix, which it becomes where one is needed.
+
+    Any function of torch and any attribute of a tensor sees the matrix ``[c_x·c_y, H·W]``.
+
+    Parameters
+    ----------
+    rows, columns : torch.Tensor
+        Splines along the rows' index ``[c_y, H]`` and along the columns' index ``[c_x, W]``.
+    """
+
+    def __init__(self, rows: torch.Tensor, columns: torch.Tensor):
+        self.rows, self.columns = rows, columns
+        self._matrix: torch.Tensor | None = None
+
+    @property
+    def shape(self) -> torch.Size:
+        """Shape of the matrix."""
+        return torch.Size([len(self.rows) * len(self.columns), self.rows.shape[1] * self.columns.shape[1]])
+
+    def to_dense(self) -> torch.Tensor:
+        """Return the matrix ``[c_x·c_y, H·W]``, kept from then on."""
+        if self._matrix is None:
+            self._matrix = torch.kron(self.rows, self.columns)
+        return self._matrix
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.to_dense(), name)
+
+    def __getitem__(self, index):
+        return self.to_dense()[index]
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __matmul__(self, other):
+        return self.to_dense() @ other
+
+    def __rmatmul__(self, other):
+        return other @ self.to_dense()
+
+    def __array__(self, dtype=None, copy=None):
+        return self.to_dense().numpy().astype(dtype) if dtype else self.to_dense().numpy()
+
+    @classmethod
+    def __torch_function__(cls, function, types, args=(), kwargs=None):
+        args = [arg.to_dense() if isinstance(arg, cls) else arg for arg in args]
+        return function(*args, **(kwargs or {}))
+
+
+def generate_bspline_basis_2d(
+    num_control_points: Sequence[int],
+    resolution: Sequence[int],
+    device: torch.device | str = "cpu",
+    *,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return products of cubic B-splines along rows and columns, as a matrix.
+
+    Parameters
+    ----------
+    num_control_points : sequence of int
+        Splines along x (the columns' index) and along y (the rows' index), their centres from edge to edge.
+    resolution : sequence of int
+        Rows and columns of the picture.
+    device : torch.device or str
+        Where the result lives.
+    dtype : torch.dtype
+        Its precision.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Matrix ``[c_x·c_y, H·W]``, whose row i_y·c_x + i_x is the product of the splines i_y and i_x, and the centres
+        ``[c_x, c_y, 2]`` from −1 to 1, x first: transpose its first two axes for the order of the matrix' rows.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not two positive integers.
+
+    Notes
+    -----
+    Inside, the splines sum to 1; at each edge the sum is 5/6, since none has its centre outside.
+
+    Examples
+    --------
+    >>> from odak.learn.tools import generate_bspline_basis_2d
+    >>> generate_bspline_basis_2d([4, 1], [1, 7])[0][1].round(decimals=3)
+    tensor([0.1670, 0.4790, 0.6670, 0.4790, 0.1670, 0.0210, 0.0000])
+    """
+    factors, grid = _factors(num_control_points, resolution, dtype, device)
+    return torch.kron(*factors), grid
+
+
+def decompose_bspline_2d(
+    image: torch.Tensor, num_control_points: Sequence[int], regularization: float = 1e-6
+) -> tuple[torch.Tensor, SeparableBasis, torch.Tensor]:
+    """Fit a sum of cubic B-splines to a picture: the coefficients c that solve (B·Bᵀ + λ)·c = B·image.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Real ``[H, W]`` or ``[1, H, W]``.
+    num_control_points : sequence of int
+        Splines along x (the columns' index) and along y (the rows' index).
+    regularization : float
+        λ ≥ 0.
+
+    Returns
+    -------
+    tuple
+        Coefficients ``[c_x·c_y]``, row by row, of the picture's precision and differentiable; the basis for
+        :func:`compose_bspline_2d`, which stands for the matrix B without its memory; and the centres
+        ``[c_x, c_y, 2]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not acceptable, naming it.
+
+    Notes
+    -----
+    B·Bᵀ is the Kronecker product of two small matrices, so the eigenvectors of each solve the system: the cost is that
+    of four small products, and B is never formed.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import compose_bspline_2d, decompose_bspline_2d
+    >>> image = torch.linspace(0, 1, 32)[:, None].expand(32, 24)
+    >>> coefficients, basis, _ = decompose_bspline_2d(image, [4, 6])
+    >>> bool((compose_bspline_2d(coefficients, basis, [32, 24]) - image).abs().max() < 0.2)
+    True
+    """
+    image = _picture(image)
+    if _validate.real("regularization", regularization) < 0:
+        raise ValueError(f"regularization must be at least 0, got {regularization}")
+    # Solved in float64: the normal equations square the condition number.
+    (rows, columns), grid = _factors(num_control_points, image.shape, torch.float64, image.device)
+    coefficients = _solve(image.to(torch.float64), rows, columns, regularization).to(image.dtype)
+    basis = SeparableBasis(rows.to(image.dtype), columns.to(image.dtype))
+    return coefficients.reshape(-1), basis, grid.to(image.dtype)
+
+
+def compose_bspline_2d(
+    control_coefficients: torch.Tensor, basis_matrix: torch.Tensor | SeparableBasis, resolution: Sequence[int]
+) -> torch.Tensor:
+    """Return the picture that coefficients of B-splines stand for.
+
+    Parameters
+    ----------
+    control_coefficients : torch.Tensor
+        ``[c_x·c_y]``.
+    basis_matrix : torch.Tensor or SeparableBasis
+        From :func:`generate_bspline_basis_2d` or :func:`decompose_bspline_2d`.
+    resolution : sequence of int
+        Rows and columns.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[H, W]``, differentiable.
+
+    Raises
+    ------
+    ValueError
+        If the shapes do not fit each other.
+    """
+    rows, columns = _validate.size("resolution", resolution)
+    if tuple(basis_matrix.shape) != (control_coefficients.numel(), rows * columns):
+        raise ValueError(
+            f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these coefficients and this "
+            f"resolution, got {list(basis_matrix.shape)}"
+        )
+    coefficients = control_coefficients.reshape(-1)
+    if isinstance(basis_matrix, SeparableBasis):
+        grid = coefficients.reshape(len(basis_matrix.rows), len(basis_matrix.columns))
+        return basis_matrix.rows.T @ grid @ basis_matrix.columns
+    return (coefficients @ basis_matrix).reshape(rows, columns)
+
+
+def decompose_wavelet_like(
+    image: torch.Tensor, n_scales: int = 4
+) -> tuple[list[torch.Tensor], list[torch.Tensor], torch.Tensor]:
+    """Split a picture into a smooth base and residuals, each what the next coarser grid of B-splines cannot hold.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Real ``[H, W]`` or ``[1, H, W]``, at least two samples along each axis.
+    n_scales : int
+        Number of grids. Grid s has max(4, ⌊⌊n/2^s⌋/8⌋) splines along each axis, n the shorter side, at most ⌊n/2⌋.
+
+    Returns
+    -------
+    tuple
+        Coefficients ``[c²]`` and residuals ``[H, W]`` of each grid, from fine to coarse, and the base ``[H, W]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not acceptable, naming it.
+
+    See Also
+    --------
+    reconstruct_wavelet_like : The inverse, exact to rounding.
+    """
+    current = _picture(image)
+    shortest = min(current.shape)
+    if shortest < 2:
+        raise ValueError(f"image must have at least two samples along each axis, got {tuple(current.shape)}")
+    coefficients, residuals = [], []
+    for scale in range(_validate.integer("n_scales", n_scales)):
+        count = min(max(4, shortest // 2**scale // 8), shortest // 2)
+        found, basis, _ = decompose_bspline_2d(current, [count, count], 1e-8)
+        smooth = compose_bspline_2d(found, basis, current.shape)
+        coefficients.append(found)
+        residuals.append(current - smooth)
+        current = smooth
+    return coefficients, residuals, current
+
+
+def reconstruct_wavelet_like(
+    coefficients: Sequence[torch.Tensor], residuals: Sequence[torch.Tensor], base: torch.Tensor
+) -> torch.Tensor:
+    """Return the picture that :func:`decompose_wavelet_like` has split.
+
+    Parameters
+    ----------
+    coefficients : sequence of torch.Tensor
+        Not needed: base and residuals hold the picture.
+    residuals : sequence of torch.Tensor
+        ``[H, W]`` each, from fine to coarse.
+    base : torch.Tensor
+        ``[H, W]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[H, W]``.
+    """
+    # Backwards, as each sum then is the picture that the finer residual was taken from.
+    for residual in reversed(residuals):
+        base = base + residual
+    return base
+
+
+def _factors(num_control_points, resolution, dtype, device):
+    counts = _validate.size("num_control_points", num_control_points)
+    shape = _validate.size("resolution", resolution)
+    factors = [
+        torch.from_numpy(bspline_factor(count, n)).to(device=device, dtype=dtype)
+        for count, n in zip(reversed(counts), shape, strict=True)
+    ]
+    lines = (torch.linspace(-1, 1, count, dtype=dtype, device=device) for count in counts)
+    return factors, torch.stack(torch.meshgrid(*lines, indexing="ij"), dim=-1)
+
+
+def _solve(image, rows, columns, regularization) -> torch.Tensor:
+    (row_values, row_vectors), (values, vectors) = (torch.linalg.eigh(f @ f.T) for f in (rows, columns))
+    turned = (row_vectors.T @ rows) @ image @ (vectors.T @ columns).T
+    # More splines than samples leave directions without any weight; rounding must not fill them.
+    scale = row_values[:, None].clamp(min=0) * values.clamp(min=0) + regularization
+    floor = torch.finfo(scale.dtype).eps * scale.amax() * max(scale.shape)
+    turned = torch.where(scale > floor, turned / scale.clamp(min=floor), 0.0)
+    return row_vectors @ turned @ vectors.T
+
+
+def _picture(image) -> torch.Tensor:
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"image must be a real floating tensor, got {kind}")
+    if image.ndim == 3 and len(image) == 1:
+        image = image[0]
+    if image.ndim != 2 or image.numel() == 0:
+        raise ValueError(f"image must be [H, W] or [1, H, W], not empty; got {tuple(image.shape)}")
+    return image

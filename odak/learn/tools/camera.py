@@ -1,0 +1,66 @@
+"""A pinhole camera: its place, its direction and its numbers."""
+
+import torch
+
+
+class PerspectiveCamera:
+    """A pinhole camera whose axes and place are given as x' = x·R + T for points as rows.
+
+    Parameters
+    ----------
+    R : torch.Tensor
+        Rotation ``[3, 3]`` or ``[1, 3, 3]``, for row vectors.
+    T : torch.Tensor
+        Shift ``[3]`` or ``[1, 3]``, after the rotation.
+    focal_length : torch.Tensor
+        Focal length along x and y, in pixels.
+    principal_point : torch.Tensor
+        Where the optical axis meets the picture, in pixels.
+    device : torch.device or str
+        Where the tensors live. Numbers and sequences become float32 tensors.
+
+    Raises
+    ------
+    ValueError
+        If the shape of `R` or `T` is wrong.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import PerspectiveCamera
+    >>> camera = PerspectiveCamera(torch.eye(3), torch.tensor([0.0, 0.0, 5.0]), [100.0, 100.0], [32.0, 32.0])
+    >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))
+    tensor([[0., 0., 5.]])
+    """
+
+    def __init__(self, R, T, focal_length, principal_point, device: torch.device | str = "cpu"):
+        self.device = torch.device(device)
+        self.R, self.T = self._tensor(R), self._tensor(T)
+        self.focal_length, self.principal_point = self._tensor(focal_length), self._tensor(principal_point)
+        for name, value, shape in (("R", self.R, (3, 3)), ("T", self.T, (3,))):
+            if tuple(value.shape) not in (shape, (1, *shape)):
+                raise ValueError(f"{name} must be {list(shape)} or {[1, *shape]}, got {list(value.shape)}")
+
+    def transform_world_to_camera_space(self, points: torch.Tensor) -> torch.Tensor:
+        """Return points in the axes of the camera.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            ``[n, 3]``.
+
+        Returns
+        -------
+        torch.Tensor
+            points·R + T, ``[n, 3]``. Differentiable.
+        """
+        return points.to(self.device) @ self.R.reshape(3, 3) + self.T.reshape(1, 3)
+
+    def get_camera_center(self) -> torch.Tensor:
+        """Return the camera's place in the world, −T·Rᵀ, ``[1, 3]``."""
+        return -self.T.reshape(1, 3) @ self.R.reshape(3, 3).T
+
+    def _tensor(self, value) -> torch.Tensor:
+        if isinstance(value, torch.Tensor):
+            return value.to(self.device)
+        return torch.as_tensor(value, dtype=torch.float32, device=self.device)

@@ -1,0 +1,115 @@
+"""A small perceptron that is fitted to a curve."""
+
+import logging
+import os
+
+import torch
+from tqdm import tqdm
+
+from odak import _validate
+from odak.learn.tools.file import torch_load
+from odak.tools._atomic import replacing
+from odak.tools._paths import validate_path
+
+__all__ = ["multi_layer_perceptron"]
+
+_EXTENSIONS = (".pt", ".pth", ".pkl")
+
+
+class multi_layer_perceptron(torch.nn.Module):
+    """A perceptron: a linear layer, hidden layers with rectifiers, a linear layer.
+
+    Its weights keep the names that they have in the files of version 0.2.4.
+
+    Parameters
+    ----------
+    n_input, n_hidden, n_output : int
+        Numbers per sample that come in, that hidden layers hold, and that go out.
+    n_layers : int
+        Number of hidden layers.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools.fitcurve import multi_layer_perceptron
+    >>> multi_layer_perceptron(n_hidden=8)(torch.zeros(5, 1)).shape
+    torch.Size([5, 1])
+    """
+
+    def __init__(self, n_input: int = 1, n_hidden: int = 64, n_output: int = 1, n_layers: int = 4):
+        super().__init__()
+        for name, value in (("n_input", n_input), ("n_hidden", n_hidden), ("n_output", n_output)):
+            _validate.integer(name, value, minimum=1)
+        hidden = (
+            torch.nn.Sequential(torch.nn.Linear(n_hidden, n_hidden), torch.nn.ReLU())
+            for _ in range(_validate.integer("n_layers", n_layers))
+        )
+        self.layers = torch.nn.ModuleList([torch.nn.Linear(n_input, n_hidden), *hidden])
+        self.layer_final = torch.nn.Linear(n_hidden, n_output)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the outputs ``[..., n_output]`` for inputs ``[..., n_input]``."""
+        for layer in self.layers:
+            x = layer(x)
+        return self.layer_final(x)
+
+    def estimate(self, x: torch.Tensor) -> torch.Tensor:
+        """Return :meth:`forward` without a gradient."""
+        with torch.no_grad():
+            return self.forward(x)
+
+    def fit(
+        self,
+        x_values: torch.Tensor,
+        y_values: torch.Tensor,
+        epochs: int = 100,
+        learning_rate: float = 1e-5,
+        *,
+        progress: bool = True,
+    ) -> bool:
+        """Fit the perceptron to samples by Adam on the mean squared error of all of them at once.
+
+        Parameters
+        ----------
+        x_values, y_values : torch.Tensor
+            ``[n, n_input]`` and ``[n, n_output]``.
+        epochs : int
+            Number of steps.
+        learning_rate : float
+            Step size.
+        progress : bool
+            Show a progress bar.
+
+        Returns
+        -------
+        bool
+            True. The loss of the last step goes to the log.
+
+        Raises
+        ------
+        ValueError
+            If the output does not have the shape of `y_values`.
+        """
+        self.optimizer = torch.optim.Adam(self.parameters(), lr=learning_rate)
+        self.loss_function = torch.nn.MSELoss()
+        loss = None
+        for _ in tqdm(range(_validate.integer("epochs", epochs)), disable=not progress, leave=False):
+            self.optimizer.zero_grad()
+            estimate = self.forward(x_values)
+            if estimate.shape != y_values.shape:
+                raise ValueError(f"y_values must be {list(estimate.shape)}, got {list(y_values.shape)}")
+            loss = self.loss_function(estimate, y_values)
+            loss.backward()
+            self.optimizer.step()
+        if loss is not None:
+            logging.getLogger("odak").info("Fitted in %d steps, loss %.3e", epochs, loss.item())
+        return True
+
+    def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+        """Write the weights to a ``.pt``, ``.pth`` or ``.pkl`` file, which appears whole or not at all."""
+        with replacing(validate_path(filename, _EXTENSIONS)) as stream:
+            torch.save(self.state_dict(), stream)
+
+    def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
+        """Read the weights from a file of :meth:`save_weights`; one that would run code is refused."""
+        self.load_state_dict(torch_load(filename, map_location="cpu"))

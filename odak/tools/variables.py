@@ -1,0 +1,142 @@
+"""Copies of dictionaries, checks of numbers, and group numbers for elements."""
+
+import math
+from collections.abc import Iterable, Sequence
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from odak import _array
+
+
+def copy_dict_with_keys(d: dict, keys: Iterable | None = None) -> dict | None:
+    """Return a new dictionary with some of the keys of another.
+
+    Parameters
+    ----------
+    d : dict
+        Dictionary to copy from; the values themselves are not copied.
+    keys : iterable, optional
+        Keys to copy, in this order; those that `d` lacks are passed over. All by default.
+
+    Returns
+    -------
+    dict or None
+        The copy; None if `d` is not a dictionary.
+
+    Examples
+    --------
+    >>> from odak.tools import copy_dict_with_keys
+    >>> copy_dict_with_keys({"a": 1, "b": 2}, ["b", "c"])
+    {'b': 2}
+    """
+    if not isinstance(d, dict):
+        return None
+    return dict(d) if keys is None else {key: d[key] for key in keys if key in d}
+
+
+def validate_positive_parameter(value: Any, name: str = "value", allow_zero: bool = False) -> Any:
+    """Return a number or an array after checking that it is positive.
+
+    Parameters
+    ----------
+    value : float or array
+        What to check; infinity passes, not-a-number does not.
+    name : str
+        Name for the message.
+    allow_zero : bool
+        Accept zero.
+
+    Returns
+    -------
+    float or array
+        `value` itself.
+
+    Raises
+    ------
+    TypeError
+        If it is neither a real number nor an array of them; booleans are not.
+    ValueError
+        If it is negative, zero without `allow_zero`, or not a number.
+
+    Examples
+    --------
+    >>> from odak.tools import validate_positive_parameter
+    >>> validate_positive_parameter(3.5)
+    3.5
+    """
+    if _array.is_array(value) and not isinstance(value, np.generic):
+        xp = _array.namespace(value)
+        if not xp.isdtype(value.dtype, ("real floating", "integral")):
+            raise TypeError(f"{name} must be numeric and real, got an array of {value.dtype}")
+        if not bool(xp.all(value >= 0 if allow_zero else value > 0)):
+            raise ValueError(f"{name} contains {'negative values' if allow_zero else 'negative or zero values'}")
+        return value
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, Real):
+        raise TypeError(f"{name} must be numeric, got {type(value).__name__}")
+    if math.isnan(value) or value < 0 or (value == 0 and not allow_zero):
+        raise ValueError(f"{name} must be {'non-negative' if allow_zero else 'positive'}, got {value!r}")
+    return value
+
+
+def create_group_tensor(
+    number_of_elements: int, group_percentages: Sequence[float] | None = None, number_of_groups: int | None = None
+):
+    """Return the number of the group that each element belongs to, in rising runs.
+
+    Parameters
+    ----------
+    number_of_elements : int
+        Elements, at least 0.
+    group_percentages : sequence of float, optional
+        Share of each group, 0 to 1, of sum 1.
+    number_of_groups : int, optional
+        Number of groups of equal share, where no shares are given.
+
+    Returns
+    -------
+    torch.Tensor
+        int64 ``[number_of_elements]``. A group has the rounded share (half to even) but no more than what is left; the
+        last one takes the rest.
+
+    Raises
+    ------
+    TypeError
+        If a count is not an integer.
+    ValueError
+        If a count is out of range, or the shares are, or do not sum to 1, or both are missing.
+
+    Examples
+    --------
+    >>> from odak.tools import create_group_tensor
+    >>> create_group_tensor(10, number_of_groups=4).tolist()
+    [0, 0, 1, 1, 2, 2, 3, 3, 3, 3]
+    """
+    import torch
+
+    count = _count("number_of_elements", number_of_elements, 0)
+    if group_percentages is None:
+        if number_of_groups is None:
+            raise ValueError("number_of_groups must be provided where group_percentages are not")
+        groups = _count("number_of_groups", number_of_groups, 1)
+        shares = [1 / groups] * groups
+    else:
+        shares = [float(share) for share in group_percentages]
+        if not abs(sum(shares) - 1) <= 1e-6:
+            raise ValueError(f"group_percentages must sum to 1.0, got a sum of {sum(shares)}")
+        if not all(0 <= share <= 1 for share in shares):
+            raise ValueError(f"group_percentages must be between 0.0 and 1.0, got {shares}")
+    sizes: list[int] = []
+    for share in shares[:-1]:
+        sizes.append(min(round(count * share), count - sum(sizes)))
+    sizes.append(count - sum(sizes))
+    return torch.repeat_interleave(torch.arange(len(sizes)), torch.tensor(sizes))
+
+
+def _count(name: str, value, minimum: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
+    if value < minimum:
+        raise ValueError(f"{name} must be at least {minimum}, got {value}")
+    return int(value)
