@@ -6,10 +6,19 @@ from typing import NamedTuple
 import array_api_compat
 import numpy as np
 
-from odak._array import device_of, is_array, is_readable, is_torch, namespace
+from odak._array import device_of, is_array, is_torch, namespace
 
 # Large enough that the calls themselves cost little, small enough for a cache: 32 768 rays of 10 to 20 numbers.
 CHUNK = 1 << 15
+
+
+def piece_size(arrays: Sequence) -> int:
+    """Return the number of rays of a piece: that for one thread, times the threads that torch shares an array among."""
+    if not any(is_torch(array) for array in arrays):
+        return CHUNK
+    import torch
+
+    return CHUNK * torch.get_num_threads()
 
 
 def is_followed(*values) -> bool:
@@ -32,13 +41,23 @@ def is_transformed(*tensors) -> bool:
 
     if torch.compiler.is_compiling() or torch.autograd.forward_ad._current_level >= 0:
         return True
-    return not all(is_readable(tensor) for tensor in tensors if not tensor.is_cuda)
+    return any(torch._C._functorch.is_functorch_wrapped_tensor(tensor) for tensor in tensors)
 
 
 class Pieces(NamedTuple):
-    """How a batch is cut: ``axis`` counted from the front of the batch, its ``length``, the ``step``, and which arrays
-    have it.
-    """  # noqa: D205
+    """How a batch is cut.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        The batch.
+    axis : int
+        Its axis along which it is cut.
+    step : int
+        Length of a piece along it.
+    cut : tuple of bool
+        Which arrays have that axis.
+    """
 
     shape: tuple[int, ...]
     axis: int
@@ -66,12 +85,12 @@ def pieces(arrays: Sequence, ranks: Sequence[int]) -> Pieces | None:
     """
     batches = [tuple(a.shape[: a.ndim - rank]) if is_array(a) else () for a, rank in zip(arrays, ranks, strict=True)]
     shape = np.broadcast_shapes(*batches)
-    total = int(np.prod(shape))
-    if total <= CHUNK:
+    total, size = int(np.prod(shape)), piece_size(arrays)
+    if total <= size:
         return None
     axis = int(np.argmax(shape))
     behind = len(shape) - axis
-    step = max(1, CHUNK * shape[axis] // total)
+    step = max(1, size * shape[axis] // total)
     return Pieces(shape, axis, step, tuple(len(b) >= behind and b[len(b) - behind] > 1 for b in batches))
 
 

@@ -36,6 +36,8 @@ class _Recomputed(torch.autograd.Function):
     @staticmethod
     def forward(ctx, function, ranks, kinds, *tensors):
         ctx.function, ctx.ranks = function, ranks
+        # Results that nobody uses then cost nothing on the way back.
+        ctx.set_materialize_grads(False)
         ctx.save_for_backward(*tensors)
         result = batches.in_pieces(function, ranks, *tensors)
         kinds.append(type(result))
@@ -64,6 +66,8 @@ def _pull(function, tensors, needed, gradients, create_graph: bool) -> list:
         result = result if isinstance(result, tuple) else (result,)
         pairs = [(r, g) for r, g in zip(result, gradients, strict=True) if r.requires_grad and g is not None]
         wanted = [t for t, need in zip(inputs, needed, strict=True) if need]
+        if not pairs:
+            return [None] * len(tensors)
         results, weights = zip(*pairs, strict=True)
         found = iter(torch.autograd.grad(results, wanted, weights, create_graph=create_graph, allow_unused=True))
     return [next(found) if need else None for need in needed]
@@ -72,11 +76,17 @@ def _pull(function, tensors, needed, gradients, create_graph: bool) -> list:
 def _pull_pieces(function, ranks, tensors, needed, gradients) -> list:
     """Return the same piece by piece, without a graph."""
     plan = batches.pieces(tensors, ranks)
-    total = [torch.zeros_like(t) if need else None for t, need in zip(tensors, needed, strict=True)]
+    makers = [torch.empty_like if cut else torch.zeros_like for cut in plan.cut]
+    total = [make(t) if need else None for make, t, need in zip(makers, tensors, needed, strict=True)]
     for place in plan.places():
         along = (slice(None),) * plan.axis + (place,)
-        part = _pull(function, plan.take(tensors, place, ranks), needed, [g[along] for g in gradients], False)
-        for whole, found in zip(plan.take(total, place, ranks), part, strict=True):
-            if found is not None:
+        weights = [None if g is None else g[along] for g in gradients]
+        part = _pull(function, plan.take(tensors, place, ranks), needed, weights, False)
+        for whole, found, cut in zip(plan.take(total, place, ranks), part, plan.cut, strict=True):
+            if whole is None:
+                continue
+            if cut:
+                whole.copy_(found) if found is not None else whole.zero_()
+            elif found is not None:
                 whole += found
     return total
