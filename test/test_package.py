@@ -32,6 +32,7 @@ PACKAGES = [
     "odak.learn.jones",
     "odak.learn.perception",
     "odak.learn.raytracing",
+    "odak.learn.raytracing.system",
     "odak.learn.tools",
     "odak.learn.wave",
     "odak.measurement",

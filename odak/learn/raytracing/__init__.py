@@ -44,6 +44,7 @@ __getattr__, __dir__, __all__ = attach(
             "propagate_a_ray",
             "propagate_ray",
         ),
+        "system": (),
         "triangles": ("MeshHit", "triangle_mesh"),
     },
 )

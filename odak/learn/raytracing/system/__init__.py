@@ -5,8 +5,9 @@ from odak._lazy import attach
 __getattr__, __dir__, __all__ = attach(
     __name__,
     {
+        "drawing": ("draw_layout", "draw_spots"),
         "fans": ("distortion", "field_curvature", "ray_fan"),
-        "launch": ("launch", "Rays"),
+        "launching": ("launch", "Rays"),
         "lens": ("optical_system",),
         "lens_files": ("load_system", "sample_systems", "save_system", "system_from_dict", "system_to_dict"),
         "optimise": ("levenberg_marquardt", "LevenbergMarquardtResult"),

@@ -113,8 +113,10 @@ def _refraction(e: Element, p, g):
         normal = [p.gamma * a + along * b for a, b in zip(g, old, strict=True)]
         for axis, value in enumerate(p.normal):
             normal[axis] = normal[axis] + 2 * size * (1.0 if value is None else value)
-    g = [mu * a if n is None and axis < 2 else mu * a + along * (1.0 if n is None else n)
-         for axis, (a, n) in enumerate(zip(g, p.normal, strict=True))]
+    g = [
+        mu * a if n is None and axis < 2 else mu * a + along * (1.0 if n is None else n)
+        for axis, (a, n) in enumerate(zip(g, p.normal, strict=True))
+    ]
     return g, normal, before, behind
 
 

@@ -56,7 +56,7 @@ class Trace(torch.autograd.Function):
     def forward(layout, x, y, z, u, v, w, *numbers):
         """Return x, y, z, u, v, w, path and status ``[B, R]``; NaN where a ray failed."""
         numbers, rays = Numbers(*numbers), (x, y, z, u, v, w)
-        if not x.device.type == "cpu":
+        if x.device.type != "cpu":
             state = plain_trace(layout, numbers, rays)
             lost = state.status != RayStatus.HIT
             return (*(value.masked_fill(lost, torch.nan) for value in state[:7]), state.status)
@@ -80,6 +80,7 @@ class Trace(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx, inputs, output):
+        """Keep the rays that came in, the numbers and the statuses."""
         layout, *tensors = inputs
         ctx.layout = layout
         ctx.save_for_backward(*tensors, output[7])
@@ -98,6 +99,8 @@ def blocks(layout: Layout, numbers: Numbers, shape, dtype):
     """Yield rows, columns and elements of the blocks that rays ``[B, R]`` are traced in."""
     count, rays = shape
     block = BLOCK_BYTES // dtype.itemsize
+    if not count * rays:
+        return
     if count == 1 or rays >= MANY:
         lists = as_lists(numbers)
         for row in range(count):
@@ -217,18 +220,16 @@ def _meet(x, y, u, v, w, e: Element, check: bool):
         _, slope, defined = sag(torch.addcmul(x * x, y, y), e)
         cosine = torch.addcmul(w, torch.addcmul(x * u, y, v), slope, value=-2)
         return None if check and not bool(defined.all()) else (z, t, cosine)
-    if check and not bool((z.amax() if _positive(e) else z.amin()) * _bound(e) < 1):
-        return None
-    return z, t, cosine
+    return None if check and not _on_sheet(z, e) else (z, t, cosine)
 
 
-def _positive(e: Element) -> bool:
-    return not isinstance(e.c, float) or e.c * (1 + e.k) > 0
-
-
-def _bound(e: Element):
-    """Return a c(1 + k) such that c(1 + k)z < 1 on the right sheet; ∞ where systems differ: the plain way decides."""
-    return e.c * (1 + e.k) if isinstance(e.c, float) else (e.c * (1 + e.k)).abs().amax()
+def _on_sheet(z, e: Element) -> bool:
+    """Say whether c(1 + k)z < 1 for all rays, by their extremes alone: not on the other sheet of the quadric."""
+    factor = e.c * (1 + e.k)
+    if isinstance(factor, float):
+        return bool((z.amax() if factor > 0 else z.amin()) * factor < 1)
+    # Where systems differ, doubts are for the plain way to decide.
+    return bool(z.abs().amax() * factor.abs().amax() < 1)
 
 
 def _solve(x, y, u, v, w, t, e: Element):

@@ -122,8 +122,10 @@ class optical_system(torch.nn.Module):
             for item in items
         ]
         return Prescription(
-            *(torch.stack([getattr(item, name).double().reshape(()) for item in items]) for name in
-              ("curvature", "conic", "thickness")),
+            *(
+                torch.stack([getattr(item, name).double().reshape(()) for item in items])
+                for name in ("curvature", "conic", "thickness")
+            ),
             torch.stack(coefficients),
             self._indices(wavelengths),
             _optional([item.shift for item in items]),
@@ -169,7 +171,11 @@ class optical_system(torch.nn.Module):
 
 
 def _wavelengths(values) -> tuple[float, ...]:
-    found = tuple(_validate.numbers(_validate.real("wavelengths", values if not isinstance(values, tuple) else list(values), positive=True)))
+    found = tuple(
+        _validate.numbers(
+            _validate.real("wavelengths", values if not isinstance(values, tuple) else list(values), positive=True)
+        )
+    )
     if not found:
         raise ValueError("wavelengths must hold at least one")
     return found

@@ -167,7 +167,7 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
 
 
 def _axial_ray(system, whole: Matrix, n):
-    """Return height and n′u′ behind the last surface of the axial ray of height 1 (infinity) or slope 1 at the object."""
+    """Return height and n′u′ behind the last surface of the axial ray: of height 1 in front, or of slope 1."""
     if system.at_infinity:
         return whole.a, whole.c
     height, slope = system.object_distance, n

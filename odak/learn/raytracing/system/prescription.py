@@ -1,5 +1,6 @@
 """The numbers of one system or of a batch of them, apart from the modules that hold them."""
 
+import math
 from typing import NamedTuple
 
 import torch
@@ -59,11 +60,11 @@ class Prescription(NamedTuple):
             """Give `value` the wavelengths' axis and the batch's, and make rows of them."""
             tail = value.shape[value.ndim - own :]
             value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
-            return value.expand(*rows, *tail).reshape(-1, *tail)
+            return value.expand(*rows, *tail).reshape(math.prod(rows), *tail)
 
         first = torch.zeros_like(self.thickness[..., :1]) if start is None else start[..., None]
         distance = torch.cat([first.expand_as(self.thickness[..., :1]), self.thickness], -1)
-        index = self.index.expand(*rows, self.index.shape[-1]).reshape(-1, self.index.shape[-1])
+        index = self.index.expand(*rows, self.index.shape[-1]).reshape(math.prod(rows), self.index.shape[-1])
         curvature, conic, coefficients = self.curvature, self.conic, self.coefficients
         if image:
             curvature, conic = (torch.nn.functional.pad(value, (0, 1)) for value in (curvature, conic))
@@ -106,7 +107,7 @@ def layout_of(surfaces, prescription: Prescription, image: bool = True, vignetti
 
 def _kind(prescription: Prescription, i: int) -> str:
     coefficients = prescription.coefficients[..., i, :]
-    if coefficients.requires_grad and coefficients.shape[-1] or _any(coefficients):
+    if (coefficients.requires_grad and coefficients.shape[-1]) or _any(coefficients):
         return "asphere"
     return "conic" if prescription.curvature.requires_grad or _any(prescription.curvature[..., i]) else "plane"
 

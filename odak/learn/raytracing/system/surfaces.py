@@ -77,7 +77,8 @@ class surface(torch.nn.Module):
             value = float(radius)
             if value == 0 or math.isnan(value):
                 raise ValueError(f"radius must not be 0 or NaN, got {value}")
-            self._hold("curvature_value", 0.0 if math.isinf(value) else 1 / value)
+            # As it was given, to the last digit.
+            self._hold(*(("curvature_value", 0.0) if math.isinf(value) else ("radius_value", value)))
         else:
             self._hold("curvature_value", _validate.real("curvature", curvature))
         self._hold("conic", _validate.real("conic", conic))
@@ -128,7 +129,9 @@ class surface(torch.nn.Module):
                     delattr(self, old)
             name = f"{name}_value"
         elif not self._has(name):
-            raise ValueError(f"{name} of this surface cannot be varied: its material is {self.material!r}, not a number")
+            raise ValueError(
+                f"{name} of this surface cannot be varied: its material is {self.material!r}, not a number"
+            )
         else:
             value = getattr(self, name).detach()
         if name in self._parameters:
@@ -155,8 +158,10 @@ class surface(torch.nn.Module):
 
     def extra_repr(self) -> str:
         """Return the surface in a line."""
-        medium = f"index {float(self.index):g}" if self.material is None else str(getattr(self.material, "name", self.material))
-        return f"radius={float(self.radius):g}, thickness={float(self.thickness):g}, material={medium}, stop={self.stop}"
+        medium = getattr(self.material, "name", self.material)
+        medium = f"index {float(self.index.detach()):g}" if medium is None else medium
+        radius, thickness = (float(value.detach()) for value in (self.radius, self.thickness))
+        return f"radius={radius:g}, thickness={thickness:g}, material={medium}, stop={self.stop}"
 
 
 def _listed(values):

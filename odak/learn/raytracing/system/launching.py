@@ -1,0 +1,128 @@
+"""Rays from field points towards the entrance pupil."""
+
+from typing import NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.prescription import Prescription
+from odak.learn.raytracing.system.pupils import PATTERNS, pupil_samples
+
+AIMS = ("paraxial", "real")
+
+
+class Rays(NamedTuple):
+    """Rays in front of a system, each component ``[..., wavelengths or 1, fields, pupil points]``.
+
+    Attributes
+    ----------
+    x, y, z : torch.Tensor
+        Points, from the first vertex.
+    u, v, w : torch.Tensor
+        Direction cosines along x, y, z.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    z: torch.Tensor
+    u: torch.Tensor
+    v: torch.Tensor
+    w: torch.Tensor
+
+    @classmethod
+    def from_tensor(cls, ray: torch.Tensor) -> "Rays":
+        """Return rays ``[..., 2, 3]`` (points and directions of any length) as components ``[1, 1, rays]``."""
+        if ray.shape[-2:] != (2, 3):
+            raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
+        ray = ray.reshape(1, 1, -1, 2, 3)
+        length = ray[..., 1, :].square().sum(-1, keepdim=True)
+        exists = length > 0
+        # A direction of length zero is no ray: NaN, which the tracer reports as a miss.
+        unit = torch.where(exists, ray[..., 1, :] / torch.where(exists, length, 1.0).sqrt(), torch.nan)
+        return cls(*ray[..., 0, :].unbind(-1), *unit.unbind(-1))
+
+    def to_tensor(self) -> torch.Tensor:
+        """Return the rays as ``[..., 2, 3]``, for the functions of :mod:`odak.learn.raytracing`."""
+        parts = torch.broadcast_tensors(*self)
+        return torch.stack([torch.stack(parts[:3], -1), torch.stack(parts[3:], -1)], -2)
+
+
+def launch(
+    system,
+    pupil="rings",
+    count: int = 6,
+    *,
+    fields=None,
+    prescription: Prescription | None = None,
+    aim: str = "paraxial",
+    dtype: torch.dtype = torch.float64,
+) -> Rays:
+    """Return rays from each field point through points of the entrance pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern as in :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        As in :func:`pupil_samples`.
+    fields : sequence, optional
+        Field points (x, y) in place of the system's.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+    aim : str
+        "paraxial": at the paraxial entrance pupil. "real": so that the rays meet the stop at the points asked for,
+        at the reference wavelength; solved by a few Newton steps, differentiable.
+    dtype : torch.dtype
+        Precision of the rays; they are computed in float64.
+
+    Returns
+    -------
+    Rays
+        ``[..., 1, F, P]``, the first axes those of the batch of systems. For an object at infinity they start in the
+        plane of the first vertex.
+    """
+    aim = _validate.one_of("aim", aim, AIMS)
+    points = pupil_of(pupil, count, system)
+    fields = system.fields if fields is None else fields
+    chosen = torch.tensor(fields, dtype=torch.float64, device=points.device).reshape(-1, 1, 2)
+    properties = first_order(system, prescription=prescription)
+    distance = properties.entrance_pupil_distance[..., None, None, None]
+    radius = (properties.entrance_pupil_diameter / 2)[..., None, None, None]
+    place = radius * points[:, 0], radius * points[:, 1]
+    rays = _through(system, chosen, distance, *place)
+    if aim == "real":
+        from odak.learn.raytracing.system.aiming import aimed
+
+        rays = aimed(
+            system, prescription, properties, points, place, lambda *at: _through(system, chosen, distance, *at)
+        )
+    return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+
+
+def pupil_of(pupil, count: int, system) -> torch.Tensor:
+    """Return the points of a pupil, from the name of a pattern or as given."""
+    device = system.surfaces[0].thickness.device
+    if isinstance(pupil, str):
+        return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)
+    if not isinstance(pupil, torch.Tensor) or pupil.ndim != 2 or pupil.shape[-1] != 2:
+        raise ValueError("pupil must be the name of a pattern or a tensor [P, 2]")
+    return pupil.to(device=device, dtype=torch.float64)
+
+
+def _through(system, fields, distance, px, py) -> Rays:
+    """Return rays through points of the plane of the entrance pupil."""
+    if system.at_infinity:
+        tangent = torch.tan(torch.deg2rad(fields))
+        tx, ty = tangent[..., 0], tangent[..., 1]
+        w = 1 / (1 + tx * tx + ty * ty).sqrt()
+        x, y = px - distance * tx, py - distance * ty
+        u, v, w = (value.expand(x.shape) for value in (tx * w, ty * w, w))
+        return Rays(x, y, torch.zeros_like(x), u, v, w)
+    away = system.object_distance + distance
+    sx, sy = px - fields[..., 0], py - fields[..., 1]
+    w = torch.sign(away) / (sx * sx + sy * sy + away * away).sqrt()
+    x, y = (fields[..., i].expand(sx.shape) for i in range(2))
+    return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, (away * w).expand(sx.shape))

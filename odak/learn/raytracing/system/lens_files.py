@@ -1,0 +1,141 @@
+"""Systems as JSON: the sample lenses that ship with odak, and files of one's own."""
+
+import json
+import math
+from pathlib import Path
+
+from odak import _validate
+from odak.learn.raytracing.system.lens import optical_system
+from odak.learn.raytracing.system.surfaces import surface
+
+FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
+MAXIMUM_BYTES = 4 << 20
+_SURFACE = {"radius", "conic", "coefficients", "thickness", "material", "semi_diameter", "stop", "shift", "tilt"}
+_SYSTEM = {
+    "aperture",
+    "aperture_type",
+    "wavelengths",
+    "reference",
+    "fields",
+    "object_distance",
+    "unit",
+    "name",
+    "source",
+}
+
+
+def sample_systems() -> tuple[str, ...]:
+    """Return the names of the sample systems, for :func:`load_system`."""
+    return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
+
+
+def load_system(path) -> optical_system:
+    """Return a sample system by its name, or one from a JSON file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        A name of :func:`sample_systems`, or a file written by :func:`save_system`.
+
+    Raises
+    ------
+    ValueError
+        If there is neither, or the file is malformed.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system
+    >>> load_system("double_gauss").name
+    'Double Gauss f/2'
+    """
+    if isinstance(path, str) and path in sample_systems():
+        path = FOLDER / f"system_{path}.json"
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
+    if path.stat().st_size > MAXIMUM_BYTES:
+        raise ValueError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+    try:
+        return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def save_system(system: optical_system, path) -> None:
+    """Write a system as JSON, every digit of its numbers.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    path : str or pathlib.Path
+        File to write.
+    """
+    from odak.tools._atomic import replacing
+
+    text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(str(path)) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def system_to_dict(system: optical_system) -> dict:
+    """Return a system as a dictionary of plain numbers and strings; infinities are null."""
+    surfaces = []
+    for i, item in enumerate(system.surfaces):
+        medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
+        radius = float(item.radius.detach())
+        entry = {"radius": None if math.isinf(radius) else radius, "thickness": float(item.thickness.detach())}
+        entry |= {"material": medium, "conic": float(item.conic.detach()), "coefficients": item.coefficients.tolist()}
+        entry |= {"semi_diameter": item.semi_diameter, "stop": i == system.stop}
+        entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
+        surfaces.append({key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0], False)})
+    finite = None if system.at_infinity else system.object_distance
+    return {
+        "name": system.name,
+        "source": system.source,
+        "unit": system.unit,
+        "aperture": system.aperture,
+        "aperture_type": system.aperture_type,
+        "wavelengths": list(system.wavelengths),
+        "reference": system.reference,
+        "fields": [list(field) for field in system.fields],
+        "object_distance": finite,
+        "surfaces": surfaces,
+    }
+
+
+def system_from_dict(entry: dict) -> optical_system:
+    """Return the system that :func:`system_to_dict` describes.
+
+    Parameters
+    ----------
+    entry : dict
+        As from :func:`system_to_dict`; what is left out has its default.
+
+    Raises
+    ------
+    ValueError
+        If a key is unknown or a value out of range, naming it.
+    """
+    entry = dict(entry)
+    surfaces = entry.pop("surfaces", None)
+    if not isinstance(surfaces, list) or not surfaces:
+        raise ValueError("surfaces must be a list of at least one")
+    _known("system", entry, _SYSTEM | {"notes"})
+    entry.pop("notes", None)
+    if entry.get("object_distance", 0) is None:
+        del entry["object_distance"]
+    built = []
+    for number, item in enumerate(surfaces):
+        _known(f"surfaces[{number}]", item, _SURFACE)
+        item = {"radius": math.inf, **item}
+        radius = item.pop("radius")
+        built.append(surface(math.inf if radius is None else radius, **item))
+    return optical_system(built, **entry)
+
+
+def _known(where: str, entry, keys) -> None:
+    if not isinstance(entry, dict):
+        raise ValueError(f"{where} must be an object, got {type(entry).__name__}")
+    for key in entry:
+        _validate.one_of(f"key in {where}", key, sorted(keys))

@@ -1,0 +1,212 @@
+"""Spots, fans, distortion and field curvature, optimisation and tolerances."""
+
+import math
+
+import pytest
+import torch
+
+from odak.learn.raytracing.system import (
+    Perturbation,
+    distortion,
+    field_curvature,
+    first_order,
+    launch,
+    levenberg_marquardt,
+    load_system,
+    optical_system,
+    pupil_samples,
+    ray_fan,
+    rms_spot,
+    spot_diagram,
+    surface,
+    tolerance,
+    trace,
+    trace_fields,
+)
+
+F64 = torch.float64
+
+
+def test_the_spot_of_a_perfect_lens_out_of_focus_is_its_pupil():
+    """A paraboloid: the point at height h lands h·δ/z off, z = f − h²/4f."""
+    f, shift = 100.0, 0.5
+    mirror = optical_system([surface(-2 * f, conic=-1.0, thickness=-f - shift, material="mirror")], 20.0)
+    pupil = pupil_samples("rings", 4)
+    height = 10 * pupil.square().sum(-1).sqrt()
+    expected = height * shift / (f - height**2 / (4 * f))
+    found = spot_diagram(mirror, pupil)
+    torch.testing.assert_close((found.x.square() + found.y.square()).sqrt()[0, 0], expected, atol=1e-12, rtol=0)
+    assert float(found.rms[0]) == pytest.approx(float(expected.square().mean().sqrt()), rel=1e-10)
+    assert float(found.largest[0]) == pytest.approx(float(expected.max()), rel=1e-12)
+
+
+def test_lost_rays_do_not_count_in_spots():
+    system = load_system("cooke_triplet")
+    free = spot_diagram(system, reference="chief")
+    system.surfaces[0].semi_diameter = 7.0
+    cut = spot_diagram(system, reference="chief")
+    assert not bool(free.status.any()) and bool(cut.status.any())
+    kept = cut.status == 0
+    torch.testing.assert_close(cut.y[kept], free.y[kept], atol=1e-15, rtol=0)
+    number = kept.sum((0, 2))
+    around = torch.where(kept, free.x.square() + free.y.square(), 0.0).sum((0, 2))
+    torch.testing.assert_close(cut.rms, (around / number).sqrt())
+    system.surfaces[0].semi_diameter = 1e-9
+    assert bool(rms_spot(system)[2].isnan())
+
+
+def test_fans_pass_through_the_chief_ray():
+    system = load_system("cooke_triplet")
+    place, fan = ray_fan(system, "y", 11)
+    spots = spot_diagram(system, torch.stack([0 * place, place], -1), reference="chief")
+    torch.testing.assert_close(fan, spots.y, atol=1e-14, rtol=0)
+    assert not bool(fan[1, :, 5].any())
+    with pytest.raises(ValueError, match="count must be odd"):
+        ray_fan(system, count=10)
+
+
+def test_a_pinhole_has_no_distortion_and_a_ball_of_glass_does():
+    pinhole = optical_system([surface(thickness=20.0)], 1.0, fields=[0.0, 10.0, (20.0, 30.0)])
+    torch.testing.assert_close(distortion(pinhole), torch.zeros(1, 3, dtype=F64), atol=1e-15, rtol=0)
+    system = load_system("double_gauss")
+    chief = trace_fields(system, torch.zeros(1, 2), fields=[(0.0, 14.0)])
+    found = first_order(system)
+    # In the paraxial focal plane, the ideal height is f·tan θ.
+    system.surfaces[-1].thickness.copy_(found.image_distance)
+    ideal = float(found.focal_length) * math.tan(math.radians(14))
+    chief = trace_fields(system, torch.zeros(1, 2), fields=[(0.0, 14.0)])
+    expected = float(chief.y[1, 0, 0]) / ideal - 1
+    assert float(distortion(system)[1, 2]) == pytest.approx(expected, rel=1e-9)
+
+
+def test_field_curvature_is_coddingtons():
+    """A stop at the centre of curvature: both foci on the sphere about it (Schwarzschild)."""
+    radius = 100.0
+    mirror = optical_system(
+        [surface(thickness=radius, stop=True), surface(-radius, thickness=-radius / 2, material="mirror")],
+        5.0,
+        fields=[(0.0, 0.0), (0.0, 10.0)],
+    )
+    tangential, sagittal = field_curvature(mirror)
+    # Along the chief ray the focus is R/2 from the centre, which is R/2 in front of the image plane.
+    expected = radius / 2 * math.cos(math.radians(10)) - radius / 2
+    assert float(tangential[0, 1]) == pytest.approx(expected, rel=1e-9)
+    assert float(sagittal[0, 1]) == pytest.approx(expected, rel=1e-9)
+    lens = load_system("cooke_triplet")
+    t, s = field_curvature(lens)
+    # Two rays a thousandth of the pupil apart cross there.
+    pair = trace_fields(lens, torch.tensor([[0.0, -1e-3], [0.0, 1e-3]]), fields=[(0.0, 14.0)])
+    slope = (pair.v / pair.w)[1, 0]
+    assert float(-(pair.y[1, 0, 1] - pair.y[1, 0, 0]) / (slope[1] - slope[0])) == pytest.approx(
+        float(t[1, 1]), rel=1e-5
+    )
+    assert float(s[1, 0]) == pytest.approx(float(t[1, 0]), rel=1e-9)
+
+
+def test_real_aiming_fills_the_stop():
+    system = load_system("double_gauss")
+    radius = float(first_order(system).stop_diameter) / 2
+    pupil = pupil_samples("rings", 2)
+    for aim, off in (("paraxial", True), ("real", False)):
+        at_stop = trace(system, launch(system, pupil, aim=aim), until=system.stop, vignetting=False)
+        missed = (at_stop.y[1] - radius * pupil[:, 1]).abs().max()
+        assert (float(missed) > 0.1) == off
+        assert off or float(missed) < 1e-9 * radius
+    curvature = system.vary(curvature=[0])[0]
+
+    def height(value):
+        with torch.no_grad():
+            curvature.fill_(value)
+        return trace_fields(system, pupil, aim="real", fields=[(0.0, 14.0)], vignetting=False).y[1, 0, 5]
+
+    value = float(curvature.detach())
+    (gradient,) = torch.autograd.grad(height(value), curvature)
+    numerical = (height(value + 1e-7) - height(value - 1e-7)).detach() / 2e-7
+    assert float(gradient) == pytest.approx(float(numerical), rel=1e-5)
+
+
+def test_levenberg_and_marquardt_find_the_conic_of_a_perfect_lens():
+    n = 1.5
+    lens = optical_system(
+        [surface(thickness=10.0, material=n), surface(-45.0, conic=0.0, thickness=100.0, stop=True)], aperture=40.0
+    )
+    parameters = lens.vary(curvature=1, conic=1)
+
+    def residuals():
+        found = trace_fields(lens, "y", 11)
+        return found.y.reshape(-1)
+
+    result = levenberg_marquardt(residuals, parameters, iterations=60)
+    assert float(lens.surfaces[1].radius.detach()) == pytest.approx(-(n - 1) * 100, rel=1e-7)
+    assert float(lens.surfaces[1].conic.detach()) == pytest.approx(-(n**2), rel=1e-6)
+    assert list(result.history) == sorted(result.history, reverse=True) and result.loss < 1e-18
+
+
+def test_levenberg_and_marquardt_with_fewer_residuals_than_parameters():
+    p = torch.tensor([1.0, 2.0, -1.0], dtype=F64, requires_grad=True)
+    result = levenberg_marquardt(lambda: (p.sum() - 5).reshape(1), [p])
+    assert float(p.sum().detach()) == pytest.approx(5, abs=1e-9) and result.loss < 1e-16
+    with pytest.raises(ValueError, match="leaf tensors that require grad"):
+        levenberg_marquardt(lambda: p, [])
+    with pytest.raises(ValueError, match="finite at the start"):
+        levenberg_marquardt(lambda: p * math.nan, [p])
+    with pytest.raises(ValueError, match="depend on the parameters"):
+        levenberg_marquardt(lambda: torch.ones(3), [p])
+
+
+def test_any_torch_optimizer_improves_a_lens():
+    system = load_system("singlet")
+    optimizer = torch.optim.Adam(system.vary(curvature=[0, 1]), lr=1e-4)
+    sizes = []
+    for _ in range(30):
+        optimizer.zero_grad()
+        loss = rms_spot(system, "rings", 3).square().mean() + 1e-4 * (first_order(system).focal_length - 99.65).square()
+        loss.backward()
+        optimizer.step()
+        sizes.append(float(loss.detach()))
+    assert sizes[-1] < 0.8 * sizes[0]
+
+
+def test_tolerances_are_reproducible_and_each_is_a_system_of_its_own():
+    system = load_system("cooke_triplet")
+    off = [
+        Perturbation("radius", [0, 1], 2e-3, relative=True),
+        Perturbation("thickness", [0], 0.05, distribution="uniform"),
+        Perturbation("index", 2, 1e-3),
+        Perturbation("shift", [2, 3], 0.02, together=True),
+        Perturbation("tilt", [0], 0.05),
+    ]
+    first, again = (tolerance(system, off, samples=8, seed=4) for _ in range(2))
+    assert torch.equal(first.merit, again.merit)
+    assert not torch.equal(first.merit, tolerance(system, off, samples=8, seed=5).merit)
+    numbers = first.prescription
+    one = type(numbers)(*(value[3] for value in numbers))
+    torch.testing.assert_close(rms_spot(system, prescription=one), first.merit[3], rtol=1e-10, atol=0)
+    torch.testing.assert_close(numbers.shift[:, 2], numbers.shift[:, 3])
+    assert float((numbers.thickness[:, 0] - 4.831).abs().max()) <= 0.05
+    ratio = numbers.curvature[:, 0] * 23.713
+    assert 0 < float((1 / ratio - 1).std()) < 6e-3
+    assert not bool((numbers.index[:, :, 3] - system.prescription().index[:, 3]).eq(0).any())
+    with pytest.raises(ValueError, match="Did you mean"):
+        tolerance(system, [Perturbation("tlt", 0, 1.0)])
+
+
+def test_radii_are_off_by_what_was_asked_for():
+    system = load_system("cooke_triplet")
+    by_length, by_share = (
+        tolerance(system, [Perturbation("radius", [0], size, relative=relative)], samples=5).prescription.curvature[
+            :, 0
+        ]
+        for size, relative in ((2.0, False), (0.1, True))
+    )
+    drawn = (1 / by_length - 23.713) / 2.0
+    torch.testing.assert_close((1 / by_share / 23.713 - 1) / 0.1, drawn, rtol=1e-10, atol=0)
+    generator = torch.Generator().manual_seed(0)
+    expected = torch.randn(5, 1, 1, generator=generator, dtype=F64).flatten()
+    torch.testing.assert_close(drawn, expected, rtol=1e-10, atol=0)
+
+
+def test_no_error_no_harm():
+    system = load_system("cooke_triplet")
+    result = tolerance(system, [Perturbation("radius", [0], 0.0), Perturbation("tilt", [1], 0.0)], samples=2)
+    torch.testing.assert_close(result.merit, result.nominal.expand(2, 3), rtol=1e-12, atol=0)

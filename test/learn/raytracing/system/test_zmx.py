@@ -1,0 +1,224 @@
+"""Zemax text files and JSON: round trips, what is refused, what is reported."""
+
+import json
+
+import pytest
+import torch
+
+from odak.learn.raytracing.system import (
+    load_system,
+    optical_system,
+    read_zmx,
+    sample_systems,
+    save_system,
+    surface,
+    system_from_dict,
+    system_to_dict,
+    trace_fields,
+    write_zmx,
+)
+
+FILE = """VERS 140124 258 36214
+MODE SEQ
+NAME A doublet
+UNIT MM X W X CM MR CPMM
+ENPD 10.0
+ENVD 20 1 0
+GCAT SCHOTT
+FTYP 0 0 2 3 0 0 0
+XFLN 0.0 0.0 0.0
+YFLN 0.0 1.5 0.0
+WAVM 1 0.4861327 1
+WAVM 2 0.5875618 1
+WAVM 3 0.6562725 1
+WAVM 4 0.55 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE STANDARD
+  CURV 0.0163 0 0 0 0 ""
+  COAT AR
+  GLAS N-BK7 0 0 1.5168 64.17 0 0 0 0 0 0
+  DISZ 6.0
+  DIAM 12.7 1 0 0 1 ""
+  CLAP 0 12.0 0
+SURF 2
+  CURV -0.0224
+  GLAS SF5 0 0 1.6727 32.2
+  DISZ 2.5
+SURF 3
+  TYPE EVENASPH
+  CURV -0.0078
+  CONI -0.5
+  PARM 1 0
+  PARM 2 1.0e-7
+  DISZ 97.2
+SURF 4
+  TYPE STANDARD
+  CURV 0.0
+  DISZ 0
+"""
+
+
+def written(folder, text, encoding="utf-8"):
+    path = folder / "lens.zmx"
+    path.write_bytes(text.encode(encoding))
+    return path
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
+def test_a_file_is_read_and_the_rest_reported(tmp_path, encoding):
+    system, report = read_zmx(written(tmp_path, FILE.replace("A doublet", "Ein Dublett für"), encoding))
+    assert system.name == "Ein Dublett für"
+    expected = optical_system(
+        [
+            surface(curvature=0.0163, thickness=6.0, material="N-BK7", semi_diameter=12.0, stop=True),
+            surface(curvature=-0.0224, thickness=2.5, material="SF5"),
+            surface(curvature=-0.0078, conic=-0.5, coefficients=[0.0, 1e-7], thickness=97.2),
+        ],
+        aperture=10.0,
+        fields=[0.0, 1.5],
+        wavelengths=[486.1327e-6, 587.5618e-6, 656.2725e-6],
+    )
+    torch.testing.assert_close(trace_fields(system).y, trace_fields(expected).y, atol=1e-12, rtol=0)
+    assert (system.stop, system.reference, system.surfaces[0].semi_diameter) == (0, 1, 12.0)
+    assert report.ignored == (
+        "line 6: ENVD 20 1 0",
+        "line 24, surface 1: COAT AR",
+        'line 27, surface 1: DIAM 12.7 1 0 0 1 ""',
+    )
+
+
+def test_lengths_in_inches_become_millimetres(tmp_path):
+    system, _ = read_zmx(written(tmp_path, FILE.replace("UNIT MM", "UNIT IN")))
+    assert float(system.surfaces[0].radius) == pytest.approx(25.4 / 0.0163)
+    assert float(system.surfaces[2].coefficients[1]) == pytest.approx(1e-7 / 25.4**3)
+    assert system.aperture == pytest.approx(254)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "GLAS SF5 0 0 1.6727 32.2",
+            "GLAS SF555 0 0 1.6727 32.2",
+            r"surface 2: name 'SF555'.*nearest.*nd = 1\.6727.*SF5",
+        ),
+        ("GLAS SF5 0 0 1.6727 32.2", "GLAS ___BLANK 1 0 1.52 64", r"surface 2: .*Nearest to its nd = 1\.52.*N-BK7"),
+        ("TYPE EVENASPH", "TYPE COORDBRK", "surface 3: TYPE must be one of STANDARD, EVENASPH"),
+        ("MODE SEQ", "MODE NSC", "MODE must be SEQ"),
+        ("FTYP 0", "FTYP 3", "FTYP must be 0"),
+        ("UNIT MM", "UNIT FURLONG", "UNIT must be one of"),
+        ("ENPD 10.0", "ENPX 10.0", "no aperture"),
+        ("CURV -0.0078", "CURV __import__('os')", "line 35: CURV must have a number"),
+        ("CURV -0.0078", "CURV nan", "CURV is not a number"),
+        ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
+        ("PARM 2", "PARM 9", "PARM must be 1 to 8"),
+        ("CLAP 0 12.0", "CLAP 3 12.0", "CLAP with a hole"),
+    ],
+)
+def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
+    assert FILE.count(old) >= 1
+    with pytest.raises(ValueError, match=message):
+        read_zmx(written(tmp_path, FILE.replace(old, new, 1)))
+
+
+def test_a_stand_in_for_a_glass_is_the_callers_choice(tmp_path):
+    path = written(tmp_path, FILE.replace("GLAS SF5", "GLAS NIXON"))
+    system, _ = read_zmx(path, glasses={"NIXON": 1.67})
+    assert float(system.surfaces[1].index) == 1.67
+
+
+def test_files_that_are_none_are_refused(tmp_path):
+    with pytest.raises(ValueError, match="must be a file"):
+        read_zmx(tmp_path / "none.zmx")
+    with pytest.raises(ValueError, match="at least one surface"):
+        read_zmx(written(tmp_path, "MODE SEQ\nSURF 0\n"))
+    path = tmp_path / "large.zmx"
+    with path.open("wb") as stream:
+        stream.truncate(5 << 20)
+    with pytest.raises(ValueError, match="larger than"):
+        read_zmx(path)
+    (tmp_path / "odd.zmx").write_bytes(b"\xff\xfe\x00\xd8\x00")
+    with pytest.raises(ValueError, match="utf-16"):
+        read_zmx(tmp_path / "odd.zmx")
+
+
+@pytest.mark.parametrize("name", sample_systems())
+def test_round_trips_lose_no_digit(tmp_path, name):
+    system = load_system(name)
+    write_zmx(system, tmp_path / "a.zmx")
+    again, _ = read_zmx(tmp_path / "a.zmx")
+    torch.testing.assert_close(trace_fields(again).y, trace_fields(system).y, atol=1e-12, rtol=0, equal_nan=True)
+    save_system(system, tmp_path / "a.json")
+    copy = load_system(tmp_path / "a.json")
+    assert torch.equal(trace_fields(copy).y.nan_to_num(), trace_fields(system).y.nan_to_num())
+    assert system_to_dict(copy) == system_to_dict(system)
+
+
+def test_other_systems_survive_json():
+    system = optical_system(
+        [
+            surface(50.0, conic=-0.3, coefficients=[0.0, 1e-6], material=1.6, thickness=3.0, tilt=(0.1, 0.0)),
+            surface(thickness=40.0),
+        ],
+        aperture=0.1,
+        aperture_type="NA",
+        object_distance=60.0,
+        fields=[(1.0, 2.0)],
+    )
+    copy = system_from_dict(json.loads(json.dumps(system_to_dict(system))))
+    assert torch.equal(trace_fields(copy).y, trace_fields(system).y)
+    with pytest.raises(ValueError, match="tilted"):
+        write_zmx(system, "/nowhere")
+
+
+def test_malformed_descriptions_are_refused(tmp_path):
+    entry = system_to_dict(load_system("singlet"))
+    with pytest.raises(ValueError, match=r"key in surfaces\[0\].*Did you mean 'radius'"):
+        system_from_dict({**entry, "surfaces": [{"radus": 3.0}]})
+    with pytest.raises(ValueError, match="key in system"):
+        system_from_dict({**entry, "apertur": 3.0})
+    with pytest.raises(ValueError, match="surfaces must be a list"):
+        system_from_dict({"aperture": 3.0})
+    with pytest.raises(ValueError, match=r"one of cooke_triplet.*got 'nothing'"):
+        load_system("nothing")
+    (tmp_path / "bad.json").write_text("{")
+    with pytest.raises(ValueError, match=r"bad\.json"):
+        load_system(tmp_path / "bad.json")
+
+
+def test_surfaces_and_systems_check_their_arguments():
+    with pytest.raises(ValueError, match="not a known material; the nearest known are"):
+        surface(10.0, material="N-BK77")
+    with pytest.raises(ValueError, match="radius must not be 0"):
+        surface(0.0)
+    with pytest.raises(TypeError, match="material must be a name"):
+        surface(10.0, material=None)
+    with pytest.raises(ValueError, match="radius of a plane cannot be varied"):
+        surface().vary("radius")
+    with pytest.raises(ValueError, match="cannot be varied"):
+        surface(10.0, material="N-BK7").vary("index")
+    with pytest.raises(ValueError, match="only one surface may be the stop"):
+        optical_system([surface(stop=True), surface(stop=True)], 1.0)
+    with pytest.raises(TypeError, match="surfaces must be a sequence"):
+        optical_system([], 1.0)
+    with pytest.raises(ValueError, match="object_distance must be positive"):
+        optical_system([surface()], 1.0, object_distance=-1.0)
+    with pytest.raises(ValueError, match="aperture_type must be one of"):
+        optical_system([surface()], 1.0, "EDP")
+
+
+def test_radii_may_be_parameters():
+    item = surface(torch.nn.Parameter(torch.tensor(50.0, dtype=torch.float64)), thickness=3.0, material=1.5)
+    system = optical_system([item, surface(thickness=97.0)], 10.0)
+    loss = trace_fields(system, "y", 5).y.square().sum()
+    (by_radius,) = torch.autograd.grad(loss, item.radius_value)
+    curvature = item.vary("curvature")
+    (by_curvature,) = torch.autograd.grad(trace_fields(system, "y", 5).y.square().sum(), curvature)
+    assert float(by_radius) == pytest.approx(float(-by_curvature / 50**2), rel=1e-12)
+    assert [name for name, _ in system.named_parameters()] == ["surfaces.0.curvature_value"]
