@@ -13,7 +13,7 @@ from odak.learn.wave import multi_color_hologram_optimizer, propagator
 
 COLOURS = (639e-9, 515e-9, 473e-9)
 PLANES, FRAMES = 4, 3
-STEPS = 3
+STEPS = 6
 
 
 def optimization(device: str) -> Iterator[dict]:

@@ -2,4 +2,6 @@
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, {"jones": (), "perception": (), "raytracing": (), "tools": (), "wave": ()})
+__getattr__, __dir__, __all__ = attach(
+    __name__, {"jones": (), "perception": (), "raytracing": (), "tools": (), "wave": ()}
+)

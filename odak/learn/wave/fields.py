@@ -25,7 +25,9 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
     return _Intensity.apply(field)
 
 
-def exposure(field: torch.Tensor, power: torch.Tensor, one_each: bool = False) -> torch.Tensor:
+def exposure(
+    field: torch.Tensor, power: torch.Tensor, one_each: bool = False, *, consume: bool = False
+) -> torch.Tensor:
     """Return the light that the frames of a field, shown one after another, leave on each plane and colour.
 
     Parameters
@@ -36,6 +38,9 @@ def exposure(field: torch.Tensor, power: torch.Tensor, one_each: bool = False) -
         Amplitude of the light source ``[frames, colours]``; with `one_each` ``[frames, 1]``.
     one_each : bool
         Each frame is one colour and stays by itself.
+    consume : bool
+        Let the backward pass write the field's gradient over the field, which nothing else may need. It can then be
+        run once, and not be differentiated.
 
     Returns
     -------
@@ -43,11 +48,11 @@ def exposure(field: torch.Tensor, power: torch.Tensor, one_each: bool = False) -
         Σ_f power² · |field|², ``[planes, colours, rows, columns]``, differentiable any number of times in both. With
         `one_each` no sum: ``[planes, frames, rows, columns]``.
     """
-    return _Exposure.apply(field, power, one_each)
+    return _Exposure.apply(field, power, one_each, consume)
 
 
 def squared_error(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return Σ (image − target)², which keeps one array where ``torch.nn.functional.mse_loss`` makes three."""
+    """Return Σ (image − target)², in one array instead of three; the backward pass can be run once."""
     return _SquaredError.apply(image, target)
 
 
@@ -106,15 +111,16 @@ class _SquaredError(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, target):
-        error = image - target
-        ctx.save_for_backward(error)
-        return torch.dot(error.flatten(), error.flatten())
+        ctx.error = image - target
+        return torch.dot(ctx.error.flatten(), ctx.error.flatten())
 
     @staticmethod
     @once_differentiable
     def backward(ctx, gradient):
-        (error,) = ctx.saved_tensors
-        slope = 2 * gradient * error
+        error, ctx.error = ctx.error, None
+        if error is None:
+            raise RuntimeError("squared_error has one backward pass: its error became the gradient")
+        slope = error.mul_(2 * gradient)
         return slope, -slope if ctx.needs_input_grad[1] else None
 
 
@@ -122,7 +128,7 @@ class _Exposure(torch.autograd.Function):
     """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the slope is as large as the field."""
 
     @staticmethod
-    def forward(field, power, one_each):
+    def forward(field, power, one_each, consume):
         frames, planes, colours, *shape = field.shape
         total = field.real.new_empty(planes, frames if one_each else colours, *shape)
         for index, weight in enumerate(power.square()):
@@ -136,26 +142,30 @@ class _Exposure(torch.autograd.Function):
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        field, power, ctx.one_each = inputs
-        ctx.save_for_backward(field, power)
+        field, power, ctx.one_each, consume = inputs
+        ctx.consumed = field if consume else None
+        ctx.save_for_backward(*([] if consume else [field]), power)
 
     @staticmethod
     def backward(ctx, gradient):
-        field, power = ctx.saved_tensors
+        *saved, power = ctx.saved_tensors
+        field, ctx.consumed = saved[0] if saved else ctx.consumed, None
+        if field is None or (not saved and torch.is_grad_enabled()):
+            raise RuntimeError("the fields were consumed: exposure(..., consume=True) has one backward pass")
         to_field = to_power = None
-        if ctx.needs_input_grad[0]:
-            to_field = _slope(field, gradient, power, ctx.one_each)
         if ctx.needs_input_grad[1]:
             to_power = 2 * power * _collected(field, gradient, ctx.one_each)
-        return to_field, to_power, None
+        if ctx.needs_input_grad[0]:
+            to_field = _slope(field, gradient, power, ctx.one_each, None if saved else field)
+        return to_field, to_power, None, None
 
 
-def _slope(field, gradient, power, one_each):
-    """Return 2p²·g·u."""
+def _slope(field, gradient, power, one_each, result=None):
+    """Return 2p²·g·u, in the memory of `result` if given."""
     if torch.is_grad_enabled():
         own = gradient.transpose(0, 1)[:, :, None] if one_each else gradient[None]
         return field * (own * (2 * power.square())[:, None, :, None, None])
-    result = torch.empty_like(field)
+    result = torch.empty_like(field) if result is None else result.detach()
     for index, weight in enumerate(2 * power.square()):
         own = gradient[:, index : index + 1] if one_each else gradient
         parts = (torch.view_as_real(array[index]) for array in (field, result))

@@ -14,6 +14,7 @@ from odak.learn.wave.masks import disc
 from odak.learn.wave.phase_constraints import checkerboard, double_phase_roughness, eyebox_loss, roughness, zero_mean
 from odak.learn.wave.phase_levels import TURN, even_levels
 from odak.learn.wave.propagators import propagator as propagator_type
+from odak.learn.wave.spectral import Workspace, release_memory
 from odak.learn.wave.training import Options, cosine, minimise
 
 METHODS = ("conventional", "multi-color", "full_complex_conventional", "full_complex_multi-color")
@@ -92,6 +93,7 @@ class multi_color_hologram_optimizer:
     """
 
     _title = "multi-colour hologram"
+    _workspace: Workspace | None = None
 
     def __init__(
         self,
@@ -309,11 +311,14 @@ class multi_color_hologram_optimizer:
         self._eyebox = {"offset": 0.0, "diameter": 100} | (eyebox or {})
         self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
         self.init_optimizer(iterations)
+        self._workspace = Workspace()
         about = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
         minimise(
             self.parameters, self._gradient, iterations, self.learning_rates, self.options,
             description=self._title, about=about,
         )  # fmt: skip
+        self._workspace = None
+        release_memory()
         with torch.no_grad():
             self.propagator.set_laser_powers(self.channel_power.detach())
             return self._pattern()[0].detach()
@@ -415,7 +420,7 @@ class multi_color_hologram_optimizer:
     def _images(self, hologram, powers, captured):
         """Yield some planes and their intensities, until all were there."""
         for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
-            images = self.propagator.exposures(hologram, planes, powers)
+            images = self.propagator.exposures(hologram, planes, powers, workspace=self._workspace)
             yield planes, images if captured is None else seen(images, captured[planes])
 
     def _set_peak(self, overlaps):

@@ -237,7 +237,7 @@ class propagator(display_volume):
         phases = phases if phases.is_floating_point() else phases.float()
         return phases.reshape(expected).to(self.device)
 
-    def fields(self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor) -> torch.Tensor:
+    def fields(self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace=None) -> torch.Tensor:
         """Return the fields of some frames on some planes, of unit source power.
 
         Parameters
@@ -248,6 +248,8 @@ class propagator(display_volume):
             Which of them.
         kernels : torch.Tensor
             Transfer functions of the planes, from :meth:`transfer`.
+        workspace : odak.learn.wave.spectral.Workspace, optional
+            Memory to write the fields to.
 
         Returns
         -------
@@ -256,14 +258,16 @@ class propagator(display_volume):
             source, frame f in colour f.
         """
         if not self._one_source_per_frame:
-            return convolve(holograms[frames], kernels)
+            return convolve(holograms[frames], kernels, workspace)
         lit = range(self._lit_frames())[frames]
         if holograms.shape[2] > 1:
             holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
         holograms = holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
-        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None])
+        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
 
-    def exposures(self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None) -> torch.Tensor:
+    def exposures(
+        self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None, *, workspace=None
+    ) -> torch.Tensor:
         """Return the intensities that all frames together leave on some planes.
 
         Parameters
@@ -274,17 +278,21 @@ class propagator(display_volume):
             Which planes.
         powers : torch.Tensor, optional
             Amplitudes of the sources ``[F, C]``; :meth:`get_laser_powers` by default.
+        workspace : odak.learn.wave.spectral.Workspace, optional
+            Memory to keep the fields and their gradient in. The backward pass can then be run once, before the
+            workspace is used again, and not be differentiated.
 
         Returns
         -------
         torch.Tensor
             Real ``[planes, C, ms, ns]``.
         """
-        fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype))
+        fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
+        consume = workspace is not None
         powers = (self.get_laser_powers() if powers is None else powers).to(fields.real.dtype)
         if not self._one_source_per_frame:
-            return exposure(fields, powers)
-        light = exposure(fields, powers.diagonal()[:, None], one_each=True)
+            return exposure(fields, powers, consume=consume)
+        light = exposure(fields, powers.diagonal()[:, None], one_each=True, consume=consume)
         dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
         return torch.cat([light, dark], 1) if dark.numel() else light
 

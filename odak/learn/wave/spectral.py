@@ -7,6 +7,7 @@ operator with the conjugate kernel. Nothing but the kernel is saved for the back
 import itertools
 import math
 import threading
+from collections.abc import Sequence
 
 import torch
 
@@ -18,19 +19,40 @@ _BLOCKED_FROM = 1 << 20
 # 4 MB is as quick as 1 MB on an idle one and several times quicker when something else runs.
 _BLOCK_BYTES = 1 << 22
 _CACHE_LINE = 64
+# Fresh memory is cleared page by page by the system, which takes as long as a transform.
+_KEPT_LINES = 12
 
 _scratch = threading.local()
 
 
-def convolve(field: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
+class Workspace:
+    """Memory for a result that is made again and again: each takes the place of the one before.
+
+    Fresh memory is cleared page by page by the system, which takes as long as a transform.
+    """
+
+    def __init__(self):
+        self._memory = None
+
+    def take(self, shape: Sequence[int], like: torch.Tensor) -> torch.Tensor:
+        """Return a tensor of that shape, with the dtype and on the device of `like`; what it holds is left over."""
+        held, count = self._memory, math.prod(shape)
+        if held is None or held.dtype != like.dtype or held.device != like.device or held.numel() < count:
+            self._memory = like.new_empty(count)
+        return self._memory[:count].view(shape)
+
+
+def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
     """Return the field filtered by `kernel` on its own window; see :func:`odak.wave.spectral.convolve`.
 
     Differentiable any number of times in `field` and, when it requires grad, in `kernel`. One field through several
-    kernels (planes, colours) is transformed once, and so is the sum of what comes back to it.
+    kernels (planes, colours) is transformed once, and so is the sum of what comes back to it. The result may be written
+    to a workspace.
     """
     if kernel.requires_grad or torch._C._functorch.is_functorch_wrapped_tensor(kernel):
         return convolve_plainly(field, kernel)
-    return _Convolution.apply(field, kernel, False, torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2]))
+    batch = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
+    return _Convolution.apply(field, kernel, False, batch, workspace)
 
 
 class _Convolution(torch.autograd.Function):
@@ -41,14 +63,14 @@ class _Convolution(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(field, kernel, adjoint, batch):
+    def forward(field, kernel, adjoint, batch, workspace):
         if field.device.type != "cpu" or kernel.shape[-2] * kernel.shape[-1] < _BLOCKED_FROM:
             return _convolve_whole(field, kernel, adjoint, batch)
-        return _convolve_in_blocks(field, kernel, adjoint, batch)
+        return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        field, kernel, ctx.adjoint, ctx.result_batch = inputs
+        field, kernel, ctx.adjoint, ctx.result_batch, _ = inputs
         ctx.batch = field.shape[:-2]
         # Kernels are shared between calls and never written to, so keeping a reference is safe.
         ctx.save_for_backward(kernel)
@@ -57,19 +79,20 @@ class _Convolution(torch.autograd.Function):
     @staticmethod
     def backward(ctx, gradient):
         (kernel,) = ctx.saved_tensors
-        return _Convolution.apply(gradient, kernel, not ctx.adjoint, ctx.batch), None, None, None
+        return _Convolution.apply(gradient, kernel, not ctx.adjoint, ctx.batch, None), None, None, None, None
 
     @staticmethod
     def jvp(ctx, tangent, *_):
         (kernel,) = ctx.saved_tensors
-        return _Convolution.apply(tangent, kernel, ctx.adjoint, ctx.result_batch)
+        return _Convolution.apply(tangent, kernel, ctx.adjoint, ctx.result_batch, None)
 
     @staticmethod
-    def vmap(info, in_dims, field, kernel, adjoint, batch):
+    def vmap(info, in_dims, field, kernel, adjoint, batch, workspace):
         ranks = (array.ndim - 2 - (dim is not None) for array, dim in ((field, in_dims[0]), (kernel, in_dims[1])))
         rank = max(len(batch), *ranks)
         field, kernel = (_batch_first(array, dim, rank) for array, dim in zip((field, kernel), in_dims, strict=False))
-        result = _Convolution.apply(field, kernel, adjoint, (info.batch_size, *(1,) * (rank - len(batch)), *batch))
+        batches = (info.batch_size, *(1,) * (rank - len(batch)), *batch)
+        result = _Convolution.apply(field, kernel, adjoint, batches, None)
         return result.reshape(info.batch_size, *batch, *result.shape[-2:]), 0
 
 
@@ -86,14 +109,15 @@ def _convolve_whole(field, kernel, adjoint, batch):
     return window_of(spectrum.sum_to_size(*batch, *kernel.shape[-2:]), field.shape[-2:], field.dtype)
 
 
-def _convolve_in_blocks(field, kernel, adjoint, batch):
+def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     """Return the filtered field, every transform on a part that fits a core's cache.
 
     A padded spectrum of 2160 × 3840 would be written and read four times and its fresh pages cleared by the kernel
     each time, which costs more than the arithmetic. It exists only, in memory kept for it, where one field goes
     through several kernels or several come back to one.
     """
-    result = field.new_empty((*batch, *field.shape[-2:]))
+    shape = (*batch, *field.shape[-2:])
+    result = field.new_empty(shape) if workspace is None else workspace.take(shape, field)
     full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
     arrays = (_members(array, full) for array in (field, kernel, result))
     triples = list(zip(*arrays, strict=True))
@@ -141,7 +165,7 @@ def _scatter(group, adjoint):
     field, first, _ = group[0]
     height, width = first.shape
     lines = _rows_to_spectra(field, width)
-    filtered = [_lines(field, width) for _ in group]
+    filtered = [_lines(field, width, index + 1) for index in range(len(group))]
     for part in _parts(width, height, field):
         column = _columns_to_spectra(lines, part, height, adjoint)
         for (_, kernel, _), target in zip(group, filtered, strict=True):
@@ -156,8 +180,10 @@ def _gather(group, adjoint):
     """Write the sum of several filtered fields into their one result; their spectra are summed."""
     _, first, result = group[0]
     height, width = first.shape
-    incoming = [_rows_to_spectra(field, width, _lines(field, width)) for field, _, _ in group]
-    lines = _lines(result, width, kept=True)
+    incoming = [
+        _rows_to_spectra(field, width, _lines(field, width, index + 1)) for index, (field, _, _) in enumerate(group)
+    ]
+    lines = _lines(result, width)
     for part in _parts(width, height, result):
         total = None
         for (_, kernel, _), source in zip(group, incoming, strict=True):
@@ -187,20 +213,21 @@ def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
 
 def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> torch.Tensor:
     """Return the transforms of a field's rows, continued by zeros to `width`, in the memory given or this thread's."""
-    lines = _lines(field, width, kept=True) if lines is None else lines
+    lines = _lines(field, width) if lines is None else lines
     for part in _parts(len(field), width, field):
         lines[part] = torch.fft.fft(field[part], n=width)
     return lines
 
 
-def _lines(field, width: int, kept: bool = False) -> torch.Tensor:
-    """Return memory for the transforms of a field's rows: fresh, or that which this thread keeps.
+def _lines(field, width: int, index: int = 0) -> torch.Tensor:
+    """Return memory for the transforms of a field's rows: that which this thread keeps, or fresh beyond a few.
 
     Rows start an odd number of cache lines apart, so that a column spreads over the whole cache: three times as quick.
     """
     per_line = max(1, _CACHE_LINE // field.element_size())
     shape = (len(field), (-(-width // per_line) | 1) * per_line)
-    return (_buffer("lines", shape, field.dtype) if kept else field.new_empty(shape))[:, :width]
+    kept = index <= _KEPT_LINES
+    return (_buffer(f"lines {index}", shape, field.dtype) if kept else field.new_empty(shape))[:, :width]
 
 
 def _spectra_to_rows(lines, result):
@@ -233,6 +260,11 @@ def _buffer(name: str, shape, dtype) -> torch.Tensor:
             held = torch.empty(count, dtype=dtype)
         setattr(_scratch, name, held)
     return held[:count].view(shape)
+
+
+def release_memory() -> None:
+    """Give back the memory that this thread keeps between transforms."""
+    _scratch.__dict__.clear()
 
 
 register_convolver("torch", convolve)

@@ -9,6 +9,7 @@ import torch
 
 from odak.learn import wave
 from odak.learn.wave import holographic_display, propagator
+from odak.learn.wave.spectral import Workspace
 
 PITCH = 8e-6
 COLOURS = [639e-9, 515e-9, 473e-9]
@@ -332,3 +333,17 @@ def test_display_checks(phases):
     # Zero frequency alone: a flat field.
     flat = pinhole.reconstruct(phases, torch.ones(3, 3))
     assert flat.std((-2, -1)).max() < 1e-4 * flat.mean()
+
+
+def test_exposures_in_a_workspace_have_one_backward_pass(phases):
+    show = display(method="multi-color", laser_channel_power=torch.rand(3, 3))
+    gradients = []
+    for workspace in (None, Workspace()):
+        phase = phases.clone().requires_grad_()
+        powers = show.get_laser_powers().clone().requires_grad_()
+        images = show.exposures(show.holograms(phase), slice(None), powers, workspace=workspace)
+        images.square().sum().backward(retain_graph=True)
+        gradients.append((phase.grad, powers.grad))
+    torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
+    with pytest.raises(RuntimeError, match="one backward pass"):
+        images.sum().backward()

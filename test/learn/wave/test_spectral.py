@@ -101,7 +101,9 @@ def test_vmap_over_field_and_kernel(in_dims):
     fields = fields if in_dims[0] is None else fields.movedim(0, in_dims[0])
     kernels = kernels if in_dims[1] is None else kernels.movedim(0, in_dims[1])
     batch = (3,) if None in in_dims else ()
-    result = torch.func.vmap(lambda u, h: spectral._Convolution.apply(u, h, False, batch), in_dims)(fields, kernels)
+    result = torch.func.vmap(lambda u, h: spectral._Convolution.apply(u, h, False, batch, None), in_dims)(
+        fields, kernels
+    )
     for index in range(3):
         field = fields if in_dims[0] is None else fields.select(in_dims[0], index)
         kernel = kernels if in_dims[1] is None else kernels.select(in_dims[1], index)
@@ -155,3 +157,14 @@ def test_cuda_agrees_with_the_cpu():
     assert result.is_cuda
     torch.testing.assert_close(result.cpu(), expected)
     assert propagate_beam(field.cuda(), None, torch.tensor(1e-3).cuda(), 8e-6, 532e-9).is_cuda
+
+
+def test_a_workspace_holds_the_result(blocked):
+    field, factor = pair(1, 12, 15, kernel=(3, 24, 31))
+    workspace = spectral.Workspace()
+    first = spectral.convolve(field, factor, workspace)
+    expected = spectral.convolve(field, factor)
+    torch.testing.assert_close(first, expected)
+    again = spectral.convolve(2 * field, factor, workspace)
+    assert again.data_ptr() == first.data_ptr()
+    torch.testing.assert_close(again, 2 * expected)
