@@ -73,7 +73,7 @@ class SpatialSteerablePyramid(nn.Module):
     >>> import torch
     >>> from odak.learn.perception import SpatialSteerablePyramid
     >>> maker = SpatialSteerablePyramid(use_bilinear_downup=False, n_orientations=4)
-    >>> picture = torch.rand(1, 1, 64, 64)
+    >>> picture = torch.linspace(0, 3, 64).sin().expand(1, 1, 64, 64)
     >>> pyramid = maker.construct_pyramid(picture, 3)
     >>> bool((maker.reconstruct_from_pyramid(pyramid) - picture).abs().max() < 0.01)
     True
