@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 0.02
-SLOW = {"guides/design_a_display.md", "guides/multiplane_and_colour.md"}
+SLOW: set[str] = set()
 _NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
