@@ -1,7 +1,11 @@
 """Phase to field and field to intensity, with backward passes that touch each array once."""
 
+import itertools
+
 import torch
 from torch.autograd.function import once_differentiable
+
+from odak.learn.wave.workspace import Workspace, room
 
 
 def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
@@ -26,7 +30,7 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
 
 
 def exposure(
-    field: torch.Tensor, power: torch.Tensor, one_each: bool = False, *, consume: bool = False
+    field: torch.Tensor, power: torch.Tensor, one_each: bool = False, *, workspace: Workspace | None = None
 ) -> torch.Tensor:
     """Return the light that the frames of a field, shown one after another, leave on each plane and colour.
 
@@ -38,9 +42,9 @@ def exposure(
         Amplitude of the light source ``[frames, colours]``; with `one_each` ``[frames, 1]``.
     one_each : bool
         Each frame is one colour and stays by itself.
-    consume : bool
-        Let the backward pass write the field's gradient over the field, which nothing else may need. It can then be
-        run once, and not be differentiated.
+    workspace : Workspace, optional
+        Memory for the result. The backward pass then writes the field's gradient over the field, which nothing else may
+        need; it can be run once, before the workspace is used again, and not be differentiated.
 
     Returns
     -------
@@ -48,12 +52,15 @@ def exposure(
         Σ_f power² · |field|², ``[planes, colours, rows, columns]``, differentiable any number of times in both. With
         `one_each` no sum: ``[planes, frames, rows, columns]``.
     """
-    return _Exposure.apply(field, power, one_each, consume)
+    return _Exposure.apply(field, power, one_each, workspace)
 
 
-def squared_error(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return Σ (image − target)², in one array instead of three; the backward pass can be run once."""
-    return _SquaredError.apply(image, target)
+def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
+    """Return Σ (image − target)², in one array instead of three, of a workspace or fresh.
+
+    The backward pass can be run once.
+    """
+    return _SquaredError.apply(image, target, workspace)
 
 
 class _UnitPhasor(torch.autograd.Function):
@@ -110,8 +117,9 @@ class _SquaredError(torch.autograd.Function):
     """d Σ e² = 2·Σ e·de."""
 
     @staticmethod
-    def forward(ctx, image, target):
-        ctx.error = image - target
+    def forward(ctx, image, target, workspace):
+        shape = torch.broadcast_shapes(image.shape, target.shape)
+        ctx.error = torch.sub(image, target, out=room(workspace, "error", shape, image))
         return torch.dot(ctx.error.flatten(), ctx.error.flatten())
 
     @staticmethod
@@ -121,28 +129,32 @@ class _SquaredError(torch.autograd.Function):
         if error is None:
             raise RuntimeError("squared_error has one backward pass: its error became the gradient")
         slope = error.mul_(2 * gradient)
-        return slope, -slope if ctx.needs_input_grad[1] else None
+        return slope, -slope if ctx.needs_input_grad[1] else None, None
 
 
 class _Exposure(torch.autograd.Function):
     """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the slope is as large as the field."""
 
     @staticmethod
-    def forward(field, power, one_each, consume):
+    def forward(field, power, one_each, workspace):
         frames, planes, colours, *shape = field.shape
-        total = field.real.new_empty(planes, frames if one_each else colours, *shape)
-        for index, weight in enumerate(power.square()):
-            place = total[:, index : index + 1] if one_each else total
-            light = field[index].real.square().addcmul_(field[index].imag, field[index].imag)
-            if one_each or index == 0:
-                torch.mul(light, weight[:, None, None], out=place)
+        total = room(workspace, "exposure", (planes, frames if one_each else colours, *shape), field.real)
+        weights = power.square()
+        # Plane by plane: what is between then stays in the cache, and is never large enough to be fresh memory.
+        for frame, plane in itertools.product(range(frames), range(planes)):
+            own, weight = field[frame, plane], weights[frame, :, None, None]
+            place = total[plane, frame : frame + 1] if one_each else total[plane]
+            light = own.real.square().addcmul_(own.imag, own.imag)
+            if one_each or frame == 0:
+                torch.mul(light, weight, out=place)
             else:
-                place.addcmul_(light, weight[:, None, None])
+                place.addcmul_(light, weight)
         return total
 
     @staticmethod
     def setup_context(ctx, inputs, output):
-        field, power, ctx.one_each, consume = inputs
+        field, power, ctx.one_each, workspace = inputs
+        consume = workspace is not None
         ctx.consumed = field if consume else None
         ctx.save_for_backward(*([] if consume else [field]), power)
 
@@ -151,7 +163,7 @@ class _Exposure(torch.autograd.Function):
         *saved, power = ctx.saved_tensors
         field, ctx.consumed = saved[0] if saved else ctx.consumed, None
         if field is None or (not saved and torch.is_grad_enabled()):
-            raise RuntimeError("the fields were consumed: exposure(..., consume=True) has one backward pass")
+            raise RuntimeError("the fields were overwritten: exposure(..., workspace=) has one backward pass")
         to_field = to_power = None
         if ctx.needs_input_grad[1]:
             to_power = 2 * power * _collected(field, gradient, ctx.one_each)
@@ -166,14 +178,19 @@ def _slope(field, gradient, power, one_each, result=None):
         own = gradient.transpose(0, 1)[:, :, None] if one_each else gradient[None]
         return field * (own * (2 * power.square())[:, None, :, None, None])
     result = torch.empty_like(field) if result is None else result.detach()
-    for index, weight in enumerate(2 * power.square()):
-        own = gradient[:, index : index + 1] if one_each else gradient
-        parts = (torch.view_as_real(array[index]) for array in (field, result))
-        torch.mul(next(parts), (own * weight[:, None, None])[..., None], out=next(parts))
+    weights = 2 * power.square()
+    for frame, plane in itertools.product(*map(range, field.shape[:2])):
+        own = gradient[plane, frame : frame + 1] if one_each else gradient[plane]
+        factor = (own * weights[frame, :, None, None])[..., None]
+        torch.mul(torch.view_as_real(field[frame, plane]), factor, out=torch.view_as_real(result[frame, plane]))
     return result
 
 
 def _collected(field, gradient, one_each):
     """Return Σ g·|u|² over planes and pixels, ``[frames, colours]``."""
     own = (gradient[:, index : index + 1] if one_each else gradient for index in range(len(field)))
-    return torch.stack([(intensity(frame) * slope).sum((0, 2, 3)) for frame, slope in zip(field, own, strict=True)])
+    return torch.stack([_overlap(frame, slope) for frame, slope in zip(field, own, strict=True)])
+
+
+def _overlap(field, slope):
+    return sum((intensity(plane) * own).sum((-2, -1)) for plane, own in zip(field, slope, strict=True))

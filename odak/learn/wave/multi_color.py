@@ -14,8 +14,9 @@ from odak.learn.wave.masks import disc
 from odak.learn.wave.phase_constraints import checkerboard, double_phase_roughness, eyebox_loss, roughness, zero_mean
 from odak.learn.wave.phase_levels import TURN, even_levels
 from odak.learn.wave.propagators import propagator as propagator_type
-from odak.learn.wave.spectral import Workspace, release_memory
+from odak.learn.wave.spectral import release_memory
 from odak.learn.wave.training import Options, cosine, minimise
+from odak.learn.wave.workspace import Workspace
 
 METHODS = ("conventional", "multi-color", "full_complex_conventional", "full_complex_multi-color")
 
@@ -262,7 +263,7 @@ class multi_color_hologram_optimizer:
         if inject_noise:
             spread = target_image.amax() - target_image.amin()
             target_image = target_image + noise_ratio * spread * torch.randn_like(target_image)
-        error = squared_error(input_image, target_image)
+        error = squared_error(input_image, target_image, self._workspace)
         return error / input_image.numel() if self.reduction == "mean" else error
 
     def double_phase_constrain(

@@ -248,7 +248,7 @@ class propagator(display_volume):
             Which of them.
         kernels : torch.Tensor
             Transfer functions of the planes, from :meth:`transfer`.
-        workspace : odak.learn.wave.spectral.Workspace, optional
+        workspace : odak.learn.wave.workspace.Workspace, optional
             Memory to write the fields to.
 
         Returns
@@ -278,9 +278,9 @@ class propagator(display_volume):
             Which planes.
         powers : torch.Tensor, optional
             Amplitudes of the sources ``[F, C]``; :meth:`get_laser_powers` by default.
-        workspace : odak.learn.wave.spectral.Workspace, optional
-            Memory to keep the fields and their gradient in. The backward pass can then be run once, before the
-            workspace is used again, and not be differentiated.
+        workspace : odak.learn.wave.workspace.Workspace, optional
+            Memory to keep the fields, their gradient and the result in. The backward pass can then be run once, before
+            the workspace is used again, and not be differentiated.
 
         Returns
         -------
@@ -288,11 +288,10 @@ class propagator(display_volume):
             Real ``[planes, C, ms, ns]``.
         """
         fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
-        consume = workspace is not None
         powers = (self.get_laser_powers() if powers is None else powers).to(fields.real.dtype)
         if not self._one_source_per_frame:
-            return exposure(fields, powers, consume=consume)
-        light = exposure(fields, powers.diagonal()[:, None], one_each=True, consume=consume)
+            return exposure(fields, powers, workspace=workspace)
+        light = exposure(fields, powers.diagonal()[:, None], one_each=True, workspace=workspace)
         dark = light.new_zeros(len(light), self.number_of_channels - light.shape[1], *light.shape[2:])
         return torch.cat([light, dark], 1) if dark.numel() else light
 

@@ -7,10 +7,10 @@ operator with the conjugate kernel. Nothing but the kernel is saved for the back
 import itertools
 import math
 import threading
-from collections.abc import Sequence
 
 import torch
 
+from odak.learn.wave.workspace import Workspace, room
 from odak.wave.spectral import convolve_plainly, register_convolver, spectrum_of, window_of
 
 # Below this many padded samples the whole spectrum sits in the cache anyway and one call per axis is quicker.
@@ -23,23 +23,6 @@ _CACHE_LINE = 64
 _KEPT_LINES = 12
 
 _scratch = threading.local()
-
-
-class Workspace:
-    """Memory for a result that is made again and again: each takes the place of the one before.
-
-    Fresh memory is cleared page by page by the system, which takes as long as a transform.
-    """
-
-    def __init__(self):
-        self._memory = None
-
-    def take(self, shape: Sequence[int], like: torch.Tensor) -> torch.Tensor:
-        """Return a tensor of that shape, with the dtype and on the device of `like`; what it holds is left over."""
-        held, count = self._memory, math.prod(shape)
-        if held is None or held.dtype != like.dtype or held.device != like.device or held.numel() < count:
-            self._memory = like.new_empty(count)
-        return self._memory[:count].view(shape)
 
 
 def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
@@ -117,7 +100,7 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     through several kernels or several come back to one.
     """
     shape = (*batch, *field.shape[-2:])
-    result = field.new_empty(shape) if workspace is None else workspace.take(shape, field)
+    result = room(workspace, "field", shape, field)
     full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
     arrays = (_members(array, full) for array in (field, kernel, result))
     triples = list(zip(*arrays, strict=True))

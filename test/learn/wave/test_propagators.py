@@ -9,7 +9,7 @@ import torch
 
 from odak.learn import wave
 from odak.learn.wave import holographic_display, propagator
-from odak.learn.wave.spectral import Workspace
+from odak.learn.wave.workspace import Workspace
 
 PITCH = 8e-6
 COLOURS = [639e-9, 515e-9, 473e-9]

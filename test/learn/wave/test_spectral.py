@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from odak.learn.wave import propagate_beam, spectral
+from odak.learn.wave.workspace import Workspace
 from odak.wave.spectral import convolve_plainly
 
 
@@ -161,7 +162,7 @@ def test_cuda_agrees_with_the_cpu():
 
 def test_a_workspace_holds_the_result(blocked):
     field, factor = pair(1, 12, 15, kernel=(3, 24, 31))
-    workspace = spectral.Workspace()
+    workspace = Workspace()
     first = spectral.convolve(field, factor, workspace)
     expected = spectral.convolve(field, factor)
     torch.testing.assert_close(first, expected)
