@@ -1,0 +1,70 @@
+"""What MkDocs does besides: equations become MathML, and notebooks get a way to be run and words for their pictures.
+
+MathML is drawn by the browser itself, so pages need no script and nothing from the network.
+"""
+
+import re
+
+import latex2mathml.converter
+import nbformat
+from bs4 import BeautifulSoup, NavigableString
+
+_MATHS = re.compile(r"\$\$(?P<display>.+?)\$\$|(?<!\\)\$(?P<inline>[^$\s](?:[^$]*[^$\s\\])?)\$", re.DOTALL)
+_DELIMITED = re.compile(r"^\\(?P<kind>[(\[])(?P<tex>.*)\\[)\]]$", re.DOTALL)
+_RUN = (
+    '<p class="notebook-run"><a href="{name}" download="{name}">Download this notebook</a> and open it where odak is '
+    "installed: <code>pip install jupyterlab matplotlib scikit-learn &amp;&amp; jupyter lab {name}</code></p>"
+)
+
+
+def on_page_content(html, page, config, files):
+    """Return a page's HTML with its equations drawn; a notebook's with its download and picture texts too."""
+    is_notebook = page.file.src_path.endswith(".ipynb")
+    if not is_notebook and "arithmatex" not in html:
+        return html
+    soup = BeautifulSoup(html, "html.parser")
+    for element in soup.select(".arithmatex"):
+        match = _DELIMITED.match(element.get_text().strip())
+        element.replace_with(_mathml(match["tex"], display=match["kind"] == "["))
+    if is_notebook:
+        _finish_notebook(soup, page)
+    return str(soup)
+
+
+def _finish_notebook(soup, page):
+    # What is drawn is stored in the notebook; scripts would only fetch from elsewhere.
+    for script in soup.find_all("script"):
+        script.decompose()
+    for area in soup.select(".jp-RenderedMarkdown"):
+        _draw_equations(area)
+    name = page.file.src_path.rsplit("/", 1)[-1]
+    soup.find("h1").insert_after(BeautifulSoup(_RUN.format(name=name), "html.parser"))
+    texts = _picture_texts(page.file.abs_src_path)
+    for image, text in zip(soup.select(".jp-OutputArea img"), texts, strict=True):
+        image["alt"] = text
+        image["title"] = text
+
+
+def _draw_equations(area):
+    for node in area.find_all(string=_MATHS):
+        if node.find_parent(["pre", "code", "math"]) is not None:
+            continue
+        pieces, end = [], 0
+        for match in _MATHS.finditer(node):
+            tex = match["display"] or match["inline"]
+            pieces += [NavigableString(node[end : match.start()]), _mathml(tex, match["display"] is not None)]
+            end = match.end()
+        node.replace_with(*pieces, NavigableString(node[end:]))
+
+
+def _mathml(tex, display):
+    markup = latex2mathml.converter.convert(tex.strip(), display="block" if display else "inline")
+    return BeautifulSoup(markup, "html.parser")
+
+
+def _picture_texts(path):
+    """Return the alternative texts of a notebook's pictures, in order."""
+    notebook = nbformat.read(path, as_version=4)
+    outputs = (output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs)
+    pictures = (output for output in outputs if any(kind.startswith("image/") for kind in output.get("data", {})))
+    return [next(iter(picture.metadata.values()), {}).get("alt", "") for picture in pictures]
