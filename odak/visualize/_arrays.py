@@ -1,0 +1,107 @@
+"""What comes in: lists, arrays and tensors of any library, device and precision, as NumPy arrays to draw."""
+
+import numpy as np
+
+from odak._array import is_torch
+from odak.tools.conversions import convert_to_numpy
+
+
+def to_numpy(name: str, value) -> np.ndarray:
+    """Return numbers as an array on the CPU, whatever holds them.
+
+    Parameters
+    ----------
+    name : str
+        What the caller calls it.
+    value : array, torch.Tensor, number or sequence of them
+        Tensors may be on any device and require a gradient.
+
+    Returns
+    -------
+    numpy.ndarray
+        Of the same precision; bfloat16 becomes float32, bool uint8.
+
+    Raises
+    ------
+    TypeError
+        If it does not hold numbers.
+    """
+    if is_torch(value):
+        value = value.float() if str(value.dtype) == "torch.bfloat16" else value
+        value = convert_to_numpy(value)
+    elif isinstance(value, (list, tuple)):
+        value = [to_numpy(f"{name}[{i}]", v) if hasattr(v, "shape") else v for i, v in enumerate(value)]
+    elif hasattr(value, "get") and hasattr(value, "__cuda_array_interface__"):
+        value = value.get()
+    try:
+        found = np.asarray(value)
+    except ValueError as error:
+        raise TypeError(f"{name} must be an array or a tensor of numbers: {error}") from error
+    if found.dtype.kind == "b":
+        return found.astype(np.uint8)
+    if found.dtype.kind not in "iufc":
+        raise TypeError(f"{name} must be an array or a tensor of numbers, got {type(value).__name__}")
+    return found
+
+
+def real_array(name: str, value) -> np.ndarray:
+    """Return real numbers as an array, raise TypeError for complex ones."""
+    found = to_numpy(name, value)
+    if found.dtype.kind == "c":
+        raise TypeError(f"{name} must be real, got {found.dtype}; draw its amplitude or its phase")
+    return found
+
+
+def points(name: str, value) -> np.ndarray:
+    """Return points ``[3]`` or ``[m, 3]`` as ``[m, 3]``."""
+    found = real_array(name, value)
+    found = found[None] if found.ndim == 1 else found
+    if found.ndim != 2 or found.shape[-1] != 3:
+        raise ValueError(f"{name} must be [3] or [m, 3], got {list(np.shape(value))}")
+    return found.astype(np.result_type(found, np.float32), copy=False)
+
+
+def pairs(names: tuple[str, str], first, second) -> tuple[np.ndarray, np.ndarray]:
+    """Return two sets of points ``[m, 3]``, one point standing for all where the other set has more."""
+    a, b = points(names[0], first), points(names[1], second)
+    if len(a) != len(b) and 1 not in (len(a), len(b)):
+        raise ValueError(f"{names[0]} and {names[1]} must be as many, or one of them one; got {len(a)} and {len(b)}")
+    return tuple(np.broadcast_arrays(a, b))
+
+
+def triangles(name: str, value) -> np.ndarray:
+    """Return triangles ``[3, 3]`` or ``[m, 3, 3]`` as ``[m, 3, 3]``."""
+    found = real_array(name, value)
+    found = found[None] if found.ndim == 2 else found
+    if found.ndim != 3 or found.shape[1:] != (3, 3):
+        raise ValueError(f"{name} must be [3, 3] or [m, 3, 3], got {list(np.shape(value))}")
+    return found.astype(np.result_type(found, np.float32), copy=False)
+
+
+def reach(rays, distance) -> tuple[np.ndarray, np.ndarray]:
+    """Return where rays ``[2, 3]`` or ``[m, 2, 3]`` start and where they are after a distance, each ``[m, 3]``.
+
+    Rays with a number that is not finite are left out.
+    """
+    found = real_array("rays", rays)
+    found = found[None] if found.ndim == 2 else found
+    if found.ndim != 3 or found.shape[1:] != (2, 3):
+        raise ValueError(f"rays must be [2, 3] or [m, 2, 3], got {list(np.shape(rays))}")
+    found = found.astype(np.result_type(found, np.float32), copy=False)
+    lengths = real_array("distance", distance).reshape(-1, 1).astype(found.dtype, copy=False)
+    if len(lengths) not in (1, len(found)):
+        raise ValueError(f"distance must be one number or one for each of the {len(found)} rays, got {len(lengths)}")
+    ends = found[:, 0] + lengths * found[:, 1]
+    kept = np.isfinite(ends).all(-1) & np.isfinite(found[:, 0]).all(-1)
+    return found[kept, 0], ends[kept]
+
+
+def image(name: str, value) -> np.ndarray:
+    """Return an array with two axes, axes of length one before or behind them dropped."""
+    found = to_numpy(name, value)
+    shape = list(found.shape)
+    while found.ndim > 2 and 1 in (found.shape[0], found.shape[-1]):
+        found = found[0] if found.shape[0] == 1 else found[..., 0]
+    if found.ndim != 2 or 0 in found.shape:
+        raise ValueError(f"{name} must be one image [rows, columns], not empty; got {shape}")
+    return found

@@ -1,0 +1,301 @@
+"""Rays and surfaces as meshes for other programs: PLY, OBJ and glTF."""
+
+import os
+from collections.abc import Sequence
+
+import numpy as np
+import plyfile
+
+from odak import _validate
+from odak.tools._atomic import replacing
+from odak.tools._paths import validate_path
+from odak.visualize import _arrays
+
+__all__ = ["PLY_object"]
+
+VERTEX = np.dtype([(axis, "f4") for axis in "xyz"])
+FACE = np.dtype([("vertex_indices", "i4", (3,)), *((name, "u1") for name in ("red", "green", "blue"))])
+# A square prism: its corners p0, p0 + (k, 0, 0), p0 + (k, k, 0), p0 + (0, k, 0), then the same at p1.
+SQUARE = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+PRISM = np.array(
+    [
+        [0, 3, 1],
+        [1, 3, 2],
+        [0, 4, 7],
+        [0, 7, 3],
+        [4, 5, 6],
+        [4, 6, 7],
+        [5, 1, 2],
+        [5, 2, 6],
+        [2, 3, 6],
+        [3, 7, 6],
+        [0, 1, 5],
+        [0, 5, 4],
+    ]
+)
+WHITE = (255, 255, 255)
+
+
+class PLY_object:
+    """A mesh of rays and surfaces, each with its colour, to be saved.
+
+    Attributes
+    ----------
+    pnts : numpy.ndarray or None
+        Vertices: x, y, z in float32. None as long as nothing is drawn.
+    tris : numpy.ndarray or None
+        Triangles: ``vertex_indices``, and ``red``, ``green``, ``blue`` in 8 bits.
+
+    Notes
+    -----
+    PLY and OBJ have no unit: the numbers are written as they are. glTF's is the metre; see :meth:`save_glTF`.
+
+    Examples
+    --------
+    >>> from odak.visualize import PLY_object
+    >>> mesh = PLY_object()
+    >>> mesh.draw_a_ray([0.0, 0.0, 0.0], [0.0, 0.0, 50.0], color=[255, 0, 0])
+    >>> len(mesh.pnts), len(mesh.tris)
+    (8, 12)
+    """
+
+    def __init__(self):
+        self._vertices: list[np.ndarray] = []
+        self._faces: list[np.ndarray] = []
+
+    @property
+    def pnts(self) -> np.ndarray | None:
+        """Vertices, a structured array, or None."""
+        return _joined(self._vertices)
+
+    @property
+    def tris(self) -> np.ndarray | None:
+        """Triangles with their colours, a structured array, or None."""
+        return _joined(self._faces)
+
+    def draw_a_ray(
+        self, point0, point1, k: float = 0.02, color: Sequence[int] = WHITE, perpendicular: bool = False
+    ) -> None:
+        """Add a ray as a square prism.
+
+        Parameters
+        ----------
+        point0, point1 : array
+            Where it starts and ends, ``[3]``.
+        k : float
+            Side of the square.
+        color : sequence of int
+            Red, green, blue from 0 to 255.
+        perpendicular : bool
+            Make the square perpendicular to the ray and centred on it. Otherwise it lies in the x–y plane, with the
+            ray along one corner, and a ray that runs in that plane is flat.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is not of the form described.
+        """
+        starts, ends = _arrays.pairs(("point0", "point1"), point0, point1)
+        if len(starts) != 1:
+            raise ValueError(f"point0 and point1 must be one point each, got {len(starts)}; use draw_rays")
+        self._draw_prisms(starts, ends, k, color, perpendicular)
+
+    def draw_rays(
+        self, rays, distance=1.0, k: float = 0.02, color: Sequence[int] = WHITE, perpendicular: bool = True
+    ) -> None:
+        """Add rays as square prisms; those that are NaN are left out.
+
+        Parameters
+        ----------
+        rays : array
+            ``[2, 3]`` or ``[m, 2, 3]``: starts and directions.
+        distance : float or array
+            How far each is drawn: one number, or m.
+        k, color, perpendicular
+            As in :meth:`draw_a_ray`.
+        """
+        starts, ends = _arrays.reach(rays, distance)
+        self._draw_prisms(starts, ends, k, color, perpendicular)
+
+    def draw_triangles(self, triangles, color: Sequence[int] = WHITE) -> None:
+        """Add triangles ``[3, 3]`` or ``[m, 3, 3]``."""
+        corners = _arrays.triangles("triangles", triangles)
+        self._append(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), color)
+
+    def draw_surface(self, data_x, data_y, data_z, color: Sequence[int] = WHITE) -> None:
+        """Add a surface, two triangles for each cell of a grid.
+
+        Parameters
+        ----------
+        data_x, data_y, data_z : array
+            Points ``[m, n]``; x and y may be ``[n]`` and ``[m]``. Triangles at a point that is NaN are left out.
+        color : sequence of int
+            Red, green, blue from 0 to 255.
+        """
+        z = _arrays.real_array("data_z", data_z)
+        if z.ndim != 2 or min(z.shape) < 2:
+            raise ValueError(f"data_z must be [m, n], at least 2 by 2, got {list(z.shape)}")
+        x, y = _arrays.real_array("data_x", data_x), _arrays.real_array("data_y", data_y)
+        for name, value, n in (("data_x", x, z.shape[1]), ("data_y", y, z.shape[0])):
+            if value.shape not in (z.shape, (n,)):
+                raise ValueError(f"{name} must be {list(z.shape)} as data_z, or [{n}]; got {list(value.shape)}")
+        points = np.stack(
+            [np.broadcast_to(x, z.shape), np.broadcast_to(y[:, None] if y.ndim == 1 else y, z.shape), z], axis=-1
+        )
+        number = np.arange(z.size).reshape(z.shape)
+        here, right, below, across = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+        faces = np.stack([here, right, across, here, across, below], axis=-1).reshape(-1, 3)
+        points, faces = _finite(points.reshape(-1, 3), faces)
+        self._append(points, faces, color)
+
+    def save_PLY(self, savefn: str | os.PathLike = "out.ply", text: bool = True) -> None:
+        """Write a PLY file.
+
+        Parameters
+        ----------
+        savefn : str or os.PathLike
+            A ``.ply`` file; it appears whole or not at all.
+        text : bool
+            ASCII; little-endian binary otherwise, a third of the size.
+
+        Raises
+        ------
+        ValueError
+            If nothing is drawn, or the path is not acceptable.
+        """
+        vertices, faces = self._content()
+        elements = [
+            plyfile.PlyElement.describe(vertices, "vertex", comments=["Vertex data"]),
+            plyfile.PlyElement.describe(faces, "face", comments=["Face data"]),
+        ]
+        with replacing(validate_path(savefn, [".ply"])) as stream:
+            plyfile.PlyData(elements, text=bool(text), byte_order="<").write(stream)
+
+    def save_OBJ(self, savefn: str | os.PathLike = "out.obj") -> None:
+        """Write an OBJ file of text, colours as red, green, blue from 0 to 1 behind the coordinates of each vertex.
+
+        Parameters
+        ----------
+        savefn : str or os.PathLike
+            A ``.obj`` file; it appears whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If nothing is drawn, or the path is not acceptable.
+        """
+        vertices, faces = self._content()
+        places = np.stack([vertices[axis] for axis in "xyz"], axis=-1).tolist()
+        colours = (_vertex_colors(vertices, faces)[:, :3] / 255).tolist()
+        lines = [
+            "v {:.9g} {:.9g} {:.9g} {:.6g} {:.6g} {:.6g}".format(*p, *c) for p, c in zip(places, colours, strict=True)
+        ]
+        lines += ["f {} {} {}".format(*corner) for corner in (faces["vertex_indices"] + 1).tolist()]
+        with replacing(validate_path(savefn, [".obj"])) as stream:
+            stream.write(("\n".join(lines) + "\n").encode())
+
+    def save_glTF(self, savefn: str | os.PathLike = "out.glb", unit: str = "mm") -> None:
+        """Write a binary glTF file, with colours, through the package trimesh.
+
+        Parameters
+        ----------
+        savefn : str or os.PathLike
+            A ``.glb`` file; it appears whole or not at all.
+        unit : str
+            Unit of what was drawn, "m", "mm", "um" or "nm": glTF is in metres.
+
+        Raises
+        ------
+        ValueError
+            If nothing is drawn, or the path is not acceptable.
+        ImportError
+            If trimesh is missing.
+        """
+        vertices, faces = self._content()
+        path = validate_path(savefn, [".glb"])
+        scale = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "nm": 1e-9}[_validate.one_of("unit", unit, ("m", "mm", "um", "nm"))]
+        try:
+            import trimesh
+        except ImportError as error:
+            raise ImportError("glTF needs the package trimesh: pip install trimesh") from error
+        places = np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64) * scale
+        mesh = trimesh.Trimesh(
+            places, faces["vertex_indices"], vertex_colors=_vertex_colors(vertices, faces), process=False
+        )
+        with replacing(path) as stream:
+            stream.write(mesh.export(file_type="glb"))
+
+    def _draw_prisms(self, starts, ends, k, color, perpendicular) -> None:
+        side = float(_validate.real("k", k, positive=True))
+        if not (np.isfinite(starts).all() and np.isfinite(ends).all()):
+            raise ValueError("the points of a ray must be finite")
+        if perpendicular:
+            across, up = _frame(ends - starts)
+            square = SQUARE - 0.5
+            corners = side * (square[:, :1] * across[:, None] + square[:, 1:] * up[:, None])
+        else:
+            corners = np.zeros((1, 4, 3))
+            corners[0, :, :2] = side * SQUARE
+        places = np.concatenate([starts[:, None] + corners, ends[:, None] + corners], axis=1)
+        faces = PRISM + 8 * np.arange(len(places))[:, None, None]
+        self._append(places.reshape(-1, 3), faces.reshape(-1, 3), color)
+
+    def _append(self, places: np.ndarray, corners: np.ndarray, color) -> None:
+        """Add vertices and faces whose indices count from the first of these vertices."""
+        shade = _arrays.real_array("color", color).reshape(-1)
+        if shade.shape != (3,) or not ((shade >= 0) & (shade <= 255) & (shade == np.round(shade))).all():
+            raise ValueError(f"color must be three integers from 0 to 255, got {color!r}")
+        if not np.isfinite(places).all():
+            raise ValueError("vertices must be finite")
+        if not len(corners):
+            return
+        vertices, faces = np.empty(len(places), VERTEX), np.empty(len(corners), FACE)
+        for axis, values in zip("xyz", places.T, strict=True):
+            vertices[axis] = values
+        faces["vertex_indices"] = corners + sum(map(len, self._vertices))
+        for name, value in zip(("red", "green", "blue"), shade, strict=True):
+            faces[name] = value
+        self._vertices.append(vertices)
+        self._faces.append(faces)
+
+    def _content(self) -> tuple[np.ndarray, np.ndarray]:
+        vertices, faces = self.pnts, self.tris
+        if vertices is None or faces is None:
+            raise ValueError("there is nothing to save: draw rays, triangles or surfaces first")
+        return vertices, faces
+
+
+def _joined(pieces: list[np.ndarray]) -> np.ndarray | None:
+    """Return all pieces as one array, which takes their place in the list."""
+    if len(pieces) > 1:
+        pieces[:] = [np.concatenate(pieces)]
+    return pieces[0] if pieces else None
+
+
+def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return two unit vectors perpendicular to each of ``[m, 3]`` directions and to each other."""
+    along = along.astype(np.float64)
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    if not (length > 0).all():
+        raise ValueError("a ray must have a length to be drawn with a perpendicular section")
+    along = along / length
+    # The axis least along the ray is never parallel to it.
+    helper = np.eye(3)[np.abs(along).argmin(-1)]
+    across = np.cross(helper, along)
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    return across, np.cross(along, across)
+
+
+def _finite(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return a mesh without the points that are not finite and the triangles at them."""
+    good = np.isfinite(points).all(-1)
+    number = np.cumsum(good) - 1
+    return points[good], number[faces[good[faces].all(-1)]]
+
+
+def _vertex_colors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the colour of each vertex, that of its triangles, as 8-bit red, green, blue, opacity."""
+    found = np.full((len(vertices), 4), 255, np.uint8)
+    shades = np.stack([faces[name] for name in ("red", "green", "blue")], axis=-1)
+    found[faces["vertex_indices"].reshape(-1), :3] = np.repeat(shades, 3, axis=0)
+    return found

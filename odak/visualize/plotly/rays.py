@@ -1,0 +1,421 @@
+"""Rays, points, meshes, surfaces and volumes in space."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from odak import _validate
+from odak.visualize import _arrays
+from odak.visualize.plotly import _layout
+from odak.visualize.plotly._colors import colors, face_colors
+from odak.visualize.plotly._library import graph, make_subplots
+from odak.visualize.plotly._picture import Picture
+from odak.visualize.plotly.plots import surface_grid
+
+__all__ = ["rayshow"]
+
+SPHERE_SAMPLES = 100
+SCENE_SIZE = (800, 700)
+_AXES = ("x", "y", "z")
+_DASHES = ("solid", "dot", "dash", "longdash", "dashdot", "longdashdot")
+
+
+class rayshow(Picture):
+    """Rays, points, triangles, spheres, surfaces and volumes, in rows and columns of three-dimensional scenes.
+
+    Parameters
+    ----------
+    rows, columns : int
+        How many scenes.
+    subplot_titles : sequence of str
+        Titles, row by row.
+    opacity : float
+        Of lines, triangles and spheres, from 0 to 1.
+    line_width, marker_size : float
+        In pixels.
+    color_scale : str
+        Colour scale for values.
+    shape : sequence of int, optional
+        Width and height in pixels; a page is filled and an image has 800 × 700 for each scene by default.
+    labels : sequence of str
+        Names of the axes, with the unit of length.
+
+    Notes
+    -----
+    All lines of one call are one trace, so that a hundred thousand rays are drawn as fast as ten. A page shows about
+    eight scenes at most: browsers allow no more.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.visualize.plotly import rayshow
+    >>> rays = torch.tensor([[[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]]])
+    >>> picture = rayshow(line_width=2.0)
+    >>> picture.add_rays(rays, 10.0, color="green")
+    >>> len(picture.fig.data)
+    1
+    """
+
+    def __init__(
+        self,
+        rows: int = 1,
+        columns: int = 1,
+        subplot_titles: Sequence[str] = ("Ray visualization",),
+        opacity: float = 0.5,
+        line_width: float = 1.0,
+        marker_size: float = 1.0,
+        color_scale: str = "Inferno",
+        shape: Sequence[int] | None = None,
+        labels: Sequence[str] = ("x", "y", "z"),
+    ):
+        rows, columns = (_validate.integer(n, v, minimum=1) for n, v in (("rows", rows), ("columns", columns)))
+        titles = [*subplot_titles, *[""] * (rows * columns)][: rows * columns]
+        scenes = [[{"type": "scene"}] * columns] * rows
+        figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, specs=scenes)
+        settings = {
+            "rows": rows,
+            "color scale": color_scale,
+            "columns": columns,
+            "subplot titles": list(subplot_titles),
+            "opacity": opacity,
+            "line width": line_width,
+            "marker size": marker_size,
+            "width": shape[0] if shape else None,
+            "height": shape[1] if shape else None,
+            "labels": list(labels),
+            "aspect ratio": [1.0, 1.0, 1.0],
+            "margin": [20, 20, 30, 60],
+        }
+        super().__init__(figure, settings)
+        # A little farther than Plotly has it: the near corner stays in the frame.
+        self.fig.update_scenes(camera={"eye": dict.fromkeys(_AXES, 1.45)})
+
+    def get_scene_number(self, row: int = 1, column: int = 1) -> int:
+        """Return the number of a scene, counted row by row from 1.
+
+        Raises
+        ------
+        ValueError
+            If there is no such row or column.
+        """
+        for name, value, limit in (("row", row, self.settings["rows"]), ("column", column, self.settings["columns"])):
+            if _validate.integer(name, value, minimum=1) > limit:
+                raise ValueError(f"{name} must be 1 to {limit}, got {value}")
+        return self.settings["columns"] * (row - 1) + column
+
+    def set_axis_limits(
+        self, row=1, column=1, x_limits=(-1.0, 1.0), y_limits=(-1.0, 1.0), z_limits=(-1.0, 1.0)
+    ) -> None:
+        """Set the ranges of the axes of a scene."""
+        limits = zip(_AXES, (x_limits, y_limits, z_limits), strict=True)
+        ranges = {f"{a}axis": {"range": _arrays.real_array(f"{a}_limits", v).tolist()} for a, v in limits}
+        self._scene(row, column).update(ranges)
+
+    def set_camera(self, row=1, column=1, x: float = 0.0, y: float = 0.0, z: float = 1.0, up=None) -> None:
+        """Set where the camera of a scene stands, in units of the scene, and which axis (x, y, z) points up."""
+        camera = {"eye": {"x": float(x), "y": float(y), "z": float(z)}}
+        if up is not None:
+            up = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}.get(up, up)
+            camera["up"] = dict(zip(_AXES, map(float, up), strict=True))
+        self._scene(row, column).camera.update(camera)
+
+    def add_point(self, point, row=1, column=1, color="red", opacity=1.0, show_legend=False, label=None) -> None:
+        """Add points.
+
+        Parameters
+        ----------
+        point : array
+            ``[3]`` or ``[m, 3]``.
+        row, column : int
+            Which scene, from 1.
+        color : str or sequence
+            A colour, or m colours or values; values are drawn in the colour scale.
+        opacity : float
+            From 0 to 1. A bool in its place is `show_legend`, as in an older call form.
+        show_legend : bool
+            List the points in the legend.
+        label : str, optional
+            Name there.
+        """
+        if isinstance(opacity, bool):
+            opacity, show_legend = self.settings["opacity"], opacity
+        places = _arrays.points("point", point)
+        marker = {"size": self.settings["marker size"], **colors(color, len(places), self.settings)}
+        self._add(
+            graph.Scatter3d(
+                **dict(zip(_AXES, places.T, strict=True)),
+                mode="markers",
+                marker=marker,
+                opacity=float(opacity),
+                showlegend=bool(show_legend),
+                name=label,
+            ),
+            row,
+            column,
+        )
+
+    def add_line(
+        self, point_start, point_end, row=1, column=1, dash=None, color="red", show_legend=False, label=None
+    ) -> None:
+        """Add line segments, all in one trace.
+
+        Parameters
+        ----------
+        point_start, point_end : array
+            ``[3]`` or ``[m, 3]``; one start serves many ends, and the reverse.
+        row, column : int
+            Which scene, from 1.
+        dash : str, optional
+            "dot", "dash", "longdash", "dashdot" or "longdashdot".
+        color : str or sequence
+            A colour, or m colours or values; values are drawn in the colour scale.
+        show_legend : bool
+            List the lines in the legend.
+        label : str, optional
+            Name there.
+
+        Raises
+        ------
+        ValueError
+            If the numbers of starts and ends differ.
+        """
+        starts, ends = _arrays.pairs(("point_start", "point_end"), point_start, point_end)
+        self.add_path(np.stack([starts, ends], axis=1), row, column, dash, color, show_legend, label)
+
+    def add_path(self, points, row=1, column=1, dash=None, color="red", show_legend=False, label=None) -> None:
+        """Add lines through several points each, all in one trace.
+
+        Parameters
+        ----------
+        points : array
+            ``[m, n, 3]``: m lines through n points. A line breaks where a point is not finite.
+        row, column, dash, color, show_legend, label
+            As in :meth:`add_line`.
+        """
+        lines = _arrays.real_array("points", points)
+        if lines.ndim != 3 or lines.shape[-1] != 3 or lines.shape[1] < 2:
+            raise ValueError(f"points must be [m, n, 3] with n at least 2, got {list(lines.shape)}")
+        # A row of NaN behind each line keeps it from being joined to the next.
+        broken = np.full((len(lines), lines.shape[1] + 1, 3), np.nan, np.result_type(lines, np.float32))
+        broken[:, :-1] = np.where(np.isfinite(lines).all(-1, keepdims=True), lines, np.nan)
+        style = {"width": self.settings["line width"], **colors(color, len(lines), self.settings, lines.shape[1] + 1)}
+        if dash is not None:
+            style["dash"] = _validate.one_of("dash", dash, _DASHES)
+        trace = graph.Scatter3d(
+            **dict(zip(_AXES, broken.reshape(-1, 3)[:-1].T, strict=True)),
+            mode="lines",
+            line=style,
+            opacity=float(self.settings["opacity"]),
+            showlegend=bool(show_legend),
+            name=label,
+            connectgaps=False,
+        )
+        self._add(trace, row, column)
+
+    def add_rays(
+        self, rays, distance=1.0, row=1, column=1, dash=None, color="red", show_legend=False, label=None
+    ) -> None:
+        """Add rays, drawn from their starts over a distance, all in one trace; rays that are NaN are left out.
+
+        Parameters
+        ----------
+        rays : array
+            ``[2, 3]`` or ``[m, 2, 3]``: starts and directions.
+        distance : float or array
+            One for all, or one for each ray.
+        row, column, dash, color, show_legend, label
+            As in :meth:`add_line`; colours of single rays are not taken here.
+        """
+        starts, ends = _arrays.reach(rays, distance)
+        self.add_line(starts, ends, row, column, dash, color, show_legend, label)
+
+    def add_triangle(self, triangle, row=1, column=1, dash=None, color="red", show_legend=False) -> None:
+        """Add triangles ``[3, 3]`` or ``[m, 3, 3]``, all in one mesh; `dash` has no effect."""
+        corners = _arrays.triangles("triangle", triangle)
+        faces = np.arange(3 * len(corners)).reshape(-1, 3)
+        self.add_mesh(corners.reshape(-1, 3), faces, row, column, color, show_legend=show_legend)
+
+    def add_mesh(
+        self, vertices, faces, row=1, column=1, color="red", opacity=None, show_legend=False, label=None
+    ) -> None:
+        """Add a mesh.
+
+        Parameters
+        ----------
+        vertices, faces : array
+            Points ``[v, 3]``, and the numbers of the corners of triangles, ``[t, 3]``.
+        row, column : int
+            Which scene, from 1.
+        color : str or sequence
+            A colour, or t colours or values, one for each triangle.
+        opacity : float, optional
+            From 0 to 1; that of the settings by default.
+        show_legend : bool
+            List the mesh in the legend.
+        label : str, optional
+            Name there.
+        """
+        places, corners = _arrays.points("vertices", vertices), _arrays.real_array("faces", faces)
+        if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
+            raise ValueError(f"faces must be integers [t, 3], got {corners.dtype} {list(corners.shape)}")
+        if corners.size and not 0 <= corners.min() <= corners.max() < len(places):
+            raise ValueError(f"faces must name vertices 0 to {len(places) - 1}")
+        style = face_colors(color, len(corners), self.settings)
+        trace = graph.Mesh3d(
+            **dict(zip(_AXES, places.T, strict=True)),
+            **dict(zip("ijk", corners.T, strict=True)),
+            **style,
+            opacity=float(self.settings["opacity"] if opacity is None else opacity),
+            flatshading=True,
+            lighting={"ambient": 0.75},
+            showlegend=bool(show_legend),
+            name=label,
+        )
+        self._add(trace, row, column)
+
+    def add_sphere(self, sphere, row=1, column=1, dash=None, color="red", show_legend=False) -> None:
+        """Add a sphere, ``[4]`` or ``[1, 4]``: centre and radius; `dash` has no effect."""
+        values = _arrays.real_array("sphere", sphere).reshape(-1)
+        if values.shape != (4,):
+            raise ValueError(f"sphere must be [4] or [1, 4]: centre and radius; got {list(np.shape(sphere))}")
+        theta = np.linspace(0, 2 * np.pi, SPHERE_SAMPLES)
+        phi = np.linspace(0, np.pi, SPHERE_SAMPLES)
+        *centre, radius = values
+        parts = (np.outer(np.cos(theta), np.sin(phi)), np.outer(np.sin(theta), np.sin(phi)))
+        parts = (*parts, np.outer(np.ones_like(theta), np.cos(phi)))
+        trace = graph.Surface(
+            **{axis: radius * part + c for axis, part, c in zip(_AXES, parts, centre, strict=True)},
+            colorscale=[[0, color], [1, color]],
+            showscale=False,
+            opacity=float(self.settings["opacity"]),
+            showlegend=bool(show_legend),
+        )
+        self._add(trace, row, column)
+
+    def add_surface(
+        self,
+        data_x,
+        data_y,
+        data_z,
+        surface_color,
+        row=1,
+        column=1,
+        label="",
+        mode="lines+markers",
+        opacity=1.0,
+        contour=False,
+    ) -> None:
+        """Add a surface, coloured by values on it.
+
+        Parameters
+        ----------
+        data_x, data_y, data_z : array
+            Points ``[m, n]``; x and y may be ``[n]`` and ``[m]``. Of more than 512 along a side every k-th is drawn;
+            the picture says so.
+        surface_color : array or str
+            Values ``[m, n]``, or one colour.
+        row, column : int
+            Which scene, from 1.
+        label : str
+            Name, and title of the colour bar.
+        mode : str
+            Of no effect; accepted for older calls.
+        opacity : float
+            From 0 to 1.
+        contour : bool
+            Draw lines of equal z.
+        """
+        grid, factor = surface_grid(data_x, data_y, data_z)
+        if factor > 1:
+            self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
+        if isinstance(surface_color, str):
+            style = {"colorscale": [[0, surface_color], [1, surface_color]], "showscale": False}
+        else:
+            values = _arrays.real_array("surface_color", surface_color)
+            if values.shape != np.shape(data_z):
+                raise ValueError(f"surface_color must be {list(np.shape(data_z))}, got {list(values.shape)}")
+            style = {"surfacecolor": values[::factor, ::factor], "colorscale": self.settings["color scale"]}
+            style["colorbar"] = {"title": {"text": label}}
+        contours = {"z": {"show": bool(contour)}}
+        self._add(graph.Surface(**grid, **style, name=label, opacity=float(opacity), contours=contours), row, column)
+
+    def add_volume(self, points, values, limits=(0.0, 1.0), row=1, column=1, opacity=1.0, surface_count=17) -> None:
+        """Add surfaces of equal value in a volume.
+
+        Parameters
+        ----------
+        points, values : array
+            Points ``[n, 3]`` of a regular grid and values ``[n]`` there.
+        limits : sequence of float
+            Lowest and highest value drawn.
+        row, column : int
+            Which scene, from 1.
+        opacity : float
+            From 0 to 1.
+        surface_count : int
+            How many surfaces.
+        """
+        places, numbers = _arrays.points("points", points), _arrays.real_array("values", values).reshape(-1)
+        if len(numbers) != len(places):
+            raise ValueError(f"values must be as many as points, {len(places)}, got {len(numbers)}")
+        low, high = _arrays.real_array("limits", limits).tolist()
+        trace = graph.Volume(
+            **dict(zip(_AXES, places.T, strict=True)),
+            value=numbers,
+            isomin=low,
+            isomax=high,
+            opacity=float(opacity),
+            surface_count=int(surface_count),
+            colorscale=self.settings["color scale"],
+        )
+        self._add(trace, row, column)
+
+    def show(self, aspect_ratio: Sequence[float] | str | None = None) -> str | None:
+        """Show the picture, in the notebook or in a browser; never wait for a window.
+
+        Parameters
+        ----------
+        aspect_ratio : sequence of float or str, optional
+            Lengths of the x, y and z axes in all scenes; "data" draws all three to one scale. [1, 1, 1] by default.
+
+        Returns
+        -------
+        str or None
+            As :meth:`odak.visualize.plotly.plotshow.show`.
+        """
+        if aspect_ratio is not None:
+            self.settings["aspect ratio"] = aspect_ratio
+        return super().show()
+
+    def save_offline(self, filename="plot.html") -> str:
+        """Save the picture as a page, and return its ``<div>`` without plotly.js; as :meth:`save_html`."""
+        return self.save_html(filename)
+
+    def update_layout(self) -> None:
+        """Bring the figure in line with its settings; showing and saving do this first."""
+        settings, ratio = self.settings, self.settings["aspect ratio"]
+        if isinstance(ratio, str):
+            aspect = {"aspectmode": _validate.one_of("aspect_ratio", ratio, ("data", "cube", "auto"))}
+        else:
+            sides = _arrays.real_array("aspect_ratio", ratio).tolist()
+            aspect = {"aspectmode": "manual", "aspectratio": dict(zip(_AXES, sides, strict=True))}
+        titles = {f"{a}axis": {"title": {"text": text}} for a, text in zip(_AXES, settings["labels"], strict=True)}
+        self.fig.update_scenes({**aspect, **titles})
+        super().update_layout()
+        _layout.place_scene_bars(self.fig)
+
+    def image_size(self) -> tuple[float, float]:
+        """Return width and height of images: those of the settings, or 800 × 700 for each scene."""
+        settings = self.settings
+        return (
+            settings["width"] or SCENE_SIZE[0] * settings["columns"],
+            settings["height"] or SCENE_SIZE[1] * settings["rows"],
+        )
+
+    def _scene(self, row: int, column: int):
+        number = self.get_scene_number(row, column)
+        return self.fig.layout["scene" if number == 1 else f"scene{number}"]
+
+    def _add(self, trace, row: int, column: int) -> None:
+        self.get_scene_number(row, column)
+        self.fig.add_trace(trace, row=row, col=column)

@@ -1,0 +1,27 @@
+import sys
+
+import pytest
+
+
+@pytest.fixture(autouse=True, scope="session")
+def _close_the_browser():
+    yield
+    module = sys.modules.get("odak.visualize.plotly.browser")
+    if module is not None:
+        module.close_browser()
+
+
+@pytest.fixture
+def opened(monkeypatch, tmp_path):
+    """Return the pages that showing would have opened; keep them in the test's folder, on a desk without a display."""
+    import webbrowser
+
+    from odak.visualize.plotly import _pages
+
+    addresses = []
+    monkeypatch.setattr(webbrowser, "open", lambda address, *a, **k: addresses.append(address))
+    monkeypatch.setattr(_pages, "_folder", tmp_path)
+    monkeypatch.setattr(_pages.page.renderers, "default", "browser")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
+        monkeypatch.delenv(name, raising=False)
+    return addresses
