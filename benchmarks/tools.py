@@ -7,7 +7,7 @@ from measure import interleave, measure
 from wave_optics import row
 
 from odak.learn import tools
-from odak.tools import sphere_sample
+from odak.tools import rotate_points, sphere_sample
 
 SHAPE, SPLINES = (128, 128), [16, 16]
 POINTS = 10**6
@@ -35,12 +35,20 @@ def bspline(device: str) -> Iterator[dict]:
 def rotation(device: str) -> Iterator[dict]:
     """Yield the rotation of 10⁶ points, matrices included, against one product of the points with a matrix."""
     points = torch.randn(POINTS, 3, device=device)
-    angles = torch.tensor([[10.0, 20.0, 30.0]], device=device)
+    angles, origin = torch.tensor([[10.0, 20.0, 30.0]], device=device), torch.ones(1, 3, device=device)
     matrix = tools.get_rotation_matrix([10.0, 20.0, 30.0]).to(device)
-    timings = interleave(
-        {"bare": lambda: points @ matrix.T, "ours": lambda: tools.rotate_points(points, angles)}, device=device
-    )
-    yield row("rotation of 10⁶ points", timings["ours"].best, timings["bare"].best, "1 matrix product", None)
+    tasks = {
+        "bare": lambda: points @ matrix.T,
+        "ours": lambda: tools.rotate_points(points, angles),
+        "moved": lambda: tools.rotate_points(points, angles, origin=origin, offset=origin),
+    }
+    timings = interleave(tasks, 21, device=device)
+    for name, task in (("ours", "rotation of 10⁶ points"), ("moved", "the same about an origin, with an offset")):
+        yield row(task, timings[name].best, timings["bare"].best, "1 matrix product", 2.0)
+    numbers, turn = points.double().cpu().numpy(), matrix.double().cpu().numpy()
+    tasks = {"bare": lambda: numbers @ turn.T, "ours": lambda: rotate_points(numbers, [10.0, 20.0, 30.0])}
+    timings = interleave(tasks, 21)
+    yield row("the same in NumPy", timings["ours"].best, timings["bare"].best, "1 matrix product", 2.0)
 
 
 def sampling(device: str) -> Iterator[dict]:

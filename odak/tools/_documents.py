@@ -18,7 +18,7 @@ def save_dictionary(settings: Any, filename: str | os.PathLike) -> Any:
     Parameters
     ----------
     settings : dict
-        What to write.
+        What to write. NumPy and PyTorch numbers are written as numbers, arrays and tensors as lists, paths as texts.
     filename : str or os.PathLike
         A ``.json`` file; an older one stays as it was until the new one is complete.
 
@@ -35,10 +35,19 @@ def save_dictionary(settings: Any, filename: str | os.PathLike) -> Any:
         If the path is not acceptable or its folder does not exist.
     """
     path = validate_path(filename, [".json"])
-    content = json.dumps(settings, ensure_ascii=False, indent=4).encode()
+    content = json.dumps(settings, ensure_ascii=False, indent=4, default=_plain).encode()
     with replacing(path) as stream:
         stream.write(content)
     return settings
+
+
+def _plain(value):
+    """Return what JSON can hold in place of a number or array of NumPy or PyTorch, or of a path."""
+    if hasattr(value, "tolist") and hasattr(value, "dtype"):
+        return value.tolist()
+    if isinstance(value, os.PathLike):
+        return os.fspath(value)
+    raise TypeError(f"settings must hold what JSON can, got a {type(value).__name__}: {value!r:.80}")
 
 
 def load_dictionary(filename: str | os.PathLike) -> Any:

@@ -65,7 +65,12 @@ def rotation_matrix(angles, mode: str = "XYZ"):
 
 def apply_matrix(matrix, vector):
     """Return matrix · vector for ``[..., 3, 3]`` and ``[..., 3]``, broadcast against each other."""
-    return (matrix @ vector[..., None])[..., 0]
+    if matrix.ndim > 2:
+        return (matrix @ vector[..., None])[..., 0]
+    xp = _array.namespace(matrix, vector)
+    # One product of two matrices takes a fifth of the time of one product per vector.
+    turned = xp.reshape(vector, (-1, 3)) @ xp.matrix_transpose(matrix)
+    return xp.reshape(turned, vector.shape)
 
 
 def rotmatx(angle: float) -> np.ndarray:
@@ -172,7 +177,15 @@ def rotate_points(
     points = points.reshape(-1, 3)
     origin, offset = (np.asarray(value, dtype=points.dtype) for value in (origin, offset))
     matrix = rotation_matrix(_floats("angles", angles, (3,)), mode).astype(points.dtype)
-    return apply_matrix(matrix, points - origin) + origin + offset
+    # R·(p − o) + o + s = R·p + (o + s − R·o): no copy of the points besides the result.
+    shift = origin + offset - apply_matrix(matrix, origin)
+    rotated = apply_matrix(matrix, points)
+    if np.broadcast_shapes(shift.shape, rotated.shape) != rotated.shape:
+        return rotated + shift
+    for axis in range(3):  # NumPy takes longer to add rows of three numbers than three columns.
+        if shift[..., axis].any():
+            rotated[:, axis] += shift[..., axis]
+    return rotated
 
 
 def tilt_towards(location: Sequence[float], lookat: Sequence[float]) -> list[float]:
@@ -214,7 +227,7 @@ def _floats(name: str, value, shape: tuple[int, ...] | None = None) -> np.ndarra
     value = np.asarray(value)
     if value.dtype.kind not in "iuf":
         raise TypeError(f"{name} must be real numbers, got {value.dtype}")
-    value = value if value.dtype == np.float32 else value.astype(np.float64)
+    value = value if value.dtype == np.float32 else value.astype(np.float64, copy=False)
     if shape is not None and value.size != math.prod(shape):
         raise ValueError(f"{name} must have the shape {shape}, got {value.shape}")
     return value if shape is None else value.reshape(shape)

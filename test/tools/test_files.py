@@ -5,7 +5,9 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -332,6 +334,24 @@ class TestDocuments:
     def test_layout(self, tmp_path):
         files.save_dictionary({"λ": [1]}, tmp_path / "a.json")
         assert (tmp_path / "a.json").read_bytes() == '{\n    "λ": [\n        1\n    ]\n}'.encode()
+
+    def test_numbers_arrays_and_tensors_are_written_as_json_has_them(self, tmp_path):
+        held = {
+            "count": np.int64(3),
+            "dx": np.float32(0.5),
+            "on": np.bool_(True),
+            "points": np.arange(4.0).reshape(2, 2),
+            "phase": torch.tensor([1.5, 2.0], requires_grad=True),
+            "scale": torch.tensor(2),
+            "folder": pathlib.PurePosixPath("a/b"),
+        }
+        files.save_dictionary(held, tmp_path / "a.json")
+        assert files.load_dictionary(tmp_path / "a.json") == {
+            "count": 3, "dx": 0.5, "on": True, "points": [[0.0, 1.0], [2.0, 3.0]], "phase": [1.5, 2.0], "scale": 2,
+            "folder": "a/b",
+        }  # fmt: skip
+        with pytest.raises(TypeError, match="JSON"):
+            files.save_dictionary({"field": np.ones(2) * 1j}, tmp_path / "a.json")
 
     def test_what_json_lacks_is_found_before_the_file_is_touched(self, tmp_path):
         files.save_dictionary({"a": 1}, tmp_path / "a.json")

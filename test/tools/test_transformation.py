@@ -141,3 +141,33 @@ def test_distances(random):
     np.testing.assert_allclose(odak.tools.point_to_ray_distance([0, 2, 9], ray[0], ray[0] + ray[1]), 2)
     with pytest.raises(ValueError, match=r"ray must be one ray \[2, 3\]"):
         odak.tools.closest_point_to_a_ray([1, 2, 3], [[0, 0, 0]])
+
+
+@pytest.mark.parametrize(("angle_rows", "origin_rows", "offset_rows"), [(1, 1, 2), (1, 4, 1), (4, 1, 4), (4, 4, 4)])
+def test_sets_of_angles_origins_and_offsets_against_the_formula(angle_rows, origin_rows, offset_rows, random):
+    points = random.normal(size=(5, 3))
+    angles = random.uniform(-180, 180, (angle_rows, 3))
+    origin, offset = random.normal(size=(origin_rows, 3)), random.normal(size=(offset_rows, 3))
+    given = [torch.from_numpy(v) for v in (points, angles, origin, offset)]
+    turned = torch_tools.rotate_points(given[0], given[1], "YZX", given[2], given[3])[0]
+    sets = max(angle_rows, origin_rows, offset_rows)
+    assert turned.shape == (5, sets, 3)
+    for i in range(sets):
+        turn = matrices(angles[i % angle_rows])
+        one, shift = origin[i % origin_rows], offset[i % offset_rows]
+        expected = (points - one) @ (turn["X"] @ turn["Z"] @ turn["Y"]).T + one + shift
+        np.testing.assert_allclose(turned[:, i], expected, atol=1e-14)
+
+
+def test_unequal_sets_are_errors():
+    with pytest.raises(ValueError, match="angles and origin must have as many rows"):
+        torch_tools.rotate_points(torch.zeros(5, 3), torch.zeros(2, 3), origin=torch.zeros(3, 3))
+
+
+def test_numpy_origin_and_offset_of_each_point(random):
+    points, origin, offset = random.normal(size=(3, 5, 3))
+    turn = matrices([20.0, 0, 0])["X"]
+    turned = odak.tools.rotate_points(points, [20.0, 0, 0], origin=origin, offset=offset)
+    np.testing.assert_allclose(turned, (points - origin) @ turn.T + origin + offset, atol=1e-14)
+    one = odak.tools.rotate_points(points[0], [20.0, 0, 0], origin=origin, offset=offset[0])
+    np.testing.assert_allclose(one, (points[0] - origin) @ turn.T + origin + offset[0], atol=1e-14)

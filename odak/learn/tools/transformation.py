@@ -164,14 +164,19 @@ def rotate_points(
             raise ValueError(f"{name} must be [3] or [n, 3], got {tuple(value.shape)}")
     dtype = _widest(*(v for v in (point, angles, origin, offset) if v is not _NONE))
     point, angles, origin, offset = (value.to(dtype).reshape(-1, 3) for value in given.values())
-    sets = max(len(angles), len(origin))
-    per_point = sets == 1 and len(offset) == len(point)
-    rotated = apply_matrix(rotation_matrix(angles, mode), point[:, None] - origin) + origin
-    rotated = rotated[:, 0] + offset if per_point else rotated + offset
+    sets = {"angles": len(angles), "origin": len(origin)}
+    if len({1, *sets.values()}) > 2:
+        raise ValueError(f"angles and origin must have as many rows, or one; got {sets}")
+    matrix = rotation_matrix(angles, mode)
+    # R·(p − o) + o + s = R·p + (o + s − R·o): all sets in one product, and no copy of the points besides the result.
+    if len(angles) == len(origin) == 1 and len(offset) in (1, len(point)):
+        rotated = torch.addmm(offset + (origin - origin @ matrix[0].mT), point, matrix[0].mT)
+    else:
+        shift = offset + origin - apply_matrix(matrix, origin)
+        rows = matrix.expand(len(shift), 3, 3).reshape(-1, 3)
+        rotated = torch.addmm(shift.reshape(-1), point, rows.mT).reshape(len(point), -1, 3)
     matrices = tuple(axis_rotation(axis, angles[:, i]) for i, axis in enumerate("XYZ"))
-    if len(angles) > 1:
-        matrices = tuple(matrix[None] for matrix in matrices)
-    return (rotated[:, 0] if rotated.ndim == 3 and rotated.shape[1] == 1 else rotated, *matrices)
+    return (rotated, *(matrix[None] if len(angles) > 1 else matrix for matrix in matrices))
 
 
 def point_cloud_to_voxel(

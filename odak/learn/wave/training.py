@@ -4,18 +4,24 @@ import logging
 import math
 import os
 from collections.abc import Callable
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from tqdm import tqdm
 
-from odak import _validate
+from odak.learn.tools._checkpoints import (
+    own_randomness,
+    randomness,
+    read_checkpoint,
+    set_randomness,
+    write_checkpoint,
+)
 from odak.learn.wave.solvers import make_solver
-from odak.tools._atomic import replacing
 
 _log = logging.getLogger("odak")
+
+_PARTS = ("done", "parameters", "best", "best_loss", "solver", "randomness")
 
 
 @dataclass(frozen=True)
@@ -88,7 +94,7 @@ def minimise(
         If the loss is not finite in the end.
     """
     run = _Run(parameters, make_solver(solver, list(parameters.values())), iterations, options, about or {})
-    with _own_randomness(options.seed, run.device):
+    with own_randomness(options.seed, run.device):
         run.resume()
         return run.go(gradient, learning_rate, description)
 
@@ -104,7 +110,7 @@ class _Run:
         self.done = 0
         self.best = {name: parameter.detach().clone() for name, parameter in parameters.items()}
         self.best_loss = torch.full((), math.inf, dtype=torch.float64, device=self.device)
-        self.randomness = _randomness(self.device)
+        self.randomness = randomness(self.device)
         self.torn = False
 
     def go(self, gradient, learning_rate, description) -> bool:
@@ -135,7 +141,7 @@ class _Run:
         return True
 
     def _step(self, gradient, learning_rate):
-        self.randomness = _randomness(self.device)
+        self.randomness = randomness(self.device)
 
         def evaluate():
             self.torn = False
@@ -150,7 +156,7 @@ class _Run:
         loss = self.solver.step(evaluate, learning_rate(self.done))
         self.torn = False
         self.done += 1
-        self.randomness = _randomness(self.device)
+        self.randomness = randomness(self.device)
         if self.options.checkpoint is not None and self.done % self.options.checkpoint_every == 0:
             self._save()
         return loss
@@ -183,18 +189,14 @@ class _Run:
             "solver": self.solver.state(),
             "randomness": self.randomness,
         }
-        with replacing(os.fspath(self.options.checkpoint)) as stream:
-            torch.save(state, stream)
+        write_checkpoint(self.options.checkpoint, state)
 
     def resume(self):
         """Take up the checkpoint, if there is one."""
         path = self.options.checkpoint
         if path is None or not os.path.exists(path):
             return
-        state = _load(path, self.device)
-        if state["about"] != self.about:
-            differing = sorted(k for k in {*state["about"], *self.about} if state["about"].get(k) != self.about.get(k))
-            raise ValueError(f"checkpoint {os.fspath(path)!r} is of another run: its {', '.join(differing)} differ")
+        state = read_checkpoint(path, self.device, _PARTS, self.about, "an optimization")
         shapes = [{name: tuple(t.shape) for name, t in d.items()} for d in (state["parameters"], self.parameters)]
         if shapes[0] != shapes[1]:
             raise ValueError(f"checkpoint {os.fspath(path)!r} holds {shapes[0]}, but this run has {shapes[1]}")
@@ -204,39 +206,7 @@ class _Run:
         self.best_loss.copy_(state["best_loss"])
         self.solver.load(state["solver"])
         self.done = state["done"]
-        _set_randomness(state["randomness"], self.device)
-
-
-def _load(path, device) -> dict:
-    try:
-        state = torch.load(path, map_location=device, weights_only=True)
-    except Exception as error:
-        raise ValueError(f"checkpoint {os.fspath(path)!r} cannot be read: {str(error).splitlines()[0]}") from error
-    wanted = {"about", "done", "parameters", "best", "best_loss", "solver", "randomness"}
-    if not isinstance(state, dict) or not wanted <= set(state):
-        raise ValueError(f"checkpoint {os.fspath(path)!r} is not one of an optimization")
-    return state
-
-
-@contextmanager
-def _own_randomness(seed, device):
-    """Seed torch's generators for a while and give them back as they were."""
-    if seed is None:
-        seed = int(torch.randint(2**31, ()))
-    devices = [device] if device.type == "cuda" else []
-    with torch.random.fork_rng(devices=devices):
-        torch.manual_seed(_validate.integer("seed", seed))
-        yield
-
-
-def _randomness(device) -> list[torch.Tensor]:
-    return [torch.get_rng_state(), *([torch.cuda.get_rng_state(device)] if device.type == "cuda" else [])]
-
-
-def _set_randomness(states, device) -> None:
-    torch.set_rng_state(states[0].cpu())
-    if device.type == "cuda" and len(states) > 1:
-        torch.cuda.set_rng_state(states[1].cpu(), device)
+        set_randomness(state["randomness"], self.device)
 
 
 def constant(rate: float) -> Callable[[int], float]:
