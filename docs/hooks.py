@@ -3,12 +3,16 @@
 MathML is drawn by the browser itself, so pages need no script and nothing from the network.
 """
 
+import logging
+import posixpath
 import re
+from urllib.parse import urldefrag, urlparse
 
 import latex2mathml.converter
 import nbformat
 from bs4 import BeautifulSoup, NavigableString
 
+_log = logging.getLogger("mkdocs.plugins.notebooks")
 _MATHS = re.compile(r"\$\$(?P<display>.+?)\$\$|(?<!\\)\$(?P<inline>[^$\s](?:[^$]*[^$\s\\])?)\$", re.DOTALL)
 _DELIMITED = re.compile(r"^\\(?P<kind>[(\[])(?P<tex>.*)\\[)\]]$", re.DOTALL)
 _RUN = (
@@ -27,6 +31,7 @@ def on_page_content(html, page, config, files):
         match = _DELIMITED.match(element.get_text().strip())
         element.replace_with(_mathml(match["tex"], display=match["kind"] == "["))
     if is_notebook:
+        _resolve_links(soup, page, files)
         _finish_notebook(soup, page)
     return str(soup)
 
@@ -43,6 +48,20 @@ def _finish_notebook(soup, page):
     for image, text in zip(soup.select(".jp-OutputArea img"), texts, strict=True):
         image["alt"] = text
         image["title"] = text
+
+
+def _resolve_links(soup, page, files):
+    """Point links to Markdown files and notebooks to the pages that are made of them."""
+    for link in soup.select(".jp-RenderedMarkdown a[href]"):
+        target, anchor = urldefrag(link["href"])
+        if urlparse(target).scheme or not target.endswith((".md", ".ipynb")):
+            continue
+        path = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_path), target))
+        file = files.get_file_from_path(path)
+        if file is None:
+            _log.warning("%s links to %s, which is not there", page.file.src_path, target)
+        else:
+            link["href"] = file.url_relative_to(page.file) + (f"#{anchor}" if anchor else "")
 
 
 def _draw_equations(area):

@@ -30,14 +30,20 @@ PACKAGES = [
     "odak.jones",
     "odak.learn",
     "odak.learn.jones",
+    "odak.learn.lensless",
+    "odak.learn.models",
     "odak.learn.perception",
     "odak.learn.raytracing",
     "odak.learn.raytracing.system",
     "odak.learn.tools",
     "odak.learn.wave",
+    "odak.manager",
     "odak.measurement",
     "odak.raytracing",
     "odak.tools",
+    "odak.visualize",
+    "odak.visualize.blender",
+    "odak.visualize.plotly",
     "odak.wave",
 ]
 
@@ -60,6 +66,8 @@ def test_dependencies_point_one_way(path):
     if room in ROOMS:
         assert set(imported_rooms(path)) <= {room, *ROOMS[room]}
     elif room == "learn":
+        assert not {"cli", "manager", "visualize"} & set(imported_rooms(path))
+    elif room in ("visualize", "manager"):
         assert "cli" not in set(imported_rooms(path))
 
 

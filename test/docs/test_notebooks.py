@@ -1,7 +1,5 @@
 """Every notebook of the course runs, in time, and prints what it shows; its pictures have words."""
 
-import time
-
 import pytest
 
 pytest.importorskip("nbclient", reason="what builds the site is not installed: pip install -r docs/requirements.txt")
@@ -27,13 +25,10 @@ def test_all_chapters_are_there():
 @pytest.mark.parametrize("path", NOTEBOOKS)
 def test_notebook_prints_what_it_shows(path, tmp_path):
     stored = nbformat.read(path, as_version=4)
-    start = time.perf_counter()
     fresh = run_notebooks.executed(path, tmp_path)
-    seconds = time.perf_counter() - start
     for shown, ran in zip(code_cells(stored), code_cells(fresh), strict=True):
         assert agrees(run_notebooks.printed(shown), run_notebooks.printed(ran)), shown.source
         assert len(run_notebooks.pictures(shown)) == len(run_notebooks.pictures(ran)), shown.source
-    print(f"{path.stem}: {seconds:.0f} s")
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS)

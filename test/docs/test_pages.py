@@ -10,6 +10,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 0.02
 SLOW: set[str] = set()
+NEED_A_BROWSER = {"guides/see_results.md"}
+NEED_BLENDER = {"guides/render_in_blender.md"}
 _NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
@@ -26,7 +28,13 @@ make_pictures = _load("make_pictures", ROOT / "docs" / "make_pictures.py")
 
 def _case(path):
     name = path.relative_to(make_pictures.DOCS).as_posix()
-    return pytest.param(path, id=name, marks=[pytest.mark.slow] if name in SLOW else [])
+    groups = (
+        (pytest.mark.slow, SLOW),
+        (pytest.mark.browser, NEED_A_BROWSER),
+        (pytest.mark.blender, NEED_BLENDER),
+    )
+    marks = [mark for mark, pages in groups if name in pages]
+    return pytest.param(path, id=name, marks=marks)
 
 
 def agrees(shown, printed):
