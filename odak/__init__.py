@@ -11,7 +11,20 @@ pi = math.pi
 version_info = (0, 3, 0)
 __version__ = ".".join(str(part) for part in version_info)
 
-_SUBPACKAGES = ("catalog", "cli", "fit", "jones", "learn", "log", "measurement", "raytracing", "tools", "wave")
+_SUBPACKAGES = (
+    "catalog",
+    "cli",
+    "fit",
+    "jones",
+    "learn",
+    "log",
+    "manager",
+    "measurement",
+    "raytracing",
+    "tools",
+    "visualize",
+    "wave",
+)
 
 __all__ = ["__version__", "pi", "version_info", *_SUBPACKAGES]
 

@@ -1,3 +1,4 @@
+import functools
 import os
 
 if "PYTEST_XDIST_WORKER" in os.environ:
@@ -37,8 +38,30 @@ def as_array(request):
 def pytest_collection_modifyitems(items):
     import torch
 
-    if torch.cuda.is_available():
-        return
     for item in items:
-        if "cuda" in item.keywords:
+        if "cuda" in item.keywords and not torch.cuda.is_available():
             item.add_marker(pytest.mark.skip(reason="no CUDA device on this machine"))
+        if "browser" in item.keywords and not _has_browser():
+            item.add_marker(pytest.mark.skip(reason="no Chrome or Chromium on this machine"))
+        if "blender" in item.keywords and not _has_blender():
+            item.add_marker(pytest.mark.skip(reason="no Blender: name a Python with bpy by ODAK_BLENDER_PYTHON"))
+
+
+@functools.cache
+def _has_browser():
+    from odak.visualize.plotly import BrowserNotFoundError, find_browser
+
+    try:
+        return find_browser() is not None
+    except BrowserNotFoundError:
+        return False
+
+
+@functools.cache
+def _has_blender():
+    from odak.visualize.blender import BlenderNotFoundError, find_blender
+
+    try:
+        return find_blender() is not None
+    except BlenderNotFoundError:
+        return False

@@ -3,5 +3,5 @@
 from odak._lazy import attach
 
 __getattr__, __dir__, __all__ = attach(
-    __name__, {"jones": (), "perception": (), "raytracing": (), "tools": (), "wave": ()}
+    __name__, {"jones": (), "lensless": (), "models": (), "perception": (), "raytracing": (), "tools": (), "wave": ()}
 )

@@ -21,6 +21,7 @@ __getattr__, __dir__, __all__ = attach(
             "reflect",
             "refract",
         ),
+        "fields": ("FieldRays", "rays_from_field"),
         "primitives": (
             "bring_plane_to_origin",
             "center_of_triangle",
@@ -35,9 +36,11 @@ __getattr__, __dir__, __all__ = attach(
         "ray": (
             "calculate_intersection_of_two_rays",
             "create_ray",
+            "create_ray_from_all_pairs",
             "create_ray_from_angles",
             "create_ray_from_two_points",
             "find_nearest_points",
+            "get_points_along_a_ray_segment",
             "propagate_a_ray",
         ),
         "status": ("RayStatus",),

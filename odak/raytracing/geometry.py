@@ -11,6 +11,7 @@ from odak.tools.vector import cross, dot, on_same_side
 __all__ = [
     "barycentric",
     "cross",
+    "crossing_of_lines",
     "dot",
     "epsilon",
     "finite_rays",
@@ -117,3 +118,18 @@ def nearest_on_lines(start0, direction0, start1, direction1):
     t1 = safe_divide(dot(cross(gap, direction0), n), squared, crossing)
     foot = safe_divide(-dot(gap, direction1), length1, length1 > 0)
     return t0, namespace(t1).where(crossing, t1, foot)
+
+
+def crossing_of_lines(start0, direction0, start1, direction1):
+    """Return how far along each of two lines ``[..., 3]`` they cross, and whether they do, all ``[...]``.
+
+    Lines cross unless they are parallel or pass each other by more than 1e-8 of the distances involved, plus 1e-8 (in
+    float32 by what that can tell).
+    """
+    xp = namespace(start0, start1)
+    t0, t1 = nearest_on_lines(start0, direction0, start1, direction1)
+    gap = start0 + t0[..., None] * direction0 - start1 - t1[..., None] * direction1
+    scale = 1 + xp.abs(t0) + xp.abs(t1) + xp.max(xp.abs(start0 - start1), axis=-1)
+    n = cross(direction0, direction1)
+    crossing = dot(n, n) > (4 * epsilon(start0)) ** 2 * dot(direction0, direction0) * dot(direction1, direction1)
+    return t0, t1, crossing & (xp.max(xp.abs(gap), axis=-1) <= max(1e-8, 4 * epsilon(start0)) * scale)

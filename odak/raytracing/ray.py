@@ -94,6 +94,31 @@ def create_ray_from_angles(point, angles: Sequence[float], mode: str = "XYZ") ->
     return arguments.single(arguments.as_rays(point, direction.astype(point.dtype)))
 
 
+def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> np.ndarray:
+    """Return a ray from each of the first points to each of the second ones.
+
+    Parameters
+    ----------
+    x0y0z0, x1y1z1 : array
+        Starts ``[m, 3]`` and ends ``[n, 3]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[m·n, 2, 3]``; ray i·n + j goes from start i to end j. NaN cosines where the two coincide.
+
+    Examples
+    --------
+    >>> from odak.raytracing import create_ray_from_all_pairs
+    >>> create_ray_from_all_pairs([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [0, 0, 2], [0, 0, 3]]).shape
+    (6, 2, 3)
+    """
+    start = arguments.batch(arguments.points("x0y0z0", x0y0z0), 1)
+    end = arguments.batch(arguments.points("x1y1z1", x1y1z1), 1)
+    rays = arguments.as_rays(start[:, None], geometry.unit(end - start[:, None]))
+    return rays.reshape(-1, 2, 3)
+
+
 def propagate_a_ray(ray, distance) -> np.ndarray:
     """Return rays whose starts have moved along their directions; the directions stay.
 
@@ -122,6 +147,33 @@ def propagate_a_ray(ray, distance) -> np.ndarray:
     return arguments.single(arguments.as_rays(moved, ray[..., 1, :]))
 
 
+def get_points_along_a_ray_segment(ray, distances) -> np.ndarray:
+    """Return the points of rays at given distances from their starts.
+
+    Parameters
+    ----------
+    ray : array
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    distances : array
+        ``[k]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[k, 3]`` for one ray, else ``[m, k, 3]``.
+
+    Examples
+    --------
+    >>> from odak.raytracing import get_points_along_a_ray_segment
+    >>> get_points_along_a_ray_segment([[0, 0, 0], [0, 0, 1]], [1.0, 2.0])
+    array([[0., 0., 1.],
+           [0., 0., 2.]])
+    """
+    ray = arguments.batch(arguments.rays("ray", ray), 2)
+    distances = arguments.floats("distances", distances).reshape(-1, 1).astype(ray.dtype)
+    return arguments.single(ray[..., None, 0, :] + distances * ray[..., None, 1, :])
+
+
 def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[np.ndarray, np.ndarray]:
     """Return the common point of two lines and how far along each of the rays it lies.
 
@@ -147,15 +199,9 @@ def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[np.ndarray, np.ndarr
     (array([3., 0., 0.]), array([3., 7.]))
     """
     start0, direction0, start1, direction1, one = _pair(ray0, ray1)
-    t0, t1 = geometry.nearest_on_lines(start0, direction0, start1, direction1)
-    gap = start0 + t0[:, None] * direction0 - start1 - t1[:, None] * direction1
-    scale = 1 + np.abs(t0) + np.abs(t1) + np.abs(start0 - start1).max(axis=-1)
-    n = geometry.cross(direction0, direction1)
-    crossing = geometry.dot(n, n) > (4 * geometry.epsilon(start0)) ** 2
-    tolerance = max(1e-8, 4 * geometry.epsilon(start0))
-    meet = crossing & (np.abs(gap).max(axis=-1) <= tolerance * scale)
-    distances = np.where(meet[:, None], np.stack((t0, t1), axis=-1), 0.0)
-    point = start0 + distances[:, :1] * direction0
+    t0, t1, meet = geometry.crossing_of_lines(start0, direction0, start1, direction1)
+    distances = np.where(meet[..., None], np.stack((t0, t1), axis=-1), 0.0)
+    point = start0 + distances[..., :1] * direction0
     return (point[0], distances[0]) if one else (point, distances)
 
 
@@ -181,7 +227,7 @@ def find_nearest_points(ray0, ray1) -> tuple[np.ndarray, np.ndarray]:
     """
     start0, direction0, start1, direction1, one = _pair(ray0, ray1)
     t0, t1 = geometry.nearest_on_lines(start0, direction0, start1, direction1)
-    nearest0, nearest1 = start0 + t0[:, None] * direction0, start1 + t1[:, None] * direction1
+    nearest0, nearest1 = start0 + t0[..., None] * direction0, start1 + t1[..., None] * direction1
     return (nearest0[0], nearest1[0]) if one else (nearest0, nearest1)
 
 
@@ -189,4 +235,4 @@ def _pair(ray0, ray1):
     """Return starts and directions ``[m, 3]`` of two sets of rays, and whether there is one of each."""
     ray0, ray1 = (arguments.batch(arguments.rays(n, ray), 2) for n, ray in (("ray0", ray0), ("ray1", ray1)))
     ray0, ray1 = np.broadcast_arrays(ray0, ray1)
-    return ray0[:, 0], ray0[:, 1], ray1[:, 0], ray1[:, 1], len(ray0) == 1
+    return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :], ray0.shape[:-2] == (1,)

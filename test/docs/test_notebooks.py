@@ -5,9 +5,9 @@ import pytest
 pytest.importorskip("nbclient", reason="what builds the site is not installed: pip install -r docs/requirements.txt")
 
 import nbformat
-from test_pages import ROOT, _load, agrees
+from documentation import agrees, script
 
-run_notebooks = _load("run_notebooks", ROOT / "docs" / "run_notebooks.py")
+run_notebooks = script("run_notebooks")
 NOTEBOOKS = [pytest.param(path, id=path.stem) for path in run_notebooks.notebooks()]
 CHAPTERS = range(9)
 

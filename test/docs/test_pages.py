@@ -1,29 +1,15 @@
 """Every page of the site runs top to bottom and prints what it shows."""
 
-import importlib.util
 import re
-import sys
 from pathlib import Path
 
 import pytest
+from documentation import agrees, script
 
-ROOT = Path(__file__).resolve().parents[2]
-TOLERANCE = 0.02
 SLOW: set[str] = set()
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}
-_NUMBER = re.compile(r"[-+]?\d+\.?\d*(?:e[-+]?\d+)?")
-
-
-def _load(name, path):
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-make_pictures = _load("make_pictures", ROOT / "docs" / "make_pictures.py")
+make_pictures = script("make_pictures")
 
 
 def _case(path):
@@ -35,16 +21,6 @@ def _case(path):
     )
     marks = [mark for mark, pages in groups if name in pages]
     return pytest.param(path, id=name, marks=marks)
-
-
-def agrees(shown, printed):
-    """Say whether two texts are equal but for numbers within 2 %, spaces aside."""
-    words_shown, words_printed = (_NUMBER.sub("#", text).split() for text in (shown, printed))
-    numbers_shown, numbers_printed = (_NUMBER.findall(text) for text in (shown, printed))
-    return words_shown == words_printed and all(
-        float(a) == pytest.approx(float(b), rel=TOLERANCE, abs=1e-12)
-        for a, b in zip(numbers_shown, numbers_printed, strict=True)
-    )
 
 
 @pytest.mark.parametrize("path", [_case(path) for path in make_pictures.pages()])

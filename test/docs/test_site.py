@@ -14,7 +14,7 @@ import pytest
 pytest.importorskip("mkdocs", reason="what builds the site is not installed: pip install -r docs/requirements.txt")
 
 from bs4 import BeautifulSoup
-from test_pages import ROOT
+from documentation import ROOT
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 # A page inside a frame as wide as a phone, and what it says of itself: how many pixels it is wider than that.

@@ -110,7 +110,9 @@ def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
     """
     ray, normal = arguments.tensors(ray=ray, normal=normal)
     n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (n1, n2))
-    return interfaces.fresnel(arguments.rays("ray", ray)[:, 1], arguments.rays("normal", normal)[:, 1], n1, n2)
+    return interfaces.fresnel(
+        arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :], n1, n2
+    )
 
 
 def intersect_w_sphere(
@@ -145,7 +147,7 @@ def intersect_w_sphere(
     """
     ray, sphere = arguments.tensors(ray=ray, sphere=sphere)
     ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
-    if len(sphere) not in (1, len(ray)) and len(ray) != 1:
+    if ray.ndim == 3 and len(sphere) not in (1, len(ray)) and len(ray) != 1:
         raise ValueError(f"sphere must hold one sphere or one for each of {len(ray)} rays, got {len(sphere)}")
     rays, normals, distance, check = in_pieces(_sphere_hits, (2, 1), ray, sphere)
     # Rays that all hit need not be picked; a GPU would have to be asked first.
@@ -176,7 +178,7 @@ def intersect_w_triangle(ray, triangle) -> tuple:
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), _one("triangle", triangle)
     normal, distance, check = _meet_triangles(ray, triangle)
-    return normal[0], distance[0][:, None], ray[check[0]], normal[0][check[0]], check
+    return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
 
 
 def intersect_w_triangle_batch(ray, triangle) -> tuple:
@@ -200,7 +202,7 @@ def intersect_w_triangle_batch(ray, triangle) -> tuple:
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
     normal, distance, check = _meet_triangles(ray, triangle)
-    struck = check.any(dim=1).nonzero().flatten().tolist()
+    struck = check.flatten(1).any(dim=1).nonzero().flatten().tolist()
     distances = [distance[i][check[i]] for i in struck]
     return normal, distances, [ray[check[i]] for i in struck], [normal[i][check[i]] for i in struck], check
 
@@ -232,7 +234,7 @@ def intersect_w_surface(ray, points) -> tuple[torch.Tensor, torch.Tensor]:
     ray, points = arguments.tensors(ray=ray, points=points)
     ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
     normal, distance = in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(points))
-    return normal, distance[:, None]
+    return normal, distance[..., None]
 
 
 def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor]:
@@ -242,7 +244,7 @@ def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor
     """
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
-    return in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(triangle[:, None]))
+    return in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(_before(triangle, ray)))
 
 
 def get_triangle_normal(triangle, triangle_center=None) -> torch.Tensor:
@@ -306,13 +308,18 @@ def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
     ray, plane, center, radius = arguments.tensors(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
     rays, plane = arguments.rays("ray", ray), arguments.triangles("circle[0]", plane)
     normal, distance = in_pieces(_circle_hits, (2, 1, 1, 1, 0), rays, *_planes(plane), center, radius.reshape(-1))
-    return normal if ray.ndim > 2 else normal[0], distance[:, None]
+    return normal if ray.ndim > 2 else normal[0], distance[..., None]
 
 
 def _meet_triangles(ray, triangle) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return normals ``[k, m, 2, 3]``, signed distances and membership ``[k, m]`` of m rays and k triangles."""
-    triangle = triangle[:, None]
+    triangle = _before(triangle, ray)
     return in_pieces(_triangle_hits, (2, 1, 1, 2), ray, *_planes(triangle), triangle)
+
+
+def _before(triangle: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
+    """Return triangles ``[k, 3, 3]`` with their axis in front of all axes of the rays' batch."""
+    return triangle.reshape(-1, *(1,) * (ray.ndim - 2), 3, 3)
 
 
 def _planes(triangle):

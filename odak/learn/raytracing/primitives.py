@@ -6,6 +6,7 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing import arguments
+from odak.raytracing.geometry import dot
 from odak.raytracing.intersections import within
 from odak.raytracing.primitives import PLANE_CORNERS
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -88,6 +89,36 @@ def define_plane_mesh(
     return apply_matrix(rotation_matrix(angles.reshape(3)), torch.cat(corners)) + offset[:, None]
 
 
+def bring_plane_to_origin(
+    point, plane=None, shape=(10.0, 10.0), center=_NONE, angles=_NONE, mode: str = "XYZ"
+) -> torch.Tensor:
+    """Return points in the frame of a plane that was rotated by `angles` and moved to `center`.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        ``[3]`` or ``[m, 3]``.
+    plane, shape
+        Not used; kept so that the call equals that of :func:`odak.raytracing.bring_plane_to_origin`.
+    center, angles : torch.Tensor
+        Where the plane's centre is, and its rotation in degrees about X, Y and Z, ``[3]``.
+    mode : str
+        Order of the rotations, as in :func:`odak.learn.tools.rotate_points`.
+
+    Returns
+    -------
+    torch.Tensor
+        R⁻¹·(point − center), ``[m, 3]``.
+    """
+    center, angles = ([0.0, 0.0, 0.0] if v is _NONE else v for v in (center, angles))
+    point, center, angles = arguments.tensors(point=point, center=center, angles=angles)
+    if center.numel() != 3 or angles.numel() != 3:
+        raise ValueError(f"center and angles must be [3], got {tuple(center.shape)} and {tuple(angles.shape)}")
+    return apply_matrix(
+        rotation_matrix(angles.reshape(3), mode).mT, arguments.points("point", point) - center.reshape(3)
+    )
+
+
 def center_of_triangle(triangle) -> torch.Tensor:
     """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
     (triangle,) = arguments.tensors(triangle=triangle)
@@ -166,6 +197,14 @@ def define_sphere(center=None, radius=None) -> torch.Tensor:
         raise ValueError(f"center and radius must be as many, or one; got {len(center)} and {len(radius)}")
     count = max(len(center), len(radius))
     return torch.cat((center.expand(count, 3), radius.expand(count, 1)), dim=-1)
+
+
+def sphere_function(point, sphere) -> torch.Tensor:
+    """Return |p − c|² − r² of points ``[3]`` or ``[m, 3]`` and spheres ``[4]`` or ``[m, 4]``: zero on the sphere."""
+    point, sphere = arguments.tensors(point=point, sphere=sphere)
+    sphere = arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
+    arm = arguments.points("point", point) - sphere[..., :3]
+    return dot(arm, arm) - sphere[..., 3] ** 2
 
 
 def define_circle(center, radius, angles) -> list:

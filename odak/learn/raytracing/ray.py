@@ -4,15 +4,18 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing import arguments
-from odak.raytracing.geometry import unit
+from odak.raytracing.geometry import crossing_of_lines, nearest_on_lines, unit
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 __all__ = [
+    "calculate_intersection_of_two_rays",
     "create_ray",
     "create_ray_from_all_pairs",
+    "create_ray_from_angles",
     "create_ray_from_grid_w_luminous_angle",
     "create_ray_from_point_w_luminous_angle",
     "create_ray_from_two_points",
+    "find_nearest_points",
     "get_points_along_a_ray_segment",
     "propagate_a_ray",
     "propagate_ray",
@@ -90,6 +93,28 @@ def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> torch.Tensor:
     start, end = arguments.tensors(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
     start, end = arguments.points("x0y0z0", start)[:, None], arguments.points("x1y1z1", end)
     return arguments.as_rays(start, unit(end - start)).reshape(-1, 2, 3)
+
+
+def create_ray_from_angles(point, angles, mode: str = "XYZ") -> torch.Tensor:
+    """Return rays from points along the rotated z axis.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        Starts, ``[3]`` or ``[m, 3]``.
+    angles : torch.Tensor
+        Degrees about X, Y and Z, ``[3]`` or ``[m, 3]``; zero angles point along +z.
+    mode : str
+        Order of the rotations, as in :func:`odak.learn.tools.rotate_points`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``.
+    """
+    point, angles = arguments.tensors(point=point, angles=angles)
+    direction = rotation_matrix(arguments.points("angles", angles), mode)[..., 2]
+    return arguments.as_rays(arguments.points("point", point), direction)
 
 
 def create_ray_from_grid_w_luminous_angle(
@@ -186,7 +211,7 @@ def propagate_ray(ray, distance) -> torch.Tensor:
     ray : torch.Tensor
         ``[2, 3]`` or ``[m, 2, 3]``.
     distance : torch.Tensor or float
-        A number, ``[1]``, ``[m]``, ``[m, 1]`` or ``[1, m]``; negative goes backwards.
+        A number, ``[1]``, ``[m]``, ``[m, 1]`` or ``[1, m]``, ``[...]`` for more axes; negative goes backwards.
 
     Returns
     -------
@@ -201,7 +226,8 @@ def propagate_ray(ray, distance) -> torch.Tensor:
     tensor([0., 6., 8.])
     """
     ray, distance = arguments.tensors(ray=ray, distance=distance)
-    ray, distance = arguments.rays("ray", ray), distance.reshape(-1, 1)
+    ray = arguments.rays("ray", ray)
+    distance = distance.reshape(-1, 1) if ray.ndim == 3 else distance[..., None]
     return arguments.as_rays(ray[..., 0, :] + distance * ray[..., 1, :], ray[..., 1, :])
 
 
@@ -225,8 +251,61 @@ def get_points_along_a_ray_segment(ray, distances) -> torch.Tensor:
     """
     ray, distances = arguments.tensors(ray=ray, distances=distances)
     ray = arguments.rays("ray", ray)
-    points = ray[:, None, 0] + distances.reshape(-1, 1) * ray[:, None, 1]
-    return points[0] if len(ray) == 1 else points
+    points = ray[..., None, 0, :] + distances.reshape(-1, 1) * ray[..., None, 1, :]
+    return points[0] if ray.shape[:-2] == (1,) else points
+
+
+def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the common points of lines and how far along each of the rays they lie.
+
+    Parameters
+    ----------
+    ray0, ray1 : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``; one of either serves many of the other.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Points ``[m, 3]`` and signed distances ``[m, 2]``. Where the lines are skew or parallel: ray0's start and zeros
+        without gradient. See :func:`odak.raytracing.calculate_intersection_of_two_rays`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import calculate_intersection_of_two_rays
+    >>> ray0 = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    >>> ray1 = torch.tensor([[3.0, -7.0, 0.0], [0.0, 1.0, 0.0]])
+    >>> calculate_intersection_of_two_rays(ray0, ray1)[1]
+    tensor([[3., 7.]])
+    """
+    start0, direction0, start1, direction1 = _pair(ray0, ray1)
+    t0, t1, meet = crossing_of_lines(start0, direction0, start1, direction1)
+    distances = torch.where(meet[..., None], torch.stack((t0, t1), dim=-1), 0.0)
+    return start0 + distances[..., :1] * direction0, distances
+
+
+def find_nearest_points(ray0, ray1) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return, on each of two lines, the point nearest to the other line.
+
+    Parameters
+    ----------
+    ray0, ray1 : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``; one of either serves many of the other.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Points ``[m, 3]`` on ray0 and ray1; for parallel lines ray0's start and its foot on ray1.
+    """
+    start0, direction0, start1, direction1 = _pair(ray0, ray1)
+    t0, t1 = nearest_on_lines(start0, direction0, start1, direction1)
+    return start0 + t0[..., None] * direction0, start1 + t1[..., None] * direction1
+
+
+def _pair(ray0, ray1) -> tuple[torch.Tensor, ...]:
+    ray0, ray1 = arguments.tensors(ray0=ray0, ray1=ray1)
+    ray0, ray1 = torch.broadcast_tensors(arguments.rays("ray0", ray0), arguments.rays("ray1", ray1))
+    return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :]
 
 
 def _spread(half: torch.Tensor, count: int) -> torch.Tensor:

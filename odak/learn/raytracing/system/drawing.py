@@ -39,8 +39,9 @@ def draw_layout(system, aim: str = "paraxial", count: int = 5) -> Image.Image:
     rays = launch(system, pupil_samples("y", count), aim=aim)
     path = _polylines(system, rays, places)
     heights = _heights(system, path)
-    outlines = [_profile(system, i, places[i], heights[i]) for i in range(len(system.surfaces))]
-    points = [point for outline in outlines for point in outline] + [(places[-1], 0.0)]
+    outlines = [_profile(item, places[i], heights[i]) for i, item in enumerate(system.surfaces)]
+    screen = _profile(system.image, places[-1], _screen_height(system, path))
+    points = [point for outline in [*outlines, screen] for point in outline]
     points += [point for line, _ in path for point in line if math.isfinite(point[1])]
     place, size = _frame(points)
     picture = Image.new("RGB", size, PAPER)
@@ -60,8 +61,7 @@ def draw_layout(system, aim: str = "paraxial", count: int = 5) -> Image.Image:
             for side in (1, -1):
                 edge = [place((places[i], side * heights[i] * share)) for share in (1.0, 1.3)]
                 draw.line(edge, fill=INK, width=3 * OVER)
-    edge = max([abs(line[-1][1]) for line, _ in path if math.isfinite(line[-1][1])], default=1.0) * 1.1
-    draw.line([place((places[-1], edge)), place((places[-1], -edge))], fill=INK, width=2 * OVER)
+    draw.line([place(point) for point in screen], fill=INK, width=2 * OVER)
     _title(draw, system)
     return picture.resize((size[0] // OVER, size[1] // OVER), Image.Resampling.LANCZOS)
 
@@ -148,9 +148,17 @@ def _heights(system, path) -> list[float]:
     return heights
 
 
-def _profile(system, i: int, place: float, height: float) -> list[tuple[float, float]]:
-    """Return a surface's section as points (z, y)."""
-    item = system.surfaces[i]
+def _screen_height(system, path) -> float:
+    """Return how far from the axis the image is drawn."""
+    if system.image is not None and system.image.semi_diameter is not None:
+        return system.image.semi_diameter
+    return max([abs(line[-1][1]) for line, _ in path if math.isfinite(line[-1][1])], default=1.0) * 1.1
+
+
+def _profile(item, place: float, height: float) -> list[tuple[float, float]]:
+    """Return a surface's section as points (z, y), a plane's without a surface."""
+    if item is None:
+        return [(place, -height), (place, height)]
     points = []
     for step in range(-40, 41):
         y = height * step / 40

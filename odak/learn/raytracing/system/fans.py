@@ -4,7 +4,7 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing.system.launching import launch
-from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
+from odak.learn.raytracing.system.paraxial import entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.prescription import Prescription
 from odak.learn.raytracing.system.tracing import trace, trace_fields
 
@@ -79,20 +79,20 @@ def paraxial_points(system, prescription: Prescription | None = None, fields=Non
         numbers = numbers._replace(index=numbers.index[..., system.reference : system.reference + 1, :])
     index = signed_indices(system, numbers)
     whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
-    entrance = first_order(system, prescription=numbers).entrance_pupil_distance
+    pupil = entrance_pupil(system, prescription=numbers)
     points = torch.tensor(system.fields if fields is None else fields, dtype=torch.float64, device=index.device)
     if system.at_infinity:
         slope = torch.tan(torch.deg2rad(points))
-        height = -entrance[..., None, None] * slope
+        height = -pupil.distance[..., None, None] * slope
     else:
-        slope = -points / (system.object_distance + entrance[..., None, None])
+        slope = -points * pupil.bend[..., None, None]
         height = points + system.object_distance * slope
     a, b, n = (value[..., None, None] for value in (whole.a, whole.b, index[..., 0]))
     return a * height + b * n * slope
 
 
 def field_curvature(system, prescription: Prescription | None = None, **options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the distances from the image plane to the tangential and the sagittal focus along z.
+    """Return the distances from the image surface to the tangential and the sagittal focus along z.
 
     Parameters
     ----------
@@ -120,7 +120,9 @@ def field_curvature(system, prescription: Prescription | None = None, **options)
         foci = []
         for axis, (point, cosine) in ((1, (traced.y, traced.v)), (0, (traced.x, traced.u))):
             slope = cosine / traced.w
-            foci.append(-_along(point, place, axis) / _along(slope, place, axis))
+            # In the plane through the chief ray's point, whatever the shape of the image surface.
+            moved = _along(point, place, axis) - slope[..., 0] * _along(traced.z, place, axis)
+            foci.append(-moved / _along(slope, place, axis))
     numbers = (*system.parameters(), *(value for value in prescription or () if value is not None))
     if not (torch.is_grad_enabled() and any(value.requires_grad for value in numbers)):
         foci = [value.detach() for value in foci]

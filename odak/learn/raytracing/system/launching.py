@@ -5,7 +5,7 @@ from typing import NamedTuple
 import torch
 
 from odak import _validate
-from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.prescription import Prescription
 from odak.learn.raytracing.system.pupils import PATTERNS, pupil_samples
 
@@ -82,24 +82,36 @@ def launch(
     -------
     Rays
         ``[..., 1, F, P]``, the first axes those of the batch of systems. For an object at infinity they start in the
-        plane of the first vertex.
+        plane of the first vertex. Pupil points are heights in the entrance pupil, for a near object slopes of rays: the
+        same up to a factor, but defined for a pupil at infinity too.
     """
     aim = _validate.one_of("aim", aim, AIMS)
     points = pupil_of(pupil, count, system)
     fields = system.fields if fields is None else fields
     chosen = torch.tensor(fields, dtype=torch.float64, device=points.device).reshape(-1, 1, 2)
-    properties = first_order(system, prescription=prescription)
-    distance = properties.entrance_pupil_distance[..., None, None, None]
-    radius = (properties.entrance_pupil_diameter / 2)[..., None, None, None]
-    place = radius * points[:, 0], radius * points[:, 1]
-    rays = _through(system, chosen, distance, *place)
+    rays = through_pupil(system, points, chosen, prescription, aim)
+    return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+
+
+def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
+    """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
+    pupil = entrance_pupil(system, prescription=prescription)
+    through = starter(system, fields, pupil)
+    reach = pupil.reach[..., None, None, None]
+    place = reach * points[..., 0], reach * points[..., 1]
     if aim == "real":
         from odak.learn.raytracing.system.aiming import aimed
 
-        rays = aimed(
-            system, prescription, properties, points, place, lambda *at: _through(system, chosen, distance, *at)
-        )
-    return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+        place = aimed(system, prescription, pupil, points, place, through)
+    return through(*place)
+
+
+def starter(system, fields: torch.Tensor, pupil):
+    """Return the function that makes rays of places in the entrance pupil, as its `reach` has them."""
+    distance, bend = (value[..., None, None, None] for value in (pupil.distance, pupil.bend))
+    if system.at_infinity:
+        return lambda px, py: _far(fields, distance, px, py)
+    return lambda sx, sy: _near(system, fields, bend, sx, sy)
 
 
 def pupil_of(pupil, count: int, system) -> torch.Tensor:
@@ -112,17 +124,19 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
     return pupil.to(device=device, dtype=torch.float64)
 
 
-def _through(system, fields, distance, px, py) -> Rays:
-    """Return rays through points of the plane of the entrance pupil."""
-    if system.at_infinity:
-        tangent = torch.tan(torch.deg2rad(fields))
-        tx, ty = tangent[..., 0], tangent[..., 1]
-        w = 1 / (1 + tx * tx + ty * ty).sqrt()
-        x, y = px - distance * tx, py - distance * ty
-        u, v, w = (value.expand(x.shape) for value in (tx * w, ty * w, w))
-        return Rays(x, y, torch.zeros_like(x), u, v, w)
-    away = system.object_distance + distance
-    sx, sy = px - fields[..., 0], py - fields[..., 1]
-    w = torch.sign(away) / (sx * sx + sy * sy + away * away).sqrt()
+def _far(fields, distance, px, py) -> Rays:
+    """Return rays of distant points through points of the plane of the entrance pupil."""
+    tangent = torch.tan(torch.deg2rad(fields))
+    tx, ty = tangent[..., 0], tangent[..., 1]
+    w = 1 / (1 + tx * tx + ty * ty).sqrt()
+    x, y = px - distance * tx, py - distance * ty
+    u, v, w = (value.expand(x.shape) for value in (tx * w, ty * w, w))
+    return Rays(x, y, torch.zeros_like(x), u, v, w)
+
+
+def _near(system, fields, bend, sx, sy) -> Rays:
+    """Return rays of near points whose slopes are those given less the field's own towards the pupil's centre."""
+    sx, sy = sx - bend * fields[..., 0], sy - bend * fields[..., 1]
+    w = 1 / (1 + sx * sx + sy * sy).sqrt()
     x, y = (fields[..., i].expand(sx.shape) for i in range(2))
-    return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, (away * w).expand(sx.shape))
+    return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, w)

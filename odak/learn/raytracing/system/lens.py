@@ -36,6 +36,9 @@ class optical_system(torch.nn.Module):
         Field points: numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise.
     object_distance : float
         From the object to the first vertex.
+    image : surface, optional
+        Shape of the image surface: a curved sensor, a retina, a tilted plane. Of what a surface may be, its radius,
+        conic constant, coefficients, semi-diameter, shift and tilt count. A plane by default.
     unit : str
         Unit of all lengths, wavelengths included: "mm", "m", "um" or "nm".
     name, source : str
@@ -49,7 +52,8 @@ class optical_system(torch.nn.Module):
     Notes
     -----
     Space in front is air. Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
-    relative to air.
+    relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
+    telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
 
     Examples
     --------
@@ -71,6 +75,7 @@ class optical_system(torch.nn.Module):
         reference: int | None = None,
         fields: Iterable = (0.0,),
         object_distance: float = math.inf,
+        image: surface | None = None,
         unit: str = "mm",
         name: str = "",
         source: str = "",
@@ -99,6 +104,7 @@ class optical_system(torch.nn.Module):
         self.object_distance = float(object_distance)
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
+        self.image = _image(image)
         self.name, self.source = str(name), str(source)
 
     @property
@@ -168,6 +174,14 @@ class optical_system(torch.nn.Module):
             else:
                 columns.append(refractive_index(item.material, values, self.unit, medium="air").to(one))
         return torch.stack(columns, -1)
+
+
+def _image(value) -> surface | None:
+    if value is not None and not isinstance(value, surface):
+        raise TypeError(f"image must be a surface, got {type(value).__name__}")
+    if value is not None and (value.stop or value.material != "air" or bool(value.thickness != 0)):
+        raise ValueError("image is where light ends: it has no thickness, no material and is no stop")
+    return value
 
 
 def _wavelengths(values) -> tuple[float, ...]:

@@ -11,6 +11,7 @@ from odak.learn.raytracing.system.surfaces import surface
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
 _SURFACE = {"radius", "conic", "coefficients", "thickness", "material", "semi_diameter", "stop", "shift", "tilt"}
+_IMAGE = _SURFACE - {"thickness", "material", "stop"}
 _SYSTEM = {
     "aperture",
     "aperture_type",
@@ -18,6 +19,7 @@ _SYSTEM = {
     "reference",
     "fields",
     "object_distance",
+    "image",
     "unit",
     "name",
     "source",
@@ -80,15 +82,10 @@ def save_system(system: optical_system, path) -> None:
 
 def system_to_dict(system: optical_system) -> dict:
     """Return a system as a dictionary of plain numbers and strings; infinities are null."""
-    surfaces = []
-    for i, item in enumerate(system.surfaces):
-        medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
-        radius = float(item.radius.detach())
-        entry = {"radius": None if math.isinf(radius) else radius, "thickness": float(item.thickness.detach())}
-        entry |= {"material": medium, "conic": float(item.conic.detach()), "coefficients": item.coefficients.tolist()}
-        entry |= {"semi_diameter": item.semi_diameter, "stop": i == system.stop}
-        entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
-        surfaces.append({key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0], False)})
+    surfaces = [
+        _shape(item) | _medium(item) | ({"stop": True} if i == system.stop else {})
+        for i, item in enumerate(system.surfaces)
+    ]
     finite = None if system.at_infinity else system.object_distance
     return {
         "name": system.name,
@@ -100,8 +97,23 @@ def system_to_dict(system: optical_system) -> dict:
         "reference": system.reference,
         "fields": [list(field) for field in system.fields],
         "object_distance": finite,
+        **({} if system.image is None else {"image": _shape(system.image)}),
         "surfaces": surfaces,
     }
+
+
+def _shape(item: surface) -> dict:
+    """Return what shapes a surface, without what it does not have."""
+    radius = float(item.radius.detach())
+    entry = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
+    entry |= {"coefficients": item.coefficients.tolist(), "semi_diameter": item.semi_diameter}
+    entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
+    return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
+
+
+def _medium(item: surface) -> dict:
+    medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
+    return {"thickness": float(item.thickness.detach()), "material": medium}
 
 
 def system_from_dict(entry: dict) -> optical_system:
@@ -125,13 +137,17 @@ def system_from_dict(entry: dict) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
-    built = []
-    for number, item in enumerate(surfaces):
-        _known(f"surfaces[{number}]", item, _SURFACE)
-        item = {"radius": math.inf, **item}
-        radius = item.pop("radius")
-        built.append(surface(math.inf if radius is None else radius, **item))
+    built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
+    if entry.get("image") is not None:
+        entry["image"] = _built("image", entry["image"], _IMAGE)
     return optical_system(built, **entry)
+
+
+def _built(where: str, entry, keys) -> surface:
+    _known(where, entry, keys)
+    entry = {"radius": math.inf, **entry}
+    radius = entry.pop("radius")
+    return surface(math.inf if radius is None else radius, **entry)
 
 
 def _known(where: str, entry, keys) -> None:

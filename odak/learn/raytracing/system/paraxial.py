@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import torch
 
+from odak import _array
 from odak.learn.raytracing.system.prescription import Prescription
 
 
@@ -100,15 +101,12 @@ def first_order(system, wavelength: float | None = None, prescription: Prescript
     p = _at_one_wavelength(system, wavelength, prescription)
     index = signed_indices(system, p)
     whole = matrix(p, index, 0, len(system.surfaces))
-    before = matrix(p, index, 0, system.stop, gap=True)
     after = matrix(p, index, system.stop, len(system.surfaces))
     n, behind = index[..., 0], index[..., -1]
-    entrance = n * before.b / before.a
-    ratio = 1 / before.a
-    axial, slope = _axial_ray(system, whole, n)
-    radius = _pupil_radius(system, whole, entrance, ratio, n)
+    pupil = entrance_pupil(system, wavelength, prescription)
     # The axial ray is scaled so that it fills the pupil.
-    scale = radius if system.at_infinity else radius / (system.object_distance + entrance)
+    axial, slope = _axial_ray(system, whole, n)
+    scale = pupil.reach
     slope = slope * scale
     numerical = behind.abs() * torch.sin(torch.atan((slope / behind).abs()))
     return FirstOrder(
@@ -117,17 +115,63 @@ def first_order(system, wavelength: float | None = None, prescription: Prescript
         front_focal_distance=n * whole.d / whole.c,
         rear_principal_plane=behind * (1 - whole.a) / whole.c,
         front_principal_plane=n * (whole.d - 1) / whole.c,
-        entrance_pupil_distance=entrance,
-        entrance_pupil_diameter=2 * radius,
+        entrance_pupil_distance=pupil.distance,
+        entrance_pupil_diameter=2 * pupil.radius,
         exit_pupil_distance=-behind * after.b / after.d,
-        exit_pupil_diameter=2 * (radius / ratio / after.d).abs(),
-        stop_diameter=2 * (radius / ratio).abs(),
+        exit_pupil_diameter=2 * (pupil.stop_radius / after.d).abs(),
+        stop_diameter=2 * pupil.stop_radius,
         image_distance=-behind * axial * scale / slope,
         magnification=torch.zeros_like(n) if system.at_infinity else n * scale / slope,
-        f_number=(-1 / whole.c).abs() / (2 * radius),
+        f_number=(-1 / whole.c).abs() / (2 * pupil.radius),
         working_f_number=1 / (2 * slope.abs()),
         numerical_aperture=numerical,
     )
+
+
+class EntrancePupil(NamedTuple):
+    """Where rays are aimed at, such that a pupil at infinity is no special case; each ``[...]``.
+
+    Attributes
+    ----------
+    distance, radius : torch.Tensor
+        Of the pupil, from the first vertex.
+    reach : torch.Tensor
+        Of the marginal ray: its height in the pupil for an object at infinity, its slope for a near one.
+    bend : torch.Tensor
+        One over the distance from a near object to the pupil.
+    stop_radius : torch.Tensor
+        Radius of the beam in the stop.
+    """
+
+    distance: torch.Tensor
+    radius: torch.Tensor
+    reach: torch.Tensor
+    bend: torch.Tensor
+    stop_radius: torch.Tensor
+
+
+def entrance_pupil(system, wavelength: float | None = None, prescription: Prescription | None = None) -> EntrancePupil:
+    """Return the entrance pupil of a system.
+
+    Parameters
+    ----------
+    system, wavelength, prescription
+        As in :func:`first_order`.
+    """
+    p = _at_one_wavelength(system, wavelength, prescription)
+    index = signed_indices(system, p)
+    whole = matrix(p, index, 0, len(system.surfaces))
+    before = matrix(p, index, 0, system.stop, gap=True)
+    n = index[..., 0]
+    distance = n * before.b / before.a
+    if system.at_infinity:
+        reach = _far_reach(system, whole, n, before.a)
+        return EntrancePupil(distance, reach, reach, 0 * n, (reach * before.a).abs())
+    # Height in the stop of the axial ray of slope 1.
+    to_stop = before.a * system.object_distance + n * before.b
+    bend = before.a / to_stop
+    reach = _near_reach(system, whole, n, bend, to_stop)
+    return EntrancePupil(distance, (reach / bend).abs(), reach, bend, (reach * to_stop).abs())
 
 
 def _at_one_wavelength(system, wavelength, prescription):
@@ -174,15 +218,24 @@ def _axial_ray(system, whole: Matrix, n):
     return whole.a * height + whole.b * slope, whole.c * height + whole.d * slope
 
 
-def _pupil_radius(system, whole: Matrix, entrance, ratio, n):
-    """Return the radius of the entrance pupil."""
+def _near_reach(system, whole: Matrix, n, bend, to_stop):
+    """Return the slope of the marginal ray of a near object."""
+    size = system.aperture
+    if system.aperture_type == "NA":
+        return torch.tan(torch.asin(size / n))
+    if system.aperture_type == "stop":
+        return (size / 2 / to_stop).abs()
+    if _array.is_readable(bend) and bool((bend == 0).any()):
+        kind = system.aperture_type
+        raise ValueError(f'aperture_type must be "NA" or "stop", got {kind!r}: the entrance pupil is at infinity')
+    return (size / 2 if system.aperture_type == "EPD" else (1 / whole.c).abs() / (2 * size)) * bend
+
+
+def _far_reach(system, whole: Matrix, n, place):
+    """Return the radius of the entrance pupil of an object at infinity."""
     size = system.aperture
     if system.aperture_type == "EPD":
         return size / 2 + 0 * n
     if system.aperture_type == "stop":
-        return (size / 2 * ratio).abs()
-    if system.aperture_type == "F-number":
-        return (1 / whole.c).abs() / (2 * size)
-    if system.at_infinity:
-        return (1 / whole.c).abs() * size
-    return torch.tan(torch.asin(size / n)) * (system.object_distance + entrance)
+        return (size / 2 / place).abs()
+    return (1 / whole.c).abs() * (1 / (2 * size) if system.aperture_type == "F-number" else size)

@@ -43,15 +43,13 @@ class Prescription(NamedTuple):
             *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
         )
 
-    def numbers(self, image: bool = True, start: torch.Tensor | None = None) -> Numbers:
-        """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image plane added.
+    def numbers(self, image=None) -> Numbers:
+        """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image added.
 
         Parameters
         ----------
-        image : bool
-            End at the image plane rather than at the last surface.
-        start : torch.Tensor, optional
-            Distance from the rays' plane z = 0 to the first vertex; 0 by default.
+        image : surface, optional
+            The image surface; a plane by default.
         """
         batch, wavelengths = self.batch, self.index.shape[-2]
         rows = (*batch, wavelengths)
@@ -62,21 +60,28 @@ class Prescription(NamedTuple):
             value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
             return value.expand(*rows, *tail).reshape(math.prod(rows), *tail)
 
-        first = torch.zeros_like(self.thickness[..., :1]) if start is None else start[..., None]
-        distance = torch.cat([first.expand_as(self.thickness[..., :1]), self.thickness], -1)
+        distance = torch.cat([torch.zeros_like(self.thickness[..., :1]), self.thickness], -1)
         index = self.index.expand(*rows, self.index.shape[-1]).reshape(math.prod(rows), self.index.shape[-1])
-        curvature, conic, coefficients = self.curvature, self.conic, self.coefficients
-        if image:
-            curvature, conic = (torch.nn.functional.pad(value, (0, 1)) for value in (curvature, conic))
-            coefficients = torch.nn.functional.pad(coefficients, (0, 0, 0, 1))
-            index = torch.cat([index, index[:, -1:]], -1)
-        else:
-            distance = distance[..., :-1]
+        index = torch.cat([index, index[:, -1:]], -1)
+        curvature, conic, coefficients = self._with(image)
         return Numbers(spread(curvature, 1), spread(conic, 1), spread(distance, 1), spread(coefficients, 2), index)
 
+    def _with(self, image):
+        """Return curvatures, conic constants and coefficients with those of the image behind them."""
+        pad = torch.nn.functional.pad
+        if image is None:
+            return pad(self.curvature, (0, 1)), pad(self.conic, (0, 1)), pad(self.coefficients, (0, 0, 0, 1))
+        found = []
+        for own, last in ((self.curvature, image.curvature), (self.conic, image.conic)):
+            found.append(torch.cat([own, last.double().expand_as(own[..., :1])], -1))
+        own, last = self.coefficients, image.coefficients.double()
+        count = max(own.shape[-1], len(last))
+        own, last = (pad(value, (0, count - value.shape[-1])) for value in (own, last))
+        return *found, torch.cat([own, last.expand_as(own[..., :1, :])], -2)
 
-def layout_of(surfaces, prescription: Prescription, image: bool = True, vignetting: bool = True) -> Layout:
-    """Return what about a row of surfaces is no number.
+
+def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:
+    """Return what about a row of surfaces and the image behind it is no number.
 
     Parameters
     ----------
@@ -84,15 +89,15 @@ def layout_of(surfaces, prescription: Prescription, image: bool = True, vignetti
         The surfaces.
     prescription : Prescription
         Their numbers: a surface is plane only if no number bends it and none is being varied.
-    image : bool
-        Add the image plane.
+    image : surface, optional
+        The image surface; a plane by default.
     vignetting : bool
         Let semi-diameters block rays.
     """
     kinds, actions, signs, limits = [], [], [], []
     sign, before = 1, None
     for i, item in enumerate(surfaces):
-        kinds.append(_kind(prescription, i))
+        kinds.append(_kind(prescription.curvature[..., i], prescription.coefficients[..., i, :]))
         medium = _medium_key(item)
         action = "reflect" if item.reflects else "pass" if medium == (before or ("air",)) else "refract"
         actions.append(action)
@@ -100,16 +105,15 @@ def layout_of(surfaces, prescription: Prescription, image: bool = True, vignetti
         limits.append(item.semi_diameter if vignetting else None)
         sign = -sign if item.reflects else sign
         before = before if item.reflects else medium
-    if image:
-        kinds, actions, signs, limits = [*kinds, "plane"], [*actions, "pass"], [*signs, sign], [*limits, None]
-    return Layout(tuple(kinds), tuple(actions), tuple(signs), tuple(limits))
+    kinds.append("plane" if image is None else _kind(image.curvature, image.coefficients))
+    limits.append(image.semi_diameter if image is not None and vignetting else None)
+    return Layout(tuple(kinds), (*actions, "pass"), (*signs, sign), tuple(limits))
 
 
-def _kind(prescription: Prescription, i: int) -> str:
-    coefficients = prescription.coefficients[..., i, :]
+def _kind(curvature: torch.Tensor, coefficients: torch.Tensor) -> str:
     if (coefficients.requires_grad and coefficients.shape[-1]) or _any(coefficients):
         return "asphere"
-    return "conic" if prescription.curvature.requires_grad or _any(prescription.curvature[..., i]) else "plane"
+    return "conic" if curvature.requires_grad or _any(curvature) else "plane"
 
 
 def _any(value: torch.Tensor) -> bool:

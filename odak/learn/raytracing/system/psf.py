@@ -137,3 +137,53 @@ def airy_pattern(radius, wavelength: float, numerical_aperture: float):
     centre = v.abs() < 1e-8
     safe = torch.where(centre, 1.0, v)
     return torch.where(centre, 1.0, (2 * torch.special.bessel_j1(safe) / safe).square())
+
+
+def propagated_point_spread_function(
+    system,
+    size: int = 512,
+    pitch: float | None = None,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    **options,
+) -> Spread:
+    """Return the image of a point with diffraction by propagating the field of the exit pupil to the image.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    size : int
+        Samples along each side of the field and of the image.
+    pitch : float, optional
+        Their pitch, by default such that the light fills most of the field.
+    propagation_type : str
+        As in :func:`odak.learn.wave.propagate_beam`.
+    **options
+        Of :func:`exit_field` (`field`, `wavelength`, `distance`, `aim`, `vignetting`, `apodization`, `prescription`).
+
+    Returns
+    -------
+    Spread
+        Of one field and one wavelength, ``[..., 1, 1, rows, columns]``, in the plane perpendicular to the chief ray
+        through its image point. Differentiable.
+
+    Notes
+    -----
+    Unlike :func:`point_spread_function` this takes neither Abbe's sine condition nor a small aperture for granted: the
+    field has the amplitude and the phase of the rays where they are. It costs more: the pitch must hold the phase of
+    the whole converging wave. The unit is the peak of a sphere of the same amplitude about the image point, by the
+    Rayleigh–Sommerfeld integral (Goodman 2005, section 3.5).
+    """
+    from odak.learn.raytracing.system.waves import exit_field
+    from odak.learn.wave.propagation import propagate_beam
+
+    wave = exit_field(system, size, pitch, plane="chief", **options)
+    count = wave.field.shape[-1]
+    line = (torch.arange(count, dtype=torch.float64, device=wave.field.device) - count // 2) * wave.pitch
+    distance = wave.to_image[..., None, None]
+    squared = line[:, None] ** 2 + line**2 + distance * distance
+    peak = (wave.field.abs() * distance.abs() / squared).sum((-2, -1)) * (wave.pitch**2 / wave.wavelength)
+    image = propagate_beam(wave.field, None, wave.to_image, wave.pitch, wave.wavelength, propagation_type)
+    intensity = (image.abs().square() / peak[..., None, None].square())[..., None, None, :, :]
+    pitches = torch.full((*intensity.shape[:-2], 2), wave.pitch, dtype=torch.float64, device=intensity.device)
+    return Spread(intensity, pitches, intensity.amax((-2, -1)))

@@ -110,6 +110,11 @@ class surface(torch.nn.Module):
         """Whether it is a mirror."""
         return self.material == MIRROR
 
+    @property
+    def is_off_axis(self) -> bool:
+        """Whether it is shifted or tilted, or may come to be."""
+        return any(value.requires_grad or bool(value.any()) for value in (self.shift, self.tilt))
+
     def vary(self, name: str) -> torch.nn.Parameter:
         """Make a parameter of a number, and return it.
 

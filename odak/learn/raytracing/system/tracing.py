@@ -8,6 +8,7 @@ import torch
 from odak.learn.raytracing.system import tilted
 from odak.learn.raytracing.system.fused import Trace, plain_trace
 from odak.learn.raytracing.system.prescription import Prescription, layout_of
+from odak.learn.raytracing.system.tilted import TiltedTrace
 from odak.raytracing.status import RayStatus
 
 
@@ -82,8 +83,8 @@ def trace(
     Notes
     -----
     Rays are traced in blocks that fit into the cache; for gradients only the rays that enter and their statuses are
-    kept, 25 bytes each in float32. Systems with tilted or shifted surfaces and torch.func go by plain torch
-    operations, which keep all that autograd needs.
+    kept, 25 bytes each in float32. Systems with tilted or shifted surfaces go by plain torch operations, block by
+    block, and keep no more than that. Under torch.func, autograd keeps what it needs.
     """
     from odak.learn.raytracing.system.launching import Rays
 
@@ -97,14 +98,17 @@ def trace(
     if len({value.device for value in (*rays, numbers.curvature)}) > 1:
         raise ValueError("rays and system must be on one device")
     last = len(system.surfaces) if until is None else range(len(system.surfaces))[until] + 1
-    layout = layout_of(system.surfaces, numbers, image=True, vignetting=vignetting)
-    held = numbers.numbers()
+    layout = layout_of(system.surfaces, numbers, system.image, vignetting)
+    held = numbers.numbers(system.image)
     if until is not None:
         layout, held = _shortened(layout, held, last)
     shape = _shape(rays, numbers)
     flat = [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays]
-    if numbers.shift is not None or numbers.tilt is not None:
-        found = tilted.trace(layout, held, flat, *tilted.rows(numbers, shape))
+    slanted = until is None and system.image is not None and system.image.is_off_axis
+    if slanted or numbers.shift is not None or numbers.tilt is not None:
+        held = (*held, *tilted.rows(numbers, shape, system.image))
+        traced = tilted.plain_trace if _plain((*flat, *held)) else TiltedTrace.apply
+        found = traced(layout, *flat, *held)
     elif _plain((*flat, *held)):
         state = plain_trace(layout, held, tuple(flat))
         lost = state.status != RayStatus.HIT

@@ -66,8 +66,9 @@ def wavefront(
 
     Notes
     -----
-    The sphere of each wavelength and field has its centre where the chief ray of that wavelength meets the image plane,
-    and passes through the paraxial exit pupil's centre. Welford, Aberrations of Optical Systems (1986), section 7.2.
+    The sphere of each wavelength and field has its centre where the chief ray of that wavelength meets the image
+    surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
+    Optical Systems (1986), section 7.2.
     """
     points = pupil_of(pupil, count, system)
     options = {"prescription": prescription, "fields": fields, "aim": aim}
@@ -81,7 +82,7 @@ def wavefront(
     kept = status == 0
     numbers = system.prescription() if prescription is None else prescription
     index = numbers.index[..., -1][..., None, None]
-    total = _start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
+    total = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
     lag = total[..., 1:] - total[..., :1]
     waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=lag.device)[: lag.shape[-3]]
     lag = torch.where(kept, lag, 0.0) / waves[:, None, None]
@@ -93,7 +94,7 @@ def wavefront(
     return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status)
 
 
-def _start(system, rays, numbers: Prescription):
+def path_at_start(system, rays, numbers: Prescription):
     """Return the path that rays have behind them where they start: they left a plane wavefront, or one point."""
     if not system.at_infinity:
         return 0.0
@@ -101,17 +102,17 @@ def _start(system, rays, numbers: Prescription):
 
 
 def _to_sphere(system, traced, prescription):
-    """Return the distance from the image plane back along each ray to the sphere, less the sphere's radius."""
+    """Return the distance from the image surface back along each ray to the sphere, less the sphere's radius."""
     properties = first_order(system, prescription=prescription)
     last = (system.surfaces[-1].thickness if prescription is None else prescription.thickness[..., -1]).double()
-    center = [value[..., :1] for value in (traced.x, traced.y)]
+    center = [value[..., :1] for value in traced[:3]]
     gap = (last - properties.exit_pupil_distance)[..., None, None, None]
-    gap = gap.clamp(-FAR, FAR)
+    gap = gap.clamp(-FAR, FAR) + center[2]
     side = torch.sign(gap * traced.w[..., :1]).detach()
     radius = (center[0].square() + center[1].square() + gap * gap).sqrt()
-    dx, dy = traced.x - center[0], traced.y - center[1]
-    along = traced.u * dx + traced.v * dy
-    rest = along * along - dx * dx - dy * dy
+    away = [value - middle for value, middle in zip(traced[:3], center, strict=True)]
+    along = sum(cosine * value for cosine, value in zip(traced[3:6], away, strict=True))
+    rest = along * along - sum(value * value for value in away)
     # s + R with s = −b ∓ √(b² − q + R²), written so that the large radius does not swallow the difference.
     return -along - side * rest / ((rest + radius * radius).sqrt() + radius)
 

@@ -104,11 +104,12 @@ def read_zmx(path, glasses: Mapping | None = None) -> tuple[optical_system, ZmxR
             _surface(number, lines, scale, dict(glasses or {}), ignored)
             for number, lines in enumerate(surfaces[1:-1], start=1)
         ]
-        _check_image(surfaces[-1], len(surfaces) - 1, ignored)
+        image = _image(len(surfaces) - 1, surfaces[-1], scale, ignored)
         distance = _of(surfaces[0], "DISZ", math.inf) * scale
         settings = _general(general, head, surfaces, scale, math.isinf(distance), notes)
         name = " ".join(head["NAME"].words) if "NAME" in head else path.stem
-        system = optical_system(built, object_distance=distance, unit="mm", name=name, source=path.name, **settings)
+        names = {"unit": "mm", "name": name, "source": path.name}
+        system = optical_system(built, object_distance=distance, image=image, **names, **settings)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     if not any(item.stop for item in built):
@@ -178,12 +179,12 @@ def _glass(number: int, lines, glasses: dict):
         raise ValueError(f"surface {number}: {error}.{near} Or pass glasses={{{name!r}: …}} to read_zmx") from None
 
 
-def _check_image(lines, number: int, ignored: list) -> None:
-    for line in lines:
-        if line.key == "CURV" and line.value():
-            raise ValueError(f"surface {number}: a curved image (CURV {line.value():g}) is not supported")
-        if line.key not in SILENT:
-            ignored.append(_named(line, number))
+def _image(number: int, lines, scale: float, ignored: list) -> surface | None:
+    """Return the image surface, None for a plane; a glass behind it has no effect."""
+    ignored += [_named(line, number) for line in lines if line.key == "GLAS"]
+    found = _surface(number, [line for line in lines if line.key not in ("GLAS", "DISZ", "STOP")], scale, {}, ignored)
+    plain = found.curvature == 0 and not bool(found.coefficients.any()) and found.semi_diameter is None
+    return None if plain else found
 
 
 def _general(general, head, surfaces, scale: float, far: bool, notes: list) -> dict:

@@ -1,7 +1,7 @@
 """The text of a .zmx file from a system."""
 
 from odak.catalog.materials import MICROMETRES
-from odak.learn.raytracing.system.surfaces import AIR, MIRROR
+from odak.learn.raytracing.system.surfaces import AIR, MIRROR, surface
 
 _APERTURES = {"EPD": "ENPD {} ", "F-number": "FNUM {} 0", "NA": "OBNA {} 0", "stop": "FLOA"}
 
@@ -26,29 +26,37 @@ def text_of(system) -> str:
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
     for number, item in enumerate(system.surfaces, start=1):
         lines += _surface(number, item, scale, number - 1 == system.stop, system)
-    lines += [f"SURF {len(system.surfaces) + 1}", "  TYPE STANDARD", "  CURV 0.0", "  DISZ 0"]
+    lines += [f"SURF {len(system.surfaces) + 1}", *_shape("image", system.image or surface(), scale), "  DISZ 0"]
+    if system.image is not None and system.image.semi_diameter is not None:
+        lines += _limit(system.image.semi_diameter * scale)
     return "\n".join(lines) + "\n"
 
 
-def _surface(number: int, item, scale: float, stop: bool, system) -> list[str]:
+def _shape(name: str, item, scale: float) -> list[str]:
     if bool(item.shift.any()) or bool(item.tilt.any()):
-        raise ValueError(f"surfaces[{number - 1}] is shifted or tilted, which is not written")
+        raise ValueError(f"{name} is shifted or tilted, which is not written")
+    coefficients = item.coefficients.tolist()
+    lines = [f"  TYPE {'EVENASPH' if coefficients else 'STANDARD'}"]
+    lines += [f"  CURV {float(item.curvature.detach()) / scale!r}"]
+    lines += [f"  CONI {float(item.conic.detach())!r}"] if float(item.conic.detach()) else []
+    return lines + [f"  PARM {i} {value * scale ** (1 - 2 * i)!r}" for i, value in enumerate(coefficients, start=1)]
+
+
+def _limit(radius: float) -> list[str]:
+    return [f"  CLAP 0 {radius!r} 0", f"  DIAM {radius!r} 1 0 0 1"]
+
+
+def _surface(number: int, item, scale: float, stop: bool, system) -> list[str]:
+    shape = _shape(f"surfaces[{number - 1}]", item, scale)
     if item.material is None:
         raise ValueError(f"surfaces[{number - 1}] is followed by an index, not by a glass with a name")
-    coefficients = item.coefficients.tolist()
-    lines = [f"SURF {number}", *(["  STOP"] if stop else [])]
-    lines += [
-        f"  TYPE {'EVENASPH' if coefficients else 'STANDARD'}",
-        f"  CURV {float(item.curvature.detach()) / scale!r}",
-    ]
-    lines += [f"  CONI {float(item.conic.detach())!r}"] if float(item.conic.detach()) else []
-    lines += [f"  PARM {i} {value * scale ** (1 - 2 * i)!r}" for i, value in enumerate(coefficients, start=1)]
+    lines = [f"SURF {number}", *(["  STOP"] if stop else []), *shape]
     lines += [f"  DISZ {float(item.thickness.detach()) * scale!r}"]
     if item.material != AIR:
         name = "MIRROR" if item.material == MIRROR else item.material.name.replace(" ", "_")
         lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
     if item.semi_diameter is not None:
-        lines += [f"  CLAP 0 {item.semi_diameter * scale!r} 0", f"  DIAM {item.semi_diameter * scale!r} 1 0 0 1"]
+        lines += _limit(item.semi_diameter * scale)
     elif stop and system.aperture_type == "stop":
         lines += [f"  DIAM {system.aperture * scale / 2!r} 1 0 0 1"]
     return lines

@@ -1,0 +1,110 @@
+"""Rays and surfaces that the user gives as a function that is zero on them, differentiable in both."""
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from odak.learn.raytracing import arguments
+from odak.raytracing import parametric
+from odak.raytracing.geometry import dot, unit
+
+__all__ = ["intersect_parametric"]
+
+
+def intersect_parametric(
+    ray,
+    parametric_surface,
+    surface_function: Callable,
+    surface_normal_function: Callable | None = None,
+    target_error: float = 0.00000001,
+    iter_no_limit: int = 100000,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Meet a surface given as a function: the nearest point ahead of each ray.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    parametric_surface : object
+        Handed on to both functions, with whatever tensors the surface is to be differentiated by.
+    surface_function : callable
+        ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
+        signs on its sides, in torch operations.
+    surface_normal_function : callable, optional
+        Takes the same and returns normals as rays; by default along the function's gradient.
+    target_error, iter_no_limit
+        As in :func:`odak.raytracing.intersect_parametric`, which does the search.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
+
+    Notes
+    -----
+    The search keeps no graph. Two steps of Newton's method from where it ends carry first and second derivatives, those
+    of the implicit function theorem. The search itself runs on the CPU in float64.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_parametric, sphere_function
+    >>> radius = torch.tensor(1.0, requires_grad=True)
+    >>> sphere = torch.cat((torch.zeros(3), radius[None]))
+    >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
+    >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
+    >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
+    [4.0, -1.0]
+    """
+    (ray,) = arguments.tensors(ray=ray)
+    batch = arguments.rays("ray", ray).shape[:-2]
+    rays = ray.reshape(-1, 2, 3)
+    found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)
+    hit = torch.isfinite(found)
+    if not bool(hit.any()):
+        return found.reshape(batch), torch.full_like(rays, torch.nan).reshape(*batch, 2, 3)
+    # In place of a ray that misses, one that hits: the functions may not even be differentiable elsewhere.
+    first = hit.nonzero()[0, 0]
+    rays = torch.where(hit[:, None, None], rays, rays[first].detach())
+    distance = torch.where(hit, found, found[first])
+    for _ in range(2):
+        value, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+        slope = dot(gradient, rays[:, 1])
+        regular = hit & (slope != 0)
+        distance = distance - torch.where(regular, value, 0.0) / torch.where(regular, slope, 1.0)
+    point = rays[:, 0] + distance[:, None] * rays[:, 1]
+    if surface_normal_function is None:
+        _, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+        normal = arguments.as_rays(point, unit(gradient))
+    else:
+        normal = surface_normal_function(point, parametric_surface).reshape(-1, 2, 3)
+    distance, normal = torch.where(hit, distance, torch.nan), torch.where(hit[:, None, None], normal, torch.nan)
+    return distance.reshape(batch), normal.reshape(*batch, 2, 3)
+
+
+@torch.no_grad()
+def _search(rays, surface, function: Callable, target_error: float, limit: int) -> torch.Tensor:
+    """Return the distances found, NaN for misses."""
+
+    def plain(points, surface):
+        return function(torch.from_numpy(np.ascontiguousarray(points)).to(rays.device), surface).double().cpu().numpy()
+
+    def none(points, surface):
+        return np.zeros((len(points), 2, 3))
+
+    lines = rays.double().cpu().numpy()
+    distance, _ = parametric.intersect_parametric(lines, surface, plain, none, target_error, limit)
+    distance = np.full(len(lines), np.nan) if distance is False else distance
+    return torch.from_numpy(distance).to(rays)
+
+
+def _gradient(rays, distance, surface, function: Callable):
+    """Return the function where the rays are, and its gradient by the place; with a graph if there is one to follow."""
+    point = rays[:, 0] + distance[:, None] * rays[:, 1]
+    followed = point.requires_grad or (torch.is_grad_enabled() and function(point, surface).requires_grad)
+    with torch.enable_grad():
+        place = point if point.requires_grad else point.detach().requires_grad_()
+        value = function(place, surface)
+        (gradient,) = torch.autograd.grad(value.sum(), place, create_graph=followed)
+    return (value if followed else value.detach()).to(rays.dtype), gradient

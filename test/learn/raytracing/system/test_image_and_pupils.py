@@ -1,0 +1,279 @@
+"""Curved and tilted image surfaces, pupils at infinity: closed forms and symmetries."""
+
+import json
+import math
+
+import pytest
+import torch
+
+from odak.learn.raytracing.system import (
+    distortion,
+    draw_layout,
+    field_curvature,
+    first_order,
+    launch,
+    load_system,
+    optical_system,
+    read_zmx,
+    rms_spot,
+    spot_diagram,
+    surface,
+    system_from_dict,
+    system_to_dict,
+    trace,
+    trace_fields,
+    wavefront,
+    write_zmx,
+)
+
+F64 = torch.float64
+RADIUS, INDEX, FOCAL = 20.0, 1.5, 30.0
+
+
+def ball(image=None, fields=((0.0, 0.0), (0.0, 25.0)), aperture=2.0):
+    """Return a ball lens with the stop in its centre: f = nR/2(n − 1) from there for every direction."""
+    return optical_system(
+        [
+            surface(RADIUS, thickness=RADIUS, material=INDEX),
+            surface(thickness=RADIUS, material=INDEX, stop=True),
+            surface(-RADIUS, thickness=FOCAL - RADIUS),
+        ],
+        aperture=aperture,
+        fields=fields,
+        wavelengths=500e-6,
+        image=image,
+    )
+
+
+def turned(points, directions, angle):
+    """Turn rays about x and the centre of the ball."""
+    c, s = math.cos(angle), math.sin(angle)
+    matrix = torch.tensor([[1, 0, 0], [0, c, s], [0, -s, c]], dtype=F64)
+    centre = torch.tensor([0.0, 0.0, RADIUS], dtype=F64)
+    return torch.stack([(points - centre) @ matrix.T + centre, directions @ matrix.T], -2)
+
+
+def test_a_ball_images_every_direction_alike_onto_a_ball():
+    system = ball(surface(-FOCAL))
+    rays = launch(system, "rings", 3, fields=[(0.0, 0.0)]).to_tensor()[0, 0]
+    angle = math.radians(25)
+    straight = trace(system, rays).to_tensor().reshape(-1, 2, 3)
+    aslant = trace(system, turned(*rays.unbind(-2), angle)).to_tensor().reshape(-1, 2, 3)
+    vertex = torch.tensor([[0.0, 0.0, RADIUS + FOCAL], [0.0, 0.0, 0.0]], dtype=F64)
+    expected = turned(*(straight + vertex).unbind(-2), angle) - vertex
+    assert float(straight[:, 0, 2].min()) < -1e-9
+    torch.testing.assert_close(aslant, expected, atol=1e-12, rtol=0)
+
+
+def test_a_ball_has_no_field_curvature_against_the_sphere_and_its_own_against_a_plane():
+    tangential, sagittal = field_curvature(ball(surface(-FOCAL)))
+    torch.testing.assert_close(tangential, torch.zeros(1, 2, dtype=F64), atol=1e-9, rtol=0)
+    torch.testing.assert_close(sagittal, torch.zeros(1, 2, dtype=F64), atol=1e-9, rtol=0)
+    behind = ball(surface(-FOCAL - 1))
+    behind.surfaces[-1].thickness.add_(1.0)
+    for found in field_curvature(behind):
+        assert float(found[0, 1]) == pytest.approx(-math.cos(math.radians(25)), rel=1e-9)
+    flat = field_curvature(ball())[1]
+    assert float(flat[0, 1]) == pytest.approx(FOCAL * math.cos(math.radians(25)) - FOCAL, rel=1e-9)
+
+
+def test_the_wavefront_to_a_point_of_a_curved_image_is_that_of_the_axis():
+    """Turned about the centre, the same wave: the stop, an ellipse from there, is filled by the same round bundle."""
+    system = ball(surface(-FOCAL), fields=[(0.0, 0.0)], aperture=8.0)
+    pupil = torch.tensor([[0.0, 0.5], [0.9, 0.0], [-0.3, -0.6]], dtype=F64)
+    axis = wavefront(system, pupil)
+    c = math.cos(math.radians(25))
+    squeezed = pupil / torch.tensor([1.0, c], dtype=F64)
+    # Off the axis the paraxial pupil is left at the angle's cosine; the reference sphere is about the same centre.
+    aslant = wavefront(system, squeezed, fields=[(0.0, 25.0)])
+    assert float(axis.path.abs().max()) > 0.5
+    torch.testing.assert_close(aslant.path, axis.path, atol=1e-6, rtol=0)
+    assert float(wavefront(ball(), squeezed, fields=[(0.0, 25.0)]).path.abs().max()) > 2
+
+
+def test_gradients_of_the_image_surface():
+    lens = ball()
+
+    def heights(curvature, conic, coefficients, tilt):
+        image = surface(curvature=-1 / FOCAL)
+        for name, value in (("curvature_value", curvature), ("conic", conic), ("tilt", tilt)):
+            image._buffers[name] = value
+        image._buffers["coefficients"] = coefficients
+        lens.image = image
+        traced = trace_fields(lens, "rings", 1)
+        return traced.y, traced.z, traced.path
+
+    values = [-1 / FOCAL, 0.3, [1e-4, 1e-6], [1.0, -2.0]]
+    inputs = [torch.tensor(value, dtype=F64, requires_grad=True) for value in values]
+    assert torch.autograd.gradcheck(heights, inputs)
+    lens = ball(surface(-FOCAL))
+    curvature = lens.image.vary("curvature")
+    (found,) = torch.autograd.grad(rms_spot(lens)[1], curvature)
+    assert bool(found.isfinite()) and float(found.abs()) > 0
+    assert any(parameter is curvature for parameter in lens.parameters())
+
+
+def test_a_tilted_image_plane_follows_scheimpflug():
+    """Object points of a plane tilted by θ lie sharp on one tilted by θ′, tan θ′ = m·tan θ."""
+    thin = [surface(50.0, thickness=1e-9, material=1.5), surface(-50.0, thickness=75.0)]
+    tilt, magnification = math.radians(20), -0.5
+    lens = optical_system(thin, aperture=1.0, object_distance=150.0)
+    slope = math.tan(tilt)
+    angle = math.degrees(math.atan(magnification * slope))
+    lens.image = surface(tilt=(angle, 0.0))
+    flat = optical_system(thin, aperture=1.0, object_distance=150.0)
+    # So near to the axis that aberrations are small beside the tilt.
+    height = 0.05
+    start = torch.tensor([0.0, height, -150.0 + height * slope], dtype=F64)
+    aim = torch.tensor([[0.0, p, 0.0] for p in (-0.01, 0.0, 0.01)], dtype=F64)
+    rays = torch.stack([start.expand(3, 3), aim - start], -2)
+    sharp, blurred = (trace(system, rays).y.flatten() for system in (lens, flat))
+    assert float((sharp[2] - sharp[0]).abs()) < 0.02 * float((blurred[2] - blurred[0]).abs())
+    z = trace(lens, rays).z.flatten()
+    torch.testing.assert_close(z, sharp * math.tan(math.radians(angle)), atol=1e-12, rtol=0)
+
+
+def test_curved_images_survive_files_and_are_drawn(tmp_path):
+    system = load_system("cooke_triplet")
+    plain = draw_layout(system)
+    system.image = surface(-60.0, conic=-0.4, coefficients=[0.0, 1e-6], semi_diameter=20.0)
+    copy = system_from_dict(json.loads(json.dumps(system_to_dict(system))))
+    assert torch.equal(trace_fields(copy).z, trace_fields(system).z) and float(trace_fields(copy).z.min()) < -1
+    write_zmx(system, tmp_path / "a.zmx")
+    again, report = read_zmx(tmp_path / "a.zmx")
+    torch.testing.assert_close(trace_fields(again).z, trace_fields(system).z, atol=1e-12, rtol=0)
+    assert again.image.semi_diameter == 20.0 and not [line for line in report.ignored if "CURV" in line]
+    assert draw_layout(system).tobytes() != plain.tobytes()
+    with pytest.raises(TypeError, match="image must be a surface"):
+        optical_system([surface()], 1.0, image=3.0)
+    with pytest.raises(ValueError, match="image is where light ends"):
+        optical_system([surface()], 1.0, image=surface(material="N-BK7"))
+
+
+def test_memory_kept_for_gradients_of_tilted_surfaces():
+    """At most 300 bytes a ray in float32, as for centred surfaces."""
+    system = load_system("cooke_triplet")
+    system.vary(curvature=range(6), tilt=[1])
+    kept = {}
+
+    def note(value):
+        # Held, so that no address is given out twice.
+        kept[value.untyped_storage().data_ptr()] = (value.untyped_storage().nbytes(), value)
+        return value
+
+    with torch.autograd.graph.saved_tensors_hooks(note, lambda value: value):
+        traced = trace_fields(system, "random", 5000, fields=[(0.0, 10.0)], dtype=torch.float32)
+    assert sum(size for size, _ in kept.values()) / traced.x.numel() < 100
+
+
+def test_blocks_of_tilted_surfaces_change_nothing(monkeypatch):
+    from odak.learn.raytracing.system import tilted
+
+    system = load_system("cooke_triplet")
+    parameters = system.vary(tilt=[2], shift=[0], curvature=[3])
+
+    def run():
+        rays = launch(system, "rings", 4)
+        rays = type(rays)(*(value.detach().requires_grad_() for value in rays))
+        traced = trace(system, rays)
+        loss = torch.where(traced.arrived, traced.y, 0.0).square().sum() + traced.path.nansum()
+        return torch.autograd.grad(loss, (*parameters, rays.x, rays.v))
+
+    whole = run()
+    monkeypatch.setattr(tilted, "BLOCK", 90)
+    for a, b in zip(run(), whole, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-11, atol=1e-11)
+
+
+def test_second_derivatives_through_tilted_surfaces():
+    system = load_system("singlet")
+    numbers = system.prescription()
+    rays = launch(system, "rings", 1)
+
+    def values(curvature, tilt):
+        changed = numbers._replace(curvature=curvature, tilt=tilt, shift=None)
+        return trace(system, rays, prescription=changed, vignetting=False).y
+
+    inputs = [numbers.curvature.clone(), torch.tensor([[0.5, -0.2], [0.0, 0.3]], dtype=F64)]
+    inputs = [value.requires_grad_() for value in inputs]
+    assert torch.autograd.gradcheck(values, inputs, fast_mode=True)
+    assert torch.autograd.gradgradcheck(values, inputs, fast_mode=True)
+
+
+def relay(image_gap=120.0, **options):
+    """Return two thin lenses of 80 and 120 mm about a stop in their common focus."""
+    lenses = [
+        surface(80.0, thickness=1e-12, material=1.5),
+        surface(-80.0, thickness=80.0),
+        surface(thickness=120.0, stop=True),
+        surface(120.0, thickness=1e-12, material=1.5),
+        surface(-120.0, thickness=image_gap),
+    ]
+    settings = {"aperture": 0.02, "aperture_type": "NA", "object_distance": 80.0, "fields": [0.0, 0.5]}
+    return optical_system(lenses, **{**settings, **options})
+
+
+def test_a_telecentric_relay():
+    """Chief rays parallel to the axis on both sides; m = −f₂/f₁ whatever the focus; NA′ = NA·f₁/f₂."""
+    system = relay()
+    found = first_order(system)
+    assert float(found.entrance_pupil_distance.abs()) > 1e12 and float(found.exit_pupil_distance.abs()) > 1e12
+    assert float(found.magnification) == pytest.approx(-1.5, rel=1e-9)
+    assert float(found.image_distance) == pytest.approx(120.0, rel=1e-9)
+    assert float(found.numerical_aperture) == pytest.approx(0.02 / 1.5, rel=1e-3)
+    assert float(found.stop_diameter) == pytest.approx(2 * 80 * math.tan(math.asin(0.02)), rel=1e-9)
+    for aim in ("paraxial", "real"):
+        chief = launch(system, torch.zeros(1, 2), aim=aim)
+        assert float(chief.w.min()) > 1 - 1e-9
+    for gap, distance in ((120.0, 80.0), (90.0, 80.0), (120.0, 60.0)):
+        chief = trace_fields(relay(gap, object_distance=distance), torch.zeros(1, 2))
+        assert float(chief.y[0, 1, 0]) == pytest.approx(-0.75, rel=2e-4)
+        assert float(chief.v[0, 1, 0].abs()) < 1e-5
+    at_stop = trace(system, launch(system, "rings", 2, aim="real"), until=2)
+    radius = float(found.stop_diameter) / 2
+    assert float((at_stop.x.square() + at_stop.y.square()).max()) == pytest.approx(radius**2, rel=1e-9)
+    assert float(distortion(system)[0, 1].abs()) < 1e-3
+    same = relay(aperture=2 * radius, aperture_type="stop")
+    torch.testing.assert_close(launch(same).v, launch(system).v, rtol=1e-9, atol=1e-12)
+
+
+def test_a_pupil_exactly_at_infinity():
+    """a = 1 − 100·0.01 is zero to the last bit; rays leave each point within the same cone."""
+    system = optical_system(
+        [surface(curvature=0.02, thickness=150.0, material=1.5), surface(thickness=100.0, stop=True)],
+        aperture=0.05,
+        aperture_type="NA",
+        object_distance=100.0,
+        fields=[0.0, (3.0, -2.0)],
+    )
+    found = first_order(system)
+    assert math.isinf(float(found.entrance_pupil_distance)) and math.isinf(float(found.entrance_pupil_diameter))
+    assert not any(bool(value.isnan()) for value in found)
+    rays = launch(system, "y", 3)
+    torch.testing.assert_close(rays.v[0, 1], torch.tensor([-0.05, 0.0, 0.05], dtype=F64), rtol=1e-12, atol=1e-15)
+    torch.testing.assert_close(rays.v[0, 0], rays.v[0, 1], rtol=1e-12, atol=1e-15)
+    assert bool(spot_diagram(system).rms.isfinite().all()) and bool(
+        spot_diagram(system, aim="real").rms.isfinite().all()
+    )
+    system.aperture_type, system.aperture = "EPD", 5.0
+    with pytest.raises(ValueError, match=r'aperture_type must be "NA" or "stop".*at infinity'):
+        launch(system)
+
+
+def test_the_wavefront_of_an_exit_pupil_at_infinity_is_the_limit_of_far_ones():
+    system = optical_system(
+        [
+            surface(thickness=100.0, stop=True),
+            surface(50.0, thickness=1e-9, material=1.5),
+            surface(-1e9, thickness=101),
+        ],
+        aperture=4.0,
+        wavelengths=500e-6,
+        fields=[(0.0, 1.0)],
+    )
+    assert float(first_order(system).exit_pupil_distance.abs()) > 1e4
+    pupil = torch.tensor([[0.0, 0.7], [0.5, -0.3]], dtype=F64)
+    found = wavefront(system, pupil)
+    assert bool(found.path.isfinite().all())
+    system.surfaces[0].thickness.fill_(99.999)
+    torch.testing.assert_close(wavefront(system, pupil).path, found.path, rtol=1e-3, atol=1e-4)

@@ -1,0 +1,265 @@
+"""Rays to waves and back: fields behind a lens against closed forms, Fourier images and the rays themselves."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from odak.learn.raytracing import rays_from_field
+from odak.learn.raytracing.system import (
+    airy_pattern,
+    exit_field,
+    first_order,
+    launch,
+    modulation_transfer_function,
+    optical_system,
+    point_spread_function,
+    propagated_point_spread_function,
+    surface,
+    trace,
+)
+from odak.learn.wave import propagate_beam
+
+F64 = torch.float64
+WAVELENGTH, FOCAL, N = 500e-6, 10.0, 1.5
+# For wide pupils on few samples.
+LONG = 0.05
+
+
+def hyperboloid(aperture=0.5, wavelength=WAVELENGTH):
+    """Return a lens of 10 mm that images infinity to a point, its exit pupil in the last vertex."""
+    rear = surface(-(N - 1) * FOCAL, conic=-(N**2), thickness=FOCAL, stop=True)
+    return optical_system([surface(thickness=1.0, material=N), rear], aperture, wavelengths=wavelength)
+
+
+def singlet(aperture=1.2, wavelength=WAVELENGTH, **options):
+    """Return a lens with spherical aberration, coma and astigmatism of a wave or so, its stop in front."""
+    faces = [surface(thickness=0.5, stop=True), surface(thickness=0.5, material=N), surface(-5.0, thickness=9.97)]
+    return optical_system(faces, aperture, wavelengths=wavelength, **options)
+
+
+def grid(wave):
+    count = wave.field.shape[-1]
+    line = (torch.arange(count, dtype=F64) - count // 2) * wave.pitch
+    return line, line[:, None] ** 2 + line**2
+
+
+def test_the_field_of_a_perfect_lens_is_a_spherical_wave():
+    """Phase of a sphere about the focus; power of the pupil in each ring by energy alone."""
+    lens = hyperboloid(4.0, LONG)
+    wave = exit_field(lens, 65, distance=0.0)
+    _, squared = grid(wave)
+    lit = wave.status == 0
+    cycles = -((squared + FOCAL**2).sqrt() - FOCAL) / LONG
+    away = torch.angle(wave.field * torch.exp(-2j * math.pi * cycles))[lit]
+    assert float(away.abs().max()) < 1e-8
+    # From height h in the pupil a ray goes to q = h − (h/f′)z on the vertex plane: Descartes' surface in closed form.
+    h = torch.linspace(0, 2.0, 2001, dtype=F64)
+    radius = (N - 1) * FOCAL
+    z = -(h * h) / radius / (1 + (1 - (1 - N**2) * (h / radius) ** 2).sqrt())
+    q = h * FOCAL / (FOCAL - z)
+    slope = torch.gradient(q, spacing=(h,))[0]
+    cosine = FOCAL / (q * q + FOCAL**2).sqrt()
+    expected = (h / (math.pi * 4.0) / (q * slope * cosine)).sqrt()
+    whole = lit & (squared.sqrt() < q[-1] - 2 * wave.pitch)
+    found = np.interp(squared.sqrt()[whole], q[1:-1], expected[1:-1])
+    np.testing.assert_allclose(wave.field.abs()[whole], found, rtol=1e-6)
+
+
+def test_a_wave_inside_glass_has_the_wavelength_there():
+    """An ellipsoid, k = −1/n², with its focus in the glass: n·(√(r² + f²) − f) of optical path."""
+    face = surface(FOCAL * (N - 1) / N, conic=-1 / N**2, thickness=FOCAL, material=N)
+    wave = exit_field(optical_system([face], 3.0, wavelengths=LONG), 96)
+    assert wave.wavelength == pytest.approx(LONG / N)
+    _, squared = grid(wave)
+    cycles = -N * ((squared + FOCAL**2).sqrt() - FOCAL) / LONG
+    away = torch.angle(wave.field * torch.exp(-2j * math.pi * cycles))[wave.status == 0]
+    assert float(away.abs().max()) < 1e-9
+    found = rays_from_field(wave.field, wave.pitch, wave.wavelength).ray[48, 60]
+    assert float((found[0] + found[1] * wave.to_image / found[1, 2])[0].abs()) < 2e-3
+
+
+@pytest.mark.parametrize("system", [hyperboloid(4.0, LONG), singlet(3.0, LONG)], ids=["perfect", "aberrated"])
+def test_power_is_kept(system):
+    wave = exit_field(system, 160)
+    rays = trace(system, launch(system, "rings", 2))
+    assert float(rays.w.min()) < 0.99
+    _, squared = grid(wave)
+    cosine = wave.to_image / (squared + wave.to_image**2).sqrt()
+    power = float((wave.field.abs().square() * cosine).sum()) * wave.pitch**2
+    assert power == pytest.approx(1, rel=6e-3)
+    half = exit_field(system, 160, apodization=lambda place: 0.5 * torch.ones_like(place[..., 0]))
+    torch.testing.assert_close(half.field, 0.5 * wave.field)
+
+
+def test_light_of_a_perfect_lens_propagates_to_airys_disc():
+    found = propagated_point_spread_function(hyperboloid(), 512, 2e-3)
+    assert float(found.strehl[0, 0]) == pytest.approx(1, abs=2e-3)
+    line = (torch.arange(512, dtype=F64) - 256) * 2e-3
+    aperture = math.sin(math.atan(0.25 / FOCAL))
+    near = line.abs() < 40e-3
+    profile = found.intensity[0, 0, 256]
+    assert float((profile - airy_pattern(line, WAVELENGTH, aperture))[near].abs().max()) < 0.01
+    spread = point_spread_function(hyperboloid(), samples=128, size=1024)
+    place = (torch.arange(1024) - 512) * spread.pitch[0, 0, 1]
+    fourier = np.interp(line, place, spread.intensity[0, 0, 512])
+    assert np.abs(profile.numpy() - fourier)[near.numpy()].max() < 0.01
+    frequency, transfer = (value[0, 0] for value in modulation_transfer_function(found))
+    s = (frequency / (2 * aperture / WAVELENGTH)).clamp(max=1)
+    perfect = 2 / math.pi * (torch.arccos(s) - s * (1 - s * s).sqrt())
+    assert float((transfer - perfect).abs().max()) < 0.01
+
+
+@pytest.mark.parametrize("field", [0, 1])
+def test_light_of_an_aberrated_lens_propagates_to_its_fourier_image(field):
+    system = singlet(1.5, fields=[(0.0, 0.0), (0.0, 2.0)])
+    found = propagated_point_spread_function(system, 512, 3.21e-3, field=field)
+    spread = point_spread_function(system, samples=128, size=1024)
+    strehl = float(spread.strehl[0, field])
+    assert 0.1 < strehl < 0.8 and float(found.strehl[0, 0]) == pytest.approx(strehl, rel=0.03)
+    line = (torch.arange(512, dtype=F64) - 256) * 3.21e-3
+    near = (line.abs() < 20e-3).numpy()
+    image, fourier = found.intensity[0, 0], spread.intensity[0, field]
+    for axis, profile, expected in ((0, image[:, 256], fourier[:, 512]), (1, image[256], fourier[512])):
+        place = (torch.arange(1024) - 512) * spread.pitch[0, field, axis]
+        assert np.abs(profile.numpy() - np.interp(line, place, expected))[near].max() < 0.03 * strehl
+
+
+@pytest.mark.parametrize(("field", "plane", "distance"), [(0, "axis", None), (1, "chief", None), (1, "axis", 9.0)])
+def test_rays_of_the_field_are_the_rays_that_made_it(field, plane, distance):
+    """Waves to rays: directions and places again, and all of them to the same image points."""
+    system = singlet(wavelength=1e-3, fields=[(0.0, 0.0), (1.0, 3.0)])
+    wave = exit_field(system, 257, plane=plane, field=field, distance=distance)
+    found = rays_from_field(wave.field, wave.pitch, wave.wavelength)
+    start, direction = found.ray.unbind(-2)
+    kept = (wave.status == 0) & direction.isfinite().all(-1)
+    landed = start + direction * (wave.to_image / direction[..., 2])[..., None]
+    landed = landed - landed[128, 128]
+    size = landed[kept][:, :2].abs().amax()
+    real = trace(system, launch(system, "rings", 12, fields=[system.fields[field]]))
+    spot = torch.stack([real.x - real.x[..., :1], real.y - real.y[..., :1]], -1)[0, 0].abs().amax()
+    assert float(size / spot) == pytest.approx(1, rel=0.04)
+    # Each landed ray lies where the traced one of its pupil point does: the spot's mean square, weighted by power.
+    power = torch.where(kept, found.power, 0.0)
+    mean = (power * torch.where(kept, landed[..., :2].square().sum(-1), 0.0)).sum() / power.sum()
+    many = trace(system, launch(system, "grid", 201, fields=[system.fields[field]]))
+    expected = ((many.x - real.x[..., :1]).square() + (many.y - real.y[..., :1]).square()).mean()
+    assert float(mean / expected) == pytest.approx(1, rel=0.03)
+
+
+def test_a_real_stop_and_vignetting_cut_the_field():
+    system = singlet(wavelength=2e-3, fields=[(0.0, 0.0)])
+    free = exit_field(system, 129)
+    system.surfaces[2].semi_diameter = 0.5
+    cut = exit_field(system, 129)
+    blocked = (free.status == 0) & (cut.status == 3)
+    assert bool(blocked.any()) and not bool(cut.field[blocked].any())
+    kept = cut.status == 0
+    torch.testing.assert_close(cut.field[kept], free.field[kept])
+    # A stop behind a strong lens: by its real size, the pupil is another one than the paraxial.
+    behind = optical_system(
+        [surface(6.0, thickness=0.2, material=1.8), surface(thickness=4.0), surface(thickness=3.0, stop=True)],
+        aperture=2.4,
+        aperture_type="stop",
+        wavelengths=0.02,
+    )
+    for aim in ("paraxial", "real"):
+        wave = exit_field(behind, 257, aim=aim, distance=0.0)
+        _, squared = grid(wave)
+        edge = float(squared[wave.status == 0].max().sqrt())
+        assert (abs(edge - 1.2) < wave.pitch) == (aim == "real")
+
+
+def test_gradients_through_field_and_propagation():
+    system = singlet(0.4, 2e-3)
+    numbers = system.prescription()
+
+    def values(curvature, thickness):
+        wave = exit_field(
+            system, 48, 14e-3, prescription=numbers._replace(curvature=curvature, thickness=thickness), distance=-0.3
+        )
+        image = propagate_beam(wave.field, None, wave.to_image, wave.pitch, wave.wavelength)
+        return image.abs().square().sum(0), torch.view_as_real(wave.field[20:28, 20:28])
+
+    inputs = [value.clone().requires_grad_() for value in (numbers.curvature, numbers.thickness)]
+    assert torch.autograd.gradcheck(values, inputs, eps=1e-7, rtol=1e-5, atol=1e-5, fast_mode=True)
+
+
+def test_a_batch_of_systems_and_single_precision():
+    system = singlet(0.6, 2e-3)
+    numbers = system.prescription()
+    scale = torch.tensor([0.98, 1.0], dtype=F64)[:, None]
+    both = exit_field(
+        system, 64, 11e-3, prescription=numbers._replace(curvature=scale * numbers.curvature), distance=0.0
+    )
+    assert both.field.shape == (2, 64, 64) and both.to_image.shape == (2,)
+    one = exit_field(system, 64, 11e-3, distance=0.0)
+    torch.testing.assert_close(both.field[1], one.field, rtol=1e-6, atol=1e-6)
+    changed = numbers._replace(curvature=scale * numbers.curvature)
+    spread = propagated_point_spread_function(system, 80, 9e-3, prescription=changed)
+    assert spread.strehl.shape == (2, 1, 1)
+    alone = propagated_point_spread_function(system, 80, 9e-3)
+    assert float(spread.strehl[1, 0, 0]) == pytest.approx(float(alone.strehl), rel=1e-9)
+    assert abs(float(spread.strehl[0, 0, 0]) - float(alone.strehl)) > 1e-3
+    narrow = exit_field(system, 64, 11e-3, distance=0.0, dtype=torch.complex64)
+    assert narrow.field.dtype == torch.complex64
+    assert float((narrow.field - one.field).abs().max() / one.field.abs().max()) < 1e-6
+
+
+def test_pieces_change_nothing(monkeypatch):
+    from odak.learn.raytracing.system import waves
+
+    system = singlet(0.6, 2e-3)
+    numbers = system.prescription()
+    scale = torch.tensor([0.98, 1.0], dtype=F64)[:, None]
+
+    def run():
+        curvature = (scale * numbers.curvature).requires_grad_()
+        wave = exit_field(system, 48, distance=0.0, prescription=numbers._replace(curvature=curvature))
+        (found,) = torch.autograd.grad((wave.field.real * torch.arange(48.0)).sum(), curvature)
+        return wave.field, wave.status, found
+
+    whole = run()
+    monkeypatch.setattr(waves, "PIECE", 100)
+    for a, b in zip(run(), whole, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-9, atol=1e-9)
+
+
+def test_a_mirror_leaves_its_field_too():
+    mirror = optical_system(
+        [surface(-2 * FOCAL, conic=-1.0, thickness=-FOCAL, material="mirror")], 0.5, wavelengths=WAVELENGTH
+    )
+    wave = exit_field(mirror, 256, 4e-3)
+    assert float(wave.to_image) == pytest.approx(FOCAL)
+    found = propagated_point_spread_function(mirror, 256, 4e-3)
+    assert divmod(int(found.intensity.argmax()), 256) == (128, 128)
+    assert float(found.strehl[0, 0]) == pytest.approx(1, abs=2e-3)
+
+
+def test_what_would_be_wrong_is_refused():
+    lens = hyperboloid()
+    with pytest.raises(ValueError, match=r"pitch must be at most 0\.01001 for the phase.*a size of 55 or more"):
+        exit_field(lens, 64, 2e-2)
+    with pytest.raises(ValueError, match="pitch must be at least"):
+        exit_field(lens, 64, 1e-3)
+    with pytest.raises(ValueError, match=r"pitch must be at most.*perpendicular to the chief ray"):
+        exit_field(singlet(fields=[(0.0, 10.0)]), 256)
+    with pytest.raises(ValueError, match="plane must be one of 'axis', 'chief'"):
+        exit_field(lens, 64, plane="image")
+    with pytest.raises(TypeError, match=r"dtype must be torch\.complex64"):
+        exit_field(lens, 64, dtype=F64)
+    with pytest.raises(ValueError, match="field must be the number of one of the system's 1, got 1"):
+        exit_field(lens, 64, field=1)
+    strong = singlet(3.0)
+    focus = 0.5 * float(first_order(strong).image_distance) + 4.6
+    with pytest.raises(ValueError, match="distance must put the plane where rays do not cross"):
+        exit_field(strong, 256, distance=focus)
+    telecentric = optical_system(
+        [surface(thickness=10.0, stop=True), surface(5.0, thickness=1e-12, material=1.5), surface(thickness=10.0)],
+        aperture=0.4,
+        wavelengths=WAVELENGTH,
+    )
+    with pytest.raises(ValueError, match="distance must be given: the exit pupil is at infinity"):
+        exit_field(telecentric, 64)
+    assert bool((exit_field(telecentric, 256, distance=0.0).status == 0).any())
