@@ -1,0 +1,316 @@
+"""Gaussians in space with a phase and a plane, and their projection onto a picture."""
+
+import os
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from odak import _validate
+from odak.learn.tools.device import get_device
+from odak.learn.tools.transformation import quaternion_to_rotation_matrix
+from odak.learn.wave import gaussian_files
+from odak.learn.wave.gaussian_clouds import NAMES, point_cloud, random_cloud
+from odak.learn.wave.straight_through import StraightThroughEstimator
+from odak.log import logger
+
+_INIT_TYPES = {"gaussians": "load_path", "random": "num_points", "point": "pointcloud_data"}
+# Square pixels added to each axis of a projected covariance, so that no Gaussian falls between pixels.
+_SOFTNESS = 0.3
+_MARGIN = 1.3
+_AWAY = 1e6
+
+
+class complex_3d_gaussians(nn.Module):
+    """Gaussians in space, each with an amplitude and a phase in three colours, an opacity and one plane of several.
+
+    Parameters
+    ----------
+    init_type : {"gaussians", "random", "point"}
+        Where the first parameters come from: a file, a random cloud, or the points of a point cloud.
+    device : torch.device or str
+        Where the parameters live.
+    load_path : str or os.PathLike, optional
+        ``.pth`` or ``.pt`` file of :meth:`save_gaussians`.
+    num_points : int, optional
+        Number of random Gaussians.
+    args_prop : argparse.Namespace
+        With the attribute `num_planes`, P; for a point cloud `is_outdoor` too.
+    pointcloud_data : dict, optional
+        "positions" and "colors", ``[M, 3]``.
+    generate_dense_point : bool or int
+        Copies of the point cloud to add, scattered about it.
+    densepoint_scatter : float
+        Standard deviation of that scatter.
+    img_size : tuple of int, optional
+        Kept as an attribute.
+    seed : int, optional
+        Makes random parameters reproducible.
+
+    Attributes
+    ----------
+    pre_act_quats, means, pre_act_scales, colours, pre_act_phase : torch.nn.Parameter
+        ``[N, 4]`` and ``[N, 3]``.
+    pre_act_opacities, pre_act_plane_assignment : torch.nn.Parameter
+        ``[N]`` and ``[N, P]``.
+
+    Raises
+    ------
+    ValueError
+        If `init_type` is unknown, or what it needs is missing or of a wrong shape.
+
+    Notes
+    -----
+    Kerbl et al., ACM Trans. Graph. 42, 139 (2023); complex-valued: Zhan et al., ACM Trans. Graph. (2025).
+
+    Examples
+    --------
+    >>> from argparse import Namespace
+    >>> from odak.learn.wave import complex_3d_gaussians
+    >>> len(complex_3d_gaussians("random", "cpu", num_points=64, args_prop=Namespace(num_planes=2)))
+    64
+    """
+
+    NEAR_PLANE = 1.0
+    FAR_PLANE = 1000.0
+
+    def __init__(
+        self,
+        init_type: str,
+        device: torch.device | str,
+        load_path: str | os.PathLike | None = None,
+        num_points: int | None = None,
+        args_prop: Namespace | None = None,
+        pointcloud_data: Mapping[str, torch.Tensor] | None = None,
+        generate_dense_point: bool | int = False,
+        densepoint_scatter: float = 0.01,
+        img_size: tuple[int, int] | None = None,
+        *,
+        seed: int | None = None,
+    ):
+        super().__init__()
+        if init_type not in _INIT_TYPES:
+            raise ValueError(f"init_type must be one of {', '.join(map(repr, _INIT_TYPES))}; got {init_type!r}")
+        source = {"load_path": load_path, "num_points": num_points, "pointcloud_data": pointcloud_data}
+        if source[_INIT_TYPES[init_type]] is None:
+            raise ValueError(f"{_INIT_TYPES[init_type]} is needed for init_type {init_type!r}, got None")
+        (planes,) = gaussian_files.settings(args_prop, ("num_planes",))
+        planes = _validate.integer("args_prop.num_planes", planes, minimum=1)
+        self.device, self.img_size = get_device(device), img_size
+        draw = torch.Generator().manual_seed(int(torch.randint(2**62, ())) if seed is None else seed)
+        if init_type == "gaussians":
+            first = _read(load_path, planes, self.device)
+        elif init_type == "random":
+            first = random_cloud(_validate.integer("num_points", num_points, minimum=1), planes, draw)
+        else:
+            (outdoor,) = gaussian_files.settings(args_prop, ("is_outdoor",))
+            copies = _validate.integer("generate_dense_point", int(generate_dense_point))
+            points = _points(pointcloud_data)
+            first = point_cloud(*points, planes, copies, densepoint_scatter, bool(outdoor), draw)
+        for name in NAMES:
+            self.register_parameter(name, nn.Parameter(first[name].to(self.device), requires_grad=False))
+        logger.debug("%d complex Gaussians on %d planes, from %s", len(self), planes, init_type)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def make_trainable(self) -> None:
+        """Let all parameters require gradients."""
+        self.requires_grad_(True)
+
+    def check_if_trainable(self) -> None:
+        """Raise RuntimeError unless all parameters require gradients."""
+        if fixed := [name for name, parameter in self.named_parameters() if not parameter.requires_grad]:
+            raise RuntimeError(f"{', '.join(fixed)} require no gradients: call make_trainable() first")
+
+    def compute_cov_3D(self, quats: torch.Tensor, scales: torch.Tensor) -> torch.Tensor:
+        """Return covariances R·S·Sᵀ·Rᵀ in space ``[N, 3, 3]``.
+
+        Parameters
+        ----------
+        quats : torch.Tensor
+            Quaternions w, x, y, z of any length but 0, ``[N, 4]``.
+        scales : torch.Tensor
+            Standard deviations along the Gaussians' axes ``[N, 3]``.
+        """
+        axes = quaternion_to_rotation_matrix(quats) * scales[:, None]
+        return axes @ axes.mT
+
+    def compute_cov_2D(
+        self,
+        cam_means_3D: torch.Tensor,
+        quats: torch.Tensor,
+        scales: torch.Tensor,
+        fx,
+        fy,
+        R: torch.Tensor,
+        img_size: tuple[int, int],
+    ) -> torch.Tensor:
+        """Return covariances on the picture, J·R·Σ·Rᵀ·Jᵀ + 0.3 (Zwicker et al. 2001, affine approximation).
+
+        J is the slope of the projection at the centre, which is held within 1.3 times the view for it, and zero before
+        NEAR_PLANE and beyond FAR_PLANE. Here R acts on columns, whereas a camera moves points as rows, x·R + T: give
+        Rᵀ of a camera for the covariances that go with its points, see :class:`Scene`.
+
+        Parameters
+        ----------
+        cam_means_3D : torch.Tensor
+            Centres in the axes of the camera ``[N, 3]``.
+        quats, scales : torch.Tensor
+            As in :meth:`compute_cov_3D`.
+        fx, fy : float or torch.Tensor
+            Focal lengths in pixels.
+        R : torch.Tensor
+            ``[3, 3]`` or ``[1, 3, 3]``.
+        img_size : tuple of int
+            Width and height of the picture.
+
+        Returns
+        -------
+        torch.Tensor
+            Square pixels ``[N, 2, 2]``.
+        """
+        x, y, z = cam_means_3D.unbind(-1)
+        inside = self._in_range(z)
+        z = z.where(inside, 1.0)
+        width, height = img_size
+        side, up = _held(x / z, _MARGIN * 0.5 * width / fx), _held(y / z, _MARGIN * 0.5 * height / fy)
+        nothing = torch.zeros_like(z)
+        rows = torch.stack([fx / z, nothing, -fx * side / z, nothing, fy / z, -fy * up / z], dim=-1)
+        slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
+        axes = slope @ R.reshape(3, 3).to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
+        return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
+
+    def compute_means_2D(self, cam_means_3D: torch.Tensor, fx, fy, px, py) -> torch.Tensor:
+        """Return centres on the picture, (px − fx·x/z, py − fy·y/z): both axes of the picture are inverted.
+
+        Parameters
+        ----------
+        cam_means_3D : torch.Tensor
+            Centres in the axes of the camera ``[N, 3]``.
+        fx, fy, px, py : float or torch.Tensor
+            Focal lengths and principal point in pixels.
+
+        Returns
+        -------
+        torch.Tensor
+            Pixels [x, y], ``[N, 2]``; 10⁶ before NEAR_PLANE and beyond FAR_PLANE.
+        """
+        x, y, z = cam_means_3D.unbind(-1)
+        inside = self._in_range(z)
+        z = z.where(inside, 1.0)
+        return torch.stack([px - fx * x / z, py - fy * y / z], dim=-1).where(inside[:, None], _AWAY)
+
+    def _in_range(self, z):
+        return (z > self.NEAR_PLANE) & (z < self.FAR_PLANE)
+
+    @staticmethod
+    def invert_cov_2D(cov_2D: torch.Tensor) -> torch.Tensor:
+        """Return the inverses of covariances ``[N, 2, 2]``; determinants below 1e-10 count as 1e-10."""
+        a, b, c, d = cov_2D.flatten(-2).unbind(-1)
+        determinant = (a * d - b * c).clamp_min(1e-10)[..., None]
+        return (torch.stack([d, -b, -c, a], dim=-1) / determinant).unflatten(-1, (2, 2))
+
+    @staticmethod
+    def calculate_gaussian_bounds(
+        means_2D: torch.Tensor, cov_2D: torch.Tensor, img_size: tuple[int, int], confidence: float = 3.0
+    ) -> torch.Tensor:
+        """Return boxes around Gaussians, `confidence` standard deviations to each side.
+
+        Parameters
+        ----------
+        means_2D : torch.Tensor
+            ``[N, 2]``.
+        cov_2D : torch.Tensor
+            ``[N, 2, 2]``.
+        img_size : tuple of int
+            Width and height of the picture, into which the boxes are drawn: one outside becomes a piece of its rim.
+        confidence : float
+            Standard deviations.
+
+        Returns
+        -------
+        torch.Tensor
+            Least x and y, and largest x and y, ``[N, 4]``.
+        """
+        reach = confidence * cov_2D.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+        last = means_2D.new_tensor([img_size[0] - 1, img_size[1] - 1])
+        corners = [(means_2D + sign * reach).clamp_min(0).minimum(last) for sign in (-1, 1)]
+        return torch.cat(corners, dim=-1)
+
+    @staticmethod
+    def apply_activations(
+        pre_act_quats: torch.Tensor,
+        pre_act_scales: torch.Tensor,
+        pre_act_phase: torch.Tensor | None = None,
+        pre_act_opacities: torch.Tensor | None = None,
+        pre_act_plane_assignment: torch.Tensor | None = None,
+        step: int | None = None,
+        max_step: int | None = None,
+    ) -> tuple[torch.Tensor | None, ...]:
+        """Return what parameters stand for; None for those that are None.
+
+        Parameters
+        ----------
+        pre_act_quats, pre_act_scales, pre_act_phase, pre_act_opacities, pre_act_plane_assignment : torch.Tensor
+            The parameters; the last three are optional.
+        step, max_step : int, optional
+            Without effect; kept for callers that pass them.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Unit quaternions, standard deviations exp(·), phases from 0 to 2π, opacities from 0 to 1, and planes as
+            one-hot rows (see :class:`StraightThroughEstimator`).
+        """
+        planes = pre_act_plane_assignment
+        return (
+            functional.normalize(pre_act_quats, dim=-1),
+            pre_act_scales.exp(),
+            None if pre_act_phase is None else gaussian_files.wrapped(pre_act_phase),
+            None if pre_act_opacities is None else pre_act_opacities.sigmoid(),
+            None if planes is None else StraightThroughEstimator()(planes),
+        )
+
+    def save_gaussians(self, save_path: str | os.PathLike) -> None:
+        """Write the seven parameters to a ``.pth`` or ``.pt`` file, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If the path is not acceptable or its folder does not exist.
+        """
+        gaussian_files.save(save_path, {name: getattr(self, name).detach() for name in NAMES})
+        logger.info("%d complex Gaussians saved to %s", len(self), save_path)
+
+
+def _held(slope, bound):
+    """Return a slope held between −bound and bound, numbers or tensors."""
+    bound = torch.as_tensor(bound, dtype=slope.dtype, device=slope.device)
+    return slope.maximum(-bound).minimum(bound)
+
+
+def _read(path, planes, device) -> dict[str, torch.Tensor]:
+    """Return the parameters in a file, floating-point numbers of matching shapes."""
+    found = gaussian_files.load(path, NAMES, device)
+    number = len(found["means"]) if found["means"].ndim else 0
+    shapes = dict(zip(NAMES, ((number, 4), *[(number, 3)] * 4, (number,), (number, planes)), strict=True))
+    for name, shape in shapes.items():
+        if tuple(found[name].shape) != shape or not found[name].is_floating_point():
+            raise ValueError(
+                f"{path!r} holds {name} as {found[name].dtype} {list(found[name].shape)}, not {list(shape)}"
+            )
+    return found
+
+
+def _points(pointcloud_data) -> Sequence[torch.Tensor]:
+    """Return the positions and colours of a point cloud as float32 tensors."""
+    if missing := [name for name in ("positions", "colors") if name not in pointcloud_data]:
+        raise ValueError(f"pointcloud_data must have 'positions' and 'colors', missing {', '.join(missing)}")
+    points = [torch.as_tensor(pointcloud_data[name]).detach().cpu().float() for name in ("positions", "colors")]
+    for name, value in zip(("positions", "colors"), points, strict=True):
+        if value.ndim != 2 or value.shape[-1] != 3 or not len(value) or len(value) != len(points[0]):
+            raise ValueError(f"pointcloud_data[{name!r}] must be [M, 3], got {list(value.shape)}")
+    return points

@@ -1,0 +1,238 @@
+"""A batch of propagations spread over the GPUs of one machine: from one process, or with one process per GPU."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+import torch.distributed as dist
+
+__all__ = ["across_devices", "across_ranks"]
+
+Tensors = torch.Tensor | tuple[torch.Tensor, ...]
+
+
+def across_devices(
+    function: Callable[..., Tensors],
+    batch: Tensors,
+    *arguments: Any,
+    devices: Sequence[torch.device | str | int] | None = None,
+    **options: Any,
+) -> Tensors:
+    """Call a function with parts of a batch on several devices of this process, and join what it returns.
+
+    CUDA devices work at the same time, since work is queued on them without waiting for it.
+
+    Parameters
+    ----------
+    function : callable
+        Called as ``function(part, *arguments, **options)``, such as :func:`odak.learn.wave.propagate_beam`. Each item
+        of what it returns must depend on the same item of the batch alone. Of a `torch.nn.Module`, parameters and
+        buffers are copied to each device.
+    batch : torch.Tensor or tuple of torch.Tensor
+        Split along the first axis into nearly equal parts; several tensors of the same length are passed one after
+        another.
+    *arguments, **options
+        Passed to each call; tensors among them are copied to its device.
+    devices : sequence, optional
+        Devices to use, in order; all CUDA devices by default, the batch's own where there is none. A device may be
+        named twice.
+
+    Returns
+    -------
+    torch.Tensor or tuple of torch.Tensor
+        As `function` returns it, on the device of the batch. Differentiable in the batch and in all tensors passed.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the batch has no first axis, its tensors differ in length, or there is no device.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import across_devices, propagate_beam
+    >>> fields = torch.ones(5, 16, 16, dtype=torch.complex64)
+    >>> across_devices(propagate_beam, fields, None, 1e-3, 8e-6, 532e-9, devices=["cpu", "cpu"]).shape
+    torch.Size([5, 16, 16])
+    """
+    tensors, home = _checked(batch)
+    where = _devices(devices, home)[: max(1, len(tensors[0]))]
+    parts = zip(*(torch.tensor_split(tensor, len(where)) for tensor in tensors), strict=True)
+    results = []
+    for part, device in zip(parts, where, strict=True):
+        copied = [_to(value, device) for value in (*part, *arguments)]
+        own = {name: _to(value, device) for name, value in options.items()}
+        results.append(_call(function, copied, own, lambda value, device=device: _to(value, device)))
+    return _join(results, lambda pieces: torch.cat([piece.to(home) for piece in pieces]))
+
+
+def across_ranks(
+    function: Callable[..., Tensors],
+    batch: Tensors,
+    *arguments: Any,
+    group: Any = None,
+    device: torch.device | str | int | None = None,
+    **options: Any,
+) -> Tensors:
+    """Call a function with parts of a batch in several processes, and give each of them all that it returns.
+
+    Every process of a `torch.distributed` group calls this with the same arguments, computes its own part, and receives
+    those of the others. Without such a group the function is simply called.
+
+    Parameters
+    ----------
+    function, batch, *arguments, **options
+        As in :func:`across_devices`.
+    group : torch.distributed.ProcessGroup, optional
+        Processes that take part; all of them by default.
+    device : torch.device, optional
+        Device of this process; that of the batch by default.
+
+    Returns
+    -------
+    torch.Tensor or tuple of torch.Tensor
+        As `function` returns it for the whole batch, on the device of the batch, the same in every process.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the batch has no first axis, is empty, or its tensors differ in length.
+
+    Notes
+    -----
+    Differentiable in the batch, in all tensors passed, and in the parameters of a `torch.nn.Module`. Every process must
+    go on to compute the same loss from the result and call ``backward``; each then holds the gradient of the whole
+    batch. Tensors that the function takes from elsewhere get the gradient of this process's part alone.
+    """
+    tensors, home = _checked(batch)
+    if not dist.is_available() or not dist.is_initialized():
+        return function(*tensors, *arguments, **options)
+    group = dist.group.WORLD if group is None else group
+    if not len(tensors[0]):
+        raise ValueError("batch must not be empty where several processes share it")
+    device = home if device is None else torch.device(device)
+
+    def prepare(value: Any) -> Any:
+        return _shared(_to(value, device), group)
+
+    part = [_Share.apply(tensor.to(device), group) for tensor in tensors]
+    shared = [prepare(value) for value in arguments]
+    result = _call(function, [*part, *shared], {name: prepare(value) for name, value in options.items()}, prepare)
+    count = len(tensors[0])
+    return _join([result], lambda pieces: _Gather.apply(pieces[0], count, group).to(home))
+
+
+def _checked(batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
+    tensors = (batch,) if isinstance(batch, torch.Tensor) else tuple(batch) if isinstance(batch, (tuple, list)) else ()
+    if not tensors or not all(isinstance(tensor, torch.Tensor) for tensor in tensors):
+        raise TypeError(f"batch must be a tensor or a tuple of them, got {type(batch).__name__}")
+    if any(tensor.ndim == 0 for tensor in tensors) or len({len(tensor) for tensor in tensors}) > 1:
+        shapes = ", ".join(str(tuple(tensor.shape)) for tensor in tensors)
+        raise ValueError(f"batch must have a first axis, of the same length for all its tensors; got {shapes}")
+    return tensors, tensors[0].device
+
+
+def _devices(devices, home: torch.device) -> list[torch.device]:
+    if devices is None:
+        return [torch.device("cuda", index) for index in range(torch.cuda.device_count())] or [home]
+    found = [torch.device(device) for device in devices]
+    if not found:
+        raise ValueError("devices must name at least one device")
+    return found
+
+
+def _to(value: Any, device: torch.device) -> Any:
+    return value.to(device, non_blocking=True) if isinstance(value, torch.Tensor) else value
+
+
+def _join(results: list[Tensors], join: Callable[[list[torch.Tensor]], torch.Tensor]) -> Tensors:
+    if isinstance(results[0], torch.Tensor):
+        return join(results)
+    return tuple(join(list(pieces)) for pieces in zip(*results, strict=True))
+
+
+def _call(function, arguments, options, prepare: Callable[[torch.Tensor], torch.Tensor]) -> Tensors:
+    """Call a function, or a module with its parameters and buffers prepared."""
+    if not isinstance(function, torch.nn.Module):
+        return function(*arguments, **options)
+    state = {name: prepare(value) for name, value in (*function.named_parameters(), *function.named_buffers())}
+    return torch.func.functional_call(function, state, tuple(arguments), options)
+
+
+def _shared(value: Any, group) -> Any:
+    return _Shared.apply(value, group) if isinstance(value, torch.Tensor) and value.requires_grad else value
+
+
+def _rows(count: int, group) -> list[int]:
+    """Return how many items each process computes."""
+    whole, rest = divmod(count, dist.get_world_size(group))
+    return [whole + (rank < rest) for rank in range(dist.get_world_size(group))]
+
+
+def _own(tensor: torch.Tensor, group) -> torch.Tensor:
+    rows, rank = _rows(len(tensor), group), dist.get_rank(group)
+    return tensor.narrow(0, sum(rows[:rank]), rows[rank])
+
+
+class _Share(torch.autograd.Function):
+    """The part of a batch that this process computes; the gradient comes from all of them."""
+
+    @staticmethod
+    def forward(ctx, batch: torch.Tensor, group) -> torch.Tensor:
+        ctx.count, ctx.group = len(batch), group
+        part = _own(batch, group)
+        # A process without a part of its own computes the first item too, so that it learns the shape of the result.
+        return (part if len(part) else batch[:1]).clone()
+
+    @staticmethod
+    def backward(ctx, gradient: torch.Tensor):
+        return _Gather.apply(gradient, ctx.count, ctx.group), None
+
+
+class _Gather(torch.autograd.Function):
+    """The parts of all processes in order; the gradient of the own part is that of this process."""
+
+    @staticmethod
+    def forward(ctx, part: torch.Tensor, count: int, group) -> torch.Tensor:
+        ctx.group = group
+        rows = _rows(count, group)
+        plain = torch.view_as_real(part) if part.is_complex() else part
+        own = plain.new_zeros(max(rows), *plain.shape[1:])
+        own[: rows[dist.get_rank(group)]] = plain[: rows[dist.get_rank(group)]]
+        parts = [torch.empty_like(own) for _ in rows]
+        dist.all_gather(parts, own, group=group)
+        whole = torch.cat([piece[:height] for piece, height in zip(parts, rows, strict=True)])
+        return torch.view_as_complex(whole) if part.is_complex() else whole
+
+    @staticmethod
+    def backward(ctx, gradient: torch.Tensor):
+        own = _Share.apply(gradient, ctx.group)
+        return own if len(_own(gradient, ctx.group)) else own * 0, None, None
+
+
+class _Shared(torch.autograd.Function):
+    """A tensor that all processes use alike; its gradient is the sum of theirs."""
+
+    @staticmethod
+    def forward(ctx, value: torch.Tensor, group) -> torch.Tensor:
+        ctx.group = group
+        return value.view_as(value)
+
+    @staticmethod
+    def backward(ctx, gradient: torch.Tensor):
+        return _Sum.apply(gradient, ctx.group), None
+
+
+class _Sum(torch.autograd.Function):
+    """The sum over all processes."""
+
+    @staticmethod
+    def forward(ctx, value: torch.Tensor, group) -> torch.Tensor:
+        ctx.group = group
+        total = value.clone(memory_format=torch.contiguous_format)
+        dist.all_reduce(torch.view_as_real(total) if total.is_complex() else total, group=group)
+        return total
+
+    @staticmethod
+    def backward(ctx, gradient: torch.Tensor):
+        return gradient, None

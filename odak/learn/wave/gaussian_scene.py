@@ -1,0 +1,340 @@
+"""Gaussians in space, seen by a camera, as fields on planes and as the hologram of these."""
+
+from functools import lru_cache
+
+import torch
+
+from odak import _validate
+from odak.learn.tools.camera import PerspectiveCamera
+from odak.learn.wave import gaussian_files
+from odak.learn.wave.complex_gaussians_3d import complex_3d_gaussians
+from odak.learn.wave.gaussian_tiles import Tiling, finer_tiling
+from odak.learn.wave.masks import disc
+from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.splatting import FAINTEST, composite_gaussians
+
+_SETTINGS = ("wavelengths", "pixel_pitch", "distances", "pad_size", "aperture_size")
+_TILE = 64
+
+
+class Scene:
+    """Complex Gaussians as a camera sees them: a field on each of their planes, and the hologram that shows all.
+
+    Parameters
+    ----------
+    gaussians : complex_3d_gaussians
+        The Gaussians.
+    args_prop : object
+        With the attributes `wavelengths` (metres, one for each colour), `pixel_pitch` (metres), `distances` of the
+        planes (metres), `pad_size` (rows and columns of the picture) and `aperture_size` (radius of a round aperture
+        in samples of the spectrum of the field padded to twice its size; −1 for none).
+    rotate_as_points : bool
+        Project covariances with the rotation that moves the points, x·R. By default R acts on them as on columns,
+        which is the same for cameras with a symmetric R only, and is how published models were trained.
+
+    Attributes
+    ----------
+    wavelengths : torch.Tensor
+        In metres.
+    mean_2D_for_planeprob : torch.Tensor or None
+        Centres of the Gaussians of the last picture [x, y] in pixels ``[N, 2]``, without gradients.
+
+    Raises
+    ------
+    ValueError
+        If an attribute is missing or outside its range.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from argparse import Namespace
+    >>> from odak.learn.tools import PerspectiveCamera
+    >>> from odak.learn.wave import Scene, complex_3d_gaussians
+    >>> settings = Namespace(num_planes=2, wavelengths=[639e-9, 532e-9, 473e-9], pixel_pitch=3.74e-6,
+    ...                      distances=[1e-3, 2e-3], pad_size=[32, 32], aperture_size=-1)
+    >>> gaussians = complex_3d_gaussians("random", "cpu", num_points=8, args_prop=settings)
+    >>> camera = PerspectiveCamera(torch.eye(3), torch.tensor([0.0, 0.0, 40.0]), [30.0, 30.0], [16.0, 16.0])
+    >>> hologram, planes = Scene(gaussians, settings).render(camera, (32, 32))
+    >>> hologram.shape, planes.shape
+    (torch.Size([3, 32, 32]), torch.Size([2, 3, 32, 32]))
+    """
+
+    def __init__(self, gaussians: complex_3d_gaussians, args_prop, *, rotate_as_points: bool = False):
+        wavelengths, pitch, distances, pad_size, aperture = gaussian_files.settings(args_prop, _SETTINGS)
+        self.gaussians, self.args_prop = gaussians, args_prop
+        self.rotate_as_points = bool(rotate_as_points)
+        self.wavelengths = _validate.real("wavelengths", gaussian_files.lengths(wavelengths), positive=True)
+        self.pixel_pitch = _validate.real("pixel_pitch", pitch, positive=True)
+        self.distances = _validate.real("distances", gaussian_files.lengths(distances))
+        self.pad_size = _validate.size("pad_size", pad_size)
+        if aperture != -1 and not aperture > 0:
+            raise ValueError(f"aperture_size must be positive, or -1 for none; got {aperture!r}")
+        self.aperture_size = aperture
+        self.mean_2D_for_planeprob: torch.Tensor | None = None
+
+    def __repr__(self) -> str:
+        return f"<Scene with {len(self.gaussians)} Gaussians>"
+
+    def compute_transmittance(self, alphas: torch.Tensor) -> torch.Tensor:
+        """Return what gets to each of some layers, the product of 1 − α of those before; zero where below 1e-4.
+
+        Parameters
+        ----------
+        alphas : torch.Tensor
+            Opacities from front to back ``[N, H, W]``.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[N, H, W]``.
+        """
+        passed = torch.cat([torch.ones_like(alphas[:1]), 1 - alphas[:-1]]).cumprod(0)
+        return passed.where(passed >= FAINTEST, 0.0)
+
+    def compute_depth_values(self, camera: PerspectiveCamera) -> torch.Tensor:
+        """Return the depths z of the Gaussians in the axes of the camera ``[N]``."""
+        return camera.transform_world_to_camera_space(self.gaussians.means)[:, 2]
+
+    def calculate_gaussian_directions(self, means_3D: torch.Tensor, camera: PerspectiveCamera) -> torch.Tensor:
+        """Return unit vectors from the camera to points ``[N, 3]``."""
+        return torch.nn.functional.normalize(means_3D - camera.get_camera_center(), dim=-1)
+
+    def get_idxs_to_filter_and_sort(self, z_vals: torch.Tensor) -> torch.Tensor:
+        """Return the numbers of depths from 0 on, in ascending order of depth."""
+        order = z_vals.argsort(stable=True)
+        return order[z_vals[order] >= 0]
+
+    def splat(
+        self,
+        camera: PerspectiveCamera,
+        means_3D: torch.Tensor,
+        z_vals: torch.Tensor,
+        quats: torch.Tensor,
+        scales: torch.Tensor,
+        colours: torch.Tensor,
+        phase: torch.Tensor,
+        opacities: torch.Tensor,
+        plane_probs: torch.Tensor,
+        wavelengths: torch.Tensor,
+        img_size: tuple[int, int] = (256, 256),
+        tile_size: tuple[int, int] = (64, 64),
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the hologram of Gaussians, and the fields on their planes.
+
+        On plane p a Gaussian has the opacity α = opacity·probability·exp(−½ dᵀΣ⁻¹d); the field is Σ colour·α·T·exp(iφ)
+        from front to back, T being what the Gaussians before it on the same plane let through. The hologram is the
+        sum of the fields, each propagated back by the distance of its plane (band-limited angular spectrum, padded to
+        twice the size).
+
+        Parameters
+        ----------
+        camera : PerspectiveCamera
+            The camera.
+        means_3D : torch.Tensor
+            Centres in the world ``[N, 3]``.
+        z_vals : torch.Tensor
+            Depths ``[N]``, by which Gaussians are sorted.
+        quats, scales, phase, opacities, plane_probs : torch.Tensor
+            As from :meth:`complex_3d_gaussians.apply_activations`.
+        colours : torch.Tensor
+            Amplitudes ``[N, C]``.
+        wavelengths : torch.Tensor
+            Metres ``[C]``.
+        img_size : tuple of int
+            Width and height of the picture, pixels at whole coordinates.
+        tile_size : tuple of int
+            Largest width and height of the tiles that the picture is computed by; those not positive become 64. They
+            do not change the picture.
+
+        Returns
+        -------
+        hologram : torch.Tensor
+            ``[C, H, W]``; complex64, or complex128 for Gaussians in double precision.
+        plane_fields : torch.Tensor
+            ``[P, C, H, W]``, before propagation.
+
+        Raises
+        ------
+        ValueError
+            If the size is not `pad_size`, or planes or colours are more or fewer than distances or wavelengths.
+        """
+        width, height = gaussian_files.picture_size("img_size", img_size)
+        if (height, width) != self.pad_size:
+            raise ValueError(f"img_size must be (width, height) of pad_size {list(self.pad_size)}, got {img_size}")
+        planes = plane_probs.shape[-1]
+        across, down = (min(n if n > 0 else _TILE, size) for n, size in zip(tile_size, (width, height), strict=True))
+        rays = _rays(camera, means_3D)
+        covariance = self._project(*rays[:3], quats, scales, (width, height), camera)
+        means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
+        self.mean_2D_for_planeprob = means.detach()
+        shown = (z_vals, means, conics, colours, phase, opacities, plane_probs)
+        fields = _plane_fields(*shown, Tiling(height, width, down, across, planes))
+        return self._propagate(fields, wavelengths), fields
+
+    def splat_tile(
+        self,
+        R: torch.Tensor,
+        fx,
+        fy,
+        px,
+        py,
+        cam_means_3D: torch.Tensor,
+        z_vals: torch.Tensor,
+        quats: torch.Tensor,
+        scales: torch.Tensor,
+        colours: torch.Tensor,
+        phase: torch.Tensor,
+        opacities: torch.Tensor,
+        plane_probs: torch.Tensor,
+        tile_x: int,
+        tile_y: int,
+        tile_size: tuple[int, int],
+        gaussian_indices: torch.Tensor,
+        img_size: tuple[int, int],
+        wavelengths: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return one tile of the fields that :meth:`splat` gives on the planes.
+
+        Parameters
+        ----------
+        R : torch.Tensor
+            Rotation that acts on covariances, ``[3, 3]``.
+        fx, fy, px, py : float or torch.Tensor
+            Focal lengths and principal point in pixels.
+        cam_means_3D : torch.Tensor
+            Centres in the axes of the camera ``[N, 3]``.
+        z_vals, quats, scales, colours, phase, opacities, plane_probs : torch.Tensor
+            As in :meth:`splat`.
+        tile_x, tile_y : int
+            Column and row of the tile, counted in tiles.
+        tile_size : tuple of int
+            Width and height of a tile.
+        gaussian_indices : torch.Tensor
+            Numbers of the Gaussians to draw.
+        img_size : tuple of int
+            Width and height of the picture, at whose rims tiles are cut.
+        wavelengths : torch.Tensor
+            Without effect here; kept for callers that pass it.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[P, C, h, w]``.
+
+        Raises
+        ------
+        ValueError
+            If the tile is outside the picture.
+        """
+        corner = [place * (n if n > 0 else _TILE) for place, n in zip((tile_x, tile_y), tile_size, strict=True)]
+        sizes = [min(n if n > 0 else _TILE, size - at) for n, size, at in zip(tile_size, img_size, corner, strict=True)]
+        if min(*corner) < 0 or min(*sizes) < 1:
+            raise ValueError(f"tile_x and tile_y must be a tile of a picture of {img_size}, got {(tile_x, tile_y)}")
+        some = torch.as_tensor(gaussian_indices, device=cam_means_3D.device)
+        some = some if some.dtype == torch.bool else some.long()
+        cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
+        covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
+        means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
+        shown = (
+            *(z_vals[some], means - means.new_tensor(corner), self.gaussians.invert_cov_2D(covariance)),
+            *(value[some] for value in (colours, phase, opacities, plane_probs)),
+        )
+        return _plane_fields(*shown, Tiling(sizes[1], sizes[0], sizes[1], sizes[0], plane_probs.shape[-1]))
+
+    def render(
+        self,
+        camera: PerspectiveCamera,
+        img_size: tuple[int, int] = (-1, -1),
+        bg_colour: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        tile_size: tuple[int, int] = (64, 64),
+        step: int = -1,
+        max_step: int = -1,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the hologram of the Gaussians between NEAR_PLANE and FAR_PLANE, and the fields on their planes.
+
+        Parameters
+        ----------
+        camera : PerspectiveCamera
+            The camera.
+        img_size : tuple of int
+            Width and height of the picture; by default those of `pad_size`.
+        bg_colour : tuple of float
+            Without effect; kept for callers that pass it.
+        tile_size : tuple of int
+            As in :meth:`splat`.
+        step, max_step : int
+            Handed to :meth:`complex_3d_gaussians.apply_activations`.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            As from :meth:`splat`.
+        """
+        width, height = img_size
+        if width <= 0 and height <= 0:
+            height, width = self.pad_size
+        depths = self.compute_depth_values(camera)
+        order = self.get_idxs_to_filter_and_sort(depths.detach())
+        seen = order[self.gaussians._in_range(depths[order])]
+        held = self.gaussians
+        quats, scales, phase, opacities, planes = held.apply_activations(
+            held.pre_act_quats[seen],
+            held.pre_act_scales[seen],
+            held.pre_act_phase[seen],
+            held.pre_act_opacities[seen],
+            held.pre_act_plane_assignment[seen],
+            step,
+            max_step,
+        )
+        shown = (held.means[seen], depths[seen], quats, scales, held.colours[seen], phase, opacities, planes)
+        return self.splat(camera, *shown, self.wavelengths, (width, height), tile_size)
+
+    def _project(self, cam_means_3D, fx, fy, quats, scales, img_size, camera):
+        rotation = camera.R.reshape(3, 3)
+        rotation = rotation.T if self.rotate_as_points else rotation
+        return self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, rotation, img_size)
+
+    def _propagate(self, fields, wavelengths):
+        wavelengths = gaussian_files.lengths(wavelengths)
+        planes, colours = fields.shape[:2]
+        if planes != len(self.distances) or colours != len(wavelengths):
+            raise ValueError(
+                f"there must be a distance for each of {planes} planes and a wavelength for each of {colours} colours; "
+                f"got {len(self.distances)} distances and {len(wavelengths)} wavelengths"
+            )
+        aperture = 1.0 if self.aperture_size == -1 else _aperture(self.pad_size, self.aperture_size, fields.device)
+        back = -self.distances[:, None]
+        return propagate_beam(fields, None, back, self.pixel_pitch, wavelengths, aperture=aperture).sum(0)
+
+
+@lru_cache(maxsize=4)
+def _aperture(shape, radius, device):
+    with torch.inference_mode(False):
+        return disc(tuple(2 * n for n in shape), radius).to(device)
+
+
+def _rays(camera, means_3D):
+    """Return points in the axes of the camera, its focal lengths fx, fy and its principal point px, py."""
+    pairs = []
+    for name in ("focal_length", "principal_point"):
+        values = getattr(camera, name).reshape(-1)
+        if len(values) not in (1, 2):
+            raise ValueError(f"camera.{name} must be one number or two, got {tuple(values.shape)}")
+        pairs.extend(values.expand(2))
+    return camera.transform_world_to_camera_space(means_3D), *pairs
+
+
+def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs, tiling):
+    """Return the fields on the planes ``[P, C, H, W]``, the Gaussians sorted by depth.
+
+    Each Gaussian is drawn on each plane that it may be on; a choice of one plane leaves the others out, unless a
+    gradient has to know what would have been there.
+    """
+    choices = plane_probs.detach()[order := z_vals.detach().argsort(stable=True)]
+    on_plane = torch.ones_like(choices, dtype=torch.bool) if plane_probs.requires_grad else choices != 0
+    who, layer = on_plane.nonzero(as_tuple=True)
+    who = order[who]
+    weights = (torch.polar(torch.ones_like(phase), phase) * colours)[who]
+    rows = conics[:, [0, 0, 1], [0, 1, 1]][who]
+    means, tiling = means[who], finer_tiling(tiling, means[who], rows) if len(who) else tiling
+    return composite_gaussians(means, rows, opacities[who] * plane_probs[who, layer], weights, layer, tiling)

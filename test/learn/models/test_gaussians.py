@@ -1,0 +1,251 @@
+"""Flat Gaussians against their formula, their sum and its gradients, files, and the fit of a picture."""
+
+import logging
+import math
+import os
+import pickle
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from odak.learn.models import gaussian_2d, gaussian_sums, gaussians_2d
+
+
+def grid(height, width, dtype=torch.float64):
+    """Return x and y ``[height, width]`` from −1 to 1."""
+    y, x = (torch.linspace(-1, 1, n, dtype=dtype) for n in (height, width))
+    return torch.meshgrid(x, y, indexing="xy")
+
+
+def formula(model, x, y):
+    """Return the values ``[..., N]`` by the formula, one Gaussian after another."""
+    results = []
+    for n in range(model.number_of_elements):
+        rho, alpha = model.rotations[0, n], model.alphas[0, n]
+        u = x * torch.cos(rho) - y * torch.sin(rho) + model.offsets[0, 0, n]
+        v = x * torch.sin(rho) + y * torch.cos(rho) + model.offsets[1, 0, n]
+        exponent = (u / model.widths[0, 0, n]) ** 2 + (v / model.widths[1, 0, n]) ** 2
+        results.append(torch.tanh(alpha * torch.exp(-exponent)))
+    return torch.stack(results, dim=-1)
+
+
+@pytest.mark.parametrize("number", [1, 4])
+def test_values_are_the_formula(number):
+    model = gaussian_2d(number).double()
+    x, y = grid(5, 7)
+    expected = formula(model, x, y)
+    torch.testing.assert_close(model(x[..., None], y[..., None]), expected)
+    torch.testing.assert_close(model(x, y), expected)
+    torch.testing.assert_close(model(x.reshape(-1, 1), y.reshape(-1, 1)), expected.reshape(-1, number))
+    torch.testing.assert_close(model(x[0], y[0], residual=1.0), expected[0])
+    assert model.total(x, y).shape == (5, 7, 1)
+
+
+def test_parameters_and_their_distributions():
+    torch.manual_seed(0)
+    model = gaussian_2d(20000)
+    expected = {
+        "widths": ((2, 1, 20000), 0.3, 0.1),
+        "offsets": ((2, 1, 20000), 0.0, 0.5),
+        "rotations": ((1, 20000), math.pi, math.pi / 2),
+        "alphas": ((1, 20000), 0.15, 0.025),
+    }
+    assert list(dict(model.named_parameters())) == list(expected)
+    for name, (shape, mean, deviation) in expected.items():
+        parameter = getattr(model, name).detach()
+        assert parameter.shape == shape
+        assert float(parameter.mean()) == pytest.approx(mean, abs=0.03 * max(1, deviation))
+        assert float(parameter.std()) == pytest.approx(deviation, rel=0.03)
+    before = model.widths
+    model.initialize_parameters_uniformly({"widths": (2.0, 2.0)})
+    assert model.widths is before
+    assert bool((model.widths == 2).all())
+    with pytest.raises(ValueError, match=r"ranges must be of widths.*'width'"):
+        model.initialize_parameters_uniformly({"width": (0, 1)})
+    with pytest.raises(ValueError, match="must ascend"):
+        model.initialize_parameters_uniformly({"alphas": (1, 0)})
+
+
+@pytest.mark.parametrize("number", [0, -1, 2.0, True, None, "3"])
+@pytest.mark.parametrize("kind", [gaussian_2d, gaussians_2d])
+def test_numbers_that_are_refused(kind, number):
+    with pytest.raises(ValueError, match="number_of_elements must be a positive integer"):
+        kind(number)
+
+
+def test_gradients():
+    model = gaussian_2d(3).double()
+    x, y = (value[..., None].clone().requires_grad_() for value in grid(3, 4))
+    inputs = (x, y, *(parameter.detach().requires_grad_() for parameter in model.parameters()))
+    names = [name for name, _ in model.named_parameters()]
+
+    def call(x, y, *parameters):
+        return torch.func.functional_call(model, dict(zip(names, parameters, strict=True)), (x, y))
+
+    torch.autograd.gradcheck(call, inputs)
+    # The sum of many takes another way.
+    points = torch.stack([x.detach().flatten(), y.detach().flatten()], dim=-1).requires_grad_()
+    rows, alphas = torch.randn(5, 6, dtype=torch.float64), torch.randn(5, dtype=torch.float64) * 3
+    torch.autograd.gradcheck(
+        gaussian_sums.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_())
+    )
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(1, 120), st.integers(1, 40), st.integers(1, 40), st.floats(0.01, 3), st.integers(0, 999))
+def test_the_sum_is_the_sum(number, height, width, size, seed):
+    torch.manual_seed(seed)
+    model = gaussians_2d(number).double()
+    with torch.no_grad():
+        model.model.widths.mul_(size)
+        model.model.alphas.mul_(40)
+    x, y = grid(height, width)
+    estimate, expected = model(x[..., None], y[..., None]), formula(model.model, x, y).sum(-1, keepdim=True)
+    torch.testing.assert_close(estimate, expected, rtol=1e-12, atol=1e-12)
+    slope = torch.randn_like(estimate)
+    ours = torch.autograd.grad(estimate, tuple(model.parameters()), slope)
+    theirs = torch.autograd.grad(expected, tuple(model.parameters()), slope)
+    for mine, plain in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(mine, plain, rtol=1e-9, atol=1e-9 * float(1 + plain.abs().max()))
+
+
+def test_points_in_any_order_and_far_gaussians():
+    torch.manual_seed(1)
+    model = gaussians_2d(200).double()
+    with torch.no_grad():
+        model.model.widths.fill_(0.01)
+        model.model.widths[0, 0, ::3] = -0.02
+    points = torch.rand(5000, 2, dtype=torch.float64) * 2 - 1
+    x, y = points[:, :1].clone().requires_grad_(), points[:, 1:].clone().requires_grad_()
+    estimate, expected = model(x, y), formula(model.model, x[:, 0], y[:, 0]).sum(-1, keepdim=True)
+    torch.testing.assert_close(estimate, expected, rtol=0, atol=1e-13)
+    slope = torch.randn_like(estimate)
+    ours = torch.autograd.grad(estimate, (x, y), slope)
+    for mine, plain in zip(ours, torch.autograd.grad(expected, (x, y), slope), strict=True):
+        torch.testing.assert_close(mine, plain, rtol=1e-9, atol=1e-9)
+    # Most pairs of a point and a Gaussian are never computed.
+    rows = torch.zeros(200, 6, dtype=torch.float64)
+    rows[:, 0] = rows[:, 4] = 100.0
+    rows[:, [2, 5]] = 200 * torch.rand(200, 2, dtype=torch.float64) - 100
+    parts = gaussian_sums._parts(points, rows, torch.ones(200, dtype=torch.float64), 1)
+    assert sum(len(places) * len(near) for places, near, _ in parts) < 0.35 * 5000 * 200
+
+
+def test_nan_is_seen():
+    model = gaussians_2d(3)
+    with torch.no_grad():
+        model.model.offsets[0, 0, 1] = math.nan
+    x, y = grid(30, 40, torch.float32)
+    assert bool(model(x, y).isnan().all())
+
+
+def test_float32_stays_and_single_points():
+    model = gaussians_2d(30)
+    x, y = grid(8, 9, torch.float32)
+    assert model(x, y).dtype == torch.float32
+    assert float((model(x, y) - formula(model.model, x, y).sum(-1, keepdim=True)).detach().abs().max()) < 1e-5
+    assert model(torch.zeros(()), torch.zeros(())).shape == (1,)
+    assert model(torch.zeros(0, 1), torch.zeros(0, 1)).shape == (0, 1)
+    with pytest.raises(TypeError, match="x and y must be tensors"):
+        model(0.0, 0.0)
+
+
+def test_without_gradients():
+    model = gaussians_2d(4)
+    x, y = grid(4, 4, torch.float32)
+    assert model(x, y).requires_grad
+    assert not model(x, y, test=True).requires_grad
+    with torch.no_grad():
+        assert not model(x, y).requires_grad
+
+
+def test_memory_does_not_hold_all_pairs():
+    model = gaussians_2d(3000)
+    x, y = grid(64, 64, torch.float32)
+    kept = []
+    with torch.autograd.graph.saved_tensors_hooks(lambda t: kept.append(t.numel()) or t, lambda t: t):
+        model(x, y)
+    assert max(kept) <= 6 * 3000
+
+
+def test_files(tmp_path, caplog):
+    model, other = gaussians_2d(6), gaussians_2d(6)
+    assert model.total_params == 36
+    assert list(model.state_dict()) == [f"model.{name}" for name in ("widths", "offsets", "rotations", "alphas")]
+    path = tmp_path / "weights.pt"
+    with caplog.at_level(logging.INFO, "odak"):
+        model.save_weights(path)
+        other.load_weights(str(path))
+    assert caplog.text.count(str(path)) == 2
+    assert not other.training
+    for name, value in model.state_dict().items():
+        assert torch.equal(other.state_dict()[name], value)
+    other.load_weights()
+    with pytest.raises(FileNotFoundError):
+        other.load_weights(tmp_path / "nothing.pth")
+    with pytest.raises(ValueError, match=r"\.bin"):
+        model.save_weights(tmp_path / "weights.bin")
+    with pytest.raises(ValueError, match="Path traversal"):
+        model.save_weights("../weights.pt")
+    with pytest.raises(ValueError, match="of another shape"):
+        gaussians_2d(5).load_weights(path)
+
+
+class _Command:
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return os.mkdir, (str(self.path),)
+
+
+def test_broken_and_hostile_files_are_refused(tmp_path):
+    model = gaussians_2d(6)
+    path = tmp_path / "weights.pt"
+    model.save_weights(path)
+    path.write_bytes(path.read_bytes()[:200])
+    with pytest.raises(ValueError, match=r"weights\.pt"):
+        model.load_weights(path)
+    path.write_bytes(pickle.dumps(_Command(tmp_path / "done")))
+    with pytest.raises(ValueError, match=r"weights\.pt"):
+        model.load_weights(path)
+    torch.save({"model.widths": _Command(tmp_path / "done")}, path)
+    with pytest.raises(ValueError, match=r"weights\.pt"):
+        model.load_weights(path)
+    assert not (tmp_path / "done").exists()
+
+
+def test_a_picture_is_fitted():
+    torch.manual_seed(0)
+    x, y = grid(32, 32, torch.float32)
+    picture = 0.5 + 0.4 * torch.sin(4 * x) * torch.cos(3 * y + 1)
+    x, y, target = (value.reshape(-1, 1) for value in (x, y, picture))
+    model = gaussians_2d(60)
+    optimizer = torch.optim.AdamW(model.parameters(), lr=2e-2, weight_decay=0)
+    losses = []
+    for _ in range(250):
+        optimizer.zero_grad()
+        loss = torch.nn.functional.mse_loss(model(x, y), target)
+        loss.backward()
+        optimizer.step()
+        losses.append(float(loss.detach()))
+    assert losses[-1] < 1e-3
+    assert losses[-1] < 0.005 * losses[0]
+
+
+@pytest.mark.cuda
+def test_the_gpu_gives_the_same():
+    torch.manual_seed(0)
+    model = gaussians_2d(2000)
+    x, y = grid(100, 120, torch.float32)
+    expected = model(x, y)
+    expected.square().sum().backward()
+    slopes = [parameter.grad.clone() for parameter in model.parameters()]
+    model.cuda().zero_grad()
+    result = model(x.cuda(), y.cuda())
+    result.square().sum().backward()
+    torch.testing.assert_close(result.cpu(), expected, rtol=1e-4, atol=1e-3)
+    for parameter, slope in zip(model.parameters(), slopes, strict=True):
+        torch.testing.assert_close(parameter.grad.cpu(), slope, rtol=1e-2, atol=1e-3 * float(slope.abs().max()))
