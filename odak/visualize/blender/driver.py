@@ -1,0 +1,412 @@
+"""Draws and renders a scene inside Blender: reads data, runs none of it.
+
+    python driver.py SCENE.json OUTPUT                                       with a Python that has the package bpy
+    blender --background --python driver.py -- SCENE.json OUTPUT             with the program
+
+OUTPUT ends in .png, .exr, .blend or .raw (float32 red, green, blue, opacity, from the lower left corner). This file
+stands alone: it needs Blender 3.4 or later, and nothing besides, not even NumPy.
+"""
+
+import array
+import ast
+import json
+import math
+import os
+import struct
+import sys
+import traceback
+import warnings
+import zipfile
+
+HERE = os.path.dirname(os.path.abspath(__file__))
+# Files beside this one must not stand in for modules of Blender that have the same names.
+sys.path[:] = [path for path in sys.path if os.path.abspath(path or os.getcwd()) != HERE]
+
+if __name__ == "__main__":
+    import bpy
+    import mathutils
+
+COLOR = "odak_color"
+CODES = {"<f4": "f", "<i4": "i", "|u1": "B"}
+UNITS = {"m": "METERS", "mm": "MILLIMETERS", "um": "MICROMETERS", "nm": "MICROMETERS"}
+# Since then curves can be made from Python.
+CURVES = (4, 2, 0)
+# Faces that shine are sampled one by one up to this number: a list of millions takes minutes to prepare.
+MOST_SAMPLED = 5000
+GPUS = ("CUDA", "OPTIX", "HIP", "ONEAPI", "METAL")
+
+
+def main(arguments):
+    """Make what the command line asks for."""
+    if len(arguments) != 2:
+        raise SystemExit(__doc__)
+    # Blender 5 announces what version 6 will do without; older ones need it.
+    warnings.filterwarnings("ignore", category=DeprecationWarning)
+    path, output = (os.path.abspath(argument) for argument in arguments)
+    with open(path, encoding="utf-8") as stream:
+        document = json.load(stream)
+    with zipfile.ZipFile(os.path.join(os.path.dirname(path), os.path.basename(document["arrays"]))) as store:
+        scene = build(document, Arrays(store))
+    produce(scene, document["render"], output)
+
+
+def say(words):
+    """Write a line for whoever started this."""
+    sys.stdout.write(f"{words}\n")
+    sys.stdout.flush()
+
+
+class Arrays:
+    """Arrays of an NPZ file, flat."""
+
+    def __init__(self, store):
+        self.store = store
+
+    def read(self, name):
+        """Return the numbers of an array and its shape."""
+        content = self.store.read(name + ".npy")
+        if content[:6] != b"\x93NUMPY":
+            raise ValueError(f"{name} is not an array")
+        wide = content[6] > 1
+        (length,) = struct.unpack_from("<I" if wide else "<H", content, 8)
+        start = (12 if wide else 10) + length
+        header = ast.literal_eval(content[start - length : start].decode("latin-1"))
+        if header["descr"] not in CODES or (header["fortran_order"] and len(header["shape"]) > 1):
+            raise ValueError(f"{name} is stored in a way that is not understood: {header}")
+        values = array.array(CODES[header["descr"]])
+        values.frombytes(memoryview(content)[start:])
+        if len(values) != math.prod(header["shape"]):
+            raise ValueError(f"{name} is cut short")
+        return values, header["shape"]
+
+
+def build(document, arrays):
+    """Return Blender's scene with everything in it."""
+    if document["start_from"]:
+        bpy.ops.wm.open_mainfile(filepath=document["start_from"], load_ui=False, use_scripts=False)
+    else:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    for name in document["remove"]:
+        if name in bpy.data.objects:
+            bpy.data.objects.remove(bpy.data.objects[name], do_unlink=True)
+    scene.unit_settings.system = "METRIC"
+    scene.unit_settings.scale_length = document["metres"]
+    scene.unit_settings.length_unit = UNITS[document["unit"]]
+    for entry in document["objects"]:
+        add_object(scene, entry, arrays)
+    for number, entry in enumerate(document["lights"]):
+        add_light(scene, f"light {number}", entry, document["metres"])
+    if document["camera"]:
+        add_camera(scene, document["camera"])
+    if document["background"]:
+        set_background(scene, document["background"])
+    set_quality(scene, document["render"])
+    return scene
+
+
+def add_object(scene, entry, arrays):
+    """Add one object."""
+    image = make_image(entry, arrays) if entry["image"] else None
+    material = make_material(entry, image)
+    shape = make_rods(scene, entry, arrays) if entry["rods"] and bpy.app.version >= CURVES else make_mesh(entry, arrays)
+    if not hasattr(shape, "polygons") or len(shape.polygons) > MOST_SAMPLED:
+        do_not_sample(material)
+    shape.materials.append(material)
+    thing = bpy.data.objects.new(entry["name"], shape)
+    thing.location, thing.scale = entry["location"], entry["scale"]
+    thing.rotation_euler = [math.radians(angle) for angle in entry["rotation"]]
+    if hasattr(thing, "visible_shadow"):
+        thing.visible_shadow = entry["shadow"]
+    scene.collection.objects.link(thing)
+
+
+def make_mesh(entry, arrays):
+    """Return a mesh of triangles."""
+    points, _ = arrays.read(entry["vertices"])
+    corners, _ = arrays.read(entry["faces"])
+    count = len(corners) // 3
+    mesh = bpy.data.meshes.new(entry["name"])
+    mesh.vertices.add(len(points) // 3)
+    mesh.vertices.foreach_set("co", points)
+    mesh.loops.add(len(corners))
+    mesh.loops.foreach_set("vertex_index", corners)
+    mesh.polygons.add(count)
+    mesh.polygons.foreach_set("loop_start", array.array("i", range(0, 3 * count, 3)))
+    if bpy.app.version < (3, 6, 0):
+        mesh.polygons.foreach_set("loop_total", array.array("i", [3]) * count)
+    mesh.polygons.foreach_set("use_smooth", array.array("b", [1 if entry["smooth"] else 0]) * count)
+    if entry["uv"]:
+        places, _ = arrays.read(entry["uv"])
+        flat = array.array("f")
+        for corner in corners:
+            flat.extend(places[2 * corner : 2 * corner + 2])
+        mesh.uv_layers.new(name="UVMap").data.foreach_set("uv", flat)
+    if entry["colors"]:
+        light, _ = arrays.read(entry["colors"])
+        opaque = array.array("f", [1.0]) * (len(light) // 3 * 4)
+        for channel in range(3):
+            opaque[channel::4] = light[channel::3]
+        mesh.attributes.new(COLOR, "FLOAT_COLOR", "POINT").data.foreach_set("color", opaque)
+    mesh.update(calc_edges=True)
+    if entry["normals"]:
+        normals, _ = arrays.read(entry["normals"])
+        if hasattr(mesh, "use_auto_smooth"):
+            mesh.use_auto_smooth = True
+        mesh.normals_split_custom_set_from_vertices([normals[i : i + 3] for i in range(0, len(normals), 3)])
+    return mesh
+
+
+def make_rods(scene, entry, arrays):
+    """Return rods as curves, which Cycles meets in closed form and finds in boxes that lie along them."""
+    numbers, (count, _, _) = arrays.read(entry["rods"])
+    points, radii = array.array("f", [0.0]) * (6 * count), numbers[3::4]
+    for axis in range(3):
+        points[axis::3] = numbers[axis::4]
+    curves = bpy.data.hair_curves.new(entry["name"])
+    curves.add_curves([2] * count)
+    curves.position_data.foreach_set("vector", points)
+    curves.attributes.new("radius", "FLOAT", "POINT").data.foreach_set("value", radii)
+    if entry["colors"]:
+        light, (vertices, _) = arrays.read(entry["colors"])
+        step = 3 * (vertices // count)
+        opaque = array.array("f", [1.0]) * (4 * count)
+        for channel in range(3):
+            opaque[channel::4] = light[channel::step]
+        curves.attributes.new(COLOR, "FLOAT_COLOR", "CURVE").data.foreach_set("color", opaque)
+    scene.cycles_curves.shape = "THICK"
+    return curves
+
+
+def do_not_sample(material):
+    """Leave it to chance which light paths meet something that shines, rather than to look for each of its faces."""
+    if hasattr(material.cycles, "emission_sampling"):
+        material.cycles.emission_sampling = "NONE"
+    else:
+        material.cycles.sample_as_light = False
+
+
+def make_image(entry, arrays):
+    """Return a picture."""
+    levels, (rows, columns, _) = arrays.read(entry["image"])
+    image = bpy.data.images.new(entry["name"], columns, rows, alpha=False)
+    image.colorspace_settings.name = "sRGB"
+    pixels = array.array("f", [1.0]) * (rows * columns * 4)
+    scaled = [level / 255 for level in range(256)]
+    for row in range(rows):
+        start = (rows - 1 - row) * columns * 4
+        line = levels[3 * row * columns : 3 * (row + 1) * columns]
+        for channel in range(3):
+            values = array.array("f", [scaled[level] for level in line[channel::3]])
+            pixels[start + channel : start + 4 * columns : 4] = values
+    image.pixels.foreach_set(pixels)
+    image.update()
+    image.pack()
+    return image
+
+
+def make_material(entry, image):
+    """Return a material of nodes."""
+    data = entry["material"]
+    material = bpy.data.materials.new(data["name"] or entry["name"])
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    kinds = {
+        "diffuse": "ShaderNodeBsdfDiffuse",
+        "emission": "ShaderNodeEmission",
+        "glass": "ShaderNodeBsdfGlass",
+        "metal": "ShaderNodeBsdfPrincipled",
+    }
+    node = nodes.new(kinds[data["kind"]])
+    color = node.inputs["Base Color" if data["kind"] == "metal" else "Color"]
+    color.default_value = (*data["color"], 1.0)
+    if data["kind"] == "emission":
+        node.inputs["Strength"].default_value = data["strength"]
+    if data["kind"] == "glass":
+        node.inputs["IOR"].default_value = data["index"]
+    if data["kind"] == "metal":
+        node.inputs["Metallic"].default_value = 1.0
+    if data["kind"] in ("glass", "metal"):
+        node.inputs["Roughness"].default_value = data["roughness"]
+    if image is not None:
+        picture = nodes.new("ShaderNodeTexImage")
+        picture.image, picture.extension = image, "EXTEND"
+        links.new(picture.outputs["Color"], color)
+    elif entry["colors"]:
+        attribute = nodes.new("ShaderNodeAttribute")
+        attribute.attribute_name = COLOR
+        links.new(attribute.outputs["Color"], color)
+    output = nodes.new("ShaderNodeOutputMaterial")
+    links.new(node.outputs[0], output.inputs["Surface"])
+    return material
+
+
+def place(thing, entry):
+    """Put a camera or a light to its place: both look along their own −z."""
+    right, up, behind = entry["axes"]
+    rows = [[right[i], up[i], behind[i], entry["location"][i]] for i in range(3)]
+    # A plain list would be read column by column.
+    thing.matrix_world = mathutils.Matrix([*rows, [0.0, 0.0, 0.0, 1.0]])
+
+
+def add_camera(scene, entry):
+    """Add the camera."""
+    camera = bpy.data.cameras.new("camera")
+    camera.sensor_fit = "HORIZONTAL"
+    if entry["projection"] == "orthographic":
+        camera.type, camera.ortho_scale = "ORTHO", entry["width"]
+    else:
+        camera.angle = math.radians(entry["fov"])
+    camera.clip_start, camera.clip_end = entry["clip"]
+    thing = bpy.data.objects.new("camera", camera)
+    place(thing, entry)
+    scene.collection.objects.link(thing)
+    scene.camera = thing
+
+
+def add_light(scene, name, entry, metres):
+    """Add a light; what comes from one unit of length away must be as bright as from that many metres."""
+    light = bpy.data.lights.new(name, entry["kind"].upper())
+    light.color = entry["color"]
+    if entry["kind"] == "sun":
+        light.energy = entry["power"]
+    else:
+        light.energy = entry["power"] / metres**2
+    if entry["kind"] == "area":
+        light.size = entry["size"]
+        if bpy.app.version < (4, 0, 0):
+            # It then took an area as if it shone alike in all directions: radiance P/(4A), not P/(πA).
+            light.energy *= 4 / math.pi
+    elif entry["kind"] == "point":
+        light.shadow_soft_size = entry["size"] / 2
+    else:
+        light.angle = 0.0
+    thing = bpy.data.objects.new(name, light)
+    place(thing, entry)
+    scene.collection.objects.link(thing)
+
+
+def set_background(scene, entry):
+    """Set what surrounds everything."""
+    world = bpy.data.worlds.new("background")
+    world.use_nodes = True
+    node = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
+    node.inputs["Color"].default_value = (*entry["color"], 1.0)
+    node.inputs["Strength"].default_value = entry["strength"]
+    scene.world = world
+
+
+def set_quality(scene, job):
+    """Set renderer, resolution and how light is turned into numbers."""
+    if "cycles" not in bpy.context.preferences.addons:
+        import addon_utils
+
+        addon_utils.enable("cycles")
+    render, cycles = scene.render, scene.cycles
+    render.engine = "CYCLES"
+    render.resolution_y, render.resolution_x = job["resolution"]
+    render.resolution_percentage = 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+    render.use_file_extension = False
+    render.film_transparent = bool(job["transparent"]) or job["what"] == "depth"
+    render.dither_intensity = 0.0
+    cycles.samples, cycles.seed = job["samples"], job["seed"]
+    cycles.use_adaptive_sampling = False
+    cycles.use_denoising = bool(job["denoise"])
+    if cycles.use_denoising:
+        try:
+            cycles.denoiser = "OPENIMAGEDENOISE"
+        except TypeError:
+            cycles.use_denoising = False
+            say("odak: this Blender has no denoiser; the picture keeps its noise")
+    cycles.max_bounces = cycles.transmission_bounces = cycles.transparent_max_bounces = 24
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
+    choose_device(cycles, job["device"])
+
+
+def choose_device(cycles, wanted):
+    """Let Cycles run where it is asked to, and say so where it cannot."""
+    cycles.device = "CPU"
+    if wanted == "cpu":
+        return
+    preferences = bpy.context.preferences.addons["cycles"].preferences
+    for kind in GPUS if wanted in ("auto", "gpu") else (wanted.upper(),):
+        try:
+            preferences.compute_device_type = kind
+            preferences.get_devices()
+        except (TypeError, ValueError):
+            # This Blender was built without that kind.
+            continue
+        found = [device for device in preferences.devices if device.type == kind]
+        if found:
+            for device in preferences.devices:
+                device.use = device.type == kind
+            cycles.device = "GPU"
+            say(f"device {kind}: {', '.join(device.name for device in found)}")
+            return
+    if wanted != "auto":
+        say(f"odak: there is no device for {wanted!r}; the CPU renders")
+
+
+def produce(scene, job, output):
+    """Write the output file."""
+    extension = os.path.splitext(output)[1].lower()
+    if extension == ".blend":
+        bpy.ops.wm.save_as_mainfile(filepath=output, compress=True, check_existing=False)
+        return
+    if job["what"] == "depth":
+        measure_depth(scene)
+    target = output if extension != ".raw" else output + ".exr"
+    settings = scene.render.image_settings
+    settings.file_format = "PNG" if extension == ".png" else "OPEN_EXR"
+    settings.color_mode = "RGBA" if scene.render.film_transparent or extension == ".raw" else "RGB"
+    settings.color_depth = "8" if extension == ".png" else "32"
+    scene.render.filepath = target
+    if bpy.app.version >= (5, 0, 0):
+        # It no longer says by itself how far it is.
+        bpy.app.handlers.render_stats.append(lambda words, *_: say(words))
+    bpy.ops.render.render(write_still=True)
+    if extension == ".raw":
+        image = bpy.data.images.load(target)
+        pixels = array.array("f", [0.0]) * (image.size[0] * image.size[1] * 4)
+        image.pixels.foreach_get(pixels)
+        with open(output, "wb") as stream:
+            pixels.tofile(stream)
+
+
+def measure_depth(scene):
+    """Let every surface shine as brightly as it is far away, along the camera's axis, in the middle of each pixel."""
+    material = bpy.data.materials.new("depth")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    seen, shine, output = (
+        nodes.new(name) for name in ("ShaderNodeCameraData", "ShaderNodeEmission", "ShaderNodeOutputMaterial")
+    )
+    links.new(seen.outputs["View Z Depth"], shine.inputs["Color"])
+    links.new(shine.outputs[0], output.inputs["Surface"])
+    for layer in scene.view_layers:
+        layer.material_override = material
+    scene.cycles.pixel_filter_type = "BOX"
+    scene.cycles.filter_width = 0.01
+    scene.render.filter_size = 0.01
+
+
+def run():
+    """Do what the command line asks for and leave at once: some Blenders crash while they clean up after themselves."""
+    code = 0
+    try:
+        main(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])
+    except Exception:
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    run()

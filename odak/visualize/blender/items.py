@@ -1,0 +1,212 @@
+"""What a scene holds: objects, a camera and lights, as plain data."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from odak import _validate
+from odak.tools.transformation import rotation_matrix
+from odak.visualize._arrays import real_array
+from odak.visualize.blender.materials import Material
+from odak.visualize.blender.meshes import Mesh
+
+PROJECTIONS = ("perspective", "orthographic")
+LIGHTS = ("point", "area", "sun")
+
+
+@dataclass
+class Item:
+    """An object of a scene. Its place and material may be changed after it was added.
+
+    Attributes
+    ----------
+    name : str
+        Name, unlike that of any other object of the scene.
+    vertices : numpy.ndarray
+        float32 ``[v, 3]`` in the object's own frame, in the scene's unit.
+    faces : numpy.ndarray
+        int32 ``[f, 3]``.
+    material : Material
+        What it is made of.
+    normals, colors, uv : numpy.ndarray or None
+        At the vertices: unit normals ``[v, 3]``, linear colours ``[v, 3]`` that take the place of the material's, and
+        places in the picture ``[v, 2]``; float32.
+    image : numpy.ndarray or None
+        A picture in place of the material's colour, uint8 ``[rows, columns, 3]``.
+    rods : numpy.ndarray or None
+        Of an object of rods: start, end and radius, float32 ``[m, 2, 4]``. A Blender that has curves draws these in
+        place of the triangles, far faster.
+    smooth : bool
+        Whether faces are to look curved.
+    shadow : bool
+        Whether it keeps light from what is behind it.
+    location, rotation, scale : list of float
+        Where it stands: degrees about X, then Y, then Z, after scaling along its own axes.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    material: Material
+    normals: np.ndarray | None = None
+    colors: np.ndarray | None = None
+    uv: np.ndarray | None = None
+    image: np.ndarray | None = None
+    rods: np.ndarray | None = None
+    smooth: bool = False
+    shadow: bool = True
+    location: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    rotation: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    scale: list[float] = field(default_factory=lambda: [1.0, 1.0, 1.0])
+
+    @classmethod
+    def of(cls, name: str, mesh: Mesh, material: Material, **options) -> "Item":
+        """Return an object with the shape of a mesh."""
+        normals, uv = (None if part is None else np.asarray(part, dtype=np.float32) for part in (mesh.normals, mesh.uv))
+        vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.int32)
+        return cls(name, vertices, faces, material, normals, uv=uv, **options)
+
+    def placed_vertices(self) -> np.ndarray:
+        """Return the vertices where the object stands, float64 ``[v, 3]``."""
+        return self.placed(self.vertices)
+
+    def placed(self, points: np.ndarray) -> np.ndarray:
+        """Return points of the object's own frame where it stands, float64 ``[m, 3]``."""
+        turn = rotation_matrix(np.asarray(self.rotation, dtype=np.float64))
+        return points.astype(np.float64) @ (turn * self.scale).T + np.asarray(self.location)
+
+    def extremes(self) -> np.ndarray:
+        """Return points between which the object lies but for the thickness of its rods, float64 ``[m, 3]``."""
+        return self.placed(self.vertices if self.rods is None else self.rods[..., :3].reshape(-1, 3))
+
+
+@dataclass
+class Camera:
+    """A camera with a pinhole, or one that sees by parallel rays.
+
+    Attributes
+    ----------
+    location : list of float
+        The pinhole, or the middle of the plane that parallel rays start from.
+    axes : list of list of float
+        Unit vectors to the right, upwards and backwards.
+    projection : str
+        "perspective" or "orthographic".
+    fov : float
+        Of a perspective camera: full angle across the picture's width, in degrees.
+    width : float
+        Of an orthographic camera: what the picture shows across its width, in the scene's unit.
+    clip : list of float or None
+        Nearest and farthest distance that it sees; None for whatever the objects ask for.
+    """
+
+    location: list[float]
+    axes: list[list[float]]
+    projection: str
+    fov: float
+    width: float
+    clip: list[float] | None
+
+    def project(self, points, resolution: tuple[int, int]) -> np.ndarray:
+        """Return where points appear in a picture.
+
+        Parameters
+        ----------
+        points : array
+            ``[..., 3]``.
+        resolution : tuple of int
+            Rows and columns of the picture.
+
+        Returns
+        -------
+        numpy.ndarray
+            Column and row ``[..., 2]``: (0, 0) is the picture's upper left corner, (0.5, 0.5) the middle of its first
+            pixel. NaN for a point behind a perspective camera.
+        """
+        rows, columns = resolution
+        seen = (real_array("points", points) - np.asarray(self.location)) @ np.asarray(self.axes).T
+        half = np.where(seen[..., 2] < 0, -seen[..., 2], np.nan) * math.tan(math.radians(self.fov) / 2)
+        if self.projection == "orthographic":
+            half = np.full_like(half, self.width / 2)
+        across, up = (seen[..., i] / half * columns / 2 for i in (0, 1))
+        return np.stack((columns / 2 + across, rows / 2 - up), axis=-1)
+
+    def rays(self, resolution: tuple[int, int]) -> np.ndarray:
+        """Return the rays that end in the middles of a picture's pixels, float64 ``[rows, columns, 2, 3]``.
+
+        Parameters
+        ----------
+        resolution : tuple of int
+            Rows and columns of the picture.
+        """
+        rows, columns = resolution
+        across = (np.arange(columns) + 0.5 - columns / 2) * (2 / columns)
+        up = -(np.arange(rows) + 0.5 - rows / 2) * (2 / columns)
+        offset = up[:, None, None] * np.asarray(self.axes[1]) + across[None, :, None] * np.asarray(self.axes[0])
+        backwards, location = np.asarray(self.axes[2]), np.asarray(self.location)
+        if self.projection == "orthographic":
+            starts = location + offset * (self.width / 2)
+            return np.stack(np.broadcast_arrays(starts, -backwards), axis=-2)
+        directions = offset * math.tan(math.radians(self.fov) / 2) - backwards
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        return np.stack(np.broadcast_arrays(location, directions), axis=-2)
+
+
+@dataclass
+class Light:
+    """A light.
+
+    Attributes
+    ----------
+    kind : str
+        "point", "area" or "sun".
+    location : list of float
+        Where it stands; a sun has only a direction.
+    axes : list of list of float
+        As those of a camera: it shines forwards.
+    power : float
+        Watts; of a sun watts per square metre.
+    size : float
+        Diameter of a point, edge of an area, in the scene's unit.
+    color : list of float
+        Linear light.
+    """
+
+    kind: str
+    location: list[float]
+    axes: list[list[float]]
+    power: float
+    size: float
+    color: list[float]
+
+
+def three(name: str, value) -> list[float]:
+    """Return three finite numbers as a list."""
+    found = real_array(name, value).astype(np.float64).reshape(-1)
+    if found.shape != (3,) or not np.isfinite(found).all():
+        raise ValueError(f"{name} must be three finite numbers, got {np.asarray(found).tolist()}")
+    return found.tolist()
+
+
+def aim(location, target, up=None) -> list[list[float]]:
+    """Return the axes (right, up, backwards) of something at `location` that looks at `target`.
+
+    Without `up`, y points upwards in the picture, or z for a look along y.
+    """
+    behind = np.subtract(location, target)
+    if not np.linalg.norm(behind) > 0:
+        raise ValueError(f"location and target must be apart, got {location} for both")
+    behind = behind / np.linalg.norm(behind)
+    if up is None:
+        up = [0.0, 1.0, 0.0] if abs(behind[1]) < 1 - 1e-6 else [0.0, 0.0, 1.0]
+    right = np.cross(up, behind)
+    if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(up):
+        raise ValueError(f"up must not be along the look from location to target, got {up}")
+    right = right / np.linalg.norm(right)
+    return [axis.tolist() for axis in (right, np.cross(behind, right), behind)]
+
+
+def positive(name: str, value) -> float:
+    """Return a positive number."""
+    return float(_validate.real(name, float(value) if np.ndim(value) == 0 else value, positive=True))

@@ -1,0 +1,328 @@
+"""The older interface, function by function: they draw into one scene, :func:`odak.visualize.blender.session.current`.
+
+One unit is a metre, as Blender has it, and colours are linear light, as Blender takes them. A scene of one's own
+(:class:`odak.visualize.blender.scene`) does more.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from odak import _validate
+from odak.raytracing.boundary import reflect
+from odak.tools.file import save_image, validate_path
+from odak.visualize.blender import session
+from odak.visualize.blender.items import Item, three
+from odak.visualize.blender.materials import coded_light, diffuse, emission
+from odak.visualize.blender.shapes import pixels
+
+__all__ = [
+    "assign_color",
+    "assign_texture",
+    "clear_material",
+    "create_circle",
+    "create_plane",
+    "create_plane_from_meshes",
+    "create_ray_from_two_points",
+    "cylinder_between",
+    "delete_object",
+    "import_ply",
+    "intersect_a_ray",
+    "prepare",
+    "quit",
+    "reflect_ray",
+    "render",
+    "set_location",
+    "set_render_type",
+    "set_rotation",
+]
+
+ORIGIN = (0.0, 0.0, 0.0)
+RENDER_TYPES = ("rgb", "depth")
+
+
+def prepare(
+    resolution: Sequence[int] = (1920, 1080),
+    camera_fov: float = 40.0,
+    camera_location: Sequence[float] = (0.0, 0.0, -15.0),
+    camera_lookat: Sequence[float] = ORIGIN,
+    clip: Sequence[float] = (0.1, 100000000.0),
+    device: str = "GPU",
+    intensity: float = 2.0,
+    world_color: Sequence[float] = (0.3, 0.3, 0.3),
+):
+    """Set camera, background and device, and remove the cube and the light of a new ".blend" file.
+
+    Parameters
+    ----------
+    resolution : sequence of int
+        Width and height of the picture.
+    camera_fov : float
+        Full angle across the longer side of the picture, in degrees.
+    camera_location, camera_lookat : sequence of float
+        Where the camera stands, and what it looks at.
+    clip : sequence of float
+        Nearest and farthest distance that it sees.
+    device : str
+        "GPU" or "CPU". Without a GPU the CPU renders, with a warning in the log.
+    intensity, world_color : float, sequence of float
+        Strength of the background and its colour, linear light.
+
+    Returns
+    -------
+    scene
+        The scene.
+    """
+    width, height = _validate.size("resolution", resolution)
+    scene = session.current().scene
+    scene.resolution = (height, width)
+    scene.device = _validate.one_of("device", device, ("gpu", "cpu"))
+    fov = float(camera_fov)
+    if height > width:
+        fov = 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * width / height))
+    scene.add_camera(camera_location, camera_lookat, fov=fov, clip=clip)
+    scene.set_background(coded_light(world_color[:3]), intensity)
+    for name in ("Cube", "Light"):
+        delete_object(name)
+    return scene
+
+
+def import_ply(
+    filename: str,
+    location: Sequence[float] = ORIGIN,
+    angle: Sequence[float] = ORIGIN,
+    scale: Sequence[float] = (1, 1, 1),
+) -> Item:
+    """Draw the mesh of a PLY file.
+
+    Parameters
+    ----------
+    filename : str
+        A ".ply" file.
+    location, angle, scale : sequence of float
+        Where it stands: degrees about X, then Y, then Z, after scaling.
+
+    Returns
+    -------
+    Item
+        The object, named like the file.
+    """
+    return session.current().scene.add_mesh(filename, location=location, rotation=angle, scale=scale)
+
+
+def cylinder_between(
+    start_loc: Sequence[float],
+    end_loc: Sequence[float],
+    r: float = 0.1,
+    objname: str = "cylinder",
+    color: Sequence[float] = (0.0, 0.5, 0.0, 0.0),
+) -> Item:
+    """Draw a matt cylinder between two points.
+
+    Parameters
+    ----------
+    start_loc, end_loc : sequence of float
+        Middles of its ends.
+    r : float
+        Its radius.
+    objname : str
+        Name of the object.
+    color : sequence of float
+        Red, green, blue; a fourth number counts for nothing.
+
+    Returns
+    -------
+    Item
+        The object.
+    """
+    scene = session.current().scene
+    return scene.add_cylinder(start_loc, end_loc, r, color=coded_light(color[:3]), name=objname)
+
+
+def render(fn: str, exit: bool = False) -> str:
+    """Render the picture, or its depth after :func:`set_render_type`, to a PNG file.
+
+    Parameters
+    ----------
+    fn : str
+        Name that ends in ".png". Depth is grey: black the nearest, white the farthest and whatever lies behind.
+    exit : bool
+        Let the scene go afterwards.
+
+    Returns
+    -------
+    str
+        The path.
+    """
+    now, path = session.current(), validate_path(fn, [".png"])
+    if now.depth:
+        depth = now.scene.render_depth()
+        seen = depth[np.isfinite(depth)]
+        low, high = (float(seen.min()), float(seen.max())) if seen.size else (0.0, 1.0)
+        grey = np.clip((depth - low) / (high - low if high > low else 1.0), 0.0, 1.0)
+        save_image(path, grey, cmin=0.0, cmax=1.0)
+    else:
+        now.scene.render(path)
+    if exit:
+        quit()
+    return path
+
+
+def set_render_type(render_type: str = "rgb") -> None:
+    """Choose what :func:`render` writes: "rgb" or "depth"."""
+    session.current().depth = _validate.one_of("render_type", render_type, RENDER_TYPES) == "depth"
+
+
+def quit() -> None:
+    """Let the scene go; what is drawn next goes into a new one."""
+    session.stop()
+
+
+def delete_object(label: str) -> None:
+    """Remove the object of a name, if there is one, also from the ".blend" file that the scene continues."""
+    scene = session.current().scene
+    scene.remove(label) if any(item.name == label for item in scene.objects) else scene.removed.append(label)
+
+
+def set_rotation(input_obj: Item, angle: Sequence[float]) -> None:
+    """Turn an object: degrees about X, then Y, then Z."""
+    input_obj.rotation = three("angle", angle)
+
+
+def set_location(input_obj: Item, location: Sequence[float]) -> None:
+    """Move an object."""
+    input_obj.location = three("location", location)
+
+
+def clear_material(material: Item) -> None:
+    """Give an object a plain white matt material."""
+    material.material, material.image, material.colors = diffuse(), None, None
+
+
+def assign_color(fn: str, obj: Item, color: Sequence[float] = ORIGIN, label: str = "color") -> None:
+    """Let an object shine in a colour.
+
+    Parameters
+    ----------
+    fn : str
+        Counts for nothing.
+    obj : Item
+        The object.
+    color : sequence of float
+        Red, green, blue, linear light.
+    label : str
+        Name of the material.
+    """
+    clear_material(obj)
+    shining = emission(coded_light(color[:3]))
+    obj.material = type(shining)("emission", shining.color, name=label)
+
+
+def assign_texture(fn: str, obj: Item, label: str) -> None:
+    """Let an object show a picture.
+
+    Parameters
+    ----------
+    fn : str
+        Name of the image file.
+    obj : Item
+        The object. One without places of its own in a picture shows it along the two axes along which it is longest.
+    label : str
+        Name of the material.
+    """
+    image = pixels("fn", fn)
+    clear_material(obj)
+    obj.image = image
+    obj.material = type(obj.material)("diffuse", name=label)
+    if obj.uv is None:
+        extent = np.ptp(obj.vertices, axis=0)
+        first, second = sorted(np.argsort(-extent, kind="stable")[:2])
+        low = obj.vertices.min(axis=0)
+        obj.uv = ((obj.vertices - low) / np.where(extent > 0, extent, 1.0))[:, [first, second]].astype(np.float32)
+
+
+def create_plane(objname: str, location: Sequence[float], size: Sequence[float] = (1.0, 1.0)) -> Item:
+    """Draw a rectangle that faces +z; return the object."""
+    return session.current().scene.add_plane(size, location=location, name=objname)
+
+
+def create_plane_from_meshes(objname: str, location: Sequence[float], size: Sequence[float] = (1.0, 1.0)) -> Item:
+    """Draw a rectangle that faces +z; return the object."""
+    return create_plane(objname, location, size)
+
+
+def create_circle(objname: str, location: Sequence[float], radius: float = 1.0) -> Item:
+    """Draw a disc that faces +z; return the object."""
+    return session.current().scene.add_disc(radius, location=location, name=objname)
+
+
+def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item):
+    """Meet an object with the ray from one point towards another, and beyond it.
+
+    Parameters
+    ----------
+    p0, p1 : sequence of float
+        Where the ray starts, and a point on its way.
+    ob : Item
+        The object.
+
+    Returns
+    -------
+    tuple
+        Whether it is met, where first (``[3]``, False if it is not) and how far from the start (0 if it is not).
+    """
+    import torch
+
+    from odak.learn.raytracing import triangle_mesh
+
+    _, length = create_ray_from_two_points(p0, p1)
+    if not length > 0:
+        raise ValueError(f"p0 and p1 must be apart, got {list(p0)} for both")
+    mesh = triangle_mesh(torch.from_numpy(ob.placed_vertices()), torch.from_numpy(ob.faces).long(), backend="torch")
+    start = torch.tensor([three("p0", p0), three("p1", p1)], dtype=torch.float64)
+    direction = (start[1] - start[0]) / (start[1] - start[0]).norm()
+    hit = mesh.intersect(torch.stack((start[0], direction))[None])
+    if int(hit.face[0]) < 0:
+        return False, False, 0
+    return True, hit.point[0].numpy(), float(hit.distance[0])
+
+
+def create_ray_from_two_points(x0y0z0: Sequence[float], x1y1z1: Sequence[float]) -> tuple[np.ndarray, float]:
+    """Return the ray from one point to another, and their distance.
+
+    Parameters
+    ----------
+    x0y0z0, x1y1z1 : sequence of float
+        The two points.
+
+    Returns
+    -------
+    tuple
+        Start and direction cosines, float32 ``[2, 3]``, and the distance. The cosines are 0 for a distance of 0.
+    """
+    start, end = np.asarray(three("x0y0z0", x0y0z0)), np.asarray(three("x1y1z1", x1y1z1))
+    length = float(np.linalg.norm(end - start))
+    return np.stack((start, (end - start) / (length or 1.0))).astype(np.float32), length
+
+
+def reflect_ray(input_ray, normal: Sequence[float], intersection: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Reflect a ray at a point.
+
+    Parameters
+    ----------
+    input_ray : array
+        Start and direction ``[2, 3]``.
+    normal, intersection : sequence of float
+        Normal there, of any length, and the point.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        The point, and one that is ten units farther on the reflected ray; ``[3]`` each.
+    """
+    point, across = np.asarray(three("intersection", intersection)), np.asarray(three("normal", normal))
+    surface = np.stack((point, across / np.linalg.norm(across)))
+    ray = np.stack((point, np.asarray(input_ray, dtype=np.float64)[1]))
+    direction = np.asarray(reflect(ray, surface)).reshape(2, 3)[1]
+    return point, point + 10 * direction / np.linalg.norm(direction)
