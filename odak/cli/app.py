@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from odak.cli import metamer_options, options
+from odak.cli import cluster_options, metamer_options, options
 from odak.cli.errors import InputError
 from odak.cli.job import Job
 
@@ -63,10 +63,12 @@ def _start(
     help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files show it.\n\n"
     "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files) or, with "
     "multi-color, hologram_frame<k>.png; reconstruction.png, comparison.png and report.json; with planes also "
-    "focal_stack.png."
+    "focal_stack.png.\n\n"
+    "Several pictures, or folders of them, are computed one after another or, with --cluster, side by side. Each gets "
+    "a folder of its name in the output folder, and what is there already from the same options is skipped."
 )
 def hologram(
-    image: options.Image = Job.image,
+    images: options.Images = None,
     output: options.Output = Job.output,
     wavelength: options.Wavelengths = None,
     grey: options.Grey = Job.grey,
@@ -88,12 +90,21 @@ def hologram(
     bits: options.Bits = Job.bits,
     device: options.Device = Job.device,
     quiet: options.Quiet = Job.quiet,
+    cluster: cluster_options.Cluster = None,
+    workers: cluster_options.Workers = None,
+    retries: cluster_options.Retries = 1,
+    again: cluster_options.Again = False,
+    timeout: cluster_options.Timeout = 60.0,
 ) -> None:
-    """Compute the holograms of a picture; the parameters are those of :class:`odak.cli.job.Job`."""
+    """Compute the holograms of pictures; the parameters are those of :class:`odak.cli.job.Job`."""
     values = dict(locals())
+    images = values.pop("images") or [Job.image]
+    spread = {name: values.pop(name) for name in ("cluster", "workers", "retries", "again", "timeout")}
     values["wavelengths"] = tuple(values.pop("wavelength") or ())
+    if cluster is not None or len(images) > 1 or Path(images[0]).expanduser().is_dir():
+        raise typer.Exit(_many(images, values, spread))
     try:
-        job = Job(**values)
+        job = Job(**values, image=images[0])
         from odak.cli.run import run
 
         report = run(job)
@@ -103,6 +114,36 @@ def hologram(
         raise typer.Exit(_fail(str(error), FAILURE)) from None
     if not quiet:
         _summarise(job, report)
+
+
+@app.command(
+    help="Let this machine's cores and GPUs work for a Dask scheduler: one worker per GPU, or one per core where there "
+    "is none, until the scheduler ends or Ctrl-C.\n\n"
+    "Whoever reaches the scheduler runs code on this machine. Join only one that machines you trust can reach, or use "
+    "certificates. A scheduler is started with `dask scheduler --host ADDRESS`."
+)
+def worker(
+    address: cluster_options.Address,
+    workers: cluster_options.Workers = None,
+    threads: cluster_options.Threads = None,
+    memory_limit: cluster_options.MemoryLimit = None,
+    name: cluster_options.Name = None,
+    timeout: cluster_options.Timeout = 60.0,
+    tls_ca_file: cluster_options.CaFile = None,
+    tls_cert: cluster_options.Cert = None,
+    tls_key: cluster_options.Key = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Join a cluster; see :mod:`odak.cli.worker`."""
+    try:
+        from odak.cli.worker import Certificates, run, share
+
+        divided = share(workers, threads, memory_limit, name)
+        run(address, divided, Certificates(tls_ca_file, tls_cert, tls_key), timeout, _silent if quiet else typer.echo)
+    except InputError as error:
+        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
+    except OSError as error:
+        raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
 
 
 @app.command(
@@ -185,6 +226,29 @@ def info() -> None:
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
         typer.echo(f"{name:<{width}}  {value}")
+
+
+def _many(images: list[str], values: dict, spread: dict) -> int:
+    """Compute many pictures, say what became of them, and return the exit code."""
+    try:
+        from odak.cli.cluster import run
+
+        summary = run(images, values, **spread)
+    except InputError as error:
+        return _fail(str(error), BAD_INPUT)
+    except OSError as error:
+        return _fail(str(error), FAILURE)
+    for name, reason in summary["failed"].items():
+        _fail(f"{name}: {reason}", FAILURE)
+    if not values["quiet"]:
+        counts = ", ".join(f"{len(summary[what])} {what}" for what in ("computed", "skipped", "failed"))
+        workers = f"{summary['workers']} worker{'s' * (summary['workers'] != 1)}"
+        typer.echo(f"{counts} in {summary['seconds']:.1f} s by {workers}; one folder each in {values['output']}")
+    return FAILURE if summary["failed"] else 0
+
+
+def _silent(_: str) -> None:
+    pass
 
 
 def _summarise(job: Job, report: dict) -> None:

@@ -9,13 +9,16 @@ from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, INITIAL_PHASES, ME
 
 _COLOURS = ", ".join(f"{value:g}" for value in COLOUR_WAVELENGTHS)
 
-Image = Annotated[
-    str,
+Images = Annotated[
+    list[str] | None,
     typer.Argument(
-        metavar="[IMAGE]",
-        help="Picture file, or the name of a shipped picture: " + ", ".join(sorted(SHIPPED_IMAGES)) + ". Its stored "
+        metavar="[IMAGE]...",
+        help="Picture file, folder of them, or the name of a shipped picture: "
+        + ", ".join(sorted(SHIPPED_IMAGES))
+        + ". Its stored "
         "values, 0 to 1, are taken as the intensity to show, without undoing any display gamma. It is resized to the "
         "largest size that fits the resolution, black around it.",
+        show_default="photo",
     ),
 ]
 Output = Annotated[Path, typer.Option(help="Folder to write to; made if need be.")]

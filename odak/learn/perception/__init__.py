@@ -33,6 +33,7 @@ __getattr__, __dir__, __all__ = attach(
         "color_matrices": ("change_primaries", "rgb_to_xyz_matrix"),
         "color_vision_deficiency": ("CVDLoss", "simulate_color_vision_deficiency"),
         "contrast": ("content_aware_contrast_ratio", "michelson_contrast", "weber_contrast"),
+        "castle_csf": ("castle_contrast_sensitivity",),
         "csf": ("CSFLoss", "contrast_sensitivity", "pupil_diameter"),
         "cvd_loss_functions": (
             "color_information_loss",

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from odak.learn.perception.radially_varying_blur import RadiallyVaryingBlur
-from odak.learn.perception.util import check_loss_inputs
+from odak.learn.perception.util import check_loss_inputs, check_values
 
 
 class BlurLoss(nn.Module):
@@ -73,7 +73,7 @@ class BlurLoss(nn.Module):
         Parameters
         ----------
         image, target : torch.Tensor
-            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1, any colour space.
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1 in any colour space.
         gaze : sequence of float
             (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
 
@@ -88,6 +88,7 @@ class BlurLoss(nn.Module):
             If the pictures cannot be compared or an argument makes no map.
         """
         check_loss_inputs("BlurLoss", image, target)
+        check_values(**{"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target})
         self.target = target.detach()
         if self.blur_source:
             image = self.blur_image(image, gaze)

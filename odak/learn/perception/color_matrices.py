@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from odak import _validate
+from odak.learn.perception.pixel_blocks import by_matrix
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
 BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
@@ -108,12 +109,29 @@ def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
-def mix(matrix, image: torch.Tensor) -> torch.Tensor:
-    """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision."""
-    if not isinstance(matrix, torch.Tensor):
-        build = _constant.__wrapped__ if torch.compiler.is_compiling() else _constant
-        matrix = build(matrix, image.dtype, image.device)
-    return (matrix.to(image) @ image.flatten(-2)).unflatten(-1, image.shape[-2:])
+def mix(matrix, image: torch.Tensor, *, offset: tuple[float, ...] | None = None) -> torch.Tensor:
+    """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision.
+
+    An offset is added to each channel.
+    """
+    if isinstance(matrix, torch.Tensor):
+        matrix = matrix.to(image)
+        if matrix.requires_grad:
+            return (matrix @ image.flatten(-2)).unflatten(-1, image.shape[-2:])
+    else:
+        matrix = constant(matrix, image.dtype, image.device)
+    return by_matrix(matrix, image, None if offset is None else constant(offset, image.dtype, image.device)[:, None])
+
+
+def constant(entries: tuple, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Return nested tuples as a tensor, made once for each precision and device."""
+    build = _constant.__wrapped__ if torch.compiler.is_compiling() else _constant
+    return build(entries, dtype, device)
+
+
+def in_float64(values: torch.Tensor) -> torch.Tensor:
+    """Return values in float64 where the device has it."""
+    return values if values.device.type == "mps" else values.double()
 
 
 @functools.lru_cache(maxsize=256)

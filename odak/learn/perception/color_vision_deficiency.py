@@ -9,9 +9,10 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.perception.color_conversion import _decoded, _encoded
 from odak.learn.perception.color_matrices import as_pictures, mix, rows
 from odak.learn.perception.cvd_loss_functions import cvd_loss
+from odak.learn.perception.pixel_blocks import by_values
+from odak.learn.perception.pixel_formulas import decoded, decoded_slopes, encoded, encoded_slopes
 
 DEFICIENCIES = ("protan", "deutan", "tritan")
 METHODS = ("Machado", "Brettel", "Vienot")
@@ -81,13 +82,13 @@ def simulate_color_vision_deficiency(
     severity = _checked_severity(severity, image)
     if method == "Vienot" and deficiency == "tritan":
         raise ValueError("method 'Vienot' is for protan and deutan; take 'Brettel' for tritan")
-    light = image if linear else _decoded(image)
+    light = image if linear else by_values(decoded, image, decoded_slopes)
     if method == "Machado":
         seen = mix(_machado_matrix(deficiency, severity), light)
     else:
         dichromat = _vienot(deficiency, light) if method == "Vienot" else _brettel(deficiency, light)
         seen = torch.lerp(light, dichromat, severity)
-    return seen if linear else _encoded(seen)
+    return seen if linear else by_values(encoded, seen, encoded_slopes)
 
 
 class CVDLoss(nn.Module):

@@ -6,8 +6,9 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.perception.color_conversion import _decoded
 from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.pixel_blocks import by_values
+from odak.learn.perception.pixel_formulas import decoded, decoded_slopes
 from odak.learn.perception.util import check_loss_inputs
 
 SIGNAL_TO_NOISE = 3.0
@@ -190,7 +191,7 @@ class CSFLoss(nn.Module):
         return (weights * sensitivity**2 * power).sum((-2, -1)).mean()
 
     def _luminance(self, picture):
-        light = _decoded(picture) if self.encoding == "sRGB" else picture
+        light = by_values(decoded, picture, decoded_slopes) if self.encoding == "sRGB" else picture
         if picture.shape[-3] == 3:
             red, green, blue = light.unbind(-3)
             light = (_BT709_LUMINANCE[0] * red + _BT709_LUMINANCE[1] * green + _BT709_LUMINANCE[2] * blue)[

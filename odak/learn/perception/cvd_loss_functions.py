@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn.perception.util import check_values
 from odak.learn.tools.matrix import blur_gaussian
 
 _SMALLEST = 4
@@ -210,7 +211,7 @@ def _checked(name, image):
 
 def _checked_pair(image, simulated_image):
     for name, picture in (("image", image), ("simulated_image", simulated_image)):
-        _validate.real(name, _checked(name, picture))
+        check_values(**{name: _checked(name, picture)})
     if image.shape != simulated_image.shape or min(image.shape[-2:]) < _SMALLEST:
         raise ValueError(
             f"image and simulated_image must have one shape, sides at least {_SMALLEST}; "

@@ -107,8 +107,7 @@ def eccentricity_report(
     >>> [round(ring.psnr.item(), 1) for ring in report.rings]
     [inf, 22.8]
     """
-    predictions, targets = _checked(predictions, targets, WINDOW)
-    _validate.real("data_range", data_range, positive=True)
+    predictions, targets = _checked(predictions, targets, WINDOW, data_range)
     size = tuple(predictions.shape[-2:])
     masks = ring_masks(size, gaze, edges, real_image_width, real_viewing_distance, device=predictions.device)
     luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)

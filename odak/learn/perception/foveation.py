@@ -96,7 +96,7 @@ def make_eccentricity_distance_maps(
     rows, columns = place.shape[-2:]
     x, y = _point("gaze_location", gaze_location)
     gaze = ((2 * x - 1) * width / 2, (2 * y - 1) * width / columns * rows / 2, distance)
-    return _angle(place, gaze).to(dtype), torch.linalg.vector_norm(place, dim=0).to(dtype)
+    return _angle(place, gaze).to(dtype), _length(place).to(dtype)
 
 
 def make_pooling_size_map_pixels(
@@ -317,9 +317,15 @@ def _pooling_angle(eccentricity, alpha, mode):
 
 def _angle(places, direction):
     """Return the angles between vectors ``[3, H, W]`` and one direction."""
-    gaze = torch.tensor(direction, dtype=places.dtype, device=places.device)[:, None, None].expand_as(places)
-    across = torch.linalg.vector_norm(torch.linalg.cross(places, gaze, dim=0), dim=0)
-    return torch.atan2(across, (places * gaze).sum(0))
+    (x, y, z), (u, v, w) = places, direction
+    across = _length((y * w - z * v, z * u - x * w, x * v - y * u))
+    return torch.atan2(across, x * u + y * v + z * w)
+
+
+def _length(vectors):
+    # By components: a norm along the first axis walks through memory in large steps.
+    x, y, z = vectors
+    return (x * x + y * y).addcmul_(z, z).sqrt_()
 
 
 def _level(pixels):

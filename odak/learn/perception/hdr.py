@@ -5,11 +5,14 @@ needs the three channels. Values are those of the standards; gradients are finit
 black is infinite (PQ, the square root of HLG) the gradient is that of a small luminance instead; docstrings name it.
 """
 
+import functools
 import math
 
 import torch
 
 from odak import _validate
+from odak.learn.perception.color_matrices import in_float64
+from odak.learn.perception.pixel_blocks import by_values
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -67,8 +70,7 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
     [0.5081, 1.0]
     """
-    y = _floats("luminance", luminance).clamp(0, PQ_PEAK) / PQ_PEAK
-    return _with_bounded_slope(_pq_signal, y, _PQ_FLOOR, _PQ_SLOPE)
+    return by_values(_pq_encoded, _floats("luminance", luminance))
 
 
 def pq_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -89,11 +91,7 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     TypeError
         If the signal is not a tensor of real floats.
     """
-    signal = _floats("signal", signal).clamp(_C1**_M2, 1)
-    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
-    e = torch.expm1(signal.log() / _M2)
-    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
-    return PQ_PEAK * ratio ** (1 / _M1)
+    return by_values(_pq_decoded, _floats("signal", signal))
 
 
 def hlg_encode(light: torch.Tensor) -> torch.Tensor:
@@ -114,7 +112,7 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     TypeError
         If the light is not a tensor of real floats.
     """
-    return _with_bounded_slope(_hlg_signal, _floats("light", light).clamp_min(0), _HLG_FLOOR, _HLG_SLOPE)
+    return by_values(_hlg_encoded, _floats("light", light))
 
 
 def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -135,9 +133,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     TypeError
         If the signal is not a tensor of real floats.
     """
-    signal = _floats("signal", signal).clamp_min(0)
-    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
-    return torch.where(signal > 0.5, bright, signal**2 / 3)
+    return by_values(_hlg_decoded, _floats("signal", signal))
 
 
 def hlg_system_gamma(peak_luminance: float) -> float:
@@ -246,9 +242,7 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     of 256 where white of 100 cd/m² is the peak.
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    power = _fine(_floats("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
-    values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
-    return values.clamp_min(0).to(luminance)
+    return by_values(functools.partial(_pu21_encoded, p=p), _floats("luminance", luminance))
 
 
 def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
@@ -272,9 +266,41 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
         If the values are not a tensor of real floats or the variant is not known.
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
+    return by_values(functools.partial(_pu21_decoded, p=p), _floats("values", values))
+
+
+def _pq_encoded(luminance):
+    return _with_bounded_slope(_pq_signal, luminance.clamp(0, PQ_PEAK) / PQ_PEAK, _PQ_FLOOR, _PQ_SLOPE)
+
+
+def _pq_decoded(signal):
+    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
+    e = torch.expm1(signal.clamp(_C1**_M2, 1).log() / _M2)
+    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
+    return PQ_PEAK * ratio ** (1 / _M1)
+
+
+def _hlg_encoded(light):
+    return _with_bounded_slope(_hlg_signal, light.clamp_min(0), _HLG_FLOOR, _HLG_SLOPE)
+
+
+def _hlg_decoded(signal):
+    signal = signal.clamp_min(0)
+    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
+    return torch.where(signal > 0.5, bright, signal**2 / 3)
+
+
+def _pu21_encoded(luminance, p):
+    power = in_float64(luminance).clamp(*PU21_LIMITS) ** p[3]
+    values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
+    return values.clamp_min(0).to(luminance)
+
+
+def _pu21_decoded(values, p):
+    # Roots of the eleventh order lose two digits in float32.
     power_limits = [limit ** p[3] for limit in PU21_LIMITS]
     low, high = (p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5]) for power in power_limits)
-    root = (_fine(_floats("values", values)).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
+    root = (in_float64(values).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
     power = (root - p[0]) / (p[1] - p[2] * root)
     # Rounding must not leave the range, below which the power has no gradient.
     return (power.clamp(*power_limits) ** (1 / p[3])).to(values)
@@ -317,11 +343,6 @@ def _rgb(name, picture):
     if picture.ndim < 3 or picture.shape[-3] != 3:
         raise ValueError(f"{name} must be pictures [..., 3, H, W], got {tuple(picture.shape)}")
     return picture
-
-
-def _fine(value):
-    """Return a value in float64 where the device has it: roots of the eleventh order lose two digits."""
-    return value if value.device.type == "mps" else value.double()
 
 
 def _floats(name, value):

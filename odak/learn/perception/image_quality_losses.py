@@ -33,9 +33,10 @@ class PSNR(nn.Module):
         Raises
         ------
         ValueError
-            If the shapes differ or the peak is not positive.
+            If the shapes differ, the peak is not positive, or values are NaN or far outside 0 … peak.
         """
-        return psnr(*checked_pair(predictions, targets), peak_value)
+        _validate.real("peak_value", peak_value, positive=True)
+        return psnr(*checked_pair(predictions, targets, peak_value), peak_value)
 
 
 class SSIM(nn.Module):
@@ -73,7 +74,8 @@ def structural_similarity(predictions: torch.Tensor, targets: torch.Tensor, data
     Raises
     ------
     ValueError, TypeError
-        If the shapes differ, a picture is smaller than the window, or it does not hold real floats.
+        If the shapes differ, a picture is smaller than the window, or it does not hold real floats of about
+        0 … `data_range`.
 
     Notes
     -----
@@ -88,8 +90,7 @@ def structural_similarity(predictions: torch.Tensor, targets: torch.Tensor, data
     >>> structural_similarity(picture, picture).item()
     1.0
     """
-    predictions, targets = _checked(predictions, targets, WINDOW)
-    _validate.real("data_range", data_range, positive=True)
+    predictions, targets = _checked(predictions, targets, WINDOW, data_range)
     luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)
     return (luminance * structure).mean()
 
@@ -115,15 +116,15 @@ def multi_scale_structural_similarity(
     Raises
     ------
     ValueError, TypeError
-        If the shapes differ, a picture is smaller than 176, or it does not hold real floats.
+        If the shapes differ, a picture is smaller than 176, or it does not hold real floats of about
+        0 … `data_range`.
 
     Notes
     -----
     Wang, Simoncelli and Bovik, Asilomar Conf. Signals Syst. Comput. 37, 1398 (2003), eq. 7 with the weights of its
     section 3.2; halved between scales by 2 × 2 means.
     """
-    predictions, targets = _checked(predictions, targets, WINDOW << (len(SCALE_WEIGHTS) - 1))
-    _validate.real("data_range", data_range, positive=True)
+    predictions, targets = _checked(predictions, targets, WINDOW << (len(SCALE_WEIGHTS) - 1), data_range)
     pictures = predictions.shape[:-3].numel()
     one, two = _planes(predictions), _planes(targets)
     result = torch.ones((), dtype=one.dtype, device=one.device)
@@ -137,8 +138,9 @@ def multi_scale_structural_similarity(
     return result.mean()
 
 
-def _checked(predictions, targets, smallest):
-    pair = checked_pair(predictions, targets)
+def _checked(predictions, targets, smallest, data_range):
+    _validate.real("data_range", data_range, positive=True)
+    pair = checked_pair(predictions, targets, data_range)
     if predictions.ndim < 2 or predictions.numel() == 0 or min(predictions.shape[-2:]) < smallest:
         raise ValueError(
             f"predictions and targets must be pictures [..., H, W] of at least {smallest} x {smallest}, "

@@ -99,7 +99,7 @@ class MetamerMSELoss(nn.Module):
         """
         inner = self.metameric_loss
         statistics.checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
-        padded, stats = inner._described(image, _point("gaze", gaze), "RGB")
+        padded, stats, _ = inner._described(image, _point("gaze", gaze), "RGB")
         metamer = statistics.matched_noise(padded, stats, inner.pyramid_maker, inner.n_pyramid_levels, seed)
         return statistics.as_picture(metamer, image.shape)
 

@@ -9,6 +9,7 @@ from torch.nn import functional
 from odak import _validate
 from odak.learn.perception import pyramid_statistics as statistics
 from odak.learn.perception.foveation import MODES, _point, make_radial_map
+from odak.learn.perception.pooled_distance import as_maps
 from odak.learn.perception.radially_varying_blur import RadiallyVaryingBlur
 from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid, pad_image_for_pyramid
 
@@ -151,13 +152,17 @@ class MetamericLoss(nn.Module):
         statistics.checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
         gaze = _point("gaze", gaze)
         key = (gaze, self._options(), image_colorspace, target.dtype)
-        reference, self.target_stats = self._kept.get(
+        reference, self.target_stats, kept = self._kept.get(
             target, key, lambda: self._described(target, gaze, image_colorspace)
         )
-        image, stats = self._described(image, gaze, image_colorspace)
-        if visualise_loss:
-            self.visualise_loss_map(stats)
-        loss = self.metameric_loss_stats(stats, self.target_stats, gaze)
+        image = self._converted(image, image_colorspace)
+        if kept is None or visualise_loss or self.use_radial_weight or not statistics.is_blocked(image):
+            stats = self.calc_statsmaps(image, gaze, *self._geometry())
+            if visualise_loss:
+                self.visualise_loss_map(stats)
+            loss = self.metameric_loss_stats(stats, self.target_stats, gaze)
+        else:
+            loss = self._distance_from(kept, image, gaze)
         if self.use_l2_foveal_loss:
             loss = loss + self.fovea_weight * ((self.fovea_mask * (image - reference)) ** 2).mean()
         return loss
@@ -191,11 +196,10 @@ class MetamericLoss(nn.Module):
         equi = bool(equi or self.equi)
         gaze = _point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
         geometry = (alpha, real_image_width, real_viewing_distance, gaze, mode, equi)
-        maker, blurs = self._tools(image.shape[1])
-        pyramid = maker.construct_pyramid(image, self.n_pyramid_levels)
-        stats = statistics.pooled_statistics(pyramid, lambda bands, level: blurs[level].blur(bands, *geometry))
+        groups, low, samplers = self._analysed(image, geometry)
+        stats = statistics.pooled_statistics(groups, low, samplers)
         if self.use_fullres_l0:
-            stats[-1] = blurs[0].blur(image, *geometry)
+            stats[-1] = samplers[0](image)
         masks = self._level_masks(image, geometry)
         return stats if masks is None else self._masked(stats, masks)
 
@@ -238,11 +242,46 @@ class MetamericLoss(nn.Module):
         names = "alpha real_image_width real_viewing_distance n_pyramid_levels mode n_orientations use_l2_foveal_loss"
         return tuple(getattr(self, name) for name in [*names.split(), "use_fullres_l0", "equi"])
 
+    def _geometry(self):
+        return self.alpha, self.real_image_width, self.real_viewing_distance, self.mode, self.equi
+
+    def _converted(self, picture, colourspace):
+        return statistics.converted(pad_image_for_pyramid(picture, self.n_pyramid_levels), colourspace)
+
     def _described(self, picture, gaze, colourspace):
-        """Return a picture padded and converted, and its statistics."""
-        picture = statistics.converted(pad_image_for_pyramid(picture, self.n_pyramid_levels), colourspace)
-        geometry = (self.alpha, self.real_image_width, self.real_viewing_distance, self.mode, self.equi)
-        return picture, self.calc_statsmaps(picture, gaze, *geometry)
+        """Return a target padded and converted, its statistics, and these as :meth:`_distance_from` reads them.
+
+        The last is None where they are not made in strips; otherwise both share their memory.
+        """
+        picture = self._converted(picture, colourspace)
+        if not statistics.is_blocked(picture) or picture.requires_grad:
+            return picture, self.calc_statsmaps(picture, gaze, *self._geometry()), None
+        groups, samplers, masks, rest = self._parts(picture, gaze)
+        values = statistics.masked_statistics(groups, samplers, masks)
+        maps = [one for value, bands in zip(values, groups, strict=True) for one in as_maps(value, bands.shape)]
+        return picture, [*maps, rest], [*values, rest]
+
+    def _distance_from(self, kept, picture, gaze):
+        """Return :meth:`metameric_loss_stats` of a picture and a target, computed in strips."""
+        groups, samplers, masks, rest = self._parts(picture, gaze)
+        return statistics.mean_distance_to(
+            kept[:-1], groups, samplers, masks, functional.mse_loss(rest, kept[-1].expand_as(rest))
+        )
+
+    def _parts(self, picture, gaze):
+        """Return the bands of a picture, what pools each group, their masks, and the masked map that is not pooled."""
+        geometry = (*self._geometry()[:3], gaze, *self._geometry()[3:])
+        groups, low, samplers = self._analysed(picture, geometry)
+        masks = self._level_masks(picture, geometry) or [None] * self.n_pyramid_levels
+        rest = samplers[0](picture) if self.use_fullres_l0 else low
+        return groups, samplers, [masks[0], *masks[:-1]], rest if masks[-1] is None else masks[-1] * rest
+
+    def _analysed(self, image, geometry):
+        """Return the bands of a picture, its last low-pass, and what pools each group of bands."""
+        maker, blurs = self._tools(image.shape[1])
+        groups, low = maker.stacked_bands(image, self.n_pyramid_levels)
+        samplers = [blur.sampler(bands, *geometry) for blur, bands in zip(blurs, groups[1:], strict=False)]
+        return groups, low[-1], [samplers[0], *samplers]
 
     def _tools(self, channels):
         """Return the pyramid and the blurs, made anew where channels, orientations or levels have changed."""

@@ -6,6 +6,8 @@ from torch.nn import functional
 
 from odak import _validate
 from odak.learn.perception import pyramid_statistics as statistics
+from odak.learn.perception.mip_sampling import UniformSampler
+from odak.learn.perception.pooled_distance import as_maps
 from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid, pad_image_for_pyramid
 
 
@@ -29,11 +31,14 @@ def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
     ValueError, TypeError
         If the size is not positive.
     """
-    size = _validate.image("image", image, axes=4).shape[-2:]
-    pooling_size = float(_validate.real("pooling_size", pooling_size, positive=True))
-    squares = [max(1, int(side / pooling_size)) for side in size]
-    means = functional.adaptive_avg_pool2d(image, squares)
-    return functional.interpolate(means, size, mode="bilinear", align_corners=False)
+    _validate.image("image", image, axes=4)
+    return _sampler(image, float(_validate.real("pooling_size", pooling_size, positive=True)))(image)
+
+
+def _sampler(image, pooling_size):
+    size = tuple(image.shape[-2:])
+    squares = tuple(max(1, int(side / pooling_size)) for side in size)
+    return UniformSampler(size, squares, image.device, image.dtype)
 
 
 class MetamericLossUniform(nn.Module):
@@ -111,8 +116,15 @@ class MetamericLossUniform(nn.Module):
         """
         statistics.checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
         key = (self.pooling_size, self.n_pyramid_levels, self.n_orientations, image_colorspace, target.dtype)
-        self.target, self.target_stats = self._kept.get(target, key, lambda: self._described(target, image_colorspace))
-        stats = self._described(image, image_colorspace)[1]
+        self.target, self.target_stats, kept = self._kept.get(
+            target, key, lambda: self._described(target, image_colorspace)
+        )
+        image = self._converted(image, image_colorspace)
+        if kept is not None and not visualise_loss and statistics.is_blocked(image):
+            groups, low, samplers = self._analysed(image, self.pooling_size)
+            rest = functional.mse_loss(low, kept[-1])
+            return statistics.mean_distance_to(kept[:-1], groups, samplers, [None] * len(groups), rest)
+        stats = self.calc_statsmaps(image, self.pooling_size)
         if visualise_loss:
             self.visualise_loss_map(stats)
         return self.metameric_loss_stats(stats, self.target_stats)
@@ -132,8 +144,7 @@ class MetamericLossUniform(nn.Module):
         list of torch.Tensor
             Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
         """
-        pyramid = self._maker(image.shape[1]).construct_pyramid(image, self.n_pyramid_levels)
-        return statistics.pooled_statistics(pyramid, lambda bands, level: uniform_blur(bands, pooling_size / 2**level))
+        return statistics.pooled_statistics(*self._analysed(image, pooling_size))
 
     def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
         """Return the mean over two lists of statistics of their mean squared differences."""
@@ -166,7 +177,7 @@ class MetamericLossUniform(nn.Module):
             If the picture is too small for the pyramid, or no picture.
         """
         statistics.checked_pictures("MetamericLossUniform", image, image, self.n_pyramid_levels)
-        padded, stats = self._described(image, "RGB")
+        padded, stats, _ = self._described(image, "RGB")
         maker = self._maker(image.shape[1])
         metamer = statistics.matched_noise(padded, stats, maker, self.n_pyramid_levels, seed)
         return statistics.as_picture(metamer, image.shape)
@@ -175,9 +186,24 @@ class MetamericLossUniform(nn.Module):
         self._kept.clear()
         return super()._apply(function, recurse)
 
+    def _converted(self, picture, colourspace):
+        return statistics.converted(pad_image_for_pyramid(picture, self.n_pyramid_levels), colourspace)
+
     def _described(self, picture, colourspace):
-        picture = statistics.converted(pad_image_for_pyramid(picture, self.n_pyramid_levels), colourspace)
-        return picture, self.calc_statsmaps(picture, self.pooling_size)
+        """Return a target padded and converted, its statistics, and these as `mean_distance_to` reads them."""
+        picture = self._converted(picture, colourspace)
+        if not statistics.is_blocked(picture) or picture.requires_grad:
+            return picture, self.calc_statsmaps(picture, self.pooling_size), None
+        groups, low, samplers = self._analysed(picture, self.pooling_size)
+        values = statistics.masked_statistics(groups, samplers, [None] * len(groups))
+        maps = [one for value, bands in zip(values, groups, strict=True) for one in as_maps(value, bands.shape)]
+        return picture, [*maps, low], [*values, low]
+
+    def _analysed(self, image, pooling_size):
+        """Return the bands of a picture, its last low-pass, and what pools each group of bands."""
+        groups, low = self._maker(image.shape[1]).stacked_bands(image, self.n_pyramid_levels)
+        samplers = [_sampler(bands, pooling_size / 2**level) for level, bands in enumerate(groups[1:])]
+        return groups, low[-1], [samplers[0], *samplers]
 
     def _maker(self, channels):
         maker = self.pyramid_maker

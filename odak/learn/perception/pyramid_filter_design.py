@@ -5,10 +5,15 @@ odd along each axis and one another's transposes, so that few numbers are unknow
 """
 
 import functools
+import json
 import math
+from importlib import resources
+from pathlib import Path
 
 import numpy as np
 
+# Taps of the usual banks, designed once.
+KEPT = ("data", "steerable_pyramid_taps.json")
 # Points per axis of the grid of frequencies on which the responses are asked for.
 GRID = 24
 FOOT = 0.3
@@ -97,11 +102,34 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool
     the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the ideal responses.
     """
     problem = _Problem(n_orientations, sizes, bilinear)
-    taps = _descend(problem)
-    filters = problem.filters(taps)
+    kept = _kept().get(_key(n_orientations, sizes, bilinear))
+    filters = problem.filters(_descend(problem) if kept is None else np.array(kept))
     for value in filters.values():
         value.setflags(write=False)
     return filters
+
+
+def keep(banks: list[tuple[int, tuple[int, int, int, int], bool]], path: Path) -> None:
+    """Write the taps of designs to a file, from which :func:`design` takes them without designing them again.
+
+    Parameters
+    ----------
+    banks : list of tuple
+        Arguments of :func:`design`.
+    path : Path
+        The file; that of the library is `KEPT` beside this module.
+    """
+    taps = {_key(*bank): _descend(_Problem(*bank)).tolist() for bank in banks}
+    path.write_text("{\n" + ",\n".join(f"{json.dumps(k)}: {json.dumps(v)}" for k, v in taps.items()) + "\n}\n")
+
+
+@functools.cache
+def _kept():
+    return json.loads(resources.files("odak.learn.perception").joinpath(*KEPT).read_text(encoding="utf-8"))
+
+
+def _key(n_orientations, sizes, bilinear):
+    return f"{n_orientations} {' '.join(map(str, sizes))}{' bilinear' if bilinear else ''}"
 
 
 def _descend(problem) -> np.ndarray:

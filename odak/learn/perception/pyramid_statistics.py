@@ -1,20 +1,19 @@
 """What the metameric losses share: checks, pooled statistics of pyramids, pictures made to have them, and a cache."""
 
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 
 import torch
 from torch.nn import functional
 
 from odak import _array
 from odak.learn.perception.color_conversion import rgb_2_ycrcb, ycrcb_2_rgb
+from odak.learn.perception.mip_sampling import Sampler
+from odak.learn.perception.pixel_blocks import is_plain
+from odak.learn.perception.pooled_distance import as_maps, local_statistics, pooled, squared_distance
 from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid
-from odak.learn.perception.util import check_loss_inputs
+from odak.learn.perception.util import check_loss_inputs, check_values
 
-VARIANCE_FLOOR, RMS_FLOOR = 1e-7, 1e-6
-# Values are meant to be in 0 … 1; an optimizer may stray, 8-bit values may not.
-LOWEST, HIGHEST = -10.0, 11.0
-
-Pool = Callable[[torch.Tensor, int], torch.Tensor]
+RMS_FLOOR = 1e-6
 
 
 def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_levels: int) -> None:
@@ -42,16 +41,9 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     smallest = 7 << max(0, n_levels - 2)
     if any(-(-side // step) * step < smallest for side in image.shape[-2:]) or min(image.shape[-2:]) < 2:
         raise ValueError(
-            f"{name} ERROR: sides must be at least 2 and fill {n_levels} pyramid levels, got {image.shape}"
+            f"{name} ERROR: sides must be at least 2 and fill {n_levels} pyramid levels, got {tuple(image.shape)}"
         )
-    for label, picture in (("image", image), ("target", target)):
-        if not _array.is_readable(picture):
-            continue
-        low, high = (float(value) for value in torch.aminmax(picture.detach()))
-        if not (low >= LOWEST and high <= HIGHEST):
-            raise ValueError(
-                f"{name} ERROR: {label} must hold finite values of about 0 to 1, got {low:.4g} to {high:.4g}"
-            )
+    check_values(**{f"{name} ERROR: image": image, f"{name} ERROR: target": target})
 
 
 def converted(image: torch.Tensor, colourspace: str) -> torch.Tensor:
@@ -59,15 +51,22 @@ def converted(image: torch.Tensor, colourspace: str) -> torch.Tensor:
     return rgb_2_ycrcb(image) if image.shape[1] == 3 and colourspace.upper() == "RGB" else image
 
 
-def pooled_statistics(pyramid: list[dict], pool: Pool) -> list[torch.Tensor]:
+def is_blocked(picture: torch.Tensor) -> bool:
+    """Say whether statistics may be computed in strips: plain floats on a CPU, which no transform holds."""
+    return is_plain(picture) and picture.dtype in (torch.float32, torch.float64)
+
+
+def pooled_statistics(groups: list[torch.Tensor], low: torch.Tensor, samplers: Sequence[Sampler]) -> list[torch.Tensor]:
     """Return mean and standard deviation of a pyramid's bands, each over a pixel's pooling region.
 
     Parameters
     ----------
-    pyramid : list of dict
-        As :meth:`SpatialSteerablePyramid.construct_pyramid` makes it.
-    pool : callable
-        Takes ``[N, C, H, W]`` and the level, returns local means of the same shape.
+    groups : list of torch.Tensor
+        Bands ``[B, C, K, H, W]`` as :meth:`SpatialSteerablePyramid.stacked_bands` makes them.
+    low : torch.Tensor
+        The last low-pass.
+    samplers : sequence of Sampler
+        Those that make the local means of each group.
 
     Returns
     -------
@@ -75,15 +74,62 @@ def pooled_statistics(pyramid: list[dict], pool: Pool) -> list[torch.Tensor]:
         Mean and deviation of the high-pass residual, of each band of each level, and the last low-pass:
         2(1 + (n − 1)K) + 1 tensors ``[B, C, H, W]``.
     """
-    statistics = []
-    for level, content in enumerate(pyramid[:-1]):
-        bands = torch.stack([content["h"], *content["b"]] if level == 0 else content["b"])
-        flat = bands.flatten(0, 1)
-        mean, power = pool(torch.cat([flat, flat**2]), level).chunk(2)
-        deviation = (power - mean**2).clamp_min(VARIANCE_FLOOR).sqrt()
-        pairs = zip(mean.reshape(bands.shape).unbind(), deviation.reshape(bands.shape).unbind(), strict=True)
-        statistics.extend(value for pair in pairs for value in pair)
-    return [*statistics, pyramid[-1]["l"]]
+    maps = []
+    for bands, sampler in zip(groups, samplers, strict=True):
+        if is_blocked(bands) and not (bands.requires_grad and torch.is_grad_enabled()):
+            maps.extend(as_maps(local_statistics(bands, sampler), bands.shape))
+            continue
+        for mean, deviation in zip(*(value.unbind(2) for value in pooled(bands, sampler)), strict=True):
+            maps.extend((mean, deviation))
+    return [*maps, low]
+
+
+def masked_statistics(
+    groups: list[torch.Tensor], samplers: Sequence[Sampler], masks: Sequence[torch.Tensor | None]
+) -> list[torch.Tensor]:
+    """Return the statistics of a target in the form in which :func:`mean_distance_to` compares with them.
+
+    Parameters
+    ----------
+    groups, samplers
+        As for :func:`pooled_statistics`.
+    masks : sequence of torch.Tensor or None
+        How much each pixel counts ``[H, W]``, for each group.
+
+    Returns
+    -------
+    list of torch.Tensor
+        ``[H, 2, B·C·K, W]`` for each group.
+    """
+    statistics = [local_statistics(bands, sampler) for bands, sampler in zip(groups, samplers, strict=True)]
+    for values, mask in zip(statistics, masks, strict=True):
+        if mask is not None:
+            values.mul_(mask[:, None, None])
+    return statistics
+
+
+def mean_distance_to(
+    target: list[torch.Tensor],
+    groups: list[torch.Tensor],
+    samplers: Sequence[Sampler],
+    masks: Sequence[torch.Tensor | None],
+    rest: torch.Tensor,
+) -> torch.Tensor:
+    """Return :func:`mean_distance` of a picture's masked statistics from a target's, without holding the picture's.
+
+    Parameters
+    ----------
+    target : list of torch.Tensor
+        As :func:`masked_statistics` returns it.
+    groups, samplers, masks
+        Of the picture.
+    rest : torch.Tensor
+        Mean squared difference of the maps that are not pooled.
+    """
+    count = 2 * sum(bands.shape[2] for bands in groups) + 1
+    for values, bands, sampler, mask in zip(target, groups, samplers, masks, strict=True):
+        rest = rest + squared_distance(bands, sampler, mask, values) / bands[:, :, 0].numel()
+    return rest / count
 
 
 def matched_noise(

@@ -92,17 +92,23 @@ class RadiallyVaryingBlur(nn.Module):
         if not isinstance(image, torch.Tensor) or image.ndim != 4 or not image.is_floating_point():
             raise ValueError("image must be a tensor of real floats [B, C, H, W]")
         centre = _point("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre)
-        geometry = (alpha, real_image_width, real_viewing_distance, centre, mode, bool(equi))
-        self._prepare(image, geometry)
-        return self._sampler(image)
+        return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, bool(equi))(image)
 
-    def _prepare(self, image, geometry) -> None:
-        """Make the map unless that of the last call will do."""
+    def sampler(self, image: torch.Tensor, *geometry) -> MipSampler:
+        """Return what blurs pictures of one size, precision and geometry; that of the last call if it will do.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            One of the pictures ``[B, C, …, H, W]``.
+        *geometry
+            The further arguments of :meth:`blur`, `centre` being two floats.
+        """
         size = tuple(image.shape[-2:])
         self.n_channels = image.shape[1]
         key = (size, geometry, image.dtype, image.device)
         if key == self._key:
-            return
+            return self._sampler
         # A map made in inference mode could not serve a gradient later.
         with torch.inference_mode(False), torch.no_grad():
             lod = level_map(size, *geometry, dtype=torch.float64, device=image.device)
@@ -111,6 +117,7 @@ class RadiallyVaryingBlur(nn.Module):
         self._key, self.size = key, size
         self.alpha, self.real_image_width, self.real_viewing_distance = geometry[:3]
         self.centre, self.mode, self.equi = geometry[3:]
+        return self._sampler
 
 
 def level_map(

@@ -9,6 +9,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak.learn.perception.pyramid_filter_design import orientations, steering
+from odak.learn.perception.small_filters import correlate
 from odak.learn.perception.steerable_pyramid_filters import get_steerable_pyramid_filters
 
 Pyramid = list[dict[str, torch.Tensor | list[torch.Tensor]]]
@@ -127,19 +128,43 @@ class SpatialSteerablePyramid(nn.Module):
         ValueError, TypeError
             If the picture does not fit the pyramid, or is too small for so many levels.
         """
+        groups, low = self.stacked_bands(image, n_levels)
+        pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
+        for bands, level in zip(groups[2:], low[1:], strict=False):
+            pyramid.append({"l": level, "b": list(bands.unbind(2))})
+            if multiple_highpass:
+                pyramid[-1]["h"] = self._filter(level, self.filt_h0)
+        return [*pyramid, {"l": low[-1]}]
+
+    def stacked_bands(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Return what :meth:`construct_pyramid` does, with the bands of each level in one tensor.
+
+        Parameters
+        ----------
+        image, n_levels
+            As for :meth:`construct_pyramid`.
+
+        Returns
+        -------
+        tuple of lists
+            The high-pass residual ``[B, C, 1, H, W]`` and each level's bands ``[B, C, K, H, W]``: n tensors; and the
+            n low-passes ``[B, C, H, W]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As :meth:`construct_pyramid` does.
+        """
         _validate.integer("n_levels", n_levels, minimum=2)
         self._check(image, n_levels)
         self._follow(image)
-        low = self._filter(image, self.filt_l0)
-        pyramid = [{"h": self._filter(image, self.filt_h0), "l": low, "b": self._split(low)}]
+        low = [self._filter(image, self.filt_l0)]
+        groups = [correlate(image, self.filt_h0[:1, 0]), self._split(low[0])]
         for level in range(1, n_levels):
-            low = self._halve(low)
-            pyramid.append({"l": low})
+            low.append(self._halve(low[-1]))
             if level < n_levels - 1:
-                pyramid[-1]["b"] = self._split(low)
-                if multiple_highpass:
-                    pyramid[-1]["h"] = self._filter(low, self.filt_h0)
-        return pyramid
+                groups.append(self._split(low[-1]))
+        return groups, low
 
     def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
         """Return the picture of a pyramid, which stays as it is.
@@ -204,12 +229,10 @@ class SpatialSteerablePyramid(nn.Module):
             )
 
     def _filter(self, image, taps, stride=1):
-        image = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
-        return functional.conv2d(image, taps, stride=stride, groups=self.n_channels)
+        return correlate(image, taps[:1, 0], stride).flatten(1, 2)
 
     def _split(self, low):
-        bands = self._filter(low, self._bands)
-        return list(bands.unflatten(1, (self.n_channels, self.n_orientations)).unbind(2))
+        return correlate(low, self._bands[: self.n_orientations, 0])
 
     def _join(self, bands):
         """Apply the adjoints of the band filters and sum, each mirrored at the borders as its filter asks."""

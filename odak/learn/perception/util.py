@@ -4,9 +4,13 @@ from collections.abc import Sequence
 
 import torch
 
+from odak import _array
 from odak.learn.tools.matrix import blur_gaussian
 
-__all__ = ["blur_gaussian", "check_loss_inputs", "checked_pair", "slice_rgbd_targets"]
+__all__ = ["blur_gaussian", "check_loss_inputs", "check_values", "checked_pair", "slice_rgbd_targets"]
+
+# Values are meant to be in 0 … 1; an optimizer may stray, 8-bit values may not.
+LOWEST, HIGHEST = -10.0, 11.0
 
 
 def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor) -> None:
@@ -33,13 +37,40 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
         raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
 
 
-def checked_pair(predictions: torch.Tensor, targets: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return two pictures in one precision after checking that they are real floats of one shape.
+def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
+    """Raise ValueError if a picture holds NaN, infinities or values far outside 0 … peak.
+
+    Parameters
+    ----------
+    peak : float
+        Largest value that a picture should have.
+    **pictures : torch.Tensor
+        Pictures by the names that a message gives them. Values on a GPU, or held by a transform, are not read.
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or below −10 or above 11 times the peak.
+    """
+    for name, picture in pictures.items():
+        if not picture.numel() or not _array.is_readable(picture):
+            continue
+        low, high = (float(value) for value in torch.aminmax(picture.detach()))
+        if not (low >= LOWEST * peak and high <= HIGHEST * peak):
+            raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
+
+
+def checked_pair(
+    predictions: torch.Tensor, targets: torch.Tensor, peak: float = 1.0
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return two pictures in one precision after checking that they are real floats of one shape, about 0 … peak.
 
     Parameters
     ----------
     predictions, targets : torch.Tensor
         Pictures of any shape.
+    peak : float
+        Largest value that a picture should have.
 
     Returns
     -------
@@ -49,7 +80,7 @@ def checked_pair(predictions: torch.Tensor, targets: torch.Tensor) -> tuple[torc
     Raises
     ------
     ValueError, TypeError
-        If the shapes differ, or either is not a tensor of real floats.
+        If the shapes differ, either is not a tensor of real floats, or holds NaN or values far outside the range.
     """
     for name, value in (("predictions", predictions), ("targets", targets)):
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
@@ -59,6 +90,7 @@ def checked_pair(predictions: torch.Tensor, targets: torch.Tensor) -> tuple[torc
         raise ValueError(
             f"predictions and targets must have one shape, got {tuple(predictions.shape)} and {tuple(targets.shape)}"
         )
+    check_values(float(peak), predictions=predictions, targets=targets)
     dtype = torch.promote_types(predictions.dtype, targets.dtype)
     return predictions.to(dtype), targets.to(dtype)
 

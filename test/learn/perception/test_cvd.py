@@ -198,7 +198,8 @@ def test_losses_refused():
             (good[0], good[0], ValueError, r"image must be \[B, C, H, W\]"),
             (good, good[:, :1], ValueError, "one shape"),
             (good[..., :3], good[..., :3], ValueError, "sides at least 4"),
-            (good * torch.nan, good, ValueError, "image must be finite"),
+            (good * torch.nan, good, ValueError, "image must hold finite values"),
+            (255 * good, good, ValueError, "image must hold finite values of about 0 to 1"),
         ):
             with pytest.raises(kind, match=message):
                 function(one, two)

@@ -235,3 +235,15 @@ def test_with_the_package(measure):
 def test_names():
     assert perception.SSIM is SSIM
     assert perception.structural_similarity(*pictures(11, 11)) == SSIM()(*pictures(11, 11))
+
+
+@pytest.mark.parametrize("metric", [PSNR(), SSIM(), MSSSIM()])
+def test_values_that_cannot_be_meant(metric):
+    """MS-SSIM of NaN would be 0, the worst score, and PSNR of 8-bit values for a peak of 1 a negative one."""
+    one, two = pictures(1, 3, 176, 176)
+    for bad in (one * np.nan, one * np.inf, 255 * one):
+        with pytest.raises(ValueError, match="predictions must hold finite values of about 0 to 1"):
+            metric(bad, two)
+        with pytest.raises(ValueError, match="targets must hold finite values of about 0 to 1"):
+            metric(two, bad)
+    assert metric(255 * one, 255 * two, 255.0).item() == pytest.approx(metric(one, two).item())

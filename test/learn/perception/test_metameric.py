@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+import odak
 from odak.learn.perception import (
     MetamericLoss,
     MetamericLossUniform,
@@ -303,3 +304,17 @@ def test_refused_arguments():
         MetamericLoss(n_pyramid_levels=3)(noise(1, 3, 32, 32), noise(1, 3, 32, 32), [0.5, math.nan])
     with pytest.raises(ValueError, match="call the loss first"):
         MetamericLoss().visualise_loss_map([])
+
+
+def test_the_example_of_the_documents_runs_as_printed():
+    script = """
+loss_func = odak.learn.perception.MetamericLoss()
+loss = loss_func(my_image, gt_image, gaze=[0.7, 0.3])
+"""
+    my_image = noise(1, 3, 64, 96).float().requires_grad_()
+    names = {"odak": odak, "my_image": my_image, "gt_image": noise(1, 3, 64, 96, seed=1).float()}
+    exec(script, names)
+    names["loss"].backward()
+    assert names["loss"].ndim == 0
+    assert float(names["loss"].detach()) > 0
+    assert my_image.grad.isfinite().all()

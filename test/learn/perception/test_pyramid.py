@@ -1,5 +1,6 @@
 """The spatial pyramid and its designed filters: flat responses, tuning, reconstruction."""
 
+import json
 import math
 
 import numpy as np
@@ -11,6 +12,9 @@ from odak.learn.perception import (
     crop_steerable_pyramid_filters,
     get_steerable_pyramid_filters,
     pad_image_for_pyramid,
+)
+from odak.learn.perception import (
+    pyramid_filter_design as design,
 )
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
 
@@ -240,3 +244,22 @@ def test_refused_pictures():
         maker.construct_pyramid(noise(1, 3, 32, 32), 2)
     with pytest.raises(ValueError, match="n_levels must be at least 2"):
         maker.construct_pyramid(noise(1, 1, 32, 32), 1)
+
+
+def test_kept_banks_are_what_the_design_gives(tmp_path):
+    """The file of taps is data made by this code: made anew, a bank is the same, and none can be much improved."""
+    banks = [(1, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), True)]
+    design.keep(banks, tmp_path / "taps.json")
+    kept = design._kept()
+    for name, taps in json.loads((tmp_path / "taps.json").read_text()).items():
+        assert np.allclose(taps, kept[name], rtol=0, atol=1e-6)
+    assert len(kept) == 34
+    for name, taps in kept.items():
+        count, *sizes = (int(part) for part in name.removesuffix(" bilinear").split())
+        problem = design._Problem(count, tuple(sizes), name.endswith("bilinear"))
+        taps = np.array(taps)
+        assert taps.shape == (problem.length,)
+        residual, jacobian = problem.residual(taps)
+        slope = problem.normal @ taps - problem.pulled + jacobian.T @ residual
+        steepest = np.abs(problem.normal @ problem.start() - problem.pulled).max()
+        assert np.abs(slope).max() < 1e-2 * max(1.0, steepest)

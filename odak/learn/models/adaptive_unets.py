@@ -1,0 +1,250 @@
+"""Two networks that work together: one makes kernels that vary over the picture, the other applies them.
+
+Zheng, Zhan, Shi, Cakmakci and Akşit 2024 (SIGGRAPH Asia Technical Communications).
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import torch
+from torch import nn
+
+from odak import _validate
+from odak.learn.models.adaptive_layers import spatially_adaptive_module
+from odak.learn.models.arguments import activation_module, channels, kernel
+from odak.learn.models.convolution_layers import (
+    convolution_layer,
+    double_convolution,
+    upsample_convtranspose2d_layer,
+)
+from odak.learn.models.global_features import global_feature_module
+
+_LEAKY_RELU = nn.LeakyReLU(0.2, inplace=True)
+
+
+class spatially_varying_kernel_generation_model(nn.Module):
+    """Factors of kernels for :class:`spatially_adaptive_unet`, from a focal surface and a field.
+
+    Parameters
+    ----------
+    depth : int
+        There are depth + 1 scales, from half the size of the picture down.
+    dimensions : int
+        Channels D at the finest scale.
+    input_channels : int
+        Channels of the field plus one for the focal surface.
+    kernel_size : int
+        Edge k of the kernels in pixels, those that are made and those that make them.
+    bias : bool
+        Add a learned constant per channel.
+    normalization : bool
+        Normalize over the batch.
+    activation : torch.nn.Module or None
+        Follows each convolution.
+    """
+
+    def __init__(
+        self,
+        depth: int = 3,
+        dimensions: int = 8,
+        input_channels: int = 7,
+        kernel_size: int = 3,
+        bias: bool = True,
+        normalization: bool = False,
+        activation: nn.Module | None = _LEAKY_RELU,
+    ):
+        super().__init__()
+        self.depth = _validate.integer("depth", depth, minimum=1)
+        self.input_channels = _validate.integer("input_channels", input_channels, minimum=2)
+        width, size = channels("dimensions", dimensions), kernel(kernel_size, odd=True)
+        options = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        # Channels of the picture after each pair of convolutions on the way down, and after its pools.
+        coded = [width * 2**i for i in range(depth)] + [width * 2 ** (depth - 1)]
+        pooled = [width, *coded[:-1]]
+        risen = [coded[-1]] + [min(n, 2 * width) for n in reversed(coded[:-1])]
+        self.inc = convolution_layer(input_channels, width, **options)
+        self.encoder = nn.ModuleList()
+        for before, after in zip(pooled, coded, strict=True):
+            self.encoder += [nn.AvgPool2d(2), double_convolution(before, before, after, **options)]
+        self.spatially_varying_feature = nn.ModuleList()
+        for i, features in zip(reversed(range(depth + 1)), risen, strict=True):
+            pools = [nn.AvgPool2d(2**n) for n in range(i + 1, 0, -1)]
+            block = _kernel_block(
+                features + 1 + sum(pooled[:i]), 4 * width, width * 2**i * size**2, size, bias, activation
+            )
+            self.spatially_varying_feature.append(nn.ModuleList([*pools, block]))
+        bottom = {**options, "activation": nn.LeakyReLU(0.2)}
+        self.decoder = nn.ModuleList([global_feature_module(coded[-1], coded[-1], coded[-1], **bottom)])
+        for before, joined, after in zip(risen, reversed(coded[:-1]), risen[1:], strict=False):
+            rise = upsample_convtranspose2d_layer(before, joined, bias=bias)
+            self.decoder.append(nn.ModuleList([rise, double_convolution(joined, after, after, **options)]))
+
+    def forward(self, focal_surface: torch.Tensor, field: torch.Tensor) -> list[torch.Tensor]:
+        """Return the factors at all scales.
+
+        Parameters
+        ----------
+        focal_surface : torch.Tensor
+            ``[B or 1, 1, H, W]``, at least 2^(depth + 1) pixels high and wide.
+        field : torch.Tensor
+            ``[B, input_channels − 1, H, W]``.
+
+        Returns
+        -------
+        list of torch.Tensor
+            depth + 1 tensors ``[B, D·2^i·k², H // 2^(i + 1), W // 2^(i + 1)]``, i = depth … 0: the coarsest first.
+
+        Raises
+        ------
+        ValueError
+            If the shapes do not meet or the pictures are too small.
+        """
+        self._check(focal_surface, field)
+        focal_surface = focal_surface.expand(len(field), -1, -1, -1)
+        pooled, coded = [], [self.inc(torch.cat([focal_surface, field], dim=1))]
+        for pool, convolution in zip(self.encoder[::2], self.encoder[1::2], strict=True):
+            pooled.append(pool(coded[-1]))
+            coded.append(convolution(pooled[-1]))
+        risen = self.decoder[0](pooled[-1], coded[-1])
+        kernels = [self._kernels(0, risen, focal_surface, pooled)]
+        for level in range(1, self.depth + 1):
+            rise, convolution = self.decoder[level]
+            risen = convolution(rise(risen, coded[-1 - level]))
+            kernels.append(self._kernels(level, risen, focal_surface, pooled))
+        return kernels
+
+    def _kernels(self, level, risen, focal_surface, pooled):
+        """Return the factors of one scale from what the decoder has there and all finer scales, brought to its size."""
+        *pools, block = self.spatially_varying_feature[level]
+        steps = self.depth - level
+        for _ in range(steps + 1):
+            focal_surface = pools[-1](focal_surface)
+        finer = [pools[j + 1](pooled[j]) for j in range(steps)]
+        # The scale next to this one comes first, then the others from the finest on.
+        return block(torch.cat([risen, focal_surface, *finer[-1:], *finer[:-1]], dim=1))
+
+    def _check(self, focal_surface, field):
+        smallest = 2 ** (self.depth + 1)
+        if field.ndim != 4 or field.shape[1] != self.input_channels - 1 or min(field.shape[-2:]) < smallest:
+            raise ValueError(
+                f"field must be [B, {self.input_channels - 1}, H, W] with H and W of at least {smallest}, "
+                f"got {tuple(field.shape)}"
+            )
+        wanted = (len(field), 1, *field.shape[-2:])
+        if tuple(focal_surface.shape) not in (wanted, (1, *wanted[1:])):
+            raise ValueError(f"focal_surface must be {wanted}, or have a batch of 1; got {tuple(focal_surface.shape)}")
+
+
+def _kernel_block(inputs, hidden, outputs, size, bias, activation) -> nn.Sequential:
+    widths = [inputs, hidden, hidden, outputs]
+    layers = []
+    for before, after in itertools.pairwise(widths):
+        layers += [nn.Conv2d(before, after, kernel_size=size, padding=size // 2, bias=bias), activation]
+    return nn.Sequential(*(layer for layer in layers[:-1] if layer is not None))
+
+
+class spatially_adaptive_unet(nn.Module):
+    """U-Net whose steps down are spatially adaptive modules.
+
+    Parameters
+    ----------
+    depth : int
+        There are depth + 1 steps down.
+    dimensions : int
+        Channels D at full size; each step down doubles them.
+    input_channels, out_channels : int
+        Numbers of channels.
+    kernel_size : int
+        Edge k of the kernels in pixels.
+    bias : bool
+        Add a learned constant per channel.
+    normalization : bool
+        Normalize over the batch.
+    activation : torch.nn.Module or None
+        Follows each convolution but the last.
+    """
+
+    def __init__(
+        self,
+        depth: int = 3,
+        dimensions: int = 8,
+        input_channels: int = 6,
+        out_channels: int = 6,
+        kernel_size: int = 3,
+        bias: bool = True,
+        normalization: bool = False,
+        activation: nn.Module | None = _LEAKY_RELU,
+    ):
+        super().__init__()
+        self.depth = _validate.integer("depth", depth, minimum=1)
+        size = kernel(kernel_size, odd=True)
+        widths = [channels("dimensions", dimensions) * 2**i for i in range(depth + 2)]
+        activation_module(activation)
+        options = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        adaptive = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
+        self.inc = convolution_layer(input_channels, widths[0], **options)
+        self.encoder = nn.ModuleList(
+            nn.ModuleList(
+                [
+                    nn.AvgPool2d(2),
+                    double_convolution(n, n, n, **options),
+                    spatially_adaptive_module(n, 2 * n, **adaptive),
+                ]
+            )
+            for n in widths[:-1]
+        )
+        bottom = widths[-1]
+        self.global_feature_module = nn.ModuleList(
+            [
+                nn.ModuleList(
+                    [
+                        double_convolution(bottom, bottom, bottom, **options),
+                        global_feature_module(bottom, bottom, bottom, **options),
+                    ]
+                )
+            ]
+        )
+        last = nn.Sequential(
+            convolution_layer(widths[0], widths[0], **options),
+            convolution_layer(widths[0], out_channels, **{**options, "kernel_size": 1, "activation": None}),
+        )
+        joins = [*(double_convolution(n, n, n, **options) for n in widths[-2:0:-1]), last]
+        self.decoder = nn.ModuleList(
+            nn.ModuleList([upsample_convtranspose2d_layer(2 * n, n, bias=bias), join])
+            for n, join in zip(widths[-2::-1], joins, strict=True)
+        )
+
+    def forward(self, sv_kernel: Sequence[torch.Tensor], field: torch.Tensor) -> torch.Tensor:
+        """Return the output of the network.
+
+        Parameters
+        ----------
+        sv_kernel : sequence of torch.Tensor
+            depth + 1 tensors of factors, the coarsest first, as :class:`spatially_varying_kernel_generation_model`
+            makes them.
+        field : torch.Tensor
+            ``[B, input_channels, H, W]``.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, out_channels, H, W]``.
+
+        Raises
+        ------
+        ValueError
+            If there are more or fewer factors, or their shapes do not meet those of the field.
+        """
+        if len(sv_kernel) != self.depth + 1:
+            raise ValueError(f"sv_kernel must hold {self.depth + 1} tensors, got {len(sv_kernel)}")
+        x = self.inc(field)
+        joined = []
+        for (pool, convolution, adaptive), factors in zip(self.encoder, reversed(sv_kernel), strict=True):
+            joined.append(x)
+            pooled = pool(x)
+            x = adaptive(pooled + convolution(pooled), factors)
+        convolution, transform = self.global_feature_module[0]
+        x = transform(x, convolution(x))
+        for rise, join in self.decoder:
+            x = join(rise(x, joined.pop()))
+        return x

@@ -1,0 +1,15 @@
+"""Work spread over processes, GPUs and machines.
+
+Nothing of Dask is imported before it is needed; without Dask, tasks run one after another in this process.
+"""
+
+from odak._lazy import attach
+
+__getattr__, __dir__, __all__ = attach(
+    __name__,
+    {
+        "distribute": ("agent",),
+        "failures": ("Failure", "TaskError"),
+        "server": ("Server", "start_server"),
+    },
+)

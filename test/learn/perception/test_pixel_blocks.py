@@ -1,0 +1,78 @@
+"""Functions of pixels in blocks: the same as on whole pictures, gradients of every order, and under transforms."""
+
+import pytest
+import torch
+
+from odak.learn import perception as p
+from odak.learn.perception import pixel_blocks, pixel_formulas
+from odak.learn.perception.pixel_blocks import by_pixels, by_values
+
+CONVERSIONS = (
+    p.rgb_2_ycrcb, p.ycrcb_2_rgb, p.rgb_to_linear_rgb, p.linear_rgb_to_rgb, p.linear_rgb_to_xyz, p.xyz_to_linear_rgb,
+    p.rgb_to_hsv, p.hsv_to_rgb, p.srgb_to_lab, p.lab_to_srgb, p.pq_encode, p.pq_decode, p.hlg_encode, p.hlg_decode,
+    p.pu21_encode, p.pu21_decode,
+)  # fmt: skip
+
+
+def noise(*shape, seed=0):
+    return 0.05 + 0.9 * torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.mark.parametrize("function", CONVERSIONS, ids=lambda f: f.__name__)
+def test_blocks_do_not_show(function, monkeypatch):
+    image, outer = noise(2, 3, 5, 7).requires_grad_(), noise(2, 3, 5, 7, seed=1)
+    results = []
+    for size in (1 << 17, 12):
+        monkeypatch.setattr(pixel_blocks, "BLOCK", size)
+        value = function(image)
+        results.append((value, torch.autograd.grad(value, image, outer)[0]))
+        with torch.no_grad():
+            torch.testing.assert_close(function(image), value, rtol=0, atol=0)
+    for one, two in zip(*results, strict=True):
+        torch.testing.assert_close(one, two, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
+@pytest.mark.parametrize("function", CONVERSIONS, ids=lambda f: f.__name__)
+def test_gradients_of_every_kind(function):
+    image = noise(1, 3, 2, 3).requires_grad_()
+    assert torch.autograd.gradcheck(function, image, fast_mode=True)
+    assert torch.autograd.gradgradcheck(function, image, fast_mode=True)
+    picture, direction = image.detach(), noise(1, 3, 2, 3, seed=1)
+    _, along = torch.func.jvp(function, (picture,), (direction,))
+    _, back = torch.func.vjp(function, picture)
+    outer = noise(1, 3, 2, 3, seed=2)
+    torch.testing.assert_close((along * outer).sum(), (back(outer)[0] * direction).sum())
+
+
+def test_written_gradients_beside_the_edges():
+    """Slopes computed from results are those that autograd finds, on both sides of every joint."""
+    values = torch.tensor([-0.3, -0.055, 0.0, 1e-6, 0.0031307, 0.0031309, 0.0404, 0.0405, 0.2, 1.0, 1.7]).double()
+    for function, slopes in (
+        (pixel_formulas.decoded, pixel_formulas.decoded_slopes),
+        (pixel_formulas.encoded, pixel_formulas.encoded_slopes),
+    ):
+        point = values.clone().requires_grad_()
+        result = function(point)
+        (found,) = torch.autograd.grad(result.sum(), point)
+        torch.testing.assert_close(slopes(values, result.detach(), torch.ones_like(values)), found)
+    grid = torch.cartesian_prod(values, values[1:4], values[-3:]).T
+    for name in ("to_lab", "from_lab", "from_hsv"):
+        function, slopes = getattr(pixel_formulas, name), getattr(pixel_formulas, f"{name}_slopes")
+        point = (100 * grid if name == "from_lab" else grid).clone().requires_grad_()
+        result = function(point)
+        result = torch.stack(result) if isinstance(result, tuple) else result
+        outer = noise(*result.shape)
+        (found,) = torch.autograd.grad(result, point, outer)
+        torch.testing.assert_close(slopes(point.detach(), result.detach(), outer), found)
+
+
+def test_shapes_and_rows():
+    picture = noise(2, 2, 3, 4, 5)
+    torch.testing.assert_close(
+        by_pixels(lambda v: (v[..., 0, :], 2 * v[..., 1, :]), picture)[:, :, 1], 2 * picture[:, :, 1]
+    )
+    assert by_pixels(lambda v: v[..., :1, :], picture).shape == (2, 2, 1, 4, 5)
+    assert by_values(torch.sqrt, torch.empty(0, 3)).shape == (0, 3)
+    assert by_values(torch.sqrt, torch.tensor(4.0)).item() == 2
+    assert by_pixels(torch.neg, torch.empty(0, 3, 4, 4)).shape == (0, 3, 4, 4)

@@ -1,0 +1,250 @@
+"""The agent on a real scheduler with two worker processes on this machine."""
+
+import os
+import signal
+import sys
+import threading
+import time
+import types
+
+import pytest
+import torch
+from manager_tasks import (
+    Unopenable,
+    crash,
+    divide,
+    exit_quietly,
+    fail_at_first,
+    hologram,
+    nap,
+    page_faults,
+    raise_selfish,
+    threads,
+    where,
+)
+from running_cluster import cluster, wait_for
+
+from odak.manager import Failure, TaskError, agent
+from odak.manager.machine import Share
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system")
+
+
+@pytest.fixture(scope="module")
+def address():
+    return cluster()
+
+
+@pytest.fixture
+def one_thread():
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(count)
+
+
+def spread(address, compute, jobs, **options):
+    work = agent(compute, address, **{"verbose": False, **options})
+    for job in jobs:
+        work.submit(job)
+    return work
+
+
+def equal(results, seeds):
+    """Return whether holograms are those of a serial run, bit for bit."""
+    return all(torch.equal(field, hologram(seed)[0]) for (field, _), seed in zip(results, seeds, strict=True))
+
+
+def test_results_equal_the_serial_run_bit_for_bit(address, one_thread):
+    with spread(address, hologram, [(seed,) for seed in range(12)]) as work:
+        results = work.run()
+        assert work.slots() == 2
+    assert equal(results, range(12))
+    assert len({process for _, process in results} - {os.getpid()}) == 2
+    assert all(record["worker"].startswith("tcp://127.0.0.1:") for record in work.records)
+    assert sorted(record["index"] for record in work.records) == list(range(12))
+
+
+def test_a_worker_killed_in_mid_run_loses_nothing(address, one_thread):
+    with spread(address, hologram, [(seed,) for seed in range(40)]) as work:
+        killed = None
+        for _, (_, process) in work.as_completed():
+            if killed is None and len(work.records) >= 4:
+                killed = process
+                os.kill(killed, signal.SIGKILL)
+        assert equal(work.results, range(40))
+        assert {process for _, process in work.results} - {killed}
+        wait_for(lambda: work.slots() == 2)
+
+
+def test_results_come_as_they_complete_and_end_in_order(address):
+    with spread(address, nap, [(0.6, "slow"), (0.0, "quick")]) as work:
+        assert [index for index, _ in work.as_completed()] == [1, 0]
+        assert [value for value, _ in work.results] == ["slow", "quick"]
+
+
+@pytest.mark.parametrize("chunk", [1, 4])
+def test_what_fails_is_reported_and_the_rest_is_done(address, chunk):
+    jobs = [(6, value) for value in (1, 0, 2, 3, 0)]
+    with spread(address, divide, jobs, chunk=chunk) as work, pytest.raises(TaskError) as caught:
+        work.run()
+    assert [result for result in work.results if not isinstance(result, Failure)] == [6, 3, 2]
+    assert [(failure.index, failure.arguments, failure.attempts) for failure in caught.value.failures] == [
+        (1, (6, 0), 2),
+        (4, (6, 0), 2),
+    ]
+    failure = caught.value.failures[0]
+    assert isinstance(failure.error, ZeroDivisionError) and failure.worker.startswith("tcp://127.0.0.1:")
+    assert "return a / b" in failure.trace and "manager_tasks.py" in failure.trace
+
+
+def test_a_task_that_failed_once_is_tried_again(address, tmp_path):
+    with spread(address, fail_at_first, [(tmp_path / "mark",)]) as work:
+        assert work.run() == ["the second time"]
+
+
+def test_strange_tasks_fail_alone(address):
+    jobs = [(divide, 6, 3), (raise_selfish,), (exit_quietly, 1), (threading.Lock,), (Unopenable,), (divide, 8, 2)]
+    with spread(address, lambda function, *arguments: function(*arguments), jobs, retries=0) as work:
+        work.submit((threading.Lock(),))
+        good, selfish, left, lock, unopened, last, unsent = work.run(on_failure="return")
+    assert (good, last) == (2, 4)
+    assert str(selfish.error) == "SelfishError: one and two"
+    assert isinstance(left.error, SystemExit)
+    assert isinstance(lock.error, TypeError) and "pickle" in str(lock.error)
+    assert isinstance(unopened.error, ValueError) and "on opening the result here" in unopened.trace
+    assert isinstance(unsent.error, TypeError) and "pickle" in str(unsent.error)
+
+
+def test_modules_that_workers_lack_travel_along(address, tmp_path, monkeypatch):
+    (tmp_path / "far_away.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    import far_away
+
+    assert isinstance(far_away, types.ModuleType)
+    with spread(address, far_away.triple, [(2,)], retries=0) as work:
+        (failure,) = work.run(on_failure="return")
+    assert isinstance(failure.error, ModuleNotFoundError) and "depends=" in str(failure)
+    for depends in ([far_away], [far_away.triple], tmp_path / "far_away.py"):
+        with spread(address, far_away.triple, [(2,)], depends=depends) as work:
+            assert work.run() == [6]
+
+
+def test_large_functions_travel_once(address):
+    table = os.urandom(2**20)
+    with spread(address, lambda index: table[index], [(index,) for index in range(50)]) as work:
+        assert work.run() == list(table[:50])
+
+
+def test_large_arguments_travel_without_a_warning(address, recwarn):
+    picture = torch.rand(2000, 2000)
+    with spread(address, torch.flip, [(picture, (0,)), (picture, (1,))]) as work:
+        rows, columns = work.run()
+    assert torch.equal(rows, picture.flip(0)) and torch.equal(columns, picture.flip(1))
+    assert not recwarn.list
+
+
+def test_cancelling_from_another_thread(address):
+    with spread(address, nap, [(0.2, index) for index in range(100)]) as work:
+        work.connect()
+        threading.Timer(0.7, work.cancel).start()
+        start = time.monotonic()
+        results = work.run(on_failure="return")
+        assert time.monotonic() - start < 5
+        done = [result for result in results if not isinstance(result, Failure)]
+        assert 0 < len(done) < 50
+        work.clear()
+        work.submit((0.0, "usable"))
+        assert work.run()[0][0] == "usable"
+
+
+def test_closing_leaves_a_cluster_that_was_there(address):
+    for _ in range(2):
+        with spread(address, divide, [(1, 1)]) as work:
+            assert work.run() == [1]
+    assert work.client is None
+
+
+def test_clients_and_clusters_of_dask(address):
+    with distributed.Client(address, set_as_default=False) as client:
+        with spread(client, divide, [(1, 2)]) as work:
+            assert work.run() == [0.5] and work.client is client
+        assert client.status == "running"
+
+
+def test_workers_use_the_threads_that_they_were_given(address):
+    with spread(address, threads, [()]) as work:
+        assert work.run() == [(1, "1")]
+    with spread(address, threads, [()], threads=2) as work:
+        assert work.run() == [(2, "2")]
+    with spread(address, threads, [()], threads=1) as work:
+        assert work.run() == [(1, "1")]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a matter of glibc")
+def test_workers_keep_the_memory_of_freed_arrays(address):
+    with spread(address, page_faults, [(16, 10)]) as work:
+        assert work.run()[0] < 10 * 16 * 256 / 4
+
+
+def test_tasks_for_a_gpu_wait_for_one(address):
+    work = spread(address, threads, [()], gpu=True, timeout=0.5)
+    with work, pytest.raises(TimeoutError, match="No worker with a GPU is there at tcp"):
+        work.run()
+
+
+def test_tasks_for_a_gpu_go_to_the_worker_that_has_it():
+    worker = {"cls": distributed.Worker, "options": {"nthreads": 1, "dashboard": False}}
+    with_gpu = {"cls": distributed.Worker, "options": {**worker["options"], "resources": {"GPU": 1}}}
+    scheduler = {"cls": distributed.Scheduler, "options": {"port": 0, "dashboard_address": "127.0.0.1:0"}}
+    with distributed.SpecCluster(scheduler=scheduler, workers={"cpu": worker, "gpu": with_gpu}) as there:
+        with spread(there, where, [(index,) for index in range(20)], gpu=True) as work:
+            assert set(work.run()) == {"gpu"}
+        assert there.status.name == "running"
+
+
+@pytest.mark.parametrize(
+    ("gpus", "workers", "expected"),
+    [
+        ([], 2, [(None, None), (None, None)]),
+        (["0", "1"], None, [("0", {"GPU": 1}), ("1", {"GPU": 1})]),
+        (["4", "7"], 3, [("4", {"GPU": 1}), ("7", {"GPU": 1}), ("", None)]),
+    ],
+)
+def test_each_gpu_has_one_worker(gpus, workers, expected, monkeypatch):
+    monkeypatch.setattr("odak.manager.machine.visible_gpus", lambda: gpus)
+    monkeypatch.setattr("odak.manager.machine.cores", lambda: 12)
+    parts = Share(workers, name="desk").parts()
+    assert [(part["env"].get("CUDA_VISIBLE_DEVICES"), part["resources"]) for part in parts] == expected
+    assert [part["name"] for part in parts] == [f"desk-{index}" for index in range(len(parts))]
+    assert {part["env"]["MKL_NUM_THREADS"] for part in parts} == {str(12 // len(parts))}
+    assert all(part["nthreads"] == 1 for part in parts)
+
+
+def test_gpus_are_named_as_the_environment_names_them(monkeypatch):
+    from odak.manager import machine
+
+    monkeypatch.setattr(machine.shutil, "which", lambda _: "/usr/bin/nvidia-smi")
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
+    assert machine.visible_gpus() == ["0", "1"]
+    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "GPU-abc, GPU-def")
+    assert machine.visible_gpus() == ["GPU-abc", "GPU-def"]
+
+
+@pytest.mark.slow
+def test_a_task_that_ends_its_worker_runs_on_another(address, tmp_path):
+    with spread(address, crash, [(2, tmp_path / "twice")], retries=0) as work:
+        assert work.run() == [2]
+        wait_for(lambda: work.slots() == 2)
+
+
+@pytest.mark.slow
+def test_a_task_that_ends_every_worker_is_given_up(address, tmp_path):
+    jobs = [(99, tmp_path / "always"), *((0, tmp_path / f"never {index}") for index in range(5))]
+    with spread(address, crash, jobs, retries=1, chunk=3) as work:
+        always, *never = work.run(on_failure="return")
+        wait_for(lambda: work.slots() == 2)
+    assert isinstance(always, Failure) and type(always.error).__name__ == "KilledWorker"
+    assert not any(isinstance(result, Failure) for result in never)

@@ -1,0 +1,93 @@
+"""What the ranks of the tests of `odak.learn.wave.devices` do, each in a process of its own."""
+
+import torch
+import torch.distributed as dist
+
+from odak.learn.wave import across_ranks, propagate_beam
+
+LIGHT = (None, 2e-3, 8e-6, 532e-9)
+
+
+def fields(count, dtype=torch.complex64, side=24):
+    """Return random fields, the same in every process."""
+    generator = torch.Generator().manual_seed(count)
+    return torch.randn(count, side, side, dtype=dtype, generator=generator)
+
+
+class Layer(torch.nn.Module):
+    """A propagation with a phase mask and a distance to learn."""
+
+    def __init__(self, side=24):
+        super().__init__()
+        generator = torch.Generator().manual_seed(1)
+        self.phase = torch.nn.Parameter(torch.randn(side, side, generator=generator, dtype=torch.float64))
+        self.distance = torch.nn.Parameter(torch.tensor(2e-3, dtype=torch.float64))
+        self.register_buffer("scale", torch.tensor(2.0, dtype=torch.float64))
+
+    def forward(self, field, gain=1.0):
+        """Return the propagated field."""
+        return gain * self.scale * propagate_beam(field * torch.exp(1j * self.phase), None, self.distance, *LIGHT[2:])
+
+
+def in_parts(count):
+    """Return a way to call a function with parts of a batch in turn: what spreading must equal to the bit."""
+
+    def call(function, batch, *arguments):
+        return torch.cat([function(part, *arguments) for part in torch.tensor_split(batch, min(count, len(batch)))])
+
+    return call
+
+
+def loss(result):
+    """Return a loss that all items of a batch share, and that is not a sum over them."""
+    return (result.abs() ** 2).mean(dim=0).square().sum()
+
+
+def gradients(call, field, layer, gain):
+    """Return the loss and all gradients."""
+    value = loss(call(layer, field, gain))
+    return value.detach(), torch.autograd.grad(value, (field, gain, *layer.parameters()))
+
+
+def check_rank(rank, ranks, file):
+    """Compare a batch spread over the ranks with the whole batch, in one of these processes."""
+    torch.set_num_threads(1)
+    dist.init_process_group("gloo", init_method=f"file://{file}", rank=rank, world_size=ranks)
+    try:
+        for count in (1, 4, 5):
+            batch = fields(count)
+            spread = across_ranks(propagate_beam, batch, *LIGHT)
+            assert torch.equal(spread, in_parts(ranks)(propagate_beam, batch, *LIGHT))
+            torch.testing.assert_close(spread, propagate_beam(batch, *LIGHT), rtol=0, atol=1e-6)
+            check_gradients(across_ranks, count, ranks)
+        both = across_ranks(lambda a, b: (a + b.abs(), b[:, 0]), (fields(3), fields(3) * 2))
+        assert torch.equal(both[0], fields(3) + (2 * fields(3)).abs()) and torch.equal(both[1], 2 * fields(3)[:, 0])
+        check_second_derivatives()
+        assert not across_ranks(propagate_beam, fields(2), *LIGHT).requires_grad
+    finally:
+        dist.destroy_process_group()
+
+
+def check_gradients(call, count, parts):
+    """Check loss and gradients: to the bit against the same parts in turn, to rounding against the whole batch."""
+    field = fields(count, torch.complex128).requires_grad_()
+    gain, layer = torch.tensor(0.7, dtype=torch.float64, requires_grad=True), Layer()
+    spread, found = gradients(call, field, layer, gain)
+    turn, expected = gradients(in_parts(parts), field, layer, gain)
+    assert torch.equal(spread, turn) and torch.equal(found[0], expected[0])
+    whole, exact = gradients(lambda layer, *given: layer(*given), field, layer, gain)
+    for a, b in zip((spread, *found), (whole, *exact), strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12 * float(b.abs().max()))
+
+
+def check_second_derivatives():
+    """Check them against autograd on the whole batch."""
+    x = fields(3, torch.complex128, 4).real.clone().requires_grad_()
+    weight = torch.tensor(0.3, dtype=torch.float64, requires_grad=True)
+    found = []
+    for call in (lambda function, *given: function(*given), across_ranks):
+        value = loss(call(lambda part, weight: (weight * part).sin(), x, weight))
+        first = torch.autograd.grad(value, (x, weight), create_graph=True)
+        found.append(torch.autograd.grad(sum(part.square().sum() for part in first), (x, weight)))
+    for a, b in zip(*found, strict=True):
+        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-15)

@@ -1,0 +1,81 @@
+"""A real cluster on this machine for the tests: a scheduler and two `odak worker`, each a program of its own."""
+
+import atexit
+import functools
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+TEST = Path(__file__).resolve().parent
+LIMIT = 60
+
+
+def program(*arguments, **options):
+    """Start a Python program that can import odak and the functions of the tests."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(
+            [str(TEST.parent), str(TEST), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
+        ),
+    }
+    return subprocess.Popen([sys.executable, "-m", *map(str, arguments)], env=environment, text=True, **options)
+
+
+def start_scheduler(*options):
+    """Start a scheduler and return its program and its address."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scheduler.json"
+        where = ("--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0", "--no-dashboard")
+        scheduler = program("dask", "scheduler", *where, "--scheduler-file", file, *options, stderr=subprocess.DEVNULL)
+        return scheduler, json.loads(wait_for(lambda: file.exists() and file.read_text(), scheduler))["address"]
+
+
+def start_workers(address, count=1, *options):
+    """Let some `odak worker`, each with one process of one thread, join, and return their programs."""
+    arguments = ("worker", address, "--workers", 1, "--threads", 1, *options)
+    workers = [program("odak", *arguments, stdout=subprocess.PIPE) for _ in range(count)]
+    try:
+        for worker in workers:
+            line = worker.stdout.readline()
+            assert line == f"1 worker of 1 thread joined {address}; Ctrl-C to leave\n", line
+    except BaseException:
+        stop(*workers)
+        raise
+    return workers
+
+
+def wait_for(condition, running=None):
+    """Return what `condition` returns once it is true."""
+    end = time.monotonic() + LIMIT
+    while not (found := condition()):
+        assert time.monotonic() < end, "it took too long"
+        assert running is None or running.poll() is None, "the program ended"
+        time.sleep(0.02)
+    return found
+
+
+def stop(*programs):
+    """End programs, the last first."""
+    for one in reversed(programs):
+        one.terminate()
+        try:
+            one.wait(LIMIT)
+        except subprocess.TimeoutExpired:
+            one.kill()
+            one.wait()
+        if one.stdout:
+            one.stdout.close()
+
+
+@functools.cache
+def cluster():
+    """Return the address of a scheduler with two workers, the same for all tests of this process."""
+    scheduler, address = start_scheduler()
+    started = [scheduler]
+    atexit.register(lambda: stop(*started))
+    started += start_workers(address, 2)
+    return address
