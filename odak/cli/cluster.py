@@ -23,7 +23,6 @@ REPORT, SUMMARY, FINGERPRINT = "report.json", "summary.json", "fingerprint"
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 # Where a picture is computed, and how much is said about it, changes nothing about it.
 _IRRELEVANT = ("image", "depth_map", "output", "device", "quiet")
-_PER_WORKER = 4
 
 
 @dataclass(frozen=True)
@@ -139,8 +138,6 @@ def _compute(frames, failed, values, cluster, **options) -> set[str]:
         raise InputError(f"--{error}") from None
     with work:
         work.connect()
-        # Pictures take room in the scheduler: a few per worker keep all busy.
-        work.in_flight = _PER_WORKER * work.slots()
         for frame in frames:
             work.submit((parameters(frame.job), *map(Carried, frame.sources())))
         for index, result in work.as_completed():

@@ -1,5 +1,7 @@
 """Where tasks run: in this process, or on a Dask cluster."""
 
+import asyncio
+import concurrent.futures
 import inspect
 import itertools
 import queue
@@ -19,7 +21,7 @@ from odak.manager.server import LOOPBACK, Server, start_server
 Job = tuple[tuple, dict[str, Any]]
 Group = Sequence[int]
 _LARGE_CODE = 100_000
-_LOOK, _GATHERING = 0.5, 0.05
+_LOOK, _GATHERING, _EVER = 0.5, 0.05, 1e8
 _ANY_HOST = "0.0.0.0"
 _WAKE = "wake"
 
@@ -53,13 +55,16 @@ class Backend(Protocol):
 
 def choose(compute: Callable, cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
     """Return the backend that `cluster` names; parameters are those of :class:`odak.manager.agent`."""
+    here = cluster is None or cluster is True or cluster == "local"
+    if settings.get("workers") is not None and not here and not server:
+        raise ValueError("workers are processes of this machine: they need cluster='local' or server=True")
     if cluster is None and not has_dask():
         logger.warning("Dask is not installed: tasks run one after another in this process")
         cluster = False
     if cluster is False:
         return Serial(compute)
     require_dask("A cluster")
-    cluster = "local" if cluster is None or cluster is True else cluster
+    cluster = "local" if here else cluster
     if isinstance(cluster, str) and cluster != "local" and ":" not in cluster:
         raise ValueError(
             "cluster must be 'local', the address of a scheduler such as 'tcp://10.0.0.1:8786', a Dask cluster or "
@@ -159,7 +164,7 @@ class Cluster:
     def _reach(self) -> None:
         import distributed
 
-        target, limit = self._cluster, {} if self._timeout is None else {"timeout": self._timeout}
+        target, limit = self._cluster, {"timeout": _EVER if self._timeout is None else self._timeout}
         if self._cluster == "local":
             host, port = (_ANY_HOST, 8786) if self._serves else (LOOPBACK, 0)
             self._server = start_server(host=host, port=port, security=self._security, **self._share, **limit)
@@ -256,9 +261,15 @@ class Cluster:
             raise ConnectionError("The program that holds this machine's workers has ended")
 
     def _open(self, futures: list) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        if any(future.status in ("cancelled", "lost") for future in futures):
-            raise ConnectionError("The scheduler is gone, or was told by another client to drop these tasks")
-        results = self.client.gather({future.key: future for future in futures}, errors="skip")
+        client = self.client
+        if client is None:  # closed by another thread
+            return []
+        try:
+            _check_kept(futures)
+            results = client.gather({future.key: future for future in futures}, errors="skip")
+            _check_kept(futures)
+        except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError) as error:
+            raise ConnectionError("The scheduler is gone, or was told by another client to drop these tasks") from error
         back: list = []
         for future in futures:
             _, group = self._groups.pop(future.key)
@@ -285,6 +296,11 @@ class Cluster:
             client.close()
         if server is not None:
             server.close()
+
+
+def _check_kept(futures: list) -> None:
+    if any(future.status in ("cancelled", "lost") for future in futures):
+        raise concurrent.futures.CancelledError
 
 
 def _opened(outcome: tasks.Outcome) -> tasks.Outcome:

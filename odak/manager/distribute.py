@@ -41,8 +41,10 @@ class agent:
     server : bool
         Take part as a server. With an address, this machine's cores or GPUs work for that scheduler too; with "local",
         the scheduler listens on every network of this machine, so that others can join with ``odak worker``.
-    workers, threads : int, optional
-        Worker processes on this machine and threads of each; see :func:`odak.manager.start_server`.
+    workers : int, optional
+        Worker processes on this machine; see :func:`odak.manager.start_server`.
+    threads : int, optional
+        Threads that the numerical libraries of each worker use; on this machine, the cores shared evenly.
     gpu : bool
         Run tasks on workers with a GPU alone. There is one worker per GPU.
     retries : int
@@ -50,7 +52,8 @@ class agent:
     chunk : int
         Tasks that travel together; for tasks of a few milliseconds.
     in_flight : int, optional
-        Tasks whose arguments the scheduler holds at a time; by default four per worker and at least 256.
+        Parcels of `chunk` tasks whose arguments the scheduler holds at a time; by default four per worker, at least
+        128.
     direct : bool, optional
         Fetch results from the workers themselves rather than through the scheduler; by default with "local" alone.
     security : distributed.Security, optional

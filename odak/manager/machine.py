@@ -188,9 +188,7 @@ async def _joined(started, address) -> None:
 
 
 async def _close(nannies) -> None:
-    for closing in [nanny.close(timeout=2) for nanny in nannies]:
-        with suppress(OSError, asyncio.TimeoutError):
-            await closing
+    await asyncio.gather(*(nanny.close(timeout=2) for nanny in nannies), return_exceptions=True)
 
 
 def _stop_on_signals(stop: asyncio.Event) -> None:

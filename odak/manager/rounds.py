@@ -9,10 +9,10 @@ from typing import Any
 
 from odak.manager.backends import Backend, Group, Job
 from odak.manager.failures import Failure
-from odak.manager.tasks import Outcome
+from odak.manager.tasks import HERE, Outcome
 
 _REFILL, _LOOK = 0.75, 5.0
-_PER_SLOT, _AT_LEAST = 4, 256
+_PER_SLOT, _AT_LEAST = 4, 128
 
 
 class Rounds:
@@ -31,7 +31,7 @@ class Rounds:
     chunk : int
         Tasks that travel together. Those that are tried again travel alone.
     in_flight : int, optional
-        Tasks that the backend is given at a time; by default enough for all its workers, also those that join later.
+        Groups that the backend is given at a time; by default enough for all its workers, also those that join later.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Rounds:
         while (self._waiting or self._flying) and not self._cancelled.is_set():
             self._fill()
             for group, back in self._wait():
-                self._flying -= len(group)
+                self._flying -= 1
                 if isinstance(back, BaseException):
                     yield from self._lost(group, back)
                     continue
@@ -84,7 +84,7 @@ class Rounds:
         groups = []
         while self._waiting and (not self._flying or self._flying < limit):
             groups.append(self._waiting.popleft())
-            self._flying += len(groups[-1])
+            self._flying += 1
         if groups:
             self._backend.start([(group, [self._jobs[index] for index in group]) for group in groups])
 
@@ -112,14 +112,15 @@ class Rounds:
             yield index, self._failure(index, outcome.value, outcome.trace, outcome.worker)
 
     def _lost(self, group: Sequence[int], error: BaseException) -> Iterator[tuple[int, Any]]:
-        """Take back tasks that Dask gave up on: they, or others beside them, ended every worker they ran on."""
+        """Take back tasks that could not be sent, or that Dask gave up on as every worker that had them ended."""
         for index in group:
             # Which of a group it was is not known until each has gone alone.
             self._attempts[index] += len(group) == 1
             if self._attempts[index] < self._tries:
                 self._waiting.append((index,))
             else:
-                yield index, self._failure(index, error, "", "several workers")
+                killed = type(error).__name__ == "KilledWorker"
+                yield index, self._failure(index, error, "", "several workers" if killed else HERE)
 
     def _failure(self, index: int, error: BaseException, trace: str, worker: str) -> Failure:
         return Failure(index, *self._jobs[index], error, trace, self._attempts[index], worker)

@@ -81,12 +81,13 @@ def start_server(
     machines that you trust, or use TLS.
     """
     require_dask("start_server")
+    _validate.real("timeout", timeout, positive=True)
     share = Share(workers, threads, memory_limit, name)
     if address is not None:
-        return Server(None, _Workers(str(address), share, security), timeout)
+        return Server(None, _Workers(str(address), share, security, timeout))
     cluster = _scheduler(host, _validate.integer("port", port), security)
     try:
-        return Server(cluster, _Workers(cluster.scheduler_address, share, cluster.security), timeout)
+        return Server(cluster, _Workers(cluster.scheduler_address, share, cluster.security, timeout))
     except BaseException:
         cluster.close()
         raise
@@ -103,11 +104,11 @@ class Server:
         The scheduler, None if it is somewhere else.
     """
 
-    def __init__(self, cluster: Any, workers: "_Workers", timeout: float) -> None:
+    def __init__(self, cluster: Any, workers: "_Workers") -> None:
         self.cluster, self._workers = cluster, workers
         self.address = workers.address
         try:
-            workers.wait(timeout)
+            workers.wait()
         except BaseException:
             workers.close()
             raise
@@ -155,16 +156,18 @@ def _scheduler(host: str, port: int, security: Any):
 class _Workers:
     """The program that holds this machine's workers, as a child of this process."""
 
-    def __init__(self, address: str, share: Share, security: Any) -> None:
-        self.address = address
+    def __init__(self, address: str, share: Share, security: Any, timeout: float) -> None:
+        self.address, self._timeout = address, timeout
         self._ready = tempfile.TemporaryDirectory(prefix="odak-workers-")
         self._said = open(os.path.join(self._ready.name, "stderr"), "w+b")  # noqa: SIM115 - closed in close()
-        settings = {"address": address, "share": share, "security": security, "ready": self._mark}
+        settings = {"address": address, "share": share, "security": security, "ready": self._mark, "timeout": timeout}
         self._program = subprocess.Popen(
             [sys.executable, "-m", "odak.manager.server"],
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._said,
+            # Ctrl-C is for the user's program, which may go on; this one ends with it, or when it is told to.
+            start_new_session=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
         )
         # The pipe stays open: its end tells the program that this process is gone, however it ended.
@@ -178,14 +181,14 @@ class _Workers:
     def alive(self) -> bool:
         return self._program.poll() is None
 
-    def wait(self, timeout: float) -> None:
+    def wait(self) -> None:
         """Wait until all workers have joined."""
-        end = time.monotonic() + timeout
+        end = time.monotonic() + self._timeout
         while not os.path.exists(self._mark):
             if not self.alive() or time.monotonic() > end:
                 self._said.seek(0)
                 said = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
-                reason = f"within {timeout:g} s" if self.alive() else f"(exit code {self._program.returncode})"
+                reason = f"within {self._timeout:g} s" if self.alive() else f"(exit code {self._program.returncode})"
                 raise OSError(
                     f"Workers could not join {self.address} {reason}: {' / '.join(said) or 'nothing was said'}"
                 )
@@ -208,8 +211,7 @@ class _Workers:
 def _main() -> None:
     from odak.manager.machine import work
 
-    settings = pickle.load(sys.stdin.buffer)
-    work(settings["address"], settings["share"], settings["security"], settings["ready"], until_closed=sys.stdin.buffer)
+    work(**pickle.load(sys.stdin.buffer), until_closed=sys.stdin.buffer)
 
 
 if __name__ == "__main__":

@@ -131,6 +131,7 @@ def test_shipped_pictures_by_name(tmp_path):
     [
         (["--cluster", "slurm"], "--cluster must be 'local', the address of a scheduler"),
         (["--workers", "0"], "--workers must be at least 1"),
+        (["--workers", "2"], "--workers are processes of this machine: they need cluster='local'"),
         (["--retries", "-1"], "--retries must be at least 0"),
         (["--iterations", "0"], "--iterations must be at least 1"),
         (["missing.png"], "IMAGE not found"),

@@ -137,6 +137,8 @@ def test_progress_is_shown_unless_it_is_not_wanted(capsys):
         ({"in_flight": 0}, ValueError, "in_flight must be at least 1"),
         ({"timeout": -1.0}, ValueError, "timeout must be positive"),
         ({"workers": 0}, ValueError, "workers must be at least 1"),
+        ({"workers": 2, "cluster": False}, ValueError, "workers are processes of this machine"),
+        ({"workers": 2, "cluster": "tcp://127.0.0.1:1"}, ValueError, "they need cluster='local' or server=True"),
         ({"threads": 1.5}, TypeError, "threads must be an integer"),
         ({"depends": [3]}, TypeError, "depends must be modules, functions or paths, got int"),
         ({"depends": "missing.py"}, ValueError, "depends names a file that is not there"),

@@ -6,6 +6,7 @@ import sys
 import threading
 import time
 import types
+from concurrent.futures import CancelledError
 
 import pytest
 import torch
@@ -157,6 +158,14 @@ def test_cancelling_from_another_thread(address):
         work.clear()
         work.submit((0.0, "usable"))
         assert work.run()[0][0] == "usable"
+
+
+def test_closing_from_another_thread(address):
+    work = spread(address, nap, [(0.1, index) for index in range(100)])
+    work.connect()
+    threading.Timer(0.5, work.close).start()
+    failures = [result for result in work.run(on_failure="return") if isinstance(result, Failure)]
+    assert 50 < len(failures) < 100 and all(isinstance(failure.error, CancelledError) for failure in failures)
 
 
 def test_closing_leaves_a_cluster_that_was_there(address):

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 import torch
 from torch import nn
 
+from odak.learn.tools._checkpoints import first_line
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
 
@@ -101,15 +102,10 @@ def read_state(path: str, device: torch.device | str | None) -> dict:
     except FileNotFoundError:
         raise
     except Exception as error:
-        raise ValueError(f"{path!r} cannot be read as weights: {_reason(error)}") from error
+        raise ValueError(f"{path!r} cannot be read as weights: {first_line(error)}") from error
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
         raise ValueError(f"{path!r} holds no state dict: names with a tensor each")
     return state
-
-
-def _reason(error) -> str:
-    """Return the first line of an error, or its kind: that of an empty file says nothing."""
-    return (str(error) or type(error).__name__).splitlines()[0]
 
 
 def _device_of(module) -> torch.device:

@@ -57,8 +57,7 @@ def read_checkpoint(
     try:
         state = torch.load(path, map_location=device, weights_only=True)
     except Exception as error:
-        reason = (str(error) or type(error).__name__).splitlines()[0]  # That of an empty file says nothing.
-        raise ValueError(f"checkpoint {name} cannot be read: {reason}") from error
+        raise ValueError(f"checkpoint {name} cannot be read: {first_line(error)}") from error
     if not isinstance(state, dict) or not {"about", *parts} <= set(state):
         raise ValueError(f"checkpoint {name} is not one of {kind}")
     before = state["about"]
@@ -96,3 +95,8 @@ def set_randomness(states: list[torch.Tensor], device: torch.device) -> None:
     torch.set_rng_state(states[0].cpu())
     if device.type == "cuda" and len(states) > 1:
         torch.cuda.set_rng_state(states[1].cpu(), device)
+
+
+def first_line(error: Exception) -> str:
+    """Return the first line of an error, or its kind: that of an empty file says nothing."""
+    return (str(error) or type(error).__name__).splitlines()[0]

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak import _validate
+from odak.learn.tools._checkpoints import first_line
 from odak.learn.tools.file import save_torch_tensor, torch_load
 from odak.tools._paths import validate_path
 
@@ -41,7 +42,7 @@ def load(path: str | os.PathLike, names: Iterable[str], device: torch.device) ->
     except FileNotFoundError:
         raise
     except Exception as error:
-        raise ValueError(f"{path!r} cannot be read as Gaussians: {str(error).splitlines()[0]}") from error
+        raise ValueError(f"{path!r} cannot be read as Gaussians: {first_line(error)}") from error
     if not isinstance(contents, dict):
         raise ValueError(f"{path!r} holds no Gaussians but a {type(contents).__name__}")
     if missing := [name for name in names if not isinstance(contents.get(name), torch.Tensor)]:
