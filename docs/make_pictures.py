@@ -44,6 +44,11 @@ def pages() -> list[Path]:
     return [path for path in sorted(DOCS.rglob("*.md")) if read_blocks(path)]
 
 
+def pictures_of(path: Path) -> Path:
+    """Return the folder of a page's pictures: named after the page, or after its folder for an index below the top."""
+    return PICTURES / (path.parent.name if path.stem == "index" and path.parent != DOCS else path.stem)
+
+
 def read_blocks(path: Path) -> list[Block]:
     """Return the ```python blocks of a page, each with the ```text block right after it."""
     text = path.read_text(encoding="utf-8")
@@ -90,7 +95,7 @@ def with_outputs(path: Path, results: list[tuple[Block, str]]) -> str:
 
 def refresh(path: Path) -> list[str]:
     """Run a page, store its pictures and outputs, and return the names of the pictures."""
-    target = PICTURES / path.stem
+    target = pictures_of(path)
     with tempfile.TemporaryDirectory() as folder:
         results = run_page(path, Path(folder))
         path.write_text(with_outputs(path, results), encoding="utf-8")

@@ -27,14 +27,14 @@ def _case(path):
 def test_page_prints_what_it_shows(path, tmp_path):
     for block, printed in make_pictures.run_page(path, tmp_path):
         assert agrees(block.expected, printed), f"{path}:{block.line} shows\n{block.expected}\nbut prints\n{printed}"
-    stored = {picture.name for picture in (make_pictures.PICTURES / path.stem).glob("*.png")}
+    stored = {picture.name for picture in make_pictures.pictures_of(path).glob("*.png")}
     assert {picture.name for picture in tmp_path.glob("*.png")} == stored, "run docs/make_pictures.py"
 
 
 @pytest.mark.parametrize("path", sorted(make_pictures.DOCS.rglob("*.md")), ids=lambda path: path.stem)
 def test_pictures_of_a_page_exist_and_all_are_shown(path):
     shown = {Path(target).name for target in re.findall(r"!\[[^\]]*\]\(([^)]*)\)", path.read_text(encoding="utf-8"))}
-    stored = {picture.name for picture in (make_pictures.PICTURES / path.stem).glob("*.png")}
+    stored = {picture.name for picture in make_pictures.pictures_of(path).glob("*.png")}
     assert shown == stored
 
 
