@@ -78,6 +78,9 @@ def _draw_equations(area):
 
 def _mathml(tex, display):
     markup = latex2mathml.converter.convert(tex.strip(), display="block" if display else "inline")
+    if display:
+        # On a phone a long equation is scrolled by itself, not the page with it.
+        markup = f'<span style="display: block; overflow-x: auto">{markup}</span>'
     return BeautifulSoup(markup, "html.parser")
 
 

@@ -30,6 +30,21 @@ def nap(seconds, value):
     return value, start
 
 
+def leave_mark(path):
+    """Make a file."""
+    Path(path).touch()
+    return "quick"
+
+
+def await_mark(path):
+    """Wait for a file to be there, and a little longer."""
+    end = time.monotonic() + 30
+    while not Path(path).exists() and time.monotonic() < end:
+        time.sleep(0.02)
+    time.sleep(0.5)
+    return "slow"
+
+
 def divide(a, b=1):
     """Divide, which fails for zero."""
     return a / b

@@ -14,7 +14,16 @@ TEST = Path(__file__).resolve().parent
 LIMIT = 60
 
 
-def program(*arguments, **options):
+# Runs a module, and ends when the pipe closes: with the tests, however these end.
+WATCHED = """
+import os, runpy, sys, threading
+threading.Thread(target=lambda: (os.read(0, 1), os._exit(1)), daemon=True).start()
+sys.argv = sys.argv[1:]
+runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
+"""
+
+
+def program(*arguments, watched=True, **options):
     """Start a Python program that can import odak and the functions of the tests."""
     environment = {
         **os.environ,
@@ -22,7 +31,9 @@ def program(*arguments, **options):
             [str(TEST.parent), str(TEST), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
         ),
     }
-    return subprocess.Popen([sys.executable, "-m", *map(str, arguments)], env=environment, text=True, **options)
+    start = ["-c", WATCHED] if watched else ["-m"]
+    options = {"stdin": subprocess.PIPE, **options} if watched else options
+    return subprocess.Popen([sys.executable, *start, *map(str, arguments)], env=environment, text=True, **options)
 
 
 def start_scheduler(*options):
@@ -67,8 +78,9 @@ def stop(*programs):
         except subprocess.TimeoutExpired:
             one.kill()
             one.wait()
-        if one.stdout:
-            one.stdout.close()
+        for pipe in (one.stdin, one.stdout):
+            if pipe:
+                pipe.close()
 
 
 @functools.cache

@@ -16,6 +16,14 @@ from odak import _validate
 from odak.manager.tasks import thread_variables
 
 GPU = "GPU"
+# Results leave as soon as they are there: a worker that held its breath at 80 % of its memory would wait for ever.
+# And the profiler, which looks at every task a hundred times a second, takes up to a fifth of a core.
+_LEFT_OUT = (
+    "distributed.worker.memory.target",
+    "distributed.worker.memory.spill",
+    "distributed.worker.memory.pause",
+    "distributed.worker.profile.enabled",
+)
 
 
 def require_dask(what: str) -> None:
@@ -145,9 +153,7 @@ def work(
     import distributed  # noqa: F401 - sets the level of its log, which is set again below
 
     logging.getLogger("distributed").setLevel(logging.ERROR)
-    # Results leave as soon as they are there: a worker that held its breath at 80 % of its memory would wait for ever.
-    memory = dict.fromkeys((f"distributed.worker.memory.{what}" for what in ("target", "spill", "pause")), False)
-    with dask.config.set({"distributed.comm.timeouts.connect": timeout, **memory}):
+    with dask.config.set({"distributed.comm.timeouts.connect": timeout, **dict.fromkeys(_LEFT_OUT, False)}):
         return asyncio.run(_work(address, share.parts(), security, ready, until_closed, joined))
 
 
@@ -201,7 +207,9 @@ def _stop_at_end(pipe: BinaryIO, stop: asyncio.Event) -> None:
     loop = asyncio.get_running_loop()
 
     def read() -> None:
-        pipe.read()
+        # Not pipe.read(): its lock, held at the end of the program, would be a fatal error.
+        while os.read(pipe.fileno(), 1024):
+            pass
         with suppress(RuntimeError):
             loop.call_soon_threadsafe(stop.set)
 

@@ -5,6 +5,7 @@ import http.server
 import os
 import re
 import subprocess
+import sys
 import threading
 from pathlib import Path
 from urllib.parse import unquote, urldefrag, urljoin, urlparse
@@ -29,7 +30,8 @@ READ_IN_A_BROWSER = ("index.html", "guides", "notes", "course", "where_to_begin"
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
     command = ["mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
-    subprocess.run(["python", "-m", *command], cwd=ROOT, check=True, env=os.environ | {"NO_MKDOCS_2_WARNING": "1"})
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    subprocess.run([sys.executable, "-m", *command], cwd=ROOT, check=True, env=environment)
     return folder
 
 

@@ -11,11 +11,13 @@ import pytest
 import torch
 from manager_tasks import (
     Unopenable,
+    await_mark,
     crash,
     divide,
     exit_quietly,
     fail_at_first,
     hologram,
+    leave_mark,
     nap,
     page_faults,
     raise_selfish,
@@ -78,10 +80,11 @@ def test_a_worker_killed_in_mid_run_loses_nothing(address, one_thread):
         wait_for(lambda: work.slots() == 2)
 
 
-def test_results_come_as_they_complete_and_end_in_order(address):
-    with spread(address, nap, [(0.6, "slow"), (0.0, "quick")]) as work:
+def test_results_come_as_they_complete_and_end_in_order(address, tmp_path):
+    jobs = [(await_mark, tmp_path / "mark"), (leave_mark, tmp_path / "mark")]
+    with spread(address, lambda function, path: function(path), jobs) as work:
         assert [index for index, _ in work.as_completed()] == [1, 0]
-        assert [value for value, _ in work.results] == ["slow", "quick"]
+        assert work.results == ["slow", "quick"]
 
 
 @pytest.mark.parametrize("chunk", [1, 4])

@@ -173,9 +173,8 @@ def test_certificates(tmp_path, pair):
 
 
 def test_workers_that_cannot_join():
-    with program(
-        "odak", "worker", "tcp://127.0.0.1:1", "--timeout", "0.3", stderr=subprocess.PIPE, stdout=subprocess.PIPE
-    ) as worker:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with program("odak", "worker", "tcp://127.0.0.1:1", "--timeout", "0.3", watched=False, **pipes) as worker:
         said, wrong = worker.communicate(timeout=120)
     assert worker.returncode == 1 and not said
     assert "Workers cannot join tcp://127.0.0.1:1: Timed out" in wrong and len(wrong.splitlines()) == 1
