@@ -102,7 +102,13 @@ class _Mixed(torch.autograd.Function):
     @staticmethod
     def forward(context, flat, matrix, offset):
         context.matrix = matrix
-        return _forward(lambda pixels: _mixed(pixels, matrix, offset), flat.detach())
+        flat = flat.detach()
+        result = flat.new_empty(len(flat), len(matrix), flat.shape[-1])
+        for index, place in _places(flat):
+            mixed = torch.mm(matrix, flat[index, :, place], out=result[index, :, place])
+            if offset is not None:
+                mixed.add_(offset)
+        return result
 
     @staticmethod
     def backward(context, gradient):
