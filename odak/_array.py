@@ -1,34 +1,49 @@
 """The array namespace: one set of formulas for NumPy, PyTorch, CuPy and JAX through the Python array API."""
 
+import sys
 from types import ModuleType
+from typing import Any
 
 import array_api_compat
 import array_api_compat.numpy as numpy_namespace
 
+# In signatures: an array of any library, or what becomes one. Which it is shows at run time alone.
+Array = Any
+_PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
+
 
 def is_array(value) -> bool:
     """Say whether `value` is an array of a known library (lists and numbers are not)."""
-    return array_api_compat.is_array_api_obj(value)
+    # The plain kinds first: torch.compile warns of what array_api_compat looks up in caches.
+    if type(value) in _PLAIN:
+        return False
+    return is_torch(value) or array_api_compat.is_array_api_obj(value)
 
 
 def namespace(*values) -> ModuleType:
     """Return the array namespace of the arrays among `values`, NumPy's when there is none."""
     arrays = [value for value in values if is_array(value)]
+    if arrays and all(is_torch(value) for value in arrays):
+        import array_api_compat.torch as torch_namespace
+
+        return torch_namespace
     return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
 
 
 def device_of(value):
     """Return the device of an array, None for anything else."""
+    if is_torch(value):
+        return value.device
     return array_api_compat.device(value) if is_array(value) else None
 
 
 def is_torch(value) -> bool:
     """Say whether `value` is a torch tensor, without importing torch."""
-    return array_api_compat.is_torch_array(value)
+    return isinstance(value, getattr(sys.modules.get("torch"), "Tensor", ()))
 
 
 def is_readable(value) -> bool:
-    """Say whether the numbers in `value` can be read without a host sync, outside any torch.func transform."""
+    """Say whether the numbers in `value` can be read: without a host sync, outside torch.func and torch.compile."""
     return not is_torch(value) or not (value.is_cuda or _is_transformed(value))
 
 
@@ -40,7 +55,15 @@ def is_traced(value) -> bool:
 def _is_transformed(tensor) -> bool:
     import torch
 
-    return torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+    return torch.compiler.is_compiling() or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+
+
+def outside_graphs(function, *arguments):
+    """Return what a function that looks something up returns; torch.compile breaks its graph there."""
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.compiler.is_compiling():
+        return torch.compiler.disable(function)(*arguments)
+    return function(*arguments)
 
 
 def is_double(value) -> bool:

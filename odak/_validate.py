@@ -1,11 +1,17 @@
 """Argument checks for the public doors: each names the argument, what came and what is accepted."""
 
 import difflib
+import itertools
 import math
-from collections.abc import Iterable
-from numbers import Integral, Real
+from collections.abc import Iterable, Sequence
+from numbers import Integral, Number, Real
 
-from odak._array import is_array, is_readable, is_torch, namespace
+import numpy
+
+from odak._array import cast, complex_dtype, is_array, is_readable, is_torch, namespace, real_dtype
+
+# More samples along one axis than any memory holds along two; refused before anything is allocated.
+LONGEST_SIDE = 2**31 - 1
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -29,8 +35,10 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     listed = isinstance(value, (list, tuple)) and all(isinstance(v, Real) for v in value)
     if isinstance(value, bool) or not (isinstance(value, Real) or listed or is_array(value)):
         raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
+    if listed and not value:
+        raise ValueError(f"{name} must hold at least one number, got an empty {type(value).__name__}")
     if is_array(value):
-        if "complex" in str(value.dtype):
+        if "complex" in str(value.dtype) or not _holds_numbers(value):
             raise TypeError(f"{name} must be real, got an array of {value.dtype}")
         if not is_readable(value):
             return value
@@ -46,12 +54,24 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     return value
 
 
+def number(name: str, value, *, positive: bool = False, least: float | None = None):
+    """Return `value`, one real number or an array of one, after checking it as :func:`real` does."""
+    if isinstance(value, (list, tuple)):
+        raise TypeError(f"{name} must be one number, got a {type(value).__name__}")
+    if is_array(value) and math.prod(value.shape) != 1:
+        raise ValueError(f"{name} must be one number, got an array of shape {tuple(value.shape)}")
+    value = real(name, value, positive=positive)
+    if least is not None and (not is_array(value) or is_readable(value)) and value < least:
+        raise ValueError(f"{name} must be at least {least}, got {value!r}")
+    return value
+
+
 def numbers(value) -> list[float]:
     """Return a number, a sequence or an array of numbers as a flat list of floats."""
     if is_array(value):
         value = value.detach() if is_torch(value) else value
         return [float(v) for v in namespace(value).reshape(value, (-1,))]
-    if isinstance(value, Iterable):
+    if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
         return [number for v in value for number in numbers(v)]
     return [float(value)]
 
@@ -69,6 +89,8 @@ def image(name: str, value, *, axes: int = 2):
     """Return an array of at least `axes` axes whose last two are not empty."""
     if not is_array(value):
         raise TypeError(f"{name} must be an array or a tensor, got {type(value).__name__}")
+    if not _holds_numbers(value):
+        raise TypeError(f"{name} must hold numbers, got an array of {value.dtype}")
     if value.ndim < axes or 0 in value.shape[-2:]:
         raise ValueError(
             f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}"
@@ -81,4 +103,157 @@ def size(name: str, value) -> tuple[int, int]:
     pair = tuple(value) if isinstance(value, Iterable) and not isinstance(value, str) else (value,)
     if len(pair) != 2:
         raise ValueError(f"{name} must be two integers [rows, columns], got {value!r}")
-    return integer(f"{name}[0]", int(pair[0]), minimum=1), integer(f"{name}[1]", int(pair[1]), minimum=1)
+    return side(f"{name}[0]", pair[0]), side(f"{name}[1]", pair[1])
+
+
+def side(name: str, value) -> int:
+    """Return the number of samples along an axis: a whole number from 1 to `LONGEST_SIDE`."""
+    count = whole(name, value, minimum=1)
+    if count > LONGEST_SIDE:
+        raise ValueError(f"{name} must be at most {LONGEST_SIDE} samples, got {count}")
+    return count
+
+
+def whole(name: str, value, *, minimum: int = 0) -> int:
+    """Return `value` as :func:`integer` does; floats and tensors of one whole number count too."""
+    if is_array(value) and math.prod(value.shape) == 1 and _holds_numbers(value):
+        value = numbers(value)[0]
+    if isinstance(value, Real) and not isinstance(value, (bool, Integral)):
+        if not math.isfinite(value) or value != int(value):
+            raise ValueError(f"{name} must be a whole number, got {value!r}")
+        value = int(value)
+    return integer(name, value, minimum=minimum)
+
+
+def array(name: str, value, *, like=None):
+    """Return `value` as an array of numbers: arrays and tensors as they are, numbers and nested lists as NumPy arrays.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    value : array, number or nested sequence of numbers
+        What came.
+    like : array, optional
+        Lists and numbers become arrays of this one's library, device and precision (complex stays complex).
+    """
+    if is_array(value):
+        if not _holds_numbers(value):
+            raise TypeError(f"{name} must hold numbers, got an array of {value.dtype}")
+        return value
+    if isinstance(value, (str, bytes, bool)) or not isinstance(value, (Number, Sequence)):
+        raise TypeError(f"{name} must be an array, a tensor or a list of numbers, got {type(value).__name__}")
+    try:
+        made = numpy.asarray(value)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"{name} must be a regular array of numbers, got lists that differ in length") from error
+    if not _holds_numbers(made):
+        raise TypeError(f"{name} must hold numbers, got {value!r:.100}")
+    return made if like is None else cast(made, like, (complex_dtype if made.dtype.kind == "c" else real_dtype)(like))
+
+
+def given(name: str, value):
+    """Return a finite number as it is, an array of numbers too, and a list of finite ones as an array."""
+    if type(value) in (int, float, complex):
+        if not abs(value) < math.inf:
+            raise ValueError(f"{name} must be finite, got {value!r}")
+        return value
+    made = array(name, value)
+    if made is not value and not (made.size and numpy.isfinite(made).all()):
+        raise ValueError(f"{name} must hold finite numbers, at least one; got {value!r:.100}")
+    return made
+
+
+def fitting(**arrays) -> tuple[int, ...]:
+    """Return the shape that arrays, shapes and numbers broadcast to; raise ValueError that names them if none fits."""
+    shapes = {
+        name: value if isinstance(value, tuple) else tuple(getattr(value, "shape", ()))
+        for name, value in arrays.items()
+    }
+    # In plain Python, which torch.compile can follow.
+    aligned = itertools.zip_longest(*(reversed(shape) for shape in shapes.values()), fillvalue=1)
+    sides = [[n for n in column if n != 1] for column in aligned]
+    if any(n != column[0] for column in sides for n in column):
+        told = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
+        raise ValueError(f"these shapes do not fit together: {told}")
+    return tuple(column[0] if column else 1 for column in reversed(sides))
+
+
+def flag(name: str, value) -> bool:
+    """Return `value` as a bool after checking that it is one (NumPy's and 0 or 1 count)."""
+    if isinstance(value, (bool, numpy.bool_)) or (isinstance(value, Integral) and value in (0, 1)):
+        return bool(value)
+    raise TypeError(f"{name} must be True or False, got {value!r:.100}")
+
+
+def seed(name: str, value):
+    """Return a seed: None, a whole number of at least 0 or a generator of NumPy or torch."""
+    if value is None or isinstance(value, numpy.random.Generator) or type(value).__name__ == "Generator":
+        return value
+    return integer(name, value)
+
+
+def function_or_none(name: str, value):
+    """Return a function, or anything that can be called; None, which stands for no function, stays None."""
+    if value is None or callable(value):
+        return value
+    raise TypeError(f"{name} must be a function, got {value!r:.80}")
+
+
+def library(name: str, value):
+    """Return the array API's namespace of a library (numpy, torch, …), NumPy's for None."""
+    if value is None:
+        return namespace()
+    if all(hasattr(value, function) for function in ("asarray", "arange", "empty", "float64")):
+        return namespace(value.empty(0))
+    raise TypeError(f"{name} must be an array library such as numpy or torch, got {value!r:.100}")
+
+
+def several(name: str, value, count: int | None = None, *, positive: bool = False) -> tuple:
+    """Return a sequence of real numbers, or of arrays of them, as a tuple; `count` of them where that is given."""
+    listed = isinstance(value, Iterable) and not isinstance(value, (str, bytes, dict))
+    if not listed or getattr(value, "ndim", 1) == 0:
+        raise TypeError(f"{name} must be a sequence of real numbers, got {type(value).__name__}")
+    values = tuple(value)
+    if count is not None and len(values) != count:
+        raise ValueError(f"{name} must hold {count} numbers, got {len(values)}")
+    return tuple(real(name, v, positive=positive) for v in values)
+
+
+def function(name: str, value):
+    """Return a function after checking that it can be called."""
+    if not callable(value):
+        raise TypeError(f"{name} must be a function, got {value!r:.80}")
+    return value
+
+
+def text(name: str, value) -> str:
+    """Return a string after checking that it is one."""
+    if not isinstance(value, str):
+        raise TypeError(f"{name} must be a string, got {value!r:.80}")
+    return value
+
+
+def texts(name: str, value) -> list[str]:
+    """Return a sequence of strings as a list; a single string is refused, it would be taken letter by letter."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable):
+        raise TypeError(f"{name} must be a sequence of strings, got {value!r:.80}")
+    entries = list(value)
+    for entry in entries:
+        if not isinstance(entry, str):
+            raise TypeError(f"{name} must hold strings, got {entry!r:.80}")
+    return entries
+
+
+def place_in(name: str, value, count: int) -> int:
+    """Return the place of one of `count` things, 0 to count − 1, of a place or of one counted from the end."""
+    if isinstance(value, bool) or not isinstance(value, Integral):
+        raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
+    if not -count <= value < count:
+        raise ValueError(f"{name} must be {-count} to {count - 1}, got {value}")
+    return int(value) % count
+
+
+def _holds_numbers(value) -> bool:
+    """Say whether an array's values are numbers or truth values, not texts or Python objects."""
+    return not isinstance(value, (numpy.ndarray, numpy.generic)) or value.dtype.kind in "biufc"

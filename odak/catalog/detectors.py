@@ -1,11 +1,13 @@
 """Detectors that collect rays."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _validate
-from odak.catalog.placement import NO_SHIFT, grid_over, is_ahead, three, two_positive, within_frame
+from odak._array import Array
+from odak.catalog.placement import NO_SHIFT, check_figure, grid_over, is_ahead, three, two_positive, within_frame
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_surface
 from odak.raytracing.primitives import define_plane
@@ -56,7 +58,7 @@ class plane_detector:
 
     def __init__(
         self,
-        field=None,
+        field: Array = None,
         resolution: Sequence[int] = (1000, 1000),
         shape: Sequence[float] = (10.0, 10.0),
         center: Sequence[float] = NO_SHIFT,
@@ -64,7 +66,7 @@ class plane_detector:
         name: str = "detector",
     ):
         self.settings = {
-            "name": name,
+            "name": _validate.text("name", name),
             "resolution": list(_validate.size("resolution", resolution)),
             "center": three("center", center),
             "angles": three("angles", angles),
@@ -73,12 +75,14 @@ class plane_detector:
         }
         self.plane = define_plane(self.settings["center"], self.settings["angles"])
         size = tuple(self.settings["resolution"])
-        field = np.zeros((*size, 1)) if field is None else np.asarray(field)
+        field = np.zeros((*size, 1)) if field is None else np.asarray(_validate.array("field", field))
         if field.ndim not in (2, 3) or field.shape[:2] != size or 0 in field.shape:
             raise ValueError(f"field must be {[*size]} or {[*size, 'channels']}, got {field.shape}")
         self.field = np.array(field if field.ndim == 3 else field[..., None], dtype=np.complex64)
 
-    def raytrace(self, ray, field=None, channel=0) -> tuple[np.ndarray, np.ndarray]:
+    def raytrace(
+        self, ray: Array, field: complex | Array | None = None, channel: int | Sequence[int] = 0
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Add rays to the field where they meet the detector.
 
         Parameters
@@ -97,14 +101,14 @@ class plane_detector:
             Normals and distances of :func:`odak.raytracing.intersect_w_surface`. The field gains amplitude/distance²,
             in the pixel hit; the lower rim of a pixel belongs to it.
         """
-        normal, distance = intersect_w_surface(ray, self.plane)
-        rays = arguments.batch(arguments.rays("ray", ray), 2)
+        rays = arguments.flat_rays("ray", ray)
+        normal, distance = intersect_w_surface(rays, self.plane)
         hits = arguments.batch(normal, 2)[:, 0]
         row, column, inside = self._pixels(rays, hits)
+        channels = self._channels(channel)
         if field is None:
             amplitude, channels = np.full((len(hits), 1), 1000.0), np.arange(self.field.shape[-1])
         else:
-            channels = self._channels(channel)
             amplitude = self._amplitude(field, len(hits), len(channels))
         gain = amplitude[inside] / distance[inside, None] ** 2
         np.add.at(self.field, (row[:, None], column[:, None], channels), gain)
@@ -129,12 +133,14 @@ class plane_detector:
 
     @staticmethod
     def _amplitude(field, rays: int, channels: int) -> np.ndarray:
-        field = np.asarray(field)
+        field = np.asarray(_validate.given("field", field))
         wide = field if field.ndim == 2 else field[..., None]
         try:
             return np.broadcast_to(wide, (rays, channels))
         except ValueError:
-            raise ValueError(f"field must be a number, [{rays}] or [{rays}, {channels}]; got {field.shape}") from None
+            raise ValueError(
+                f"field must be a number, [{rays}] or [{rays}, {channels}] for {rays} rays in ray; got {field.shape}"
+            ) from None
 
     def clear_detector(self) -> None:
         """Set the field to zero."""
@@ -156,7 +162,7 @@ class plane_detector:
         """Return the phase of the field in radians, ``[n0, n1, channels]``."""
         return np.angle(self.field)
 
-    def plot_detector(self, figure, channel: int = 0, plot_type: str = "intensity") -> None:
+    def plot_detector(self, figure: Any, channel: int = 0, plot_type: str = "intensity") -> None:
         """Draw the detector into a figure that has `add_surface`.
 
         Parameters
@@ -170,6 +176,7 @@ class plane_detector:
         """
         kinds = {"intensity": self.get_intensity, "amplitude": self.get_amplitude, "phase": self.get_phase}
         values = kinds[_validate.one_of("plot_type", plot_type, kinds)]()[..., self._channels(channel)[0]]
+        check_figure(figure)
         settings = self.settings
         points = grid_over(settings["resolution"], settings["shape"], settings["center"], settings["angles"])
         x, y, z = np.moveaxis(points, -1, 0)

@@ -1,11 +1,13 @@
 """Diffusers that turn each ray into a cone of rays."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _validate
-from odak.catalog.placement import NO_SHIFT, grid_over, is_ahead, three, two_positive, within_frame
+from odak._array import Array
+from odak.catalog.placement import NO_SHIFT, check_figure, grid_over, is_ahead, three, two_positive, within_frame
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_surface
 from odak.raytracing.primitives import define_plane
@@ -55,7 +57,7 @@ class thin_diffuser:
 
     def __init__(
         self,
-        phase=None,
+        phase: Array = None,
         shape: Sequence[float] = (10.0, 10.0),
         center: Sequence[float] = NO_SHIFT,
         angles: Sequence[float] = NO_SHIFT,
@@ -67,7 +69,7 @@ class thin_diffuser:
         if not 0 <= diffusion_angle < 180:
             raise ValueError(f"diffusion_angle must be within 0 … 180 degrees, 180 not included; got {diffusion_angle}")
         self.settings = {
-            "name": name,
+            "name": _validate.text("name", name),
             "center": three("center", center),
             "angles": three("angles", angles),
             "rotation mode": "XYZ",
@@ -83,7 +85,7 @@ class thin_diffuser:
         radius = np.tan(np.radians(diffusion_angle) / 2)
         self.diffusion_points = _ring_points(self.settings["number of diffusion rays"], radius)
 
-    def raytrace(self, ray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def raytrace(self, ray: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scatter rays.
 
         Parameters
@@ -98,8 +100,8 @@ class thin_diffuser:
         normal, distance : numpy.ndarray
             Of :func:`odak.raytracing.intersect_w_surface`.
         """
-        normal, distance = intersect_w_surface(ray, self.plane)
-        rays = arguments.batch(arguments.rays("ray", ray), 2)
+        rays = arguments.flat_rays("ray", ray)
+        normal, distance = intersect_w_surface(rays, self.plane)
         hits = arguments.batch(normal, 2)[:, 0]
         local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
         inside = is_ahead(rays, hits) & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)
@@ -109,8 +111,9 @@ class thin_diffuser:
         new_rays[~inside] = np.nan
         return new_rays.reshape(-1, 2, 3), normal, distance
 
-    def plot_diffuser(self, figure) -> None:
+    def plot_diffuser(self, figure: Any) -> None:
         """Draw the diffuser into a figure that has `add_surface`."""
+        check_figure(figure)
         x, y, z = np.moveaxis(self._grid(10), -1, 0)
         figure.add_surface(data_x=x, data_y=y, data_z=z, surface_color=np.zeros(x.shape), opacity=0.5, contour=False)
 

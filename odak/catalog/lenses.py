@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from odak import _validate
-from odak.catalog.materials import refractive_index
+from odak._array import Array
+from odak.catalog.dispersion import Material
+from odak.catalog.materials import material, refractive_index
 from odak.catalog.placement import NO_SHIFT, is_ahead, place, three, within_frame
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_circle, intersect_w_sphere, refract
@@ -74,7 +76,8 @@ class plano_convex_lens:
         self.location = three("location", location)
         self.rotation = three("rotation", rotation)
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
-        self.medium = self.meduium = meduium if medium is None else medium
+        meduium = _medium("meduium", meduium)
+        self.medium = self.meduium = meduium if medium is None else _medium("medium", medium)
         self.path_to_catalog = str(_DATA)
         if item not in _catalogue():
             near = difflib.get_close_matches(str(item), _catalogue(), n=1)
@@ -109,7 +112,7 @@ class plano_convex_lens:
         )
         return glass / around
 
-    def intersect(self, ray) -> tuple[np.ndarray, np.ndarray]:
+    def intersect(self, ray: Array) -> tuple[np.ndarray, np.ndarray]:
         """Meet the nearer face.
 
         Parameters
@@ -123,7 +126,7 @@ class plano_convex_lens:
             Normals as rays ``[m, 2, 3]`` (towards the sphere's centre on the convex face), and distances ``[m]``: of
             the nearest hit ahead within the aperture. NaN where there is none.
         """
-        rays = arguments.batch(arguments.rays("ray", ray), 2)
+        rays = arguments.flat_rays("ray", ray)
         hits = (self._meet_flat_face(rays), *self._meet_sphere(rays))
         distance = np.stack([np.where(np.isnan(d), np.inf, d) for _, d in hits])
         nearest = np.argmin(distance, axis=0)
@@ -133,7 +136,7 @@ class plano_convex_lens:
         normal[missed], distance[missed] = np.nan, np.nan
         return normal, distance
 
-    def raytrace(self, rays=None, n: float | None = None) -> np.ndarray | None:
+    def raytrace(self, rays: Array = None, n: float | None = None) -> np.ndarray | None:
         """Refract rays through both faces.
 
         Parameters
@@ -152,7 +155,7 @@ class plano_convex_lens:
         if rays is None:
             return None
         n = self.index() if n is None else _validate.real("n", n, positive=True)
-        rays = arguments.batch(arguments.rays("rays", rays), 2)
+        rays = arguments.flat_rays("rays", rays)
         first, _ = self.intersect(rays)
         inside = arguments.batch(refract(rays, first, 1.0, n), 2)
         second, _ = self.intersect(inside)
@@ -178,6 +181,15 @@ class plano_convex_lens:
     def _starts_at(self, rays, distance):
         # A ray that leaves a face does not meet it again at its own start.
         return ~(distance > 1e-12 * (self.radius + np.abs(rays[:, 0]).max(axis=-1)))
+
+
+def _medium(name: str, value):
+    if not isinstance(value, Material):
+        try:
+            material(_validate.text(name, value))
+        except ValueError as error:
+            raise ValueError(f"{name} must be one of odak.catalog.material_names(): {error}") from None
+    return value
 
 
 def _sphere_hits(rays, sphere):

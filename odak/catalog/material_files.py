@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 from numbers import Real
 from pathlib import Path
 
@@ -37,7 +38,7 @@ def read_materials(path) -> tuple[list[Material], dict[str, str]]:
     path = Path(path).expanduser()
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"{path} is not a JSON file of materials: {error}") from error
     entries = content.get("materials") if isinstance(content, dict) else None
     if not isinstance(entries, dict) or not entries:
@@ -101,7 +102,8 @@ def _optional(where: str, key: str, entry) -> float | None:
 
 
 def _is_number(value) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(value)
+    # An integer beyond the range of floats is a number to JSON and to Python.
+    return isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def _check_against_published(where: str, made: Material) -> None:

@@ -2,17 +2,22 @@
 
 import difflib
 from pathlib import Path
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.catalog.dispersion import MEDIA, Material
 from odak.catalog.material_files import read_materials
+from odak.tools._paths import validate_path
 
 MICROMETRES = {"m": 1e6, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3}
 _DATA = Path(__file__).parent / "data" / "materials.json"
 _found: dict[str, Material] = {}
 
 
-def refractive_index(name, wavelength, unit: str = "m", medium: str | None = None, extrapolate: bool = False):
+def refractive_index(
+    name: Any, wavelength: float | Array, unit: str = "m", medium: str | None = None, extrapolate: bool = False
+) -> float | Array:
     """Return the refractive index of a material.
 
     Parameters
@@ -50,8 +55,9 @@ def refractive_index(name, wavelength, unit: str = "m", medium: str | None = Non
     found = name if isinstance(name, Material) else material(name)
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
     medium = None if medium is None else _validate.one_of("medium", medium, MEDIA)
+    extrapolate = _validate.flag("extrapolate", extrapolate)
     if isinstance(wavelength, (list, tuple)):
-        wavelength = _array.numpy_namespace.asarray(wavelength)
+        wavelength = _validate.array("wavelength", wavelength)
     wide = _in_double(wavelength) * scale
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
@@ -61,7 +67,7 @@ def refractive_index(name, wavelength, unit: str = "m", medium: str | None = Non
     return _array.cast(index, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else index
 
 
-def abbe_number(name) -> float:
+def abbe_number(name: Any) -> float:
     """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula and as published (see `medium`)."""
     return (name if isinstance(name, Material) else material(name)).abbe_number()
 
@@ -125,7 +131,7 @@ def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
     return tuple(sorted(apart, key=lambda name: (apart[name], name))[: _validate.integer("count", count, minimum=1)])
 
 
-def load_materials(path, replace: bool = False) -> tuple[str, ...]:
+def load_materials(path: Any, replace: bool = False) -> tuple[str, ...]:
     """Add the materials of a JSON file to the catalogue of this process.
 
     Parameters
@@ -149,8 +155,9 @@ def load_materials(path, replace: bool = False) -> tuple[str, ...]:
         If an entry is malformed or contradicts itself, an alias points nowhere, or a name is taken. Nothing is added
         then.
     """
+    replace = _validate.flag("replace", replace)
     known = _catalogue()
-    materials, aliases = read_materials(path)
+    materials, aliases = read_materials(validate_path(path))
     added = _indexed(materials, aliases, path, known)
     taken = sorted(known[key].name for key in set(added) & set(known))
     if taken and not replace:
@@ -186,7 +193,7 @@ def _key(name: str) -> str:
 def _in_double(wavelength):
     if not _array.is_array(wavelength):
         return float(_validate.real("wavelength", wavelength))
-    if "complex" in str(wavelength.dtype):
+    if "complex" in str(_validate.array("wavelength", wavelength).dtype):
         raise TypeError(f"wavelength must be real, got an array of {wavelength.dtype}")
     return _array.namespace(wavelength).astype(wavelength, _array.namespace(wavelength).float64)
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from odak import _validate
 from odak.raytracing import arguments
 from odak.raytracing.primitives import bring_plane_to_origin
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -34,17 +35,17 @@ def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.sum((points - rays[..., 0, :]) * rays[..., 1, :], axis=-1) > 0
 
 
+def check_figure(figure) -> None:
+    """Raise TypeError unless surfaces can be added to a figure."""
+    if not callable(getattr(figure, "add_surface", None)):
+        raise TypeError(f"figure must have a function add_surface, got {type(figure).__name__}")
+
+
 def two_positive(name: str, value: Sequence[float]) -> list:
     """Return a pair of positive numbers as a list."""
-    pair = list(value)
-    if len(pair) != 2 or not all(np.isfinite(size) and size > 0 for size in pair):
-        raise ValueError(f"{name} must be two positive numbers, got {value!r}")
-    return pair
+    return list(_validate.several(name, value, 2, positive=True))
 
 
 def three(name: str, value: Sequence[float]) -> list[float]:
     """Return three finite numbers as a list."""
-    triple = [float(number) for number in value]
-    if len(triple) != 3 or not np.isfinite(triple).all():
-        raise ValueError(f"{name} must be three finite numbers, got {value!r}")
-    return triple
+    return [float(number) for number in _validate.several(name, value, 3)]

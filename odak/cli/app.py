@@ -31,11 +31,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 all is well, 1 unexpected failure, 2 bad command line or input.
     """
+    if arguments is not None:
+        if isinstance(arguments, str) or not isinstance(arguments, Sequence):
+            raise TypeError(f"arguments must be a sequence of strings, got {arguments!r:.80}")
+        arguments = list(arguments)
     command = typer.main.get_command(app)
     try:
-        code = command.main(
-            args=None if arguments is None else list(arguments), prog_name="odak", standalone_mode=False
-        )
+        code = command.main(args=arguments, prog_name="odak", standalone_mode=False)
     except typer.Abort:
         return _fail("interrupted", FAILURE)
     except Exception as error:

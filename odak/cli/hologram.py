@@ -198,6 +198,9 @@ def progress(job: Job, description: str):
         clock.first = start
         yield clock
         clock.last = time.perf_counter()
+    if clock.ticks < job.iterations:
+        # The optimizers return their best so far after Ctrl-C: files of that would pass for the whole run's.
+        raise KeyboardInterrupt
 
 
 def finish(device: torch.device) -> None:

@@ -19,6 +19,7 @@ DEFAULT_INITIAL_PHASE = {
 }
 GREY_WAVELENGTH = 532e-9
 COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
+MOST_PLANES = 1024
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
@@ -122,6 +123,10 @@ class Job:
     def _set_volume(self) -> None:
         """Check what planes and frames ask for; lengths and counts first, then what goes with what."""
         _validate.integer("--planes", self.planes, minimum=1)
+        if max(self.planes, self.frames or 1) > MOST_PLANES:
+            raise InputError(
+                f"--planes and --frames must be at most {MOST_PLANES}, got {self.planes} and {self.frames}"
+            )
         _validate.real("--volume-depth", self.volume_depth, positive=True)
         if self.frames is not None:
             _validate.integer("--frames", self.frames, minimum=1)

@@ -68,11 +68,22 @@ def gradient_descent_1d(
     ... ).round(5)
     array([1.04557, 1.41857])
     """
-    x, y = np.asarray(input_data), np.asarray(ground_truth_data)
-    if not x.shape or not len(x) or len(x) != len(y):
+    x = np.asarray(_validate.array("input_data", input_data))
+    y = np.asarray(_validate.array("ground_truth_data", ground_truth_data))
+    if not x.shape or not len(x) or x.shape[:1] != y.shape[:1]:
         raise ValueError(f"ground_truth_data must have one value per point of input_data, got {y.shape} for {x.shape}")
     steps = _validate.integer("iteration_number", iteration_number)
-    parameters = np.array(parameters)
+    _validate.real("learning_rate", learning_rate)
+    vectorized, progress = _validate.flag("vectorized", vectorized), _validate.flag("progress", progress)
+    for name, value in (
+        ("function", function),
+        ("gradient_function", gradient_function),
+        ("loss_function", loss_function),
+    ):
+        _validate.function(name, value)
+    parameters = np.array(_validate.array("parameters", parameters))
+    if not parameters.size:
+        raise ValueError(f"parameters must hold at least one number, got {parameters.shape}")
     parameters = parameters.astype(np.result_type(parameters.dtype, np.float64))
     bar = tqdm(range(steps), disable=not progress)
     for _ in bar:

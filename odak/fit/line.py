@@ -1,9 +1,10 @@
 """The line nearest to points."""
 
 from odak import _array, _validate
+from odak._array import Array
 
 
-def least_square_1d(x, y):
+def least_square_1d(x: Array, y: Array) -> Array:
     """Return slope m and offset n of the line y = m·x + n that lies nearest to points in the sense of least squares.
 
     Parameters
@@ -45,7 +46,7 @@ def least_square_1d(x, y):
 
 
 def _real_line(xp, name, value):
-    value = value if _array.is_array(value) else xp.asarray(value)
+    value = value if _array.is_array(_validate.array(name, value)) and _array.is_array(value) else xp.asarray(value)
     if "complex" in str(value.dtype):
         raise TypeError(f"{name} must be real, got an array of {value.dtype}")
     return xp.astype(xp.reshape(value, (-1,)), _array.real_dtype(value))

@@ -4,11 +4,14 @@ import numpy as np
 from tqdm import tqdm
 
 from odak import _validate
+from odak._array import Array
 
 _CHUNK = 256
 
 
-def perceptron(x, y, learning_rate: float = 0.1, iteration_number: int = 100, *, progress: bool = False) -> np.ndarray:
+def perceptron(
+    x: Array, y: Array, learning_rate: float = 0.1, iteration_number: int = 100, *, progress: bool = False
+) -> np.ndarray:
     """Return the weights by which a perceptron tells two classes apart.
 
     Parameters
@@ -39,21 +42,24 @@ def perceptron(x, y, learning_rate: float = 0.1, iteration_number: int = 100, *,
     F. Rosenblatt, Psychological Review 65, 386 (1958). Points are taken in the order given, starting from zero
     weights: w ← w + rate·(y − ŷ)·x at each error. Points up to the next error are scored in one product.
     """
-    points, labels = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64).reshape(-1)
+    points, labels = (np.asarray(_validate.array(n, v), dtype=np.float64) for n, v in (("x", x), ("y", y)))
+    _validate.real("x", points)
+    _validate.real("learning_rate", learning_rate)
+    labels = labels.reshape(-1)
     if points.ndim != 2 or len(points) != len(labels):
-        raise ValueError(f"x must be [m x d] with one label each, got {points.shape} and {labels.shape[0]} labels")
+        raise ValueError(f"x must be [m x d] with one label each in y, got {points.shape} and {labels.shape[0]} labels")
     if not np.all((labels == 0) | (labels == 1)):
         raise ValueError("y must hold the labels 0 and 1 only")
     passes = _validate.integer("iteration_number", iteration_number)
     points = np.column_stack((np.ones(len(points)), points))
     weights = np.zeros(points.shape[1])
-    for _ in tqdm(range(passes), disable=not progress):
+    for _ in tqdm(range(passes), disable=not _validate.flag("progress", progress)):
         if not _one_pass(points, labels, weights, learning_rate):
             break
     return weights[:, None]
 
 
-def threshold_linear_model(x, w, threshold: float = 0):
+def threshold_linear_model(x: Array, w: Array, threshold: float = 0) -> int | np.ndarray:
     """Return 1 where xᵀw ≥ threshold, 0 elsewhere.
 
     Parameters
@@ -70,7 +76,9 @@ def threshold_linear_model(x, w, threshold: float = 0):
     int or numpy.ndarray
         One int for one point, ``[m]`` integers for several.
     """
-    x, w = np.asarray(x), np.asarray(w).reshape(-1)
+    x, w = (np.asarray(_validate.real(n, _validate.array(n, v))) for n, v in (("x", x), ("w", w)))
+    _validate.real("threshold", threshold)
+    w = w.reshape(-1)
     if not x.shape or len(x) != len(w):
         raise ValueError(f"w must have as many entries as a point of x, got {len(w)} for x of shape {x.shape}")
     above = (x.reshape(len(w), -1).T @ w >= threshold).astype(int)

@@ -1,11 +1,12 @@
 """Jones vectors, and the matrices of the elements that light passes; conventions in :mod:`odak.jones`."""
 
 from odak import _array, _validate
+from odak._array import Array
 
 DEGREE = _array.numpy_namespace.pi / 180
 
 
-def electricfield(px, py):
+def electricfield(px: complex | Array, py: complex | Array) -> Array:
     """Return the Jones vector of the amplitudes `px` and `py`.
 
     Parameters
@@ -25,13 +26,13 @@ def electricfield(px, py):
     array([[1.+0.j],
            [0.+1.j]])
     """
-    xp, dtype, (px, py) = common(px, py)
+    xp, dtype, (px, py) = common(px=px, py=py)
     px, py = xp.broadcast_arrays(xp.astype(px, dtype), xp.astype(py, dtype))
     field = xp.stack((px, py), axis=-2 if px.ndim else 0)
     return field if px.ndim else xp.reshape(field, (2, 1))
 
 
-def linearpolarizer(field, rotation=0):
+def linearpolarizer(field: Array, rotation: complex | Array = 0) -> Array:
     """Return a field after an ideal linear polariser.
 
     Parameters
@@ -54,11 +55,12 @@ def linearpolarizer(field, rotation=0):
            [0.68301]])
     """
     field = jones_vector(field)
-    check_angle("rotation", rotation)
+    rotation = check_angle("rotation", rotation)
+    _validate.fitting(rotation=rotation, field=tuple(field.shape[:-2]))
     return apply_matrix(polarizer(_array.cast(rotation, field, _array.real_dtype(field))), field)
 
 
-def apply_matrix(matrix, field):
+def apply_matrix(matrix: Array, field: Array) -> Array:
     """Return the field behind an element.
 
     Parameters
@@ -81,12 +83,12 @@ def apply_matrix(matrix, field):
     field = jones_vector(field)
     matrix = _array.cast(square_matrix("matrix", matrix, 2), field)
     xp = _array.namespace(field)
-    if field.ndim > 1:
-        return xp.matmul(matrix, field)
-    return xp.matmul(matrix, field[:, None])[..., 0]
+    columns = field if field.ndim > 1 else field[:, None]
+    _validate.fitting(matrix=matrix[..., :1], field=columns[..., :1, :])
+    return xp.matmul(matrix, columns) if field.ndim > 1 else xp.matmul(matrix, columns)[..., 0]
 
 
-def cascade(*matrices):
+def cascade(*matrices: Array) -> Array:
     """Return the matrix of elements that light passes one after another, the first given first.
 
     Parameters
@@ -101,6 +103,10 @@ def cascade(*matrices):
     """
     if not matrices:
         raise ValueError("matrices must be at least one, got none")
+    matrices = [_validate.array("matrices", matrix) for matrix in matrices]
+    size = matrices[0].shape[-1] if matrices[0].ndim else 0
+    for matrix in matrices:
+        square_shape("matrices", matrix, size)
     xp = _array.namespace(*matrices)
     result = matrices[0]
     for matrix in matrices[1:]:
@@ -108,7 +114,7 @@ def cascade(*matrices):
     return result
 
 
-def polarizer(angle=0.0):
+def polarizer(angle: complex | Array = 0.0) -> Array:
     """Return the Jones matrix of an ideal linear polariser.
 
     Parameters
@@ -124,7 +130,7 @@ def polarizer(angle=0.0):
     return diattenuator(1.0, 0.0, angle)
 
 
-def diattenuator(first=1.0, second=0.0, angle=0.0):
+def diattenuator(first: complex | Array = 1.0, second: complex | Array = 0.0, angle: complex | Array = 0.0) -> Array:
     """Return the Jones matrix of a partial polariser.
 
     Parameters
@@ -141,11 +147,11 @@ def diattenuator(first=1.0, second=0.0, angle=0.0):
         Complex ``[..., 2, 2]``; all arguments broadcast.
     """
     check_angle("angle", angle)
-    xp, dtype, (first, second, angle) = common(first, second, angle)
+    xp, dtype, (first, second, angle) = common(first=first, second=second, angle=angle)
     return matrix_on_axes(xp, first, second, angle, dtype)
 
 
-def retarder(retardance, angle=0.0):
+def retarder(retardance: complex | Array, angle: complex | Array = 0.0) -> Array:
     """Return the Jones matrix of a wave plate of any retardance.
 
     Parameters
@@ -170,22 +176,22 @@ def retarder(retardance, angle=0.0):
     """
     check_angle("retardance", retardance)
     check_angle("angle", angle)
-    xp, dtype, (retardance, angle) = common(retardance, angle)
+    xp, dtype, (retardance, angle) = common(retardance=retardance, angle=angle)
     slow = _array.phasor_of_cycles(retardance / 720, xp.complex128)
     return matrix_on_axes(xp, xp.conj(slow), slow, angle, dtype)
 
 
-def quarter_wave_plate(angle=0.0):
+def quarter_wave_plate(angle: float | Array = 0.0) -> Array:
     """Return the Jones matrix of a quarter-wave plate, fast axis at `angle` degrees: :func:`retarder` of 90°."""
     return retarder(90.0, angle)
 
 
-def half_wave_plate(angle=0.0):
+def half_wave_plate(angle: float | Array = 0.0) -> Array:
     """Return the Jones matrix of a half-wave plate, fast axis at `angle` degrees: :func:`retarder` of 180°."""
     return retarder(180.0, angle)
 
 
-def rotator(angle):
+def rotator(angle: complex | Array) -> Array:
     """Return the Jones matrix that turns the polarisation, as an optically active crystal or a Faraday cell does.
 
     Parameters
@@ -199,12 +205,12 @@ def rotator(angle):
         Complex ``[..., 2, 2]``: [[c, −s], [s, c]].
     """
     check_angle("angle", angle)
-    xp, dtype, (angle,) = common(angle)
+    xp, dtype, (angle,) = common(angle=angle)
     c, s = xp.cos(DEGREE * angle), xp.sin(DEGREE * angle)
     return stack_matrix(xp, ((c, -s), (s, c)), dtype)
 
 
-def circular_polarizer(handedness: str = "right"):
+def circular_polarizer(handedness: str = "right") -> Array:
     """Return the Jones matrix of an ideal (homogeneous) circular polariser.
 
     Parameters
@@ -226,7 +232,7 @@ def circular_polarizer(handedness: str = "right"):
     return _array.numpy_namespace.asarray([[0.5, 0.5j * sign], [-0.5j * sign, 0.5]])
 
 
-def mirror(rx=1.0, ry=1.0):
+def mirror(rx: complex | Array = 1.0, ry: complex | Array = 1.0) -> Array:
     """Return the Jones matrix of a mirror: diag(rx, −ry), which swaps right and left.
 
     Parameters
@@ -246,13 +252,13 @@ def mirror(rx=1.0, ry=1.0):
     The light comes back along a new +z. Its frame is the old one turned about x by 180°, so y changes sign, and what
     lay at an angle now lies at minus that angle: see :func:`reverse`.
     """
-    xp, dtype, (rx, ry) = common(rx, ry)
+    xp, dtype, (rx, ry) = common(rx=rx, ry=ry)
     rx, ry = xp.broadcast_arrays(xp.astype(rx, dtype), xp.astype(ry, dtype))
     zero = xp.zeros_like(rx)
     return stack_matrix(xp, ((rx, zero), (zero, -ry)), dtype)
 
 
-def reverse(matrix):
+def reverse(matrix: Array) -> Array:
     """Return the Jones matrix of a reciprocal element that light passes the other way, in the frame of :func:`mirror`.
 
     Parameters
@@ -286,22 +292,24 @@ def stack_matrix(xp, rows, dtype):
     return xp.reshape(xp.stack(flat, axis=-1), (*flat[0].shape, size, size))
 
 
-def common(*values):
+def common(**values):
     """Return the namespace, the complex dtype of the result, and the values in double precision on one device."""
-    arrays = [value for value in values if _array.is_array(value)]
+    arrays = [value for value in values.values() if _array.is_array(value)]
     xp = _array.namespace(*arrays)
     double = not arrays or any(_array.is_double(array) for array in arrays)
     device = _array.device_of(arrays[0]) if arrays else None
-    wide = []
-    for value in values:
-        value = value if _array.is_array(value) else xp.asarray(value, device=device)
-        wide.append(xp.astype(value, xp.complex128 if "complex" in str(value.dtype) else xp.float64))
-    return xp, xp.complex128 if double else xp.complex64, wide
+    wide = {}
+    for name, value in values.items():
+        array = _validate.given(name, value)
+        value = array if _array.is_array(value) else xp.asarray(array, device=device)
+        wide[name] = xp.astype(value, xp.complex128 if "complex" in str(value.dtype) else xp.float64)
+    _validate.fitting(**wide)
+    return xp, xp.complex128 if double else xp.complex64, list(wide.values())
 
 
 def jones_vector(field):
     """Return `field` as a complex array after checking that it is ``[2]`` or ``[..., 2, k]``."""
-    field = field if _array.is_array(field) else _array.numpy_namespace.asarray(field)
+    field = _validate.array("field", field)
     axis = -1 if field.ndim == 1 else -2
     if not field.ndim or field.shape[axis] != 2:
         raise ValueError(f"field must be [2] or [..., 2, k], got {tuple(field.shape)}")
@@ -310,15 +318,20 @@ def jones_vector(field):
 
 def square_matrix(name: str, matrix, size: int):
     """Return `matrix` as a complex array after checking that it is ``[..., size, size]``."""
-    matrix = matrix if _array.is_array(matrix) else _array.numpy_namespace.asarray(matrix)
-    if tuple(matrix.shape[-2:]) != (size, size):
-        raise ValueError(f"{name} must be [..., {size}, {size}], got {tuple(matrix.shape)}")
+    matrix = _validate.array(name, matrix)
+    square_shape(name, matrix, size)
     return _array.to_complex(matrix)
 
 
-def check_angle(name: str, value) -> None:
-    """Raise TypeError or ValueError unless `value` is real; arrays are checked for their type alone."""
-    if not _array.is_array(value):
-        _validate.real(name, value)
-    elif "complex" in str(value.dtype):
-        raise TypeError(f"{name} must be real, got an array of {value.dtype}")
+def square_shape(name: str, matrix, size: int) -> None:
+    """Raise ValueError unless `matrix` is ``[..., size, size]``."""
+    if tuple(matrix.shape[-2:]) != (size, size):
+        raise ValueError(f"{name} must be [..., {size}, {size}], got {tuple(matrix.shape)}")
+
+
+def check_angle(name: str, value):
+    """Return angles after checking that they are real; arrays are checked for their type alone."""
+    value = _validate.given(name, value)
+    if isinstance(value, complex) or "complex" in str(getattr(value, "dtype", "")):
+        raise TypeError(f"{name} must be real, got {value!r:.100}")
+    return value

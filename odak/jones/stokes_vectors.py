@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.jones.elements import DEGREE, common, jones_vector, square_matrix
 
 
@@ -28,7 +29,7 @@ class PolarizationEllipse(NamedTuple):
     minor: object
 
 
-def stokes(field):
+def stokes(field: Array) -> Array:
     """Return the Stokes vectors of Jones vectors.
 
     Parameters
@@ -53,11 +54,12 @@ def stokes(field):
     axis = -1 if field.ndim == 1 else -2
     x, y = (field[i] for i in (0, 1)) if field.ndim == 1 else (field[..., i, :] for i in (0, 1))
     along, across = (xp.real(u) ** 2 + xp.imag(u) ** 2 for u in (x, y))
-    mixed = 2 * x * xp.conj(y)
-    return xp.stack((along + across, along - across, xp.real(mixed), xp.imag(mixed)), axis=axis)
+    # x·conj(y) by its parts: torch.func.vmap has no rule for a product with a conjugate.
+    (a, b), (c, d) = ((xp.real(u), xp.imag(u)) for u in (x, y))
+    return xp.stack((along + across, along - across, 2 * (a * c + b * d), 2 * (b * c - a * d)), axis=axis)
 
 
-def field_from_stokes(vector):
+def field_from_stokes(vector: Array) -> Array:
     """Return the Jones vectors of the polarised part of Stokes vectors.
 
     Parameters
@@ -77,14 +79,14 @@ def field_from_stokes(vector):
     # (P + |S1|)/2 and its partner by their product, so that neither is a difference of equal numbers.
     large = (_root(s1**2 + across) + xp.abs(s1)) / 2
     some = large > 0
-    small = xp.where(some, across / (4 * xp.where(some, large, xp.ones_like(large))), xp.zeros_like(large))
+    small = xp.where(some, across / (4 * xp.where(some, large, xp.ones_like(large))), 0 * large)
     x = _root(xp.where(s1 < 0, small, large))
     y = _root(xp.where(s1 < 0, large, small))
     lead = _array.phasor(_direction(-s3, s2), _array.complex_dtype(vector))
     return xp.stack((xp.astype(x, lead.dtype), y * lead), axis=axis)
 
 
-def mueller(matrix):
+def mueller(matrix: Array) -> Array:
     """Return the Mueller matrices of Jones matrices.
 
     Parameters
@@ -107,7 +109,7 @@ def mueller(matrix):
     return xp.real(xp.matmul(basis, xp.matmul(product, xp.conj(xp.matrix_transpose(basis))))) / 2
 
 
-def depolarizer(kept=0.0):
+def depolarizer(kept: complex | Array = 0.0) -> Array:
     """Return the Mueller matrix of an ideal depolariser, which no Jones matrix describes.
 
     Parameters
@@ -120,15 +122,15 @@ def depolarizer(kept=0.0):
     array
         Real ``[..., 4, 4]``: diag(1, kept, kept, kept).
     """
-    if not _array.is_array(kept) and not 0 <= _validate.real("kept", kept) <= 1:
+    if not _array.is_array(kept) and not all(0 <= v <= 1 for v in _validate.numbers(_validate.real("kept", kept))):
         raise ValueError(f"kept must be within 0 … 1, got {kept!r}")
-    xp, dtype, (kept,) = common(kept)
+    xp, dtype, (kept,) = common(kept=kept)
     diagonal = xp.stack((xp.ones_like(kept), kept, kept, kept), axis=-1)
     matrix = diagonal[..., None] * xp.eye(4, dtype=xp.float64, device=_array.device_of(kept))
     return xp.astype(matrix, xp.float64 if dtype == xp.complex128 else xp.float32)
 
 
-def degree_of_polarization(vector):
+def degree_of_polarization(vector: Array) -> Array:
     """Return sqrt(S1² + S2² + S3²)/S0, ``[..., k]``: 1 for a pure state, 0 for natural light and for no light.
 
     Parameters
@@ -140,10 +142,10 @@ def degree_of_polarization(vector):
     xp = _array.namespace(vector)
     s0, s1, s2, s3 = _components(vector, axis)
     lit = s0 > 0
-    return xp.where(lit, _root(s1**2 + s2**2 + s3**2) / xp.where(lit, s0, xp.ones_like(s0)), xp.zeros_like(s0))
+    return xp.where(lit, _root(s1**2 + s2**2 + s3**2) / xp.where(lit, s0, xp.ones_like(s0)), 0 * s0)
 
 
-def polarization_ellipse(field) -> PolarizationEllipse:
+def polarization_ellipse(field: Array) -> PolarizationEllipse:
     """Return the polarisation ellipse of Jones vectors ``[..., 2, k]`` or ``[2]``; see :class:`PolarizationEllipse`.
 
     Examples
@@ -156,7 +158,7 @@ def polarization_ellipse(field) -> PolarizationEllipse:
     return stokes_ellipse(stokes(field))
 
 
-def stokes_ellipse(vector) -> PolarizationEllipse:
+def stokes_ellipse(vector: Array) -> PolarizationEllipse:
     """Return the polarisation ellipse of Stokes vectors ``[..., 4, k]`` or ``[4]``, of their polarised part.
 
     Parameters
@@ -182,7 +184,7 @@ def stokes_ellipse(vector) -> PolarizationEllipse:
 
 def stokes_vector(vector):
     """Return a Stokes vector as a real array and the axis of its four components."""
-    vector = vector if _array.is_array(vector) else _array.numpy_namespace.asarray(vector)
+    vector = _validate.array("vector", vector)
     axis = -1 if vector.ndim == 1 else -2
     if not vector.ndim or vector.shape[axis] != 4 or "complex" in str(vector.dtype):
         raise ValueError(f"vector must be real, [4] or [..., 4, k]; got {vector.dtype} {tuple(vector.shape)}")
@@ -194,10 +196,10 @@ def _components(vector, axis):
 
 
 def _root(value):
-    """Square root, 0 with a gradient of 0 where `value` is not positive."""
+    """Square root, 0 with a gradient of 0 where `value` is not positive; NaN stays NaN."""
     xp = _array.namespace(value)
     some = value > 0
-    return xp.where(some, xp.sqrt(xp.where(some, value, xp.ones_like(value))), xp.zeros_like(value))
+    return xp.where(some, xp.sqrt(xp.where(some, value, xp.ones_like(value))), 0 * value)
 
 
 def _direction(y, x):

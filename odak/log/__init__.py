@@ -50,16 +50,35 @@ def create_logger(
     """
     if not isinstance(logger_name, str):
         raise TypeError(f"logger_name must be a string, got {type(logger_name).__name__}")
-    path = validate_path(logger_filename)
+    formatter = _formatter(logger_fmt, logger_datefmt)
+    level = _level(logger_level)
+    path = validate_path(logger_filename, name="logger_filename")
     target = logging.getLogger(logger_name)
     handler = next((h for h in target.handlers if getattr(h, "baseFilename", None) == path), None)
     if handler is None:
         handler = logging.FileHandler(path, mode="a", encoding="utf-8")
         target.addHandler(handler)
-    handler.setFormatter(logging.Formatter(logger_fmt, logger_datefmt))
-    target.setLevel(logger_level)
+    handler.setFormatter(formatter)
+    target.setLevel(level)
     target.info("Logging to %s", path)
     return target
+
+
+def _formatter(logger_fmt, logger_datefmt) -> logging.Formatter:
+    for name, value in (("logger_fmt", logger_fmt), ("logger_datefmt", logger_datefmt)):
+        if not isinstance(value, str):
+            raise TypeError(f"{name} must be a string, got {type(value).__name__}")
+    try:
+        return logging.Formatter(logger_fmt, logger_datefmt)
+    except ValueError as error:
+        raise ValueError(f"logger_fmt must be a format of the logging module: {error}") from None
+
+
+def _level(logger_level) -> int:
+    known = logging.getLevelName(logger_level) if isinstance(logger_level, str) else logger_level
+    if isinstance(known, bool) or not isinstance(known, int) or known < 0:
+        raise TypeError(f"logger_level must be a level of the logging module, at least 0; got {logger_level!r:.80}")
+    return known
 
 
 def _start_from_environment() -> None:

@@ -1,6 +1,6 @@
 """The agent: one function, many arguments, as many processes, GPUs and machines as there are."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from pathlib import Path
 from types import ModuleType
@@ -108,7 +108,12 @@ class agent:
     ) -> None:
         if not callable(compute):
             raise TypeError(f"compute must be callable, got {type(compute).__name__}")
-        self.compute, self.cluster, self.server, self.verbose = compute, cluster, bool(server), verbose
+        self.compute, self.cluster = compute, cluster
+        self.server, self.verbose = _validate.flag("server", server), _validate.flag("verbose", verbose)
+        if direct is not None:
+            direct = _validate.flag("direct", direct)
+        if not (security is None or isinstance(security, (bool, dict)) or hasattr(security, "get_connection_args")):
+            raise TypeError(f"security must be a distributed.Security, got {type(security).__name__}")
         self.depends = _checked_depends(depends)
         self._retries = _validate.integer("retries", retries)
         for name, count in (("workers", workers), ("threads", threads)):
@@ -125,7 +130,7 @@ class agent:
             self.server,
             workers=workers,
             threads=threads,
-            gpu=bool(gpu),
+            gpu=_validate.flag("gpu", gpu),
             direct=direct,
             security=security,
             timeout=timeout,
@@ -167,6 +172,8 @@ class agent:
         """
         if not isinstance(args, (list, tuple)):
             raise TypeError(f"args must be a list or tuple of positional arguments, got {type(args).__name__}")
+        if not isinstance(keywords, (Mapping, type(None))):
+            raise TypeError(f"keywords must be a dictionary, got {type(keywords).__name__}")
         self.jobs.append((tuple(args), dict(keywords or {})))
         return len(self.jobs) - 1
 
@@ -279,10 +286,12 @@ class agent:
 def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
     if isinstance(depends, (str, Path, ModuleType)) or callable(depends):
         depends = [depends]
+    if not isinstance(depends, Iterable):
+        raise TypeError(f"depends must be modules, functions or paths, got {type(depends).__name__}")
     checked = []
     for item in depends:
         if isinstance(item, (str, Path)):
-            path = validate_path(item, allowed_extensions=[".py", ".zip"])
+            path = validate_path(item, allowed_extensions=[".py", ".zip"], name="depends")
             if not Path(path).is_file():
                 raise ValueError(f"depends names a file that is not there: {path!r}")
             checked.append(path)

@@ -1,13 +1,15 @@
 """Line spread and modulation transfer of lines across an edge, and cutting such lines from a picture."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 
 
-def line_spread_function(line):
+def line_spread_function(line: Array) -> Array:
     """Return the line spread function of an edge: its slope per sample, by central differences.
 
     Parameters
@@ -31,7 +33,7 @@ def line_spread_function(line):
     return xp.concat((line[1:2] - line[:1], (line[2:] - line[:-2]) / 2, line[-1:] - line[-2:-1]))
 
 
-def fourier_transform_1d(line):
+def fourier_transform_1d(line: Array) -> Array:
     """Return the spectrum of a line spread function, 1 at frequency zero.
 
     Parameters
@@ -55,7 +57,7 @@ def fourier_transform_1d(line):
     return spectrum[: line.shape[0] // 2]
 
 
-def polynomial_fit(line_x, line_y, fit_degree: int = 3) -> np.poly1d:
+def polynomial_fit(line_x: Array, line_y: Array, fit_degree: int = 3) -> np.poly1d:
     """Return the polynomial nearest to points in the sense of least squares.
 
     Parameters
@@ -76,13 +78,16 @@ def polynomial_fit(line_x, line_y, fit_degree: int = 3) -> np.poly1d:
         If there are too few points or not as many y as x.
     """
     degree = _validate.integer("fit_degree", fit_degree)
-    x, y = np.asarray(line_x, dtype=np.float64), np.asarray(line_y)
+    x, y = (np.asarray(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
+    x = np.asarray(_validate.real("line_x", x), dtype=np.float64)
     if x.ndim != 1 or x.shape != y.shape or len(x) <= degree:
         raise ValueError(f"line_x and line_y must be [n] with n > {degree}, got {x.shape} and {y.shape}")
-    return np.poly1d(np.polyfit(x, y, degree))
+    return np.poly1d(np.polyfit(x, y.astype(np.result_type(y, np.float64)), degree))
 
 
-def roi(image, location: Sequence[int] = (0, 100, 0, 100), threshold: Sequence[float] = (0, 1, 0, 1)):
+def roi(
+    image: Array, location: Sequence[int] = (0, 100, 0, 100), threshold: Sequence[float] = (0, 1, 0, 1)
+) -> tuple[Array, Array, Array]:
     """Cut a region from a picture and return the two lines through its middle, scaled to 0 … 1.
 
     Parameters
@@ -112,15 +117,16 @@ def roi(image, location: Sequence[int] = (0, 100, 0, 100), threshold: Sequence[f
     -----
     A flat line comes back as zeros.
     """
-    image = image if _array.is_array(image) else np.asarray(image)
+    image = _validate.array("image", image)
     if image.ndim not in (2, 3):
         raise ValueError(f"image must be [rows, columns] or [rows, columns, colours], got {tuple(image.shape)}")
-    top, bottom, left, right = (int(edge) for edge in _four("location", location))
+    edges = _validate.several("location", location, 4)
+    top, bottom, left, right = (_validate.whole("location", edge, minimum=-math.inf) for edge in edges)
     if not (0 <= top < bottom <= image.shape[0] and 0 <= left < right <= image.shape[1]):
         raise ValueError(
-            f"location must be a region inside {image.shape[0]} x {image.shape[1]} pixels, got {tuple(location)}"
+            f"location must be a region inside {image.shape[0]} x {image.shape[1]} pixels of image, got {location!r}"
         )
-    low_x, high_x, low_y, high_y = _four("threshold", threshold)
+    low_x, high_x, low_y, high_y = _validate.several("threshold", threshold, 4)
     xp = _array.namespace(image)
     region = xp.astype(image[top:bottom, left:right, ...], _array.real_dtype(image))
     if region.ndim == 3:
@@ -130,7 +136,7 @@ def roi(image, location: Sequence[int] = (0, 100, 0, 100), threshold: Sequence[f
     return line_x, line_y, region
 
 
-def modulation_transfer_function(line_x, line_y, px_size: Sequence[float]):
+def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence[float]) -> tuple[list, list]:
     """Return the modulation transfer functions of two lines across an edge.
 
     Parameters
@@ -152,14 +158,11 @@ def modulation_transfer_function(line_x, line_y, px_size: Sequence[float]):
     P. D. Burns, Slanted-edge MTF for digital camera and scanner analysis, PICS 2000. Simple and without sub-pixel
     sampling; :func:`odak.measurement.slanted_edge_mtf` has both.
     """
-    sizes = tuple(px_size)
-    if len(sizes) != 2:
-        raise ValueError(f"px_size must be two numbers, got {px_size!r}")
+    sizes = _validate.several("px_size", px_size, 2, positive=True)
     mtf, frequencies = [], []
     for name, line, size in zip(("line_x", "line_y"), (line_x, line_y), sizes, strict=True):
         line = _line(name, line)
         xp = _array.namespace(line)
-        _validate.real("px_size", size, positive=True)
         mtf.append(xp.abs(fourier_transform_1d(line_spread_function(line))))
         count = line.shape[0]
         steps = xp.arange(count // 2, dtype=line.dtype, device=_array.device_of(line))
@@ -168,7 +171,7 @@ def modulation_transfer_function(line_x, line_y, px_size: Sequence[float]):
 
 
 def _line(name: str, line):
-    line = line if _array.is_array(line) else np.asarray(line)
+    line = _validate.array(name, line)
     if line.ndim != 1 or line.shape[0] < 2:
         raise ValueError(f"{name} must be [n] with at least two values, got {tuple(line.shape)}")
     if "complex" in str(line.dtype):
@@ -183,10 +186,3 @@ def _scaled(line, low, high):
     line = line / xp.where(peak > 0, peak, xp.ones_like(peak))
     line = xp.where(line < low, xp.zeros_like(line), line)
     return xp.where(line > high, xp.ones_like(line), line)
-
-
-def _four(name: str, values) -> tuple:
-    values = tuple(values)
-    if len(values) != 4:
-        raise ValueError(f"{name} must be four numbers, got {values!r}")
-    return values

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 
 _WINDOWS = ("hamming", "tukey")
 
@@ -46,7 +47,7 @@ class SlantedEdge:
 
 
 def slanted_edge_mtf(
-    image,
+    image: Array,
     pixel_pitch: float = 1.0,
     oversampling: int = 4,
     window: str = "hamming",
@@ -98,6 +99,7 @@ def slanted_edge_mtf(
     factor = _validate.integer("oversampling", oversampling, minimum=2)
     window = _validate.one_of("window", window, _WINDOWS)
     degree = _validate.integer("edge_degree", edge_degree, minimum=1)
+    correct_bins = _validate.flag("correct_bins", correct_bins)
     xp = _array.namespace(image)
     image = xp.astype(image, _array.real_dtype(image), copy=False)
     still = _to_numpy(image).astype(np.float64)

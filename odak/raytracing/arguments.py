@@ -2,10 +2,17 @@
 
 import numpy as np
 
+from odak import _array, _validate
+
 
 def floats(name: str, value) -> np.ndarray:
     """Return `value` as float64, or float32 when it is; raise TypeError for anything but real numbers."""
-    value = np.asarray(value)
+    if _array.is_torch(value) and (value.requires_grad or not _array.is_readable(value)):
+        raise TypeError(f"{name} is a tensor with a gradient or on a GPU: odak.learn.raytracing takes such")
+    try:
+        value = np.asarray(value)
+    except ValueError as error:
+        raise ValueError(f"{name} must be a regular array of numbers, got lists that differ in length") from error
     if value.dtype.kind not in "iuf":
         raise TypeError(f"{name} must be real numbers, got {value.dtype}")
     return value if value.dtype == np.float32 else value.astype(np.float64)
@@ -16,9 +23,30 @@ def points(name: str, value) -> np.ndarray:
     return _shaped(name, floats(name, value), (3,), "[3] or [m, 3]")
 
 
+def finite_points(name: str, value) -> np.ndarray:
+    """Return points or angles ``[..., 3]``, each of them finite."""
+    return _validate.real(name, points(name, value))
+
+
+def index(name: str, value) -> np.ndarray:
+    """Return a refractive index as floats; a single one must be finite."""
+    value = floats(name, value)
+    if not value.size:
+        raise ValueError(f"{name} must hold at least one number, got {value.shape}")
+    return value if value.ndim else _validate.real(name, value)
+
+
 def rays(name: str, value) -> np.ndarray:
     """Return rays ``[..., 2, 3]``."""
     return _shaped(name, floats(name, value), (2, 3), "[2, 3] or [m, 2, 3]")
+
+
+def flat_rays(name: str, value) -> np.ndarray:
+    """Return one ray ``[2, 3]`` or many ``[m, 2, 3]`` as ``[m, 2, 3]``."""
+    value = batch(rays(name, value), 2)
+    if value.ndim > 3:
+        raise ValueError(f"{name} must be [2, 3] or [m, 2, 3], got {value.shape}")
+    return value
 
 
 def triangles(name: str, value) -> np.ndarray:

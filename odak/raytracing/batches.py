@@ -1,5 +1,6 @@
 """Large batches in pieces that fit a processor's cache, and the question whether a graph follows the arrays."""
 
+import sys
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -23,7 +24,7 @@ def piece_size(arrays: Sequence) -> int:
 
 def is_followed(*values) -> bool:
     """Say whether derivatives or a transform follow the arrays, so that NaN must not enter the arithmetic."""
-    if any(array_api_compat.is_jax_array(value) for value in values):
+    if "jax" in sys.modules and any(array_api_compat.is_jax_array(value) for value in values):
         return True
     tensors = [value for value in values if is_torch(value)]
     if not tensors:

@@ -1,7 +1,11 @@
 """Rays at surfaces: intersections, normals, reflection, refraction and Fresnel coefficients, in NumPy."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from odak import _validate
+from odak._array import Array
 from odak.raytracing import arguments, geometry, interfaces, intersections
 from odak.raytracing.interfaces import Fresnel
 from odak.raytracing.parametric import (
@@ -29,7 +33,7 @@ __all__ = [
 ]
 
 
-def reflect(input_ray, normal) -> np.ndarray:
+def reflect(input_ray: Array, normal: Array) -> np.ndarray:
     """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
 
     Parameters
@@ -60,7 +64,7 @@ def reflect(input_ray, normal) -> np.ndarray:
     return arguments.single(arguments.as_rays(normal[..., 0, :], direction))
 
 
-def refract(vector, normvector, n1, n2, error: float = 0.01) -> np.ndarray:
+def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Array, error: float = 0.01) -> np.ndarray:
     """Refract rays at surfaces by Snell's law.
 
     Parameters
@@ -88,13 +92,14 @@ def refract(vector, normvector, n1, n2, error: float = 0.01) -> np.ndarray:
            [0.      , 0.4     , 0.916515]])
     """
     ray, normal = _batches(("vector", vector), ("normvector", normvector))
-    n1, n2 = arguments.floats("n1", n1), arguments.floats("n2", n2)
+    n1, n2 = arguments.index("n1", n1), arguments.index("n2", n2)
+    _validate.fitting(vector=ray[..., 0, 0], n1=n1, n2=n2)
     direction, _ = interfaces.refract_directions(ray[..., 1, :], normal[..., 1, :], n1, n2)
     dtype = np.result_type(ray, normal)
     return arguments.single(arguments.as_rays(normal[..., 0, :], direction).astype(dtype))
 
 
-def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
+def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: complex | Array) -> Fresnel:
     """Return the Fresnel coefficients of rays at surfaces, as amplitudes and as shares of the power.
 
     Parameters
@@ -124,10 +129,14 @@ def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
     array([0.04])
     """
     ray, normal = _batches(("ray", ray), ("normal", normal))
-    return interfaces.fresnel(ray[..., 1, :], normal[..., 1, :], np.asarray(n1), np.asarray(n2))
+    n1, n2 = arguments.index("n1", n1), np.asarray(_validate.array("n2", n2))
+    if not n2.ndim and not np.isfinite(n2):
+        raise ValueError(f"n2 must be finite, got {n2}")
+    _validate.fitting(ray=ray[..., 0, 0], n1=n1, n2=n2)
+    return interfaces.fresnel(ray[..., 1, :], normal[..., 1, :], n1, n2)
 
 
-def intersect_w_surface(ray, points) -> tuple[np.ndarray, np.ndarray]:
+def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarray]:
     """Meet the plane through three points.
 
     Parameters
@@ -151,11 +160,13 @@ def intersect_w_surface(ray, points) -> tuple[np.ndarray, np.ndarray]:
            [ 0. ,  0. ,  1. ]]), array([12.5]))
     """
     ray = arguments.batch(arguments.rays("ray", ray), 2)
-    hit = _meet_plane(ray, arguments.triangles("points", points))
+    points = arguments.triangles("points", points)
+    _validate.fitting(ray=ray[..., 0, 0], points=points[..., 0, 0])
+    hit = _meet_plane(ray, points)
     return arguments.single(arguments.as_rays(hit.point, hit.normal)), np.abs(hit.distance)
 
 
-def get_triangle_normal(triangle, triangle_center=None) -> np.ndarray:
+def get_triangle_normal(triangle: Array, triangle_center: Array = None) -> np.ndarray:
     """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
 
     Parameters
@@ -183,7 +194,7 @@ def get_triangle_normal(triangle, triangle_center=None) -> np.ndarray:
     return arguments.single(arguments.as_rays(center, geometry.triangle_normal(triangle)))
 
 
-def intersect_w_circle(ray, circle) -> tuple[np.ndarray, np.ndarray]:
+def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.ndarray]:
     """Meet the plane of a circle; the distance is 0 where the point lies outside the circle.
 
     Parameters
@@ -198,6 +209,8 @@ def intersect_w_circle(ray, circle) -> tuple[np.ndarray, np.ndarray]:
     tuple of numpy.ndarray
         As :func:`intersect_w_surface`; a batch of one ray keeps its axis.
     """
+    if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
+        raise TypeError(f"circle must be a list [plane, centre, radius], got {circle!r:.80}")
     given = arguments.rays("ray", ray)
     rays = arguments.batch(given, 2)
     normal, distance = intersect_w_surface(rays, circle[0])
@@ -207,7 +220,7 @@ def intersect_w_circle(ray, circle) -> tuple[np.ndarray, np.ndarray]:
     return normal if given.ndim > 2 else normal[0], np.where(outside, 0.0, distance)
 
 
-def intersect_w_triangle(ray, triangle) -> tuple:
+def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
     """Meet triangles, ahead of the start or behind it; their rims belong to them.
 
     Parameters
@@ -231,6 +244,7 @@ def intersect_w_triangle(ray, triangle) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     triangle = arguments.triangles("triangle", triangle)
+    _validate.fitting(ray=rays[..., 0, 0], triangle=triangle[..., 0, 0])
     hit = _meet_plane(rays, triangle)
     place = np.where(hit.hit[..., None], hit.point, 0.0)
     inside = hit.hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
@@ -240,7 +254,7 @@ def intersect_w_triangle(ray, triangle) -> tuple:
     return arguments.single(normal), np.where(inside, np.abs(hit.distance), 0.0)
 
 
-def get_sphere_normal(point, sphere) -> np.ndarray:
+def get_sphere_normal(point: Array, sphere: Array) -> np.ndarray:
     """Return the rays from points of a sphere towards its centre.
 
     Parameters
@@ -264,10 +278,11 @@ def get_sphere_normal(point, sphere) -> np.ndarray:
     """
     point = arguments.batch(arguments.points("point", point), 1)
     center = arguments.numbers("sphere", sphere, 4)[..., :3]
+    _validate.fitting(point=point, sphere=center)
     return arguments.single(arguments.as_rays(point, geometry.unit(center - point)))
 
 
-def get_cylinder_normal(point, cylinder) -> np.ndarray:
+def get_cylinder_normal(point: Array, cylinder: Array) -> np.ndarray:
     """Return the rays from the axis of a cylinder outwards through points of it.
 
     Parameters
@@ -291,12 +306,13 @@ def get_cylinder_normal(point, cylinder) -> np.ndarray:
     """
     point = arguments.batch(arguments.points("point", point), 1)
     center, _, axis = split_cylinder(cylinder)
+    _validate.fitting(point=point, cylinder=center)
     axis = geometry.unit(axis)
     foot = center + geometry.dot(*np.broadcast_arrays(point - center, axis))[..., None] * axis
     return arguments.single(arguments.as_rays(foot, geometry.unit(point - foot)))
 
 
-def intersect_w_sphere(ray, sphere) -> tuple:
+def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
     """Meet a sphere: the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
@@ -321,11 +337,12 @@ def intersect_w_sphere(ray, sphere) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     sphere = arguments.numbers("sphere", sphere, 4)
+    _validate.fitting(ray=rays[..., 0, 0], sphere=sphere[..., 0])
     hit = intersections.sphere(rays[..., 0, :], rays[..., 1, :], sphere[..., :3], sphere[..., 3])
     return _curved(hit.point, 0.0 - hit.normal, hit)
 
 
-def intersect_w_cylinder(ray, cylinder) -> tuple:
+def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
     """Meet an infinite cylinder: the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
@@ -349,6 +366,7 @@ def intersect_w_cylinder(ray, cylinder) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     center, radius, axis = split_cylinder(cylinder)
+    _validate.fitting(ray=rays[..., 0, 0], cylinder=radius)
     hit = intersections.cylinder(rays[..., 0, :], rays[..., 1, :], center, radius, axis)
     return _curved(hit.point - radius[..., None] * hit.normal, hit.normal, hit)
 
@@ -367,4 +385,6 @@ def _meet_plane(rays, triangle):
 
 def _batches(*named):
     """Return sets of rays with a batch axis each, broadcast against each other."""
-    return np.broadcast_arrays(*(arguments.batch(arguments.rays(name, value), 2) for name, value in named))
+    batches = {name: arguments.batch(arguments.rays(name, value), 2) for name, value in named}
+    _validate.fitting(**batches)
+    return np.broadcast_arrays(*batches.values())

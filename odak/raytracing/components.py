@@ -36,9 +36,10 @@ def lines(start, direction, *surface) -> Lines:
 
 def split(vector) -> Vector:
     """Return the components of ``[..., 3]``, each contiguous where the library lays out memory by strides."""
-    x, y, z = namespace(vector).unstack(vector, axis=-1)
     if is_torch(vector):
+        x, y, z = vector.unbind(-1)
         return x.contiguous(), y.contiguous(), z.contiguous()
+    x, y, z = namespace(vector).unstack(vector, axis=-1)
     if isinstance(vector, np.ndarray) and x.ndim:
         return np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(z)
     return x, y, z

@@ -4,6 +4,7 @@ import math
 from typing import Any, NamedTuple
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.raytracing.geometry import safe_sqrt
 
 __all__ = ["FieldRays", "rays_from_field"]
@@ -32,7 +33,9 @@ class FieldRays(NamedTuple):
     path: Any
 
 
-def rays_from_field(field, dx: float, wavelength: float, z: float = 0.0, threshold: float = THRESHOLD) -> FieldRays:
+def rays_from_field(
+    field: Array, dx: float, wavelength: float, z: float = 0.0, threshold: float = THRESHOLD
+) -> FieldRays:
     """Return the rays of a field: direction cosines (u, v) = λ/2π·∇φ.
 
     Parameters
@@ -77,6 +80,7 @@ def rays_from_field(field, dx: float, wavelength: float, z: float = 0.0, thresho
     for name, value in (("dx", dx), ("wavelength", wavelength)):
         _validate.real(name, value, positive=True)
     _validate.real("z", z)
+    _validate.real("threshold", threshold)
     xp = _array.namespace(field)
     real, imag = xp.real(field), xp.imag(field)
     power = real * real + imag * imag

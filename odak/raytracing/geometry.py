@@ -112,7 +112,8 @@ def nearest_on_lines(start0, direction0, start1, direction1):
     n = cross(direction0, direction1)
     squared = dot(n, n)
     length0, length1 = dot(direction0, direction0), dot(direction1, direction1)
-    crossing = squared > (4 * epsilon(start0)) ** 2 * length0 * length1
+    # Lines that are not numbers cross somewhere that is none either.
+    crossing = ~(squared <= (4 * epsilon(start0)) ** 2 * length0 * length1)
     gap = start1 - start0
     t0 = safe_divide(dot(cross(gap, direction1), n), squared, crossing)
     t1 = safe_divide(dot(cross(gap, direction0), n), squared, crossing)
@@ -131,5 +132,5 @@ def crossing_of_lines(start0, direction0, start1, direction1):
     gap = start0 + t0[..., None] * direction0 - start1 - t1[..., None] * direction1
     scale = 1 + xp.abs(t0) + xp.abs(t1) + xp.max(xp.abs(start0 - start1), axis=-1)
     n = cross(direction0, direction1)
-    crossing = dot(n, n) > (4 * epsilon(start0)) ** 2 * dot(direction0, direction0) * dot(direction1, direction1)
-    return t0, t1, crossing & (xp.max(xp.abs(gap), axis=-1) <= max(1e-8, 4 * epsilon(start0)) * scale)
+    parallel = dot(n, n) <= (4 * epsilon(start0)) ** 2 * dot(direction0, direction0) * dot(direction1, direction1)
+    return t0, t1, ~(parallel | (xp.max(xp.abs(gap), axis=-1) > max(1e-8, 4 * epsilon(start0)) * scale))

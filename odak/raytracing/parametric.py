@@ -1,11 +1,13 @@
 """Rays and surfaces that the user gives as a function that is zero on them."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _validate
+from odak._array import Array
 from odak.raytracing import arguments
 
 _log = logging.getLogger("odak")
@@ -16,7 +18,7 @@ _GOLDEN = (np.sqrt(5) - 1) / 2
 
 
 def intersection_kernel_for_parametric_surfaces(
-    distance, ray, parametric_surface, surface_function: Callable
+    distance: Array, ray: Array, parametric_surface: Any, surface_function: Callable
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return a surface's function at given distances along rays, and the points there.
 
@@ -43,13 +45,17 @@ def intersection_kernel_for_parametric_surfaces(
     >>> intersection_kernel_for_parametric_surfaces(2.0, ray, [0, 0, 0, 1], sphere_function)[0]
     array([3.])
     """
-    ray = arguments.batch(arguments.rays("ray", ray), 2)
+    _validate.function("surface_function", surface_function)
+    ray = arguments.flat_rays("ray", ray)
     distance = np.atleast_1d(arguments.floats("distance", distance))
+    if distance.ndim > 1:
+        raise ValueError(f"distance must be a number or [m], got {distance.shape}")
+    _validate.fitting(distance=distance, ray=ray[:, 0, 0])
     point = ray[:, 0] + distance[:, None] * ray[:, 1]
     return np.asarray(surface_function(point, parametric_surface)).reshape(len(point)), point
 
 
-def propagate_parametric_intersection_error(distance, error) -> tuple[list, list]:
+def propagate_parametric_intersection_error(distance: Sequence, error: Sequence) -> tuple[list, list]:
     """Take one secant step from two distances and their errors.
 
     Parameters
@@ -68,13 +74,22 @@ def propagate_parametric_intersection_error(distance, error) -> tuple[list, list
     >>> propagate_parametric_intersection_error([0, 1], [5, 3])
     ([1, 2.5], [3, 3])
     """
-    (x0, x1), (e0, e1) = distance, error
+    (x0, x1), (e0, e1) = _two("distance", distance), _two("error", error)
+    _validate.fitting(distance=x0, newer_distance=x1, error=e0, newer_error=e1)
     return [x1, abs(x1 - e1 * (x1 - x0) / (e1 - e0))], [e1, e1]
 
 
+def _two(name: str, values) -> tuple:
+    """Return two values: finite numbers, or arrays, in which NaN stands for a ray that is lost."""
+    values = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else (values,)
+    if len(values) != 2:
+        raise ValueError(f"{name} must be two numbers or arrays, the older and the newer; got {len(values)}")
+    return tuple(_validate.array(name, v) if np.ndim(v) else _validate.real(name, v) for v in values)
+
+
 def intersect_parametric(
-    ray,
-    parametric_surface,
+    ray: Array,
+    parametric_surface: Any,
     surface_function: Callable,
     surface_normal_function: Callable,
     target_error: float = 0.00000001,
@@ -117,7 +132,9 @@ def intersect_parametric(
     """
     target_error = float(_validate.real("target_error", target_error, positive=True))
     limit = _validate.integer("iter_no_limit", iter_no_limit, minimum=1)
-    rays = arguments.batch(arguments.rays("ray", ray), 2)
+    rays = arguments.flat_rays("ray", ray)
+    _validate.function("surface_function", surface_function)
+    _validate.function("surface_normal_function", surface_normal_function)
 
     def error_at(distance, rows):
         return intersection_kernel_for_parametric_surfaces(distance, rays[rows], parametric_surface, surface_function)[

@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from odak import _validate
+from odak._array import Array
 from odak.raytracing import arguments, geometry
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
@@ -12,7 +14,7 @@ PLANE_CORNERS = ((10.0, 10.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 0.0))
 _NONE = (0.0, 0.0, 0.0)
 
 
-def define_plane(point, angles: Sequence[float] = _NONE) -> np.ndarray:
+def define_plane(point: Sequence[float], angles: Sequence[float] = _NONE) -> np.ndarray:
     """Return three points of a plane through `point`, tilted.
 
     Parameters
@@ -36,13 +38,13 @@ def define_plane(point, angles: Sequence[float] = _NONE) -> np.ndarray:
            [ 0.,  0.,  5.]])
     """
     point = arguments.points("point", point).reshape(3)
-    matrix = rotation_matrix(arguments.points("angles", angles).reshape(3)).astype(point.dtype)
+    matrix = rotation_matrix(arguments.finite_points("angles", angles).reshape(3)).astype(point.dtype)
     return point + apply_matrix(matrix, np.asarray(PLANE_CORNERS, dtype=point.dtype))
 
 
 def bring_plane_to_origin(
-    point,
-    plane,
+    point: Array,
+    plane: Array,
     shape: Sequence[float] = (10.0, 10.0),
     center: Sequence[float] = _NONE,
     angles: Sequence[float] = _NONE,
@@ -75,17 +77,19 @@ def bring_plane_to_origin(
     array([ 0., -1.,  0.])
     """
     point = arguments.batch(arguments.points("point", point), 1)
-    matrix = rotation_matrix(arguments.points("angles", angles).reshape(3), mode).astype(point.dtype)
-    moved = point - np.asarray(center, dtype=point.dtype)
+    center = arguments.finite_points("center", center).astype(point.dtype)
+    _validate.fitting(point=point, center=center)
+    matrix = rotation_matrix(arguments.finite_points("angles", angles).reshape(3), mode).astype(point.dtype)
+    moved = point - center
     return arguments.single(apply_matrix(matrix.T, moved))
 
 
-def center_of_triangle(triangle) -> np.ndarray:
+def center_of_triangle(triangle: Array) -> np.ndarray:
     """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
     return arguments.batch(arguments.triangles("triangle", triangle), 2).mean(axis=-2)
 
 
-def is_it_on_triangle(pointtocheck, point0, point1, point2):
+def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2: Array) -> bool | np.ndarray:
     """Say whether a point lies within a triangle, judged along the triangle's normal; its rim belongs to it.
 
     Parameters
@@ -116,12 +120,14 @@ def is_it_on_triangle(pointtocheck, point0, point1, point2):
     return bool(result) if result.ndim == 0 else result
 
 
-def define_circle(center, radius: float, angles: Sequence[float]) -> list:
+def define_circle(center: Array, radius: float, angles: Sequence[float]) -> list:
     """Return a circle as [plane ``[3, 3]``, centre, radius]; the arguments are those of :func:`define_plane`."""
+    arguments.finite_points("center", center)
+    _radius(radius)
     return [define_plane(center, angles), center, radius]
 
 
-def define_sphere(center, radius: float) -> np.ndarray:
+def define_sphere(center: Sequence[float], radius: float) -> np.ndarray:
     """Return a sphere as ``[c_x, c_y, c_z, r]``.
 
     Parameters
@@ -136,18 +142,19 @@ def define_sphere(center, radius: float) -> np.ndarray:
     numpy.ndarray
         float64 ``[4]``.
     """
-    return np.concatenate((arguments.points("center", center).reshape(3), _radius(radius))).astype(np.float64)
+    return np.concatenate((arguments.finite_points("center", center).reshape(3), _radius(radius))).astype(np.float64)
 
 
-def sphere_function(point, sphere) -> np.ndarray:
+def sphere_function(point: Array, sphere: Array) -> np.ndarray:
     """Return |p − c|² − r² of points ``[3]`` or ``[m, 3]`` as ``[m]``: zero on the sphere, negative inside."""
     point = arguments.batch(arguments.points("point", point), 1)
     sphere = arguments.numbers("sphere", sphere, 4)
+    _validate.fitting(point=point, sphere=sphere[..., :3])
     arm = point - sphere[..., :3]
     return geometry.dot(arm, arm) - sphere[..., 3] ** 2
 
 
-def define_cylinder(center, radius: float, rotation: Sequence[float] = _NONE) -> np.ndarray:
+def define_cylinder(center: Sequence[float], radius: float, rotation: Sequence[float] = _NONE) -> np.ndarray:
     """Return an infinite cylinder as ``[c, r, q]``, q a point of its axis one unit from c.
 
     Parameters
@@ -170,12 +177,12 @@ def define_cylinder(center, radius: float, rotation: Sequence[float] = _NONE) ->
     >>> define_cylinder([0, 0, 4], 2.0)
     array([0., 0., 4., 2., 0., 0., 5.])
     """
-    center = arguments.points("center", center).reshape(3).astype(np.float64)
-    axis = rotation_matrix(arguments.points("rotation", rotation).reshape(3).astype(np.float64))[:, 2]
+    center = arguments.finite_points("center", center).reshape(3).astype(np.float64)
+    axis = rotation_matrix(arguments.finite_points("rotation", rotation).reshape(3).astype(np.float64))[:, 2]
     return np.concatenate((center, _radius(radius), center + axis))
 
 
-def cylinder_function(point, cylinder) -> np.ndarray:
+def cylinder_function(point: Array, cylinder: Array) -> np.ndarray:
     """Return the squared distance to the axis minus r², ``[m]``, of points ``[3]`` or ``[m, 3]``.
 
     Notes
@@ -184,6 +191,7 @@ def cylinder_function(point, cylinder) -> np.ndarray:
     """
     point = arguments.batch(arguments.points("point", point), 1)
     center, radius, axis = split_cylinder(cylinder)
+    _validate.fitting(point=point, cylinder=center)
     arm = geometry.cross(*np.broadcast_arrays(point - center, geometry.unit(axis)))
     return geometry.dot(arm, arm) - radius**2
 

@@ -4,11 +4,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from odak import _validate
+from odak._array import Array
 from odak.raytracing import arguments, geometry
 from odak.tools.transformation import rotation_matrix
 
 
-def create_ray(x0y0z0, abg) -> np.ndarray:
+def create_ray(x0y0z0: Array, abg: Array) -> np.ndarray:
     """Return the ray from a point with given angles to the three axes.
 
     Parameters
@@ -37,10 +39,12 @@ def create_ray(x0y0z0, abg) -> np.ndarray:
            [0.   , 0.5  , 0.866]])
     """
     cosines = np.cos(np.deg2rad(arguments.points("abg", abg)))
-    return arguments.as_rays(arguments.points("x0y0z0", x0y0z0), cosines)
+    start = arguments.points("x0y0z0", x0y0z0)
+    _validate.fitting(x0y0z0=start, abg=cosines)
+    return arguments.as_rays(start, cosines)
 
 
-def create_ray_from_two_points(x0y0z0, x1y1z1) -> np.ndarray:
+def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
     """Return rays that start at the first points and head to the second ones.
 
     Parameters
@@ -62,10 +66,11 @@ def create_ray_from_two_points(x0y0z0, x1y1z1) -> np.ndarray:
     """
     start = arguments.batch(arguments.points("x0y0z0", x0y0z0), 1)
     end = arguments.batch(arguments.points("x1y1z1", x1y1z1), 1)
+    _validate.fitting(x0y0z0=start, x1y1z1=end)
     return arguments.single(arguments.as_rays(start, geometry.unit(end - start)))
 
 
-def create_ray_from_angles(point, angles: Sequence[float], mode: str = "XYZ") -> np.ndarray:
+def create_ray_from_angles(point: Array, angles: Sequence[float], mode: str = "XYZ") -> np.ndarray:
     """Return the ray from a point along the rotated z axis.
 
     Parameters
@@ -90,11 +95,11 @@ def create_ray_from_angles(point, angles: Sequence[float], mode: str = "XYZ") ->
            [1., 0., 0.]])
     """
     point = arguments.batch(arguments.points("point", point), 1)
-    direction = rotation_matrix(arguments.points("angles", angles), mode)[..., 2]
+    direction = rotation_matrix(arguments.finite_points("angles", angles), mode)[..., 2]
     return arguments.single(arguments.as_rays(point, direction.astype(point.dtype)))
 
 
-def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> np.ndarray:
+def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
     """Return a ray from each of the first points to each of the second ones.
 
     Parameters
@@ -115,11 +120,14 @@ def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> np.ndarray:
     """
     start = arguments.batch(arguments.points("x0y0z0", x0y0z0), 1)
     end = arguments.batch(arguments.points("x1y1z1", x1y1z1), 1)
+    for name, points in (("x0y0z0", start), ("x1y1z1", end)):
+        if points.ndim > 2:
+            raise ValueError(f"{name} must be [3] or [m, 3], got {points.shape}")
     rays = arguments.as_rays(start[:, None], geometry.unit(end - start[:, None]))
     return rays.reshape(-1, 2, 3)
 
 
-def propagate_a_ray(ray, distance) -> np.ndarray:
+def propagate_a_ray(ray: Array, distance: float | Array) -> np.ndarray:
     """Return rays whose starts have moved along their directions; the directions stay.
 
     Parameters
@@ -143,11 +151,12 @@ def propagate_a_ray(ray, distance) -> np.ndarray:
     """
     ray = arguments.batch(arguments.rays("ray", ray), 2)
     distance = np.atleast_1d(arguments.floats("distance", distance)).astype(ray.dtype)
+    _validate.fitting(ray=ray[..., 0, 0], distance=distance)
     moved = ray[..., 0, :] + distance[..., None] * ray[..., 1, :]
     return arguments.single(arguments.as_rays(moved, ray[..., 1, :]))
 
 
-def get_points_along_a_ray_segment(ray, distances) -> np.ndarray:
+def get_points_along_a_ray_segment(ray: Array, distances: Array) -> np.ndarray:
     """Return the points of rays at given distances from their starts.
 
     Parameters
@@ -174,7 +183,7 @@ def get_points_along_a_ray_segment(ray, distances) -> np.ndarray:
     return arguments.single(ray[..., None, 0, :] + distances * ray[..., None, 1, :])
 
 
-def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[np.ndarray, np.ndarray]:
+def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarray]:
     """Return the common point of two lines and how far along each of the rays it lies.
 
     Parameters
@@ -186,7 +195,7 @@ def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[np.ndarray, np.ndarr
     -------
     tuple of numpy.ndarray
         Point ``[3]`` and distances ``[2]``, signed, of ray0 and ray1; ``[m, 3]`` and ``[m, 2]`` for batches. Where the
-        lines are skew or parallel: ray0's start and two zeros.
+        lines are skew or parallel: ray0's start and two zeros. NaN where a ray is not finite.
 
     Notes
     -----
@@ -201,11 +210,13 @@ def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[np.ndarray, np.ndarr
     start0, direction0, start1, direction1, one = _pair(ray0, ray1)
     t0, t1, meet = geometry.crossing_of_lines(start0, direction0, start1, direction1)
     distances = np.where(meet[..., None], np.stack((t0, t1), axis=-1), 0.0)
+    # A ray that is lost meets no other: not to be taken for one that passes it by.
+    distances += 0.0 * (start0 + direction0 + start1 + direction1).sum(axis=-1, keepdims=True)
     point = start0 + distances[..., :1] * direction0
     return (point[0], distances[0]) if one else (point, distances)
 
 
-def find_nearest_points(ray0, ray1) -> tuple[np.ndarray, np.ndarray]:
+def find_nearest_points(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarray]:
     """Return, on each of two lines, the point nearest to the other line.
 
     Parameters
@@ -234,5 +245,6 @@ def find_nearest_points(ray0, ray1) -> tuple[np.ndarray, np.ndarray]:
 def _pair(ray0, ray1):
     """Return starts and directions ``[m, 3]`` of two sets of rays, and whether there is one of each."""
     ray0, ray1 = (arguments.batch(arguments.rays(n, ray), 2) for n, ray in (("ray0", ray0), ("ray1", ray1)))
+    _validate.fitting(ray0=ray0, ray1=ray1)
     ray0, ray1 = np.broadcast_arrays(ray0, ray1)
     return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :], ray0.shape[:-2] == (1,)

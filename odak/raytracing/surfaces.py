@@ -1,11 +1,11 @@
 """Surfaces given by their height, as parameters with a name, and where rays meet them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-import numpy as np
-
-from odak._array import cast, is_torch, namespace
+from odak import _validate
+from odak._array import Array, cast, is_torch, namespace
 from odak.raytracing import arguments, intersections, sag
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, epsilon, finite_rays, masked, unit
@@ -30,7 +30,7 @@ class Conic:
     conic: Any = 0.0
     closed_form: ClassVar[bool] = True
 
-    def sag(self, x, y) -> sag.Sag:
+    def sag(self, x: Array, y: Array) -> sag.Sag:
         """Return height and slopes at x, y; see :mod:`odak.raytracing.sag`."""
         return sag.conic_sag(x, y, *self.parameters())
 
@@ -58,7 +58,7 @@ class EvenAsphere(Conic):
     coefficients: Any = ()
     closed_form: ClassVar[bool] = False
 
-    def sag(self, x, y) -> sag.Sag:
+    def sag(self, x: Array, y: Array) -> sag.Sag:
         """Return height and slopes at x, y."""
         return sag.even_asphere_sag(x, y, *self.parameters())
 
@@ -79,7 +79,7 @@ class ZernikeFreeform(EvenAsphere):
 
     radius: Any = 1.0
 
-    def sag(self, x, y) -> sag.Sag:
+    def sag(self, x: Array, y: Array) -> sag.Sag:
         """Return height and slopes at x, y."""
         return sag.zernike_sag(x, y, *self.parameters())
 
@@ -106,7 +106,7 @@ class Toroid:
 
     parameters = Conic.parameters
 
-    def sag(self, x, y) -> sag.Sag:
+    def sag(self, x: Array, y: Array) -> sag.Sag:
         """Return height and slopes at x, y."""
         return sag.toroid_sag(x, y, *self.parameters())
 
@@ -138,11 +138,11 @@ class SplineFreeform:
     base = Conic.base
     parameters = Conic.parameters
 
-    def sag(self, x, y) -> sag.Sag:
+    def sag(self, x: Array, y: Array) -> sag.Sag:
         """Return height and slopes at x, y."""
         return sag.spline_sag(x, y, *self.parameters())
 
-    def covers(self, x, y):
+    def covers(self, x: Array, y: Array) -> Array:
         """Say where the surface reaches, bool."""
         width, height = sag.terms(self.size)
         return (abs(x) <= width / 2) & (abs(y) <= height / 2)
@@ -151,7 +151,14 @@ class SplineFreeform:
 Surface = Conic | Toroid | SplineFreeform
 
 
-def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=None, ahead: bool = True) -> Hit:
+def intersect_w_sag(
+    ray: Array,
+    surface: Surface,
+    center: Sequence[float] | None = None,
+    angles: Sequence[float] | None = None,
+    aperture: float | None = None,
+    ahead: bool = True,
+) -> Hit:
     """Meet a surface given by its height.
 
     Parameters
@@ -191,9 +198,15 @@ def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=No
     """
     ray = arguments.rays("ray", ray)
     start, direction = ray[..., 0, :], ray[..., 1, :]
+    if not isinstance(surface, Surface):
+        raise TypeError(f"surface must be a Conic, Toroid, SplineFreeform or one of their kinds, got {surface!r:.80}")
     kinds = {field.name: getattr(surface, field.name) for field in fields(surface)}
-    surface = type(surface)(**{name: np.asarray(value, dtype=ray.dtype) for name, value in kinds.items()})
-    matrix = None if angles is None else rotation_matrix(arguments.points("angles", angles)).astype(ray.dtype)
+    kinds = {name: arguments.floats(f"surface.{name}", value) for name, value in kinds.items()}
+    surface = type(surface)(**{name: value.astype(ray.dtype) for name, value in kinds.items()})
+    center = None if center is None else arguments.finite_points("center", center)
+    aperture = None if aperture is None else _validate.real("aperture", aperture)
+    ahead = _validate.flag("ahead", ahead)
+    matrix = None if angles is None else rotation_matrix(arguments.finite_points("angles", angles)).astype(ray.dtype)
     start, direction = to_local(start, direction, center, matrix)
     return to_global(meet_sag(start, direction, surface, aperture, ahead), center, matrix)
 

@@ -1,6 +1,6 @@
 """Octave rings of frequencies, and nested lists of zeros."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -26,10 +26,10 @@ def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list | int:
     >>> create_empty_list([2, 3])
     [[0, 0, 0], [0, 0, 0]]
     """
-    if len(dimensions) == 0:
-        return 0
-    first = _validate.integer("dimensions", dimensions[0])
-    return [create_empty_list(dimensions[1:]) for _ in range(first)]
+    if isinstance(dimensions, str) or not isinstance(dimensions, Iterable):
+        raise TypeError(f"dimensions must be a sequence of integers, got {dimensions!r:.80}")
+    lengths = [_validate.integer("dimensions", length) for length in dimensions]
+    return _nested(lengths)
 
 
 def generate_bandlimits(size: Sequence[int] = (512, 512), levels: int = 9) -> np.ndarray:
@@ -62,6 +62,10 @@ def generate_bandlimits(size: Sequence[int] = (512, 512), levels: int = 9) -> np
         mask[top:bottom, left:right] = 1
         mask[inner_top:inner_bottom, inner_left:inner_right] = 0
     return masks
+
+
+def _nested(lengths):
+    return [_nested(lengths[1:]) for _ in range(lengths[0])] if lengths else 0
 
 
 def _edges(n: int, level: int) -> tuple[int, int, int, int]:

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 
+from odak import _validate
 from odak.log import logger
 from odak.tools._paths import validate_cwd
 
@@ -79,7 +80,9 @@ def shell_command(
     FileNotFoundError
         If the program or the folder does not exist.
     """
-    command, folder = validate_shell_command(cmd), validate_cwd(cwd)
+    command, folder, check = validate_shell_command(cmd), validate_cwd(cwd), _validate.flag("check", check)
+    if timeout is not None:
+        _validate.real("timeout", timeout)
     pipe = subprocess.PIPE if check else subprocess.DEVNULL
     process = subprocess.Popen(command, cwd=folder, stdout=pipe, stderr=pipe, start_new_session=True)
     if not check:

@@ -106,6 +106,8 @@ def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike
     """
     path = validate_path(filename)
     flag = one_of("write_flag", write_flag, _FLAGS)
+    if not isinstance(content, Iterable):
+        raise TypeError(f"content must be a string or an iterable of items, got {type(content).__name__}")
     items = [content] if isinstance(content, str) else content
     text = "".join(f"{item}\n" for item in items).encode()
     if flag in ("w", "w+"):

@@ -4,10 +4,11 @@ import math
 from collections.abc import Sequence
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools._frame import frame
 
 
-def convolve2d(field, kernel):
+def convolve2d(field: Array, kernel: Array) -> Array:
     """Convolve pictures that continue periodically with a kernel whose sample ``n // 2`` of each axis is its centre.
 
     Parameters
@@ -54,7 +55,7 @@ def convolve2d(field, kernel):
     return xp.roll(result, (-(small[0] // 2), -(small[1] // 2)), axis=axes)
 
 
-def correlation_2d(first_tensor, second_tensor):
+def correlation_2d(first_tensor: Array, second_tensor: Array) -> Array:
     """Return the circular cross-correlation of two pictures, its zero shift at sample ``(n + 1) // 2`` of each axis.
 
     Parameters
@@ -96,11 +97,11 @@ def correlation_2d(first_tensor, second_tensor):
 
 
 def smooth_pad(
-    field,
+    field: Array,
     size: Sequence[int] | None = None,
     method: str = "center",
     smooth_factor: Sequence[float] | None = None,
-):
+) -> Array:
     """Surround a field with its own border samples, fading to zero at the rim.
 
     Parameters

@@ -1,9 +1,12 @@
 """Folders, and files as wholes."""
 
+import math
 import os
 import shutil
+from numbers import Real
 from pathlib import Path
 
+from odak import _validate
 from odak.tools._atomic import temporary_name
 from odak.tools._paths import validate_cwd, validate_path
 
@@ -32,7 +35,7 @@ def check_directory(directory: str | os.PathLike, validate: bool = True) -> bool
     ValueError
         If there is a file of that name, or the folder cannot be made.
     """
-    path = validate_path(directory) if validate else validate_cwd(directory)
+    path = validate_path(directory) if _validate.flag("validate", validate) else validate_cwd(directory)
     if os.path.isdir(path):
         return True
     if os.path.lexists(path):
@@ -72,7 +75,7 @@ def list_files(path: str | os.PathLike, key: str = "*.*", recursive: bool = True
         raise TypeError(f"key must be a string, got {type(key).__name__}")
     if not key or ".." in Path(key).parts or Path(key).is_absolute():
         raise ValueError(f"key must be a pattern below the folder, such as '*.png'; got {key!r}")
-    found = folder.rglob(key) if recursive else folder.glob(key)
+    found = folder.rglob(key) if _validate.flag("recursive", recursive) else folder.glob(key)
     return sorted(str(entry) for entry in found if entry.is_file())
 
 
@@ -96,7 +99,7 @@ def list_directories(path: str | os.PathLike, recursive: bool = True) -> list[st
     FileNotFoundError
         If there is no such folder.
     """
-    folder = validate_path(path)
+    folder, recursive = validate_path(path), _validate.flag("recursive", recursive)
     if not os.path.isdir(folder):
         raise FileNotFoundError(f"There is no folder {folder!r}")
     names = []
@@ -120,6 +123,8 @@ def convert_bytes(num: float) -> tuple[float, str]:
     tuple
         Value, and one of bytes, KB, MB, GB, TB, PB, EB in steps of 1024.
     """
+    if isinstance(num, bool) or not isinstance(num, Real) or math.isnan(num):
+        raise TypeError(f"num must be a number of bytes, got {num!r:.80}")
     for unit in _UNITS[:-1]:
         if num < 1024:
             return num, unit
@@ -140,7 +145,7 @@ def size_of_a_file(file_path: str | os.PathLike) -> tuple[float | None, str | No
     tuple
         Value and unit; ``(None, None)`` when there is no such file.
     """
-    path = validate_path(file_path)
+    path = validate_path(file_path, name="file_path")
     return convert_bytes(os.stat(path).st_size) if os.path.isfile(path) else (None, None)
 
 
@@ -164,7 +169,8 @@ def copy_file(source: str | os.PathLike, destination: str | os.PathLike, follow_
     ValueError
         If the source is not an existing file, the destination is a folder or the source itself, or copying fails.
     """
-    source, destination = validate_path(source), validate_path(destination)
+    source, destination = validate_path(source, name="source"), validate_path(destination, name="destination")
+    follow_symlinks = _validate.flag("follow_symlinks", follow_symlinks)
     if not os.path.exists(source):
         raise ValueError(f"Source file does not exist: {source!r}")
     if not os.path.isfile(source):

@@ -14,6 +14,8 @@ from odak.tools._atomic import replacing
 from odak.tools._paths import extension_of, validate_path
 
 MOST_PIXELS = 178_956_970
+# What any file may promise, and beyond that for each of its bytes. Only blank pages, and bombs, hold more.
+FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10_000
 
 _FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tiff": "TIFF", ".tif": "TIFF"}
 _READABLE = (*_FORMATS, ".gif", ".webp", ".pbm", ".pgm", ".ppm", ".sr", ".ras")
@@ -89,8 +91,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     Raises
     ------
     ValueError
-        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 178 megapixels;
-        the message names the file.
+        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 178 megapixels, or
+        more than 16 in less than a byte for each 10 000; the message names the file.
     """
     divisor = float(_validate.real("normalizeby", normalizeby))
     image = read_levels(fn, torch_style).astype(np.float64)
@@ -119,7 +121,7 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
     ValueError
         As :func:`load_image`.
     """
-    path = validate_path(fn, _READABLE)
+    path, torch_style = validate_path(fn, _READABLE), _validate.flag("torch_style", torch_style)
     if not os.path.isfile(path):
         reason = "it is not a regular file" if os.path.exists(path) else "there is no such file"
         raise ValueError(f"Failed to load image {path!r}: {reason}")
@@ -166,9 +168,13 @@ def _open(path):
         # Pillow warns from half of the size that is refused.
         warnings.simplefilter("ignore", Image.DecompressionBombWarning)
         image = Image.open(path, formats=_DECODERS)
-    if image.width * image.height > MOST_PIXELS:
+    pixels = image.width * image.height
+    if pixels > MOST_PIXELS:
         image.close()
         raise Image.DecompressionBombError(f"{image.width} x {image.height} pixels")
+    if pixels > max(FREE_PIXELS, PIXELS_PER_BYTE * os.path.getsize(path)):
+        image.close()
+        raise ValueError(f"{image.width} x {image.height} pixels in {os.path.getsize(path)} bytes are not believed")
     return image
 
 

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from numbers import Integral
 from types import ModuleType
 
 from odak.tools._documents import read_text_file
@@ -52,6 +53,8 @@ class LabelledText:
         IndexError
             If there is no such line.
         """
+        if isinstance(line_id, bool) or not isinstance(line_id, Integral):
+            raise TypeError(f"line_id must be an integer, got {type(line_id).__name__}")
         return self.content[line_id], self.content_type[line_id]
 
 

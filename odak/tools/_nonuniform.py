@@ -1,6 +1,7 @@
 """Non-uniform Fourier transforms of pictures: finufft where it is installed, the plain sum where that is small."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -52,9 +53,9 @@ def nufft2(
     -----
     Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019), eq. 1.3.
     """
-    field, fx, fy = _checked(field, fx, fy, sign)
-    shape = field.shape if size is None else tuple(int(n) for n in size)
-    if np.prod(shape) != fx.size:
+    field, fx, fy = _checked(field, fx, fy, sign, eps)
+    shape = field.shape if size is None else _counts("size", size)
+    if math.prod(shape) != fx.size:
         raise ValueError(f"size must hold as many samples as fx, {fx.size}; got {shape}")
     finufft = _finufft(field.size * fx.size)
     if finufft is not None:
@@ -98,9 +99,8 @@ def nuifft2(
     ValueError, TypeError
         If an argument is not acceptable, naming it.
     """
-    shape = np.shape(field) if size is None else tuple(size)
-    field, fx, fy = _checked(field, fx, fy, sign, modes=False)
-    shape = _validate.size("size", shape)
+    field, fx, fy = _checked(field, fx, fy, sign, eps, modes=False)
+    shape = _validate.size("size", field.shape if size is None else size)
     if field.size != fx.size:
         raise ValueError(f"field must hold as many values as fx, {fx.size}; got {field.size}")
     finufft = _finufft(shape[0] * shape[1] * fx.size)
@@ -112,14 +112,22 @@ def nuifft2(
     return result
 
 
-def _checked(field, fx, fy, sign, modes: bool = True):
+def _counts(name, value):
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{name} must be a sequence of integers, got {value!r:.80}")
+    return tuple(_validate.whole(name, count) for count in value)
+
+
+def _checked(field, fx, fy, sign, eps, modes: bool = True):
+    _validate.real("eps", eps, positive=True)
+    field = _validate.array("field", field)
     if sign not in (1, -1):
         raise ValueError(f"sign must be 1 or -1, got {sign!r}")
     field = np.ascontiguousarray(field, dtype=np.complex128)
     if modes and (field.ndim != 2 or field.size == 0):
         raise ValueError(f"field must be [rows, columns], not empty; got {field.shape}")
     fx, fy = (
-        np.ascontiguousarray(_validate.real(name, np.asarray(value)), dtype=np.float64).ravel()
+        np.ascontiguousarray(_validate.real(name, _validate.array(name, value)), dtype=np.float64).ravel()
         for name, value in (("fx", fx), ("fy", fy))
     )
     if fx.size != fy.size:

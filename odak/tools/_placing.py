@@ -36,7 +36,10 @@ def placed(points, scale, center, angles, name: str = "size"):
     like = next((value for value in (scale, center, angles) if _array.is_array(value)), np.zeros(1))
     xp = _array.namespace(like)
     like = like if xp.isdtype(like.dtype, "real floating") else xp.astype(like, xp.float64)
-    points = _array.cast(points, like) * _array.cast(_validate.real(name, scale), like)
+    scale = _array.cast(_validate.real(name, scale), like)
+    if math.prod(scale.shape) not in (1, points.shape[-1]):
+        raise ValueError(f"{name} must be one number, got {math.prod(scale.shape)}")
+    points = _array.cast(points, like) * scale
     if angles is not None:
         points = apply_matrix(rotation_matrix(numbers("angles", angles, 3, like)), points)
     return points + numbers("center", center, 3, like)

@@ -7,6 +7,12 @@ import plyfile
 
 from odak.tools._atomic import replacing
 
+LONGEST_HEADER = 1 << 16
+# What plyfile and NumPy let through from a broken file.
+_BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
+_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2}
+_BYTES |= {"int": 4, "uint": 4, "float": 4, "int32": 4, "uint32": 4, "float32": 4, "double": 8, "float64": 8}
+
 
 def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: bool = False) -> None:
     """Write a mesh; float64 vertices stay float64, faces are int32 lists named vertex_indices, white.
@@ -52,11 +58,11 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
     """
     _check_name(filename)
     try:
-        data = plyfile.PlyData.read(os.path.expanduser(filename))
+        data = _read(os.path.expanduser(filename))
         points, sides = data["vertex"].data, data["face"].data
         vertices = np.stack([points[axis] for axis in "xyz"], axis=-1)
         name = next(name for name in ("vertex_indices", "vertex_index") if name in sides.dtype.names)
-    except (plyfile.PlyParseError, KeyError, ValueError, StopIteration, UnicodeDecodeError) as error:
+    except (*_BROKEN, StopIteration) as error:
         raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
     vertices = vertices.astype(np.float64 if vertices.dtype == np.float64 else np.float32)
     faces = _fans(sides[name])
@@ -69,10 +75,41 @@ def read_points(filename: str) -> np.ndarray:
     """Return the vertices ``[v, 3]`` of a PLY file, which need not hold faces; raises as :func:`read_mesh` does."""
     _check_name(filename)
     try:
-        points = plyfile.PlyData.read(os.path.expanduser(filename))["vertex"].data
+        points = _read(os.path.expanduser(filename))["vertex"].data
         return np.stack([points[axis] for axis in "xyz"], axis=-1)
-    except (plyfile.PlyParseError, KeyError, ValueError, UnicodeDecodeError) as error:
+    except _BROKEN as error:
         raise ValueError(f"{filename!r} cannot be read as a PLY file of points: {error}") from error
+
+
+def _read(path: str) -> plyfile.PlyData:
+    with open(path, "rb") as stream:
+        _check_promise(stream.read(LONGEST_HEADER), os.path.getsize(path))
+    return plyfile.PlyData.read(path)
+
+
+def _check_promise(start: bytes, size: int) -> None:
+    """Raise ValueError if a header promises more than the file can hold, before memory is set aside for it."""
+    newline = b"\r\n" if start[3:5] == b"\r\n" else start[3:4]
+    if start[:3] != b"ply" or newline not in (b"\n", b"\r", b"\r\n"):
+        raise ValueError("it does not begin with 'ply'")
+    text = any(line.split()[:2] == [b"format", b"ascii"] for line in start.split(newline)[:100])
+    elements, ended = [], False
+    for line in start.split(newline):
+        words = line.split()
+        if line == b"end_header":
+            ended = True
+            break
+        if words[:1] == [b"element"] and len(words) > 2:
+            elements.append([int(words[2]), 0])
+        elif words[:1] == [b"property"] and len(words) > 2 and elements:
+            # A list is at least its length; a number in a text at least a digit and what parts it from the next.
+            kind = words[2 if words[1] == b"list" else 1].decode("ascii")
+            elements[-1][1] += 1 if text else _BYTES.get(kind, 1)
+    if not ended:
+        raise ValueError(f"its header does not end within {LONGEST_HEADER} bytes")
+    promised = sum(count * max(1, least) for count, least in elements)
+    if promised > size or any(count < 0 for count, _ in elements):
+        raise ValueError(f"its header promises at least {promised} bytes, and the file has {size}")
 
 
 def _fans(polygons: np.ndarray) -> np.ndarray:

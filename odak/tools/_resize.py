@@ -35,8 +35,8 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
     if np.shape(target_size) != (2,):
         raise ValueError(f"target_size must be [width, height], got {target_size!r}")
     width, height = (
-        _validate.integer(f"target_size[{i}] ({side})", target_size[i], minimum=1)
-        for i, side in enumerate(("width", "height"))
+        _validate.side(name, _validate.integer(name, count, minimum=1))
+        for name, count in zip(("target_size[0] (width)", "target_size[1] (height)"), target_size, strict=True)
     )
     result = img.astype(np.result_type(img, np.float64))
     for axis, size in sorted(((0, height), (1, width)), key=lambda pair: pair[1] / img.shape[pair[0]]):

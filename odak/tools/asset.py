@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from odak import _validate
 from odak.tools._paths import validate_path
 from odak.tools._ply import read_mesh, read_points, write_mesh
 from odak.tools.transformation import rotate_points
@@ -90,7 +91,7 @@ def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike = "output.ply") -
     ValueError
         If the shape or the name is wrong.
     """
-    corners = np.asarray(triangles, dtype=np.float32)
+    corners = np.asarray(_validate.array("triangles", triangles), dtype=np.float32)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3):
         raise ValueError(f"triangles must be [t, 3, 3], got {corners.shape}")
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
@@ -113,7 +114,7 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "outpu
     ValueError
         If the shape or the name is wrong.
     """
-    points = np.asarray(points, dtype=np.float32)
+    points = np.asarray(_validate.array("points", points), dtype=np.float32)
     if points.ndim != 3 or points.shape[-1] != 3 or min(points.shape[:2]) < 2:
         raise ValueError(f"points must be [m, n, 3] with m and n at least 2, got {points.shape}")
     number = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])

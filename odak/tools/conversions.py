@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from odak import _array, _validate
+
 if TYPE_CHECKING:
     import torch
 
@@ -30,10 +32,11 @@ def convert_to_torch(a: np.ndarray, grad: bool = True) -> "torch.Tensor":
     """
     import torch
 
-    tensor = a.detach().clone() if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(a))
+    grad = _validate.flag("grad", grad)
+    tensor = a.detach().clone() if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(_validate.array("a", a)))
     if grad and not (tensor.is_floating_point() or tensor.is_complex()):
         raise TypeError(f"a must hold real or complex floats to have a gradient, got {tensor.dtype}; pass grad=False")
-    return tensor.requires_grad_(bool(grad))
+    return tensor.requires_grad_(grad)
 
 
 def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
@@ -49,4 +52,6 @@ def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
     numpy.ndarray
         Array of the same dtype; it shares its memory with a tensor on the CPU.
     """
+    if not _array.is_torch(a):
+        raise TypeError(f"a must be a tensor, got {type(a).__name__}")
     return a.detach().cpu().resolve_conj().resolve_neg().numpy()

@@ -82,7 +82,7 @@ def _answer(content: bytes) -> str:
         raise ValueError(f"The server's answer is longer than {_LARGEST_ANSWER} bytes")
     try:
         answer = json.loads(content)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ValueError(f"The server's answer is not JSON: {error}") from error
     for key in ("message", "content"):
         if not isinstance(answer, dict) or key not in answer:

@@ -2,6 +2,7 @@ r"""LaTeX files line by line: which line is text, which is markup."""
 
 from collections.abc import Sequence
 
+from odak._validate import texts
 from odak.tools._labelled_text import LabelledText, holds, make_callable
 
 __all__ = ["latex"]
@@ -61,9 +62,9 @@ class latex(LabelledText):
         syntax_dictionary : sequence of str
             What marks a line.
         """
-        self.latex_begin_dictionary = list(begin_dictionary)
-        self.latex_end_dictionary = list(end_dictionary)
-        self.latex_dictionary = list(syntax_dictionary)
+        begin, end = texts("begin_dictionary", begin_dictionary), texts("end_dictionary", end_dictionary)
+        syntax = texts("syntax_dictionary", syntax_dictionary)
+        self.latex_begin_dictionary, self.latex_end_dictionary, self.latex_dictionary = begin, end, syntax
         self.content_type = self._labels()
 
     def _labels(self) -> list[str]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from odak._validate import texts
 from odak.tools._labelled_text import LabelledText, holds, make_callable
 
 __all__ = ["markdown"]
@@ -50,9 +51,9 @@ class markdown(LabelledText):
         syntax_dictionary : sequence of str
             What marks a line.
         """
-        self.markdown_begin_dictionary = list(begin_dictionary)
-        self.markdown_end_dictionary = list(end_dictionary)
-        self.markdown_dictionary = list(syntax_dictionary)
+        begin, end = texts("begin_dictionary", begin_dictionary), texts("end_dictionary", end_dictionary)
+        syntax = texts("syntax_dictionary", syntax_dictionary)
+        self.markdown_begin_dictionary, self.markdown_end_dictionary, self.markdown_dictionary = begin, end, syntax
         self.content_type = self._labels()
 
     def _labels(self) -> list[str]:

@@ -1,8 +1,10 @@
 """Padding, cropping, quantising, filtering and blurring about the centre, for the arrays of any library."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools._bands import create_empty_list, generate_bandlimits
 from odak.tools._filters import convolve2d, correlation_2d, smooth_pad
 from odak.tools._frame import frame, last_two
@@ -24,7 +26,7 @@ __all__ = [
 ]
 
 
-def zero_pad(field, size: Sequence[int] | None = None, method: str = "center"):
+def zero_pad(field: Array, size: Sequence[int] | None = None, method: str = "center") -> Array:
     """Surround a field with zeros.
 
     Sample ``n // 2`` of each axis is its centre, before and after, so that :func:`crop_center` gives the field back
@@ -67,7 +69,7 @@ def zero_pad(field, size: Sequence[int] | None = None, method: str = "center"):
     return xp.concat([zeros(top, width), wide, zeros(bottom, width)], axis=-2)
 
 
-def crop_center(field, size: Sequence[int] | None = None):
+def crop_center(field: Array, size: Sequence[int] | None = None) -> Array:
     """Cut the centre out of a field: sample ``n // 2`` of each axis stays the centre.
 
     Parameters
@@ -98,13 +100,13 @@ def crop_center(field, size: Sequence[int] | None = None):
     return window if _array.is_torch(field) else _array.namespace(field).asarray(window, copy=True)
 
 
-def quantize(image_field, bits: int = 4):
+def quantize(image_field: Array, bits: int = 4) -> Array:
     """Return the 8-bit levels of an image as levels of fewer bits, the rest cut off.
 
     Parameters
     ----------
     image_field : array
-        Values from 0 to 255.
+        Values from 0 to 255; those outside take the nearest level, not-a-number takes 0.
     bits : int
         Bits to keep, 1 to 8.
 
@@ -123,15 +125,17 @@ def quantize(image_field, bits: int = 4):
     _validate.integer("bits", bits, minimum=1)
     if bits > 8:
         raise ValueError(f"bits must be at most 8, got {bits}")
-    if not _array.is_array(image_field) or "complex" in str(image_field.dtype):
+    if not _array.is_array(image_field) or "complex" in str(_validate.array("image_field", image_field).dtype):
         raise TypeError(f"image_field must be a real array, got {getattr(image_field, 'dtype', type(image_field))}")
     xp = _array.namespace(image_field)
     if not xp.isdtype(image_field.dtype, "real floating"):
         image_field = xp.astype(image_field, xp.float64)
-    return xp.astype(xp.trunc(image_field / 2 ** (8 - bits)), xp.int64)
+    levels = xp.trunc(image_field / 2 ** (8 - bits))
+    levels = xp.where(xp.isnan(levels), xp.zeros_like(levels), xp.clip(levels, 0, 2**bits - 1))
+    return xp.astype(levels, xp.int64)
 
 
-def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0)):
+def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0)) -> Any:
     """Return a Gaussian kernel that sums to one.
 
     Parameters
@@ -165,8 +169,8 @@ def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequen
 
 
 def blur_gaussian(
-    field, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
-):
+    field: Array, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
+) -> Array:
     """Blur pictures that continue periodically by :func:`generate_2d_gaussian`.
 
     Parameters
@@ -205,7 +209,7 @@ def blur_gaussian(
             f"got one of {tuple(kernel.shape)}"
         )
     blurred = convolve2d(field, xp.astype(kernel, field.dtype))
-    if not normalize:
+    if not _validate.flag("normalize", normalize):
         return blurred
     peak = xp.max(blurred, axis=(-2, -1), keepdims=True)
     return blurred / xp.where(peak > 0, peak, xp.ones_like(peak))

@@ -3,11 +3,12 @@
 Sizes, radii, centres and angles may be arrays of any library: the points are then of that library, and differentiable.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools._placing import all_of, numbers, on_disc, on_sphere, placed
 
 __all__ = [
@@ -26,8 +27,8 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 def random_sample_point_cloud(
-    point_cloud, no: int, p: Sequence[float] | None = None, *, seed: int | np.random.Generator | None = None
-):
+    point_cloud: Array, no: int, p: Sequence[float] | None = None, *, seed: int | np.random.Generator | None = None
+) -> Array:
     """Draw points from a cloud, with replacement.
 
     Parameters
@@ -53,17 +54,21 @@ def random_sample_point_cloud(
     ValueError
         If the probabilities do not fit the cloud.
     """
-    if not _array.is_array(point_cloud):
-        raise TypeError(f"point_cloud must be an array, got {type(point_cloud).__name__}")
+    point_cloud = _validate.array("point_cloud", point_cloud)
+    if point_cloud.ndim == 0 or point_cloud.shape[0] == 0:
+        raise ValueError(f"point_cloud must be [n, ...] with at least one point, got {tuple(point_cloud.shape)}")
     count = point_cloud.shape[0]
     if p is not None:
         p = _validate.numbers(_validate.real("p", p))
-        if len(p) != point_cloud.shape[0] or min(p, default=0) < 0 or abs(sum(p) - 1) > 1e-6:
+        if len(p) != count or min(p, default=0) < 0 or abs(sum(p) - 1) > 1e-6:
             raise ValueError(
-                f"p must be {point_cloud.shape[0]} probabilities of sum 1, got {len(p)} of sum {sum(p):.6g}"
+                f"p must be {count} probabilities of sum 1, got {len(p)} of sum {sum(p):.6g} "
+                f"for a point_cloud of {count}"
             )
         p = np.asarray(p) / sum(p)
-    index = np.random.default_rng(seed).choice(count, _validate.integer("no", no), p=p)
+    if _validate.whole("no", no) > _validate.LONGEST_SIDE:
+        raise ValueError(f"no must be at most {_validate.LONGEST_SIDE} points, got {no}")
+    index = _generator(seed).choice(count, int(no), p=p)
     xp, device = _array.namespace(point_cloud), _array.device_of(point_cloud)
     return xp.take(point_cloud, xp.asarray(index, device=device), axis=0)
 
@@ -73,7 +78,7 @@ def sphere_sample(
     radius: float = 1.0,
     center: Sequence[float] = _ORIGIN,
     k: Sequence[float] = (1, 2),
-):
+) -> Array:
     """Return points of a sphere on a grid of polar and azimuthal angles.
 
     Parameters
@@ -107,7 +112,7 @@ def sphere_sample_uniform(
     radius: float = 1.0,
     center: Sequence[float] = _ORIGIN,
     k: Sequence[float] = (1, 2),
-):
+) -> Array:
     """Return the points of :func:`sphere_sample` in a sheared order of the two angles. They are not uniform in area.
 
     Parameters
@@ -139,7 +144,7 @@ def box_volume_sample(
     size: Sequence[float] = (100.0, 100.0, 100.0),
     center: Sequence[float] = _ORIGIN,
     angles: Sequence[float] = _ORIGIN,
-):
+) -> Array:
     """Return the centres of the cells that a box is cut into.
 
     Parameters
@@ -170,9 +175,9 @@ def box_volume_sample(
     array([[-1.,  0.,  0.],
            [ 1.,  0.,  0.]])
     """
-    counts = [_validate.integer(f"no[{i}]", int(n), minimum=1) for i, n in enumerate(no)]
-    if len(counts) != 3:
+    if isinstance(no, str) or not isinstance(no, Iterable) or len(counts := tuple(no)) != 3:
         raise ValueError(f"no must be three integers, got {no!r}")
+    counts = [_validate.side(f"no[{i}]", n) for i, n in enumerate(counts)]
     lines = [(np.arange(n) + 0.5) / n - 0.5 for n in counts]
     return placed(all_of(*lines), numbers("size", size, 3), center, angles)
 
@@ -182,7 +187,7 @@ def circular_sample(
     radius: float = 10.0,
     center: Sequence[float] = _ORIGIN,
     angles: Sequence[float] = _ORIGIN,
-):
+) -> Array:
     """Return points of a disc on a polar grid, equally far apart in radius and angle, without the centre.
 
     Parameters
@@ -218,7 +223,7 @@ def circular_uniform_random_sample(
     angles: Sequence[float] = _ORIGIN,
     *,
     seed: int | np.random.Generator | None = None,
-):
+) -> Array:
     """Return random points of a disc, of equal density everywhere and independent of each other.
 
     Parameters
@@ -241,7 +246,7 @@ def circular_uniform_random_sample(
         If an argument is not acceptable, naming it.
     """
     rows, columns = _validate.size("no", no)
-    share, turn = np.random.default_rng(seed).random((2, rows * columns))
+    share, turn = _generator(seed).random((2, rows * columns))
     return placed(on_disc(np.sqrt(share), turn), radius, center, angles, "radius")
 
 
@@ -250,7 +255,7 @@ def circular_uniform_sample(
     radius: float = 10.0,
     center: Sequence[float] = _ORIGIN,
     angles: Sequence[float] = _ORIGIN,
-):
+) -> Array:
     """Return points of a disc on rings whose number of points grows with their radius.
 
     Parameters
@@ -283,7 +288,7 @@ def grid_sample(
     size: Sequence[float] = (100.0, 100.0),
     center: Sequence[float] = _ORIGIN,
     angles: Sequence[float] = _ORIGIN,
-):
+) -> Array:
     """Return points of a rectangle on a regular grid, its edges included.
 
     Parameters
@@ -325,7 +330,7 @@ def grid_sample(
     return placed(all_of(*lines, np.zeros(1)), size, center, angles)
 
 
-def batch_of_rays(entry, exit):
+def batch_of_rays(entry: Array, exit: Array) -> Array:
     """Return the rays from points to points.
 
     Parameters
@@ -351,6 +356,8 @@ def batch_of_rays(entry, exit):
     array([[[0. , 0. , 0. ],
             [0.6, 0.8, 0. ]]])
     """
+    for name, value in (("entry", entry), ("exit", exit)):
+        _validate.array(name, value)
     xp = _array.namespace(entry, exit)
     like = entry if _array.is_array(entry) else exit if _array.is_array(exit) else np.zeros(1)
     like = like if xp.isdtype(like.dtype, "real floating") else xp.astype(like, xp.float64)
@@ -368,3 +375,7 @@ def batch_of_rays(entry, exit):
     if _array.is_readable(length) and bool(xp.any(length == 0)):
         raise ValueError("exit must differ from entry for every ray")
     return xp.stack([xp.broadcast_to(starts, way.shape), way / length], axis=1)
+
+
+def _generator(seed):
+    return np.random.default_rng(_validate.seed("seed", seed))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 
 ROTATION_MODES = tuple("".join(order) for order in itertools.permutations("XYZ"))
 
@@ -93,21 +94,21 @@ def rotmatx(angle: float) -> np.ndarray:
     >>> np.round(rotmatx(90.0) @ [0, 1, 0], 12)
     array([0., 0., 1.])
     """
-    return axis_rotation("X", _floats("angle", angle))
+    return axis_rotation("X", _floats("angle", _finite("angle", angle)))
 
 
 def rotmaty(angle: float) -> np.ndarray:
     """Return the rotation about the y axis; see :func:`rotmatx`."""
-    return axis_rotation("Y", _floats("angle", angle))
+    return axis_rotation("Y", _floats("angle", _finite("angle", angle)))
 
 
 def rotmatz(angle: float) -> np.ndarray:
     """Return the rotation about the z axis; see :func:`rotmatx`."""
-    return axis_rotation("Z", _floats("angle", angle))
+    return axis_rotation("Z", _floats("angle", _finite("angle", angle)))
 
 
 def rotate_point(
-    point,
+    point: Sequence[float],
     angles: Sequence[float] = (0, 0, 0),
     mode: str = "XYZ",
     origin: Sequence[float] = (0, 0, 0),
@@ -145,13 +146,13 @@ def rotate_point(
     array([0., 1., 0.])
     """
     point = _floats("point", point, (3,))
-    angles = _floats("angles", angles, (3,))
+    angles = _floats("angles", _finite("angles", angles), (3,))
     rotated = rotate_points(point, angles, mode, origin, offset)[0]
     return (rotated, *(axis_rotation(axis, angles[i]) for i, axis in enumerate("XYZ")))
 
 
 def rotate_points(
-    points,
+    points: Array,
     angles: Sequence[float] = (0, 0, 0),
     mode: str = "XYZ",
     origin: Sequence[float] = (0, 0, 0),
@@ -175,8 +176,10 @@ def rotate_points(
     if points.ndim == 0 or points.shape[-1] != 3:
         raise ValueError(f"points must be [n, 3] or [3], got {points.shape}")
     points = points.reshape(-1, 3)
-    origin, offset = (np.asarray(value, dtype=points.dtype) for value in (origin, offset))
-    matrix = rotation_matrix(_floats("angles", angles, (3,)), mode).astype(points.dtype)
+    origin, offset = (_points(name, value, points.dtype) for name, value in (("origin", origin), ("offset", offset)))
+    matrix = rotation_matrix(_floats("angles", _finite("angles", angles), (3,)), mode).astype(points.dtype)
+    _validate.fitting(points=points, origin=origin)
+    _validate.fitting(points=points, offset=offset)
     # R·(p − o) + o + s = R·p + (o + s − R·o): no copy of the points besides the result.
     shift = origin + offset - apply_matrix(matrix, origin)
     rotated = apply_matrix(matrix, points)
@@ -231,3 +234,20 @@ def _floats(name: str, value, shape: tuple[int, ...] | None = None) -> np.ndarra
     if shape is not None and value.size != math.prod(shape):
         raise ValueError(f"{name} must have the shape {shape}, got {value.shape}")
     return value if shape is None else value.reshape(shape)
+
+
+def _finite(name: str, value):
+    """Return `value` after checking plain numbers; in an array, what is not a number spreads to the result."""
+    if _array.is_array(value) and value.ndim:
+        return value
+    value = _validate.real(name, _validate.array(name, value))
+    if 0 in value.shape:
+        raise ValueError(f"{name} must hold at least one number, got {list(value.shape)}")
+    return value
+
+
+def _points(name: str, value, dtype) -> np.ndarray:
+    value = _floats(name, _finite(name, value)).astype(dtype, copy=False)
+    if value.ndim == 0 or value.shape[-1] != 3:
+        raise ValueError(f"{name} must be [3] or [n, 3], got {value.shape}")
+    return value

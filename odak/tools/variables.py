@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _array
+from odak import _array, _validate
 
 
 def copy_dict_with_keys(d: dict, keys: Iterable | None = None) -> dict | None:
@@ -31,6 +31,8 @@ def copy_dict_with_keys(d: dict, keys: Iterable | None = None) -> dict | None:
     >>> copy_dict_with_keys({"a": 1, "b": 2}, ["b", "c"])
     {'b': 2}
     """
+    if isinstance(keys, (str, bytes)) or not isinstance(keys, (Iterable, type(None))):
+        raise TypeError(f"keys must be an iterable of keys, got {keys!r:.80}")
     if not isinstance(d, dict):
         return None
     return dict(d) if keys is None else {key: d[key] for key in keys if key in d}
@@ -66,6 +68,9 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
     >>> validate_positive_parameter(3.5)
     3.5
     """
+    if not isinstance(name, str):
+        raise TypeError(f"name must be a string, got {type(name).__name__}")
+    allow_zero = _validate.flag("allow_zero", allow_zero)
     if _array.is_array(value) and not isinstance(value, np.generic):
         xp = _array.namespace(value)
         if not xp.isdtype(value.dtype, ("real floating", "integral")):
@@ -82,7 +87,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
 
 def create_group_tensor(
     number_of_elements: int, group_percentages: Sequence[float] | None = None, number_of_groups: int | None = None
-):
+) -> Any:
     """Return the number of the group that each element belongs to, in rising runs.
 
     Parameters
@@ -122,7 +127,7 @@ def create_group_tensor(
         groups = _count("number_of_groups", number_of_groups, 1)
         shares = [1 / groups] * groups
     else:
-        shares = [float(share) for share in group_percentages]
+        shares = _validate.numbers(_validate.real("group_percentages", group_percentages))
         if not abs(sum(shares) - 1) <= 1e-6:
             raise ValueError(f"group_percentages must sum to 1.0, got a sum of {sum(shares)}")
         if not all(0 <= share <= 1 for share in shares):

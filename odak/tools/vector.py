@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from odak._array import namespace
+from odak import _validate
+from odak._array import Array, namespace
 
 
 def dot(a, b):
@@ -24,7 +25,7 @@ def on_same_side(p1, p2, a, b):
     return dot(cross(b - a, p1 - a), cross(b - a, p2 - a)) >= 0
 
 
-def cross_product(vector1, vector2) -> np.ndarray:
+def cross_product(vector1: Array, vector2: Array) -> np.ndarray:
     """Return the vector product of two rays' directions as a ray that starts where the first does.
 
     Parameters
@@ -48,7 +49,7 @@ def cross_product(vector1, vector2) -> np.ndarray:
     return np.stack((first[0], cross(first[1], second[1]))).astype(np.float32)
 
 
-def same_side(p1, p2, a, b):
+def same_side(p1: Array, p2: Array, a: Array, b: Array) -> bool | np.ndarray:
     """Say whether p1 and p2 lie on the same side of the line through a and b.
 
     Parameters
@@ -71,12 +72,11 @@ def same_side(p1, p2, a, b):
     >>> same_side([0, 1, 0], [5, 2, 0], [0, 0, 0], [1, 0, 0])
     True
     """
-    values = (_points(name, v) for name, v in (("p1", p1), ("p2", p2), ("a", a), ("b", b)))
-    result = on_same_side(*values)
+    result = on_same_side(*_fitting_points(p1=p1, p2=p2, a=a, b=b))
     return bool(result) if result.ndim == 0 else result
 
 
-def distance_between_point_clouds(points0, points1) -> np.ndarray:
+def distance_between_point_clouds(points0: Array, points1: Array) -> np.ndarray:
     """Return the distance of every point of one cloud to every point of another.
 
     Parameters
@@ -100,7 +100,7 @@ def distance_between_point_clouds(points0, points1) -> np.ndarray:
     return np.sqrt(sum((points0[:, None, i] - points1[None, :, i]) ** 2 for i in range(3)))
 
 
-def distance_between_two_points(point1, point2):
+def distance_between_two_points(point1: Array, point2: Array) -> np.floating | np.ndarray:
     """Return the distance between points.
 
     Parameters
@@ -119,11 +119,12 @@ def distance_between_two_points(point1, point2):
     >>> float(distance_between_two_points([0, 0, 0], [3, 4, 12]))
     13.0
     """
-    difference = _points("point1", point1) - _points("point2", point2)
+    point1, point2 = _fitting_points(point1=point1, point2=point2)
+    difference = point1 - point2
     return np.sqrt(dot(difference, difference))
 
 
-def closest_point_to_a_ray(point, ray) -> np.ndarray:
+def closest_point_to_a_ray(point: Array, ray: Array) -> np.ndarray:
     """Return the point of a line that is nearest to a given point.
 
     Parameters
@@ -149,7 +150,7 @@ def closest_point_to_a_ray(point, ray) -> np.ndarray:
     return start + along[..., None] * direction
 
 
-def point_to_ray_distance(point, ray_point_0, ray_point_1):
+def point_to_ray_distance(point: Array, ray_point_0: Array, ray_point_1: Array) -> np.floating | np.ndarray:
     """Return the distance of a point to the line through two points.
 
     Parameters
@@ -168,9 +169,7 @@ def point_to_ray_distance(point, ray_point_0, ray_point_1):
     >>> float(point_to_ray_distance([0, 2, 5], [0, 0, 0], [0, 0, 1]))
     2.0
     """
-    point, p0, p1 = (
-        _points(name, v) for name, v in (("point", point), ("ray_point_0", ray_point_0), ("ray_point_1", ray_point_1))
-    )
+    point, p0, p1 = _fitting_points(point=point, ray_point_0=ray_point_0, ray_point_1=ray_point_1)
     area = cross(point - p0, point - p1)
     return np.sqrt(dot(area, area) / dot(p1 - p0, p1 - p0))
 
@@ -182,6 +181,12 @@ def _points(name: str, value) -> np.ndarray:
     if value.ndim == 0 or value.shape[-1] != 3:
         raise ValueError(f"{name} must be [3] or [n, 3], got {value.shape}")
     return value if value.dtype == np.float32 else value.astype(np.float64)
+
+
+def _fitting_points(**values) -> list[np.ndarray]:
+    points = {name: _points(name, value) for name, value in values.items()}
+    _validate.fitting(**points)
+    return list(points.values())
 
 
 def _ray(name: str, value) -> np.ndarray:

@@ -3,9 +3,10 @@
 import math
 
 from odak import _array, _validate
+from odak._array import Array
 
 
-def zernike_polynomial(n: int, m: int, rho, theta):
+def zernike_polynomial(n: int, m: int, rho: Array, theta: Array) -> Array:
     """Return the Zernike polynomial R(ρ)·cos(mθ) for m ≥ 0, R(ρ)·sin(|m|θ) for m < 0, without a norm factor.
 
     Parameters
@@ -43,12 +44,16 @@ def zernike_polynomial(n: int, m: int, rho, theta):
     array([-1. , -0.5,  1. ,  0. ])
     """
     n, m = check_mode(n, m)
+    for name, value in (("rho", rho), ("theta", theta)):
+        _validate.array(name, value)
     xp = _array.namespace(rho, theta)
     rho = rho if _array.is_array(rho) else xp.asarray(rho, dtype=xp.float64)
     wide = xp.astype(rho, xp.float64)
     # Held at the rim, so that no power of a large radius overflows and spoils the gradient.
     radius = xp.where(wide > 1, xp.ones_like(wide), wide)
-    angle = abs(m) * _array.cast(theta, wide)
+    theta = _array.cast(theta, wide)
+    _validate.fitting(rho=rho, theta=theta)
+    angle = abs(m) * theta
     wave = xp.cos(angle) if m >= 0 else xp.sin(angle)
     value = radius ** abs(m) * jacobi((n - abs(m)) // 2, abs(m), 2 * radius**2 - 1) * wave
     value = xp.where(wide > 1, xp.zeros_like(value), value)

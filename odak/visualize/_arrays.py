@@ -89,6 +89,8 @@ def reach(rays, distance) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError(f"rays must be [2, 3] or [m, 2, 3], got {list(np.shape(rays))}")
     found = found.astype(np.result_type(found, np.float32), copy=False)
     lengths = real_array("distance", distance).reshape(-1, 1).astype(found.dtype, copy=False)
+    if len(lengths) == 1 and not np.isfinite(lengths).all():
+        raise ValueError(f"distance must be finite, got {distance!r:.80}")
     if len(lengths) not in (1, len(found)):
         raise ValueError(f"distance must be one number or one for each of the {len(found)} rays, got {len(lengths)}")
     ends = found[:, 0] + lengths * found[:, 1]

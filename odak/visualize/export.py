@@ -7,6 +7,7 @@ import numpy as np
 import plyfile
 
 from odak import _validate
+from odak._array import Array
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
 from odak.visualize import _arrays
@@ -74,7 +75,7 @@ class PLY_object:
         return _joined(self._faces)
 
     def draw_a_ray(
-        self, point0, point1, k: float = 0.02, color: Sequence[int] = WHITE, perpendicular: bool = False
+        self, point0: Array, point1: Array, k: float = 0.02, color: Sequence[int] = WHITE, perpendicular: bool = False
     ) -> None:
         """Add a ray as a square prism.
 
@@ -98,10 +99,18 @@ class PLY_object:
         starts, ends = _arrays.pairs(("point0", "point1"), point0, point1)
         if len(starts) != 1:
             raise ValueError(f"point0 and point1 must be one point each, got {len(starts)}; use draw_rays")
+        for name, ends_ in (("point0", starts), ("point1", ends)):
+            if not np.isfinite(ends_).all():
+                raise ValueError(f"{name} must be finite")
         self._draw_prisms(starts, ends, k, color, perpendicular)
 
     def draw_rays(
-        self, rays, distance=1.0, k: float = 0.02, color: Sequence[int] = WHITE, perpendicular: bool = True
+        self,
+        rays: Array,
+        distance: float | Array = 1.0,
+        k: float = 0.02,
+        color: Sequence[int] = WHITE,
+        perpendicular: bool = True,
     ) -> None:
         """Add rays as square prisms; those that are NaN are left out.
 
@@ -117,12 +126,14 @@ class PLY_object:
         starts, ends = _arrays.reach(rays, distance)
         self._draw_prisms(starts, ends, k, color, perpendicular)
 
-    def draw_triangles(self, triangles, color: Sequence[int] = WHITE) -> None:
+    def draw_triangles(self, triangles: Array, color: Sequence[int] = WHITE) -> None:
         """Add triangles ``[3, 3]`` or ``[m, 3, 3]``."""
         corners = _arrays.triangles("triangles", triangles)
+        if not np.isfinite(corners).all():
+            raise ValueError("triangles must have finite vertices")
         self._append(corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3), color)
 
-    def draw_surface(self, data_x, data_y, data_z, color: Sequence[int] = WHITE) -> None:
+    def draw_surface(self, data_x: Array, data_y: Array, data_z: Array, color: Sequence[int] = WHITE) -> None:
         """Add a surface, two triangles for each cell of a grid.
 
         Parameters
@@ -169,7 +180,7 @@ class PLY_object:
             plyfile.PlyElement.describe(faces, "face", comments=["Face data"]),
         ]
         with replacing(validate_path(savefn, [".ply"])) as stream:
-            plyfile.PlyData(elements, text=bool(text), byte_order="<").write(stream)
+            plyfile.PlyData(elements, text=_validate.flag("text", text), byte_order="<").write(stream)
 
     def save_OBJ(self, savefn: str | os.PathLike = "out.obj") -> None:
         """Write an OBJ file of text, colours as red, green, blue from 0 to 1 behind the coordinates of each vertex.
@@ -227,9 +238,7 @@ class PLY_object:
 
     def _draw_prisms(self, starts, ends, k, color, perpendicular) -> None:
         side = float(_validate.real("k", k, positive=True))
-        if not (np.isfinite(starts).all() and np.isfinite(ends).all()):
-            raise ValueError("the points of a ray must be finite")
-        if perpendicular:
+        if _validate.flag("perpendicular", perpendicular):
             across, up = _frame(ends - starts)
             square = SQUARE - 0.5
             corners = side * (square[:, :1] * across[:, None] + square[:, 1:] * up[:, None])
@@ -277,7 +286,9 @@ def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     along = along.astype(np.float64)
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     if not (length > 0).all():
-        raise ValueError("a ray must have a length to be drawn with a perpendicular section")
+        raise ValueError(
+            "a ray must have a length to be drawn with a perpendicular section: no distance of 0, no two equal points"
+        )
     along = along / length
     # The axis least along the ray is never parallel to it.
     helper = np.eye(3)[np.abs(along).argmin(-1)]

@@ -1,9 +1,11 @@
 """Wavefront aberrations as sums of Zernike polynomials."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
 
 
@@ -12,12 +14,12 @@ def zernike_phase(
     ny: int,
     coefficients: Mapping,
     radius: float | None = None,
-    dx=1.0,
-    offset=(0.0, 0.0),
+    dx: float | Sequence[float] = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
     *,
-    xp=None,
-    device=None,
-):
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
     """Return the aberration Σ c·Z as a phase, each Z a Zernike polynomial of root mean square 1 over the disc.
 
     Parameters
@@ -63,20 +65,28 @@ def zernike_phase(
     if not isinstance(coefficients, Mapping):
         raise TypeError(f"coefficients must map (n, m) to radians, got {type(coefficients).__name__}")
     arrays = [value for value in coefficients.values() if _array.is_array(value)]
-    xp = _array.namespace(*arrays) if xp is None else xp
+    xp = _array.namespace(*arrays) if xp is None else _validate.library("xp", xp)
     device = _array.device_of(arrays[0]) if device is None and arrays else device
     for mode, value in coefficients.items():
         _validate.real(f"coefficients[{mode}]", value)
     phase = xp.zeros(_validate.size("nx, ny", (nx, ny)), dtype=xp.float64, device=device)
-    modes = _modes(nx, ny, coefficients, radius, dx, offset, xp, device)
+    modes = _modes(nx, ny, _pairs("coefficients", coefficients), radius, dx, offset, xp, device)
     for value, polynomial in zip(coefficients.values(), modes, strict=True):
         phase = phase + (value[..., None, None] if _array.is_array(value) else float(value)) * polynomial
     return phase
 
 
 def zernike_basis(
-    nx: int, ny: int, modes: Iterable, radius: float | None = None, dx=1.0, offset=(0.0, 0.0), *, xp=None, device=None
-):
+    nx: int,
+    ny: int,
+    modes: Iterable,
+    radius: float | None = None,
+    dx: float | Array = 1.0,
+    offset: Any = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
     """Return Zernike polynomials of root mean square 1, for sums that are taken again and again.
 
     Parameters
@@ -96,16 +106,19 @@ def zernike_basis(
     ValueError, TypeError
         If an argument is outside its range, naming it.
     """
-    xp = _array.namespace() if xp is None else xp
+    xp = _validate.library("xp", xp)
+    modes = _pairs("modes", modes)
+    if not modes:
+        raise ValueError("modes must hold at least one pair (n, m), got none")
     return xp.stack(list(_modes(nx, ny, modes, radius, dx, offset, xp, device)))
 
 
 def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
     """Yield the polynomials, formed from ρ²ᵏ and (x + iy)^m: no angle, no square root, smooth at the centre."""
     shape = _validate.size("nx, ny", (nx, ny))
-    pitches = tuple(dx) if isinstance(dx, Iterable) else (dx, dx)
-    for pitch in pitches:
-        _validate.real("dx", pitch, positive=True)
+    is_pair = isinstance(dx, Iterable) and getattr(dx, "ndim", 1)
+    pitches = _validate.several("dx", dx if is_pair else (dx, dx), 2, positive=True)
+    offset = _validate.several("offset", offset, 2)
     if radius is None:
         radius = math.hypot(*(n * pitch for n, pitch in zip(shape, pitches, strict=True))) / 2
     radius = float(_validate.real("radius", radius, positive=True))
@@ -121,6 +134,17 @@ def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
         n, m = check_mode(n, m)
         radial = zernike_norm(n, m) * jacobi((n - abs(m)) // 2, abs(m), argument) * inside
         yield radial * _angular(x, y, m)
+
+
+def _pairs(name, modes) -> list[tuple]:
+    listed = isinstance(modes, Iterable) and not isinstance(modes, str)
+    pairs = [tuple(mode) if isinstance(mode, Iterable) else (mode,) for mode in modes] if listed else [()]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ValueError(f"{name} must be pairs of integers (n, m), got {modes!r:.100}")
+    for n, m in pairs:
+        _validate.integer(f"n in {name}", n)
+        _validate.integer(f"m in {name}", m, minimum=-n)
+    return pairs
 
 
 def _angular(x, y, m: int):

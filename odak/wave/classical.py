@@ -6,8 +6,10 @@ tensors in, differentiable torch tensors out; complex64 in, complex64 out.
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.tools.matrix import crop_center
 from odak.wave.phase_retrieval import gerchberg_saxton, gerchberg_saxton_3d
 from odak.wave.propagation import check_geometry, propagate
@@ -34,18 +36,18 @@ __all__ = [
 
 
 def propagate_beam(
-    field,
-    k,
-    distance,
-    dx,
-    wavelength,
+    field: Array,
+    k: float | None,
+    distance: float | Array,
+    dx: float,
+    wavelength: float | Array,
     propagation_type: str = "IR Fresnel",
-    kernel=None,
+    kernel: Array = None,
     zero_padding: Sequence[bool] = (False, False, False),
-    aperture=1.0,
+    aperture: float | Array = 1.0,
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
-):
+) -> Array:
     """Propagate a field by the method named.
 
     Parameters
@@ -112,7 +114,15 @@ def propagate_beam(
     )
 
 
-def angular_spectrum(field, k, distance, dx, wavelength, zero_padding: bool = False, aperture=1.0):
+def angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
     """Propagate by the angular spectrum of plane waves, exact for scalar fields (Goodman 2005, section 3.10).
 
     Parameters
@@ -132,7 +142,15 @@ def angular_spectrum(field, k, distance, dx, wavelength, zero_padding: bool = Fa
     )
 
 
-def band_limited_angular_spectrum(field, k, distance, dx, wavelength, zero_padding: bool = False, aperture=1.0):
+def band_limited_angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
     """Propagate by the angular spectrum inside its alias-free band (Matsushima and Shimobaba 2009).
 
     Parameters and result are those of :func:`angular_spectrum`.
@@ -142,7 +160,15 @@ def band_limited_angular_spectrum(field, k, distance, dx, wavelength, zero_paddi
     )
 
 
-def incoherent_angular_spectrum(field, k, distance, dx, wavelength, zero_padding: bool = False, aperture=1.0):
+def incoherent_angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
     """Propagate an intensity by the incoherent transfer function, the autocorrelation of the coherent one.
 
     Parameters are those of :func:`angular_spectrum`, `field` being an intensity; the result is real and keeps its sum.
@@ -152,7 +178,15 @@ def incoherent_angular_spectrum(field, k, distance, dx, wavelength, zero_padding
     )
 
 
-def transfer_function_fresnel(field, k, distance, dx, wavelength, zero_padding: bool = False, aperture=1.0):
+def transfer_function_fresnel(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
     """Propagate by the Fresnel transfer function exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20).
 
     Parameters and result are those of :func:`angular_spectrum`.
@@ -163,8 +197,16 @@ def transfer_function_fresnel(field, k, distance, dx, wavelength, zero_padding: 
 
 
 def impulse_response_fresnel(
-    field, k, distance, dx, wavelength, zero_padding: bool = False, aperture=1.0, scale: int = 1, samples=(1, 1, 1, 1)
-):
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+    scale: int = 1,
+    samples: Any = (1, 1, 1, 1),
+) -> Array:
     """Propagate by the sampled Fresnel impulse response (Voelz 2011, eq. 4.21).
 
     Parameters are those of :func:`angular_spectrum`; `scale` and `samples` are those of :func:`propagate_beam`.
@@ -187,7 +229,7 @@ def impulse_response_fresnel(
 seperable_impulse_response_fresnel = impulse_response_fresnel
 
 
-def custom(field, kernel, zero_padding: bool = False, aperture=1.0):
+def custom(field: Array, kernel: Array | None, zero_padding: bool = False, aperture: float | Array = 1.0) -> Array:
     """Filter a field by a centred transfer function of its own size.
 
     Parameters
@@ -209,7 +251,7 @@ def custom(field, kernel, zero_padding: bool = False, aperture=1.0):
     return propagate(field, None, 0.0, 1.0, 1.0, "custom", kernel=kernel, zero_padding=zero_padding, aperture=aperture)
 
 
-def band_extended_angular_spectrum(field, k, distance, dx, wavelength):
+def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the angular spectrum on a frequency grid stretched to the alias-free band (Zhang et al. 2020).
 
     Parameters and result are those of :func:`angular_spectrum`. Opt. Lett. 45, 1543; computed by chirp-z transforms.
@@ -217,7 +259,7 @@ def band_extended_angular_spectrum(field, k, distance, dx, wavelength):
     return propagate(field, k, distance, dx, wavelength, "Bandextended Angular Spectrum")
 
 
-def adaptive_sampling_angular_spectrum(field, k, distance, dx, wavelength):
+def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the angular spectrum with frequencies doubled, and stretched beyond twice the critical distance.
 
     Parameters and result are those of :func:`angular_spectrum`. Zhang, Zhang and Jin, Opt. Lett. 45, 4416 (2020).
@@ -225,7 +267,7 @@ def adaptive_sampling_angular_spectrum(field, k, distance, dx, wavelength):
     return propagate(field, k, distance, dx, wavelength, "Adaptive Sampling Angular Spectrum")
 
 
-def rayleigh_sommerfeld(field, k, distance, dx, wavelength):
+def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral, as a linear convolution with its sampled kernel.
 
     Parameters and result are those of :func:`angular_spectrum`. The kernel is z·exp(ikr)/(iλr²) (Goodman 2005,
@@ -234,7 +276,7 @@ def rayleigh_sommerfeld(field, k, distance, dx, wavelength):
     return propagate(field, k, distance, dx, wavelength, "Rayleigh-Sommerfeld")
 
 
-def rayleigh_sommerfeld_sum(field, k, distance, dx, wavelength):
+def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Return :func:`rayleigh_sommerfeld` by the direct double sum, in double precision: an oracle for small fields.
 
     Memory grows with the square of the number of pixels; 64 × 64 takes 270 MB.
@@ -256,7 +298,7 @@ def rayleigh_sommerfeld_sum(field, k, distance, dx, wavelength):
     return xp.reshape(xp.matmul(kernel, source), field.shape)
 
 
-def fraunhofer(field, k, distance, dx, wavelength):
+def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate to the far field: exp(ikz)/(iλz)·exp(ikr²/(2z))·F{u}·dx² (Goodman 2005, eq. 4-25).
 
     Parameters and result are those of :func:`angular_spectrum`; the output pitch is λ·z/(N·dx) along an axis of N.
@@ -264,7 +306,7 @@ def fraunhofer(field, k, distance, dx, wavelength):
     return propagate(field, k, distance, dx, wavelength, "Fraunhofer")
 
 
-def fraunhofer_inverse(field, k, distance, dx, wavelength):
+def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Return the field whose :func:`fraunhofer` pattern is given; `dx` is the pitch of the plane returned.
 
     Parameters and result are those of :func:`angular_spectrum`.
@@ -272,7 +314,7 @@ def fraunhofer_inverse(field, k, distance, dx, wavelength):
     return propagate(field, k, distance, dx, wavelength, "Fraunhofer Inverse")
 
 
-def fraunhofer_equal_size_adjust(field, distance, dx, wavelength):
+def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavelength: float) -> Array:
     """Return the centre of a Fraunhofer pattern that spans the same width as the field it came from.
 
     Parameters
@@ -294,6 +336,7 @@ def fraunhofer_equal_size_adjust(field, distance, dx, wavelength):
     """
     field = _validate.image("field", field)
     check_geometry(None, distance, dx, wavelength)
+    _validate.real("distance", distance, nonzero=True)
     sizes = [int(n * dx**2 / (wavelength * abs(distance)) * n) for n in field.shape[-2:]]
     for n, size in zip(field.shape[-2:], sizes, strict=True):
         if not 1 <= size <= n:

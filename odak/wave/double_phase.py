@@ -1,9 +1,10 @@
 """The two checkerboard parts of a double-phase hologram, taken apart and put together."""
 
 from odak import _array, _validate
+from odak._array import Array
 
 
-def decompose_double_phase(tensor):
+def decompose_double_phase(tensor: Array) -> tuple:
     """Return the two checkerboard parts of an image, each packed into half the columns.
 
     Parameters
@@ -26,7 +27,7 @@ def decompose_double_phase(tensor):
     return high, low
 
 
-def compose_double_phase(component_high, component_low):
+def compose_double_phase(component_high: Array, component_low: Array) -> Array:
     """Return the image whose checkerboard parts are given: the exact inverse of :func:`decompose_double_phase`.
 
     Parameters
@@ -39,6 +40,8 @@ def compose_double_phase(component_high, component_low):
     array
         ``[..., h, w]``.
     """
+    component_high = _validate.image("component_high", component_high)
+    component_low = _validate.image("component_low", component_low)
     if tuple(component_high.shape) != tuple(component_low.shape):
         raise ValueError(
             f"component_low must have component_high's shape {tuple(component_high.shape)}, "

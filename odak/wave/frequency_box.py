@@ -76,11 +76,7 @@ def make_window(field, window_shape, window_dx, dx, offset, guard: float, axes=U
         _validate.real("window_dx", window_dx, positive=True)
     plain = isinstance(window_dx, (int, float)) and isinstance(dx, (int, float))
     window_dx = None if plain and window_dx == dx else window_dx
-    offset = tuple(offset)
-    if len(offset) != 2:
-        raise ValueError(f"offset must be two lengths (y, x), got {len(offset)}")
-    for value in offset:
-        _validate.real("offset", value)
+    offset = _validate.several("offset", offset, 2)
     _validate.real("guard", guard)
     if not isinstance(guard, (int, float)) or guard < 0:
         raise ValueError(f"guard must be a number of at least 0, got {guard!r}")

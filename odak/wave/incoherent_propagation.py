@@ -1,24 +1,26 @@
 """What an eye or a camera sees of a scene made of planes, under light that does not interfere."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from numbers import Number
+from typing import Any
 
 from odak import _array, _validate
-from odak.wave.propagation import propagate
+from odak._array import Array
+from odak.wave.propagation import padding_flags, propagate
 
 _METHOD = "Incoherent Angular Spectrum"
 
 
 def incoherent_focal_stack_rgbd(
-    targets,
-    masks,
-    distances,
-    dx,
-    wavelengths,
+    targets: Array,
+    masks: Array,
+    distances: Array,
+    dx: float,
+    wavelengths: Any,
     zero_padding: Sequence[bool] = (True, False, True),
-    apertures=1.0,
-    alpha=0.5,
-):
+    apertures: float | Array = 1.0,
+    alpha: float | Array = 0.5,
+) -> Array:
     """Return the images of a scene of planes with the focus on each plane in turn.
 
     Each plane spreads by the incoherent transfer function of its distance to the plane in focus, and what lies in
@@ -74,11 +76,15 @@ def incoherent_focal_stack_rgbd(
     planes = _stacked(targets, masks)
     xp = _array.namespace(planes)
     count, _, colours = planes.shape[:3]
+    _validate.real("distances", distances)
     distances = _lengths("distances", distances, count)
+    _validate.real("wavelengths", wavelengths, positive=True)
     wavelengths = wavelengths if isinstance(wavelengths, Number) else _lengths("wavelengths", wavelengths, colours)
-    if _array.is_readable(alpha) and not all(0 <= value <= 1 for value in _validate.numbers(alpha)):
+    if _array.is_readable(_validate.real("alpha", alpha)) and not all(0 <= v <= 1 for v in _validate.numbers(alpha)):
         raise ValueError(f"alpha must be between 0 and 1, got {alpha!r}")
-    aperture = _per_colour(apertures, colours, planes)
+    alpha = _array.cast(alpha, planes)
+    _validate.fitting(alpha=alpha, targets=planes[0, 0, ...])
+    aperture = _per_colour(apertures, colours, planes, 2 if padding_flags(zero_padding)[0] else 1)
 
     def spread(plane, distance):
         return propagate(plane, None, distance, dx, wavelengths, _METHOD, zero_padding=zero_padding, aperture=aperture)
@@ -126,11 +132,21 @@ def _lengths(name, values, count):
     return values
 
 
-def _per_colour(apertures, colours, planes):
+def _per_colour(apertures, colours, planes, scale):
     """Return one number, or an array that broadcasts against ``[C, rows, columns]``."""
-    if isinstance(apertures, Number) or (_array.is_array(apertures) and apertures.ndim >= 2):
+    if isinstance(apertures, Number):
         return apertures
-    values = list(apertures)
+    if _array.is_array(apertures) and apertures.ndim >= 2:
+        grid = (colours, *(scale * n for n in planes.shape[-2:]))
+        fits = (n in (1, m) for n, m in zip(reversed(apertures.shape), reversed(grid), strict=False))
+        if apertures.ndim > 3 or not all(fits):
+            raise ValueError(
+                f"apertures must be numbers or shaped like the propagated planes {grid}, got {tuple(apertures.shape)}"
+            )
+        return _validate.array("apertures", apertures)
+    if isinstance(apertures, str) or not isinstance(apertures, Iterable):
+        raise TypeError(f"apertures must be a number, an array or a sequence of them, got {type(apertures).__name__}")
+    values = [_validate.given("apertures", value) for value in apertures]
     if len(values) != colours:
         raise ValueError(f"apertures must be one or {colours}, one for each colour; got {len(values)}")
     if all(isinstance(value, Number) and value == values[0] for value in values):

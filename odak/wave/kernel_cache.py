@@ -1,6 +1,7 @@
 """A bounded store of transfer functions, so that a kernel is built once per geometry."""
 
 import math
+import os
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -42,6 +43,10 @@ class KernelCache:
         while self.bytes > self.maximum_bytes:
             self.bytes -= _bytes_of(self._entries.popitem(last=False)[1])
 
+    def _after_fork(self):
+        # Another thread may have held the lock: its owner is not in this process, and would never let go.
+        self._lock = threading.RLock()
+
     def resize(self, maximum_bytes: int):
         """Set the bound and drop the least recently used entries above it."""
         with self._lock:
@@ -64,6 +69,8 @@ def _bytes_of(kernel) -> int:
 
 
 kernels = KernelCache()
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=kernels._after_fork)
 
 
 def clear_kernel_cache() -> None:

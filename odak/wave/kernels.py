@@ -1,8 +1,10 @@
 """Transfer functions as arrays, centred, for those who want to see or edit them."""
 
 from collections.abc import Sequence
+from typing import Any
 
-from odak import _array, _validate
+from odak import _validate
+from odak._array import Array
 from odak.wave import transfer_functions as tf
 from odak.wave.grid import Grid
 from odak.wave.methods import DISTANCE_NEEDED, METHODS, find_method
@@ -20,10 +22,10 @@ def get_propagation_kernel(
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
     *,
-    xp=None,
-    device=None,
-    dtype=None,
-):
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
+) -> Array:
     """Return the centred transfer function of a method.
 
     Parameters
@@ -57,6 +59,7 @@ def get_propagation_kernel(
         raise ValueError(
             f"propagation_type must be a method with a transfer function ({names}), got {propagation_type!r}"
         )
+    _validate.real("distance", distance)
     if method.name in DISTANCE_NEEDED and 0 in _validate.numbers(distance):
         raise ValueError(f"distance must not be zero for {method.name!r}")
     grid = make_grid(nu, nv, dx, wavelength, distance, scale, samples, xp=xp, device=device, dtype=dtype)
@@ -70,9 +73,16 @@ def make_grid(
     size = _validate.size("nu, nv", (nu, nv))
     check_geometry(None, distance, dx, wavelength)
     scale = _validate.integer("scale", scale, minimum=1)
-    xp = _array.namespace() if xp is None else xp
+    xp = _validate.library("xp", xp)
     request = Request(dx, wavelength, distance, scale=scale, samples=sample_counts(samples))
-    return request.grid(tuple(scale * n for n in size), xp, device, xp.complex64 if dtype is None else dtype)
+    return request.grid(tuple(scale * n for n in size), xp, device, _complex_dtype(dtype, xp))
+
+
+def _complex_dtype(dtype, xp):
+    for name in ("complex64", "complex128"):
+        if name in str("complex64" if dtype is None else dtype):
+            return getattr(xp, name)
+    raise TypeError(f"dtype must be complex64 or complex128, got {dtype!r}")
 
 
 def separable_impulse_response(grid: Grid):

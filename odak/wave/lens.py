@@ -1,14 +1,25 @@
 """Thin phase elements: lenses, prisms and gratings, as complex transmissions."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _validate
-from odak._array import namespace, phasor, phasor_of_cycles
+from odak._array import Array, namespace, phasor, phasor_of_cycles
 
 
-def lens_phase(shape, focal, dx, wavelength, offset=(0.0, 0.0), *, xp=None, device=None):
+def lens_phase(
+    shape: Sequence[int],
+    focal: float,
+    dx: float,
+    wavelength: float,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
     """Return the phase of a thin lens, −π·r²/(λf), on the field's own grid (optical axis at index n // 2).
 
     Parameters
@@ -31,12 +42,15 @@ def lens_phase(shape, focal, dx, wavelength, offset=(0.0, 0.0), *, xp=None, devi
     array
         float64 phase in radians, not wrapped.
     """
-    rows, columns = _validate.size("shape", shape)
+    shape = _validate.size("shape", shape)
     _validate.real("focal", focal, nonzero=True)
-    xp = namespace() if xp is None else xp
+    _validate.real("dx", dx, positive=True)
+    _validate.real("wavelength", wavelength, positive=True)
+    offset = _validate.several("offset", offset, 2)
+    xp = _validate.library("xp", xp)
     y, x = (
         (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * dx - shift
-        for n, shift in zip((rows, columns), offset, strict=True)
+        for n, shift in zip(shape, offset, strict=True)
     )
     return -math.pi * (y[:, None] ** 2 + x[None, :] ** 2) / (wavelength * focal)
 
@@ -46,7 +60,9 @@ def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
 
     The step is n·dx/(n − 1), not dx; :func:`lens_phase` has the exact grid.
     """
-    xp = namespace() if xp is None else xp
+    _validate.real("dx", dx, positive=True)
+    offset = _validate.several("offset", offset, 2)
+    xp = _validate.library("xp", xp)
     along_x, along_y = (
         xp.linspace(-n * dx / 2, n * dx / 2, n, dtype=xp.float64, device=device) - shift * dx
         for n, shift in ((nx, offset[1]), (ny, offset[0]))
@@ -54,7 +70,9 @@ def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
     return along_x[:, None] ** 2 + along_y[None, :] ** 2
 
 
-def quadratic_phase_function(nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset=(0, 0)):
+def quadratic_phase_function(
+    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
+) -> np.ndarray:
     """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
     Parameters
@@ -80,11 +98,12 @@ def quadratic_phase_function(nx: int, ny: int, k: float, focal: float = 0.4, dx:
     The older exp(i·k·½·sin(r²/f)) is the same lens with the other sign, and with a sine where small angles hide it.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
     _validate.real("focal", focal, nonzero=True)
     return phasor(-k * squared_radius(nx, ny, dx, offset) / (2 * focal)).T
 
 
-def double_convergence(nx: int, ny: int, k: float, r: float, dx: float):
+def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> np.ndarray:
     """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
 
     Parameters
@@ -104,11 +123,12 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float):
         complex128 ``[ny, nx]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
     _validate.real("r", r, nonzero=True)
     return phasor(k * squared_radius(nx, ny, dx) / r).T
 
 
-def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x"):
+def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x") -> np.ndarray:
     """Return the transmission of a thin prism, exp(−ik·sin(angle)·x).
 
     Parameters
@@ -130,7 +150,9 @@ def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0
         complex128 ``[ny, nx]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
     _validate.real("angle", angle)
+    _validate.real("dx", dx, positive=True)
     axis = _validate.one_of("axis", axis, ("x", "y"))
     x = np.linspace(-nx * dx / 2, nx * dx / 2, nx)[None, :]
     y = np.linspace(-ny * dx / 2, ny * dx / 2, ny)[:, None]
@@ -139,8 +161,16 @@ def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0
 
 
 def prism_grating(
-    nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x", phase_offset: float = 0.0, *, xp=None
-):
+    nx: int,
+    ny: int,
+    k: float,
+    angle: float,
+    dx: float = 0.001,
+    axis: str = "x",
+    phase_offset: float = 0.0,
+    *,
+    xp: Any = None,
+) -> Array:
     """Return a blazed prism exp(−i(k·sin(angle)·x + offset)), counted from the first sample.
 
     Parameters
@@ -165,13 +195,16 @@ def prism_grating(
     array
         complex128 ``[nx, ny]``.
     """
-    xp = namespace() if xp is None else xp
-    line, shape = _line_along(nx, ny, axis, xp)
+    line, shape = _line_along(nx, ny, axis, _validate.library("xp", xp))
+    xp = namespace(line)
+    _validate.real("k", k)
+    _validate.real("dx", dx, positive=True)
+    _validate.real("phase_offset", phase_offset)
     phase = k * math.sin(math.radians(_validate.real("angle", angle))) * line * dx + math.radians(phase_offset)
     return xp.broadcast_to(phasor(-phase), shape) + 0
 
 
-def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp=None):
+def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: Any = None) -> Array:
     """Return a blazed grating of a period of `levels` samples, exp(i2π·(j mod levels)/levels), j falling from n to 1.
 
     Parameters
@@ -190,14 +223,16 @@ def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp=Non
     array
         complex128 ``[nx, ny]``.
     """
-    xp = namespace() if xp is None else xp
+    xp = _validate.library("xp", xp)
     levels = max(2, _validate.integer("levels", levels, minimum=0))
     line, shape = _line_along(nx, ny, axis, xp)
     falling = max(line.shape) - line
     return xp.broadcast_to(phasor_of_cycles((falling % levels) / levels), shape) + 0
 
 
-def linear_grating(nx: int, ny: int, every: int = 2, add: float | None = 3.14, axis: str = "x", *, xp=None):
+def linear_grating(
+    nx: int, ny: int, every: int = 2, add: float | None = 3.14, axis: str = "x", *, xp: Any = None
+) -> Array:
     """Return a binary grating.
 
     Parameters
@@ -227,7 +262,7 @@ def linear_grating(nx: int, ny: int, every: int = 2, add: float | None = 3.14, a
     nx, ny = _validate.size("nx, ny", (nx, ny))
     every = _validate.integer("every", every, minimum=1)
     axis = _validate.one_of("axis", axis, ("x", "y", "xy"))
-    xp = namespace() if xp is None else xp
+    xp = _validate.library("xp", xp)
     add = math.pi if add is None else _validate.real("add", add)
     rows, columns = xp.arange(nx)[:, None], xp.arange(ny)[None, :]
     if axis == "xy":

@@ -77,7 +77,7 @@ def _masked(kernel, aperture, field):
         for have, want in zip(aperture.shape[-2:], kernel.shape[-2:], strict=True):
             if have not in (1, want):
                 raise ValueError(
-                    f"aperture must be a number or shaped like the propagated grid {tuple(kernel.shape[-2:])}, "
+                    f"aperture must be a number or shaped like the grid of field, {tuple(kernel.shape[-2:])}, "
                     f"got {tuple(aperture.shape)}"
                 )
         aperture = xp.fft.ifftshift(aperture, axes=(-2, -1))
@@ -90,9 +90,10 @@ def _filter_by_given_kernel(field, request: Request):
     kernel = request.kernel
     if kernel is None:
         kernel = xp.ones(size, dtype=field.dtype, device=_array.device_of(field))
-    if not _array.is_array(kernel) or tuple(kernel.shape[-2:]) != size:
-        shape = tuple(kernel.shape) if _array.is_array(kernel) else type(kernel).__name__
-        raise ValueError(f"kernel must have the shape [..., {size[0]}, {size[1]}] of the propagated grid, got {shape}")
+    if tuple(_validate.image("kernel", kernel).shape[-2:]) != size:
+        raise ValueError(
+            f"kernel must have the shape [..., {size[0]}, {size[1]}] of the propagated field, got {tuple(kernel.shape)}"
+        )
     kernel = xp.fft.ifftshift(_array.cast(kernel, field), axes=(-2, -1))
     return convolve(field, _masked(kernel, request.aperture, field))
 

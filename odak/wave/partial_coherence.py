@@ -2,12 +2,14 @@
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import phasor_of_cycles
+from odak._array import Array, phasor_of_cycles
 from odak.wave.frequency_box import GUARD, centred
+from odak.wave.propagation import check_geometry
 from odak.wave.windows import propagate_to_window
 
 MEMORY = 1 << 26
@@ -16,17 +18,17 @@ _COPIES = 8
 
 
 def propagate_partially_coherent(
-    field,
-    spectrum,
-    source,
-    distance,
-    dx,
+    field: Any,
+    spectrum: Any,
+    source: Any,
+    distance: Array,
+    dx: Array,
     window_shape: Sequence[int] | None = None,
-    window_dx=None,
-    offset=(0.0, 0.0),
+    window_dx: Array = None,
+    offset: Any = (0.0, 0.0),
     guard: float = GUARD,
     memory: int = MEMORY,
-):
+) -> Array:
     """Return the intensity on a window of light that is neither of one wavelength nor from one direction.
 
     Parameters
@@ -90,8 +92,10 @@ def sum_intensities(run: Callable, field, spectrum, source, memory: int, **geome
     """Return :func:`propagate_partially_coherent`, each share of the sum by ``run(step, field, wavelength, …)``."""
     wavelengths, weights = _spectrum(spectrum)
     _validate.integer("memory", memory, minimum=1)
+    if geometry["window_shape"] is not None:
+        geometry["window_shape"] = _validate.size("window_shape", geometry["window_shape"])
     _validate.real("dx", geometry["dx"], positive=True)
-    _validate.real("distance", geometry["distance"])
+    check_geometry(None, geometry["distance"], geometry["dx"], 1.0)
     total = 0.0
     for index in range(len(_validate.numbers(wavelengths))):
         wavelength = wavelengths[index]
@@ -138,7 +142,7 @@ def _chunks(field, count: int, memory: int, geometry: dict) -> list[tuple[int, i
     shape = geometry["window_shape"] or field.shape[-2:]
     box = math.prod(n + m for n, m in zip(field.shape[-2:], shape, strict=True))
     batch = math.prod(field.shape[:-2]) * max(1, math.prod(getattr(geometry["distance"], "shape", ())))
-    size = max(1, memory // (_COPIES * box * batch * (16 if _array.is_double(field) else 8)))
+    size = max(1, memory // (_COPIES * box * max(1, batch) * (16 if _array.is_double(field) else 8)))
     return [(start, min(start + size, count)) for start in range(0, count, size)]
 
 
@@ -262,7 +266,8 @@ def disk_source(
     # Every other ring is turned by half a step, which spreads the directions more evenly.
     angles = 2 * np.pi * (np.arange(spokes) + 0.5 * (np.arange(rings)[:, None] % 2)) / spokes
     radii = radius * np.sqrt((1 + nodes[:, None]) / 2)
-    directions = np.stack([radii * np.sin(angles), radii * np.cos(angles)], -1).reshape(-1, 2) + np.asarray(center)
+    center = np.asarray([float(value) for value in _validate.several("center", center, 2)])
+    directions = np.stack([radii * np.sin(angles), radii * np.cos(angles)], -1).reshape(-1, 2) + center
     if np.hypot(*directions.T).max() >= 1:
         raise ValueError(f"radius and center must give sines below 1, got radius {radius!r} about {tuple(center)!r}")
     return directions, np.repeat(shares / (2 * spokes), spokes)

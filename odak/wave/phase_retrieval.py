@@ -2,10 +2,13 @@
 
 import functools
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.wave.propagation import propagate
 from odak.wave.utils import calculate_amplitude, calculate_phase, generate_complex_field
 
@@ -14,16 +17,16 @@ TARGET_TYPES = ("no constraint", "double constraint")
 
 
 def gerchberg_saxton(
-    field,
+    field: np.ndarray,
     n_iterations: int,
     distance: float,
     dx: float,
     wavelength: float,
     slm_range: float = 6.28,
     propagation_type: str = "IR Fresnel",
-    initial_phase=None,
-    seed=None,
-):
+    initial_phase: np.ndarray | None = None,
+    seed: Any = None,
+) -> tuple:
     """Return a phase-only hologram of an image, by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
     The planes are twice the image's size: the amplitude is constrained inside the image's window and free around it.
@@ -113,26 +116,29 @@ def _limit(phase, slm_range):
 
 def _starting_phase(target, initial_phase, seed):
     shape = tuple(target.shape)
+    seed = _validate.seed("seed", seed)
     if initial_phase is None:
         initial_phase = np.random.default_rng(seed).random(shape) * math.pi
-    elif tuple(initial_phase.shape) != shape:
-        raise ValueError(f"initial_phase must have the field's shape {shape}, got {tuple(initial_phase.shape)}")
+    elif tuple(_validate.image("initial_phase", initial_phase).shape) != shape:
+        raise ValueError(
+            f"initial_phase must have the field's shape (each of fields), {shape}, got {tuple(initial_phase.shape)}"
+        )
     return _array.cast(initial_phase, target)
 
 
 def gerchberg_saxton_3d(
-    fields,
+    fields: np.ndarray,
     n_iterations: int,
-    distances,
+    distances: Sequence[float],
     dx: float,
     wavelength: float,
     slm_range: float = 6.28,
     propagation_type: str = "IR Fresnel",
-    initial_phase=None,
+    initial_phase: Array = None,
     target_type: str = "no constraint",
-    coefficients=None,
-    seed=None,
-):
+    coefficients: Sequence[float] | None = None,
+    seed: Array = None,
+) -> np.ndarray:
     """Return a hologram of several image planes: the sum of one phase-only hologram per plane.
 
     Parameters
@@ -162,9 +168,11 @@ def gerchberg_saxton_3d(
         If an argument is outside its range, naming it.
     """
     fields = _validate.image("fields", fields, axes=3)
-    distances = list(distances)
-    if len(distances) != fields.shape[0]:
-        raise ValueError(f"distances must hold one distance for each of {fields.shape[0]} fields, got {len(distances)}")
+    if not len(fields):
+        raise ValueError(f"fields must hold at least one plane, got {tuple(fields.shape)}")
+    distances = _validate.several("distances", distances)
+    if len(distances) != len(fields):
+        raise ValueError(f"distances must hold one distance for each of {len(fields)} fields, got {len(distances)}")
     update = None
     if _validate.one_of("target_type", target_type, TARGET_TYPES) == "double constraint":
         update = _double_constraint(coefficients)
@@ -179,9 +187,9 @@ def gerchberg_saxton_3d(
 
 
 def _double_constraint(coefficients):
-    if coefficients is None or len(coefficients) != 3:
-        raise ValueError(f"coefficients must be [alpha, beta, gamma] for 'double constraint', got {coefficients!r}")
-    alpha, beta, gamma = coefficients
+    if coefficients is None:
+        raise ValueError("coefficients must be [alpha, beta, gamma] for 'double constraint', got None")
+    alpha, beta, gamma = _validate.several("coefficients", coefficients, 3)
 
     def update(target, amplitude):
         mixed = 2 * alpha * target - beta * amplitude

@@ -1,6 +1,7 @@
 """The one way in to every propagation method: checks, padding, the method, cropping."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Number
 
@@ -26,10 +27,16 @@ def propagate(
     samples: Sequence[int] = (1, 1, 1, 1),
 ):
     """Propagate a field; see :func:`odak.wave.propagate_beam` for the arguments."""
+    # Kernels, and warnings already given, are looked up: no graph of torch.compile can hold that.
+    return _array.outside_graphs(
+        _propagate, field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples
+    )
+
+
+def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples):
     field = _array.to_complex(_validate.image("field", field))
-    check_geometry(k, distance, dx, wavelength)
-    if not isinstance(aperture, Number) and not _array.is_array(aperture):
-        raise TypeError(f"aperture must be a number or an array, got {type(aperture).__name__}")
+    check_geometry(k, distance, dx, wavelength, tuple(field.shape[:-2]))
+    _check_aperture(aperture)
     pad, fine, crop = padding_flags(zero_padding)
     request = Request(
         dx, wavelength, distance, aperture, kernel, _validate.integer("scale", scale, minimum=1), sample_counts(samples)
@@ -47,12 +54,21 @@ def propagate(
     return crop_center(result) if crop and not window else result
 
 
-def check_geometry(k, distance, dx, wavelength) -> None:
-    """Raise ValueError or TypeError unless the geometry is physical and k agrees with the wavelength."""
+def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] = ()) -> None:
+    """Raise ValueError or TypeError unless the geometry is physical, fits a batch of fields, and k the wavelength."""
     _validate.real("distance", distance)
     _validate.real("dx", dx, positive=True)
     _validate.real("wavelength", wavelength, positive=True)
-    if k is None or not (_array.is_readable(k) and _array.is_readable(wavelength)):
+    shapes = {name: _shape(value) for name, value in (("distance", distance), ("dx", dx), ("wavelength", wavelength))}
+    for name, shape in shapes.items():
+        if 0 in shape:
+            raise ValueError(f"{name} must hold at least one number, got the shape {shape}")
+    if any(shapes.values()):
+        _validate.fitting(field=batch, **shapes)
+    if k is None:
+        return
+    _validate.real("k", k)
+    if not (_array.is_readable(k) and _array.is_readable(wavelength)):
         return
     for number, length in zip(_validate.numbers(k), _validate.numbers(wavelength), strict=False):
         expected = 2 * _array.numpy_namespace.pi / length
@@ -60,6 +76,19 @@ def check_geometry(k, distance, dx, wavelength) -> None:
             raise ValueError(
                 f"k must be 2π/wavelength = {expected:.9g} for wavelength {length!r}, or None; got {number!r}"
             )
+
+
+def _shape(value) -> tuple[int, ...]:
+    return (len(value),) if isinstance(value, (list, tuple)) else tuple(getattr(value, "shape", ()))
+
+
+def _check_aperture(aperture) -> None:
+    if _array.is_array(aperture):
+        _validate.array("aperture", aperture)
+    elif not isinstance(aperture, Number):
+        raise TypeError(f"aperture must be a number or an array, got {type(aperture).__name__}")
+    elif not abs(aperture) < math.inf:
+        raise ValueError(f"aperture must be finite, got {aperture!r}")
 
 
 def _check_method(method, request: Request) -> None:
@@ -79,15 +108,17 @@ def _check_method(method, request: Request) -> None:
 
 def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
     """Return the three padding flags (input, spectrum, crop); one bool stands for the spectrum's alone."""
-    flags = (False, zero_padding, False) if isinstance(zero_padding, bool) else tuple(zero_padding)
+    listed = isinstance(zero_padding, Iterable) and not isinstance(zero_padding, str)
+    flags = tuple(zero_padding) if listed else (False, zero_padding, False)
     if len(flags) != 3:
         raise ValueError(f"zero_padding must be three booleans [pad, pad spectrum, crop], got {zero_padding!r}")
-    return tuple(bool(flag) for flag in flags)
+    return tuple(_validate.flag("zero_padding", flag) for flag in flags)
 
 
-def sample_counts(samples) -> tuple[int, int, int, int]:
+def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
     """Return the four sample counts of an impulse response as integers."""
-    counts = tuple(_validate.integer("samples", int(count), minimum=1) for count in samples)
+    listed = isinstance(samples, Iterable) and not isinstance(samples, str)
+    counts = tuple(samples) if listed else (samples,)
     if len(counts) != 4:
-        raise ValueError(f"samples must be four counts [source rows, columns, target rows, columns], got {samples!r}")
-    return counts
+        raise ValueError(f"{name} must be four counts [source rows, columns, target rows, columns], got {samples!r}")
+    return tuple(_validate.whole(name, count, minimum=1) for count in counts)

@@ -105,7 +105,7 @@ def sampling_report(
     dx = float(_validate.real("dx", dx, positive=True))
     wavelength = float(_validate.real("wavelength", wavelength, positive=True))
     distance = float(_validate.real("distance", distance))
-    return _report(shape, dx, wavelength, distance, bool(zero_padding))
+    return _report(shape, dx, wavelength, distance, _validate.flag("zero_padding", zero_padding))
 
 
 @lru_cache(maxsize=1024)

@@ -2,26 +2,28 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.wave.utils import calculate_amplitude
 
 
 def spot_hologram(
-    points,
+    points: Array,
     resolution: Sequence[int],
     wavelength: float,
     dx: float,
     n_iterations: int = 30,
     focal: float | None = None,
     *,
-    intensities=None,
-    illumination=None,
+    intensities: Array = None,
+    illumination: Array = None,
     fixed_phase_after: int | None = None,
-    seed=None,
-):
+    seed: Any = None,
+) -> tuple:
     """Return a phase-only hologram that focuses light into points of space, of even or given brightness.
 
     The field of each spot is a lens and a prism, which is a column times a row, so that sums over all spots and
@@ -99,14 +101,14 @@ def spot_hologram(
 
 
 def weighted_gerchberg_saxton(
-    field,
+    field: Array,
     n_iterations: int = 30,
     *,
-    illumination=None,
-    initial_phase=None,
+    illumination: Array = None,
+    initial_phase: Array = None,
     fixed_phase_after: int | None = None,
-    seed=None,
-):
+    seed: Any = None,
+) -> tuple:
     """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
 
     Where the target is not zero its amplitude is weighted up or down each turn, until what comes out is even: for
@@ -167,7 +169,7 @@ def weighted_gerchberg_saxton(
     return xp.fft.fftshift(hologram, axes=axes), xp.fft.fftshift(far_field(hologram) / norm, axes=axes)
 
 
-def uniformity(intensities, axis: int = -1):
+def uniformity(intensities: Array, axis: int = -1) -> Array:
     """Return 1 − (max − min)/(max + min) of the intensities of spots: 1 for equal ones (Di Leonardo 2007, eq. 5).
 
     Parameters
@@ -184,6 +186,10 @@ def uniformity(intensities, axis: int = -1):
     """
     if not _array.is_array(intensities):
         raise TypeError(f"intensities must be an array or a tensor, got {type(intensities).__name__}")
+    shape = tuple(_validate.array("intensities", intensities).shape)
+    axis = _validate.integer("axis", axis, minimum=-math.inf)
+    if not -len(shape) <= axis < len(shape) or 0 in shape:
+        raise ValueError(f"intensities must hold spots along the axis {axis}, got {shape}")
     xp = _array.namespace(intensities)
     most, least = xp.max(intensities, axis=axis), xp.min(intensities, axis=axis)
     return 1 - (most - least) / (most + least)
@@ -256,17 +262,19 @@ def _unit(field):
 
 
 def _starting_phasor(initial_phase, seed, target):
+    seed = _validate.seed("seed", seed)
     if initial_phase is None:
         return _random_phasor(tuple(target.shape), seed, target)
     if tuple(_validate.image("initial_phase", initial_phase).shape) != tuple(target.shape):
         raise ValueError(
             f"initial_phase must have the field's shape {tuple(target.shape)}, got {tuple(initial_phase.shape)}"
         )
+    _validate.real("initial_phase", initial_phase)
     return _array.phasor(_array.cast(initial_phase, target), _array.complex_dtype(target))
 
 
 def _random_phasor(shape, seed, like):
-    cycles = np.random.default_rng(seed).random(shape)
+    cycles = np.random.default_rng(_validate.seed("seed", seed)).random(shape)
     return _array.phasor_of_cycles(
         _array.cast(cycles, like, _array.namespace(like).float64), _array.complex_dtype(like)
     )
@@ -284,5 +292,7 @@ def _shares(intensities, wanted):
 def _lit(illumination, like, shape):
     light = _array.cast(_validate.real("illumination", illumination), like)
     if light.ndim < 2 or tuple(light.shape[-2:]) != tuple(shape[-2:]):
-        raise ValueError(f"illumination must have the hologram's shape {tuple(shape[-2:])}, got {tuple(light.shape)}")
+        raise ValueError(
+            f"illumination must have the hologram's (the field's) shape {tuple(shape[-2:])}, got {tuple(light.shape)}"
+        )
     return light

@@ -1,8 +1,10 @@
 """Propagation to a tilted plane: the angular spectrum in the plane's own coordinates."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.wave.frequency_box import GUARD, Window, carry_to_offset, column, make_window, to_window
 from odak.wave.grid import Grid
 from odak.wave.nonuniform import spectrum_at
@@ -13,16 +15,16 @@ from odak.wave.transfer_functions import plane_wave_transfer
 
 
 def propagate_to_tilted_plane(
-    field,
-    wavelength,
-    distance,
-    dx,
-    angles=(0.0, 0.0, 0.0),
+    field: Array,
+    wavelength: float | Array,
+    distance: float | Array,
+    dx: float | Array,
+    angles: Any = (0.0, 0.0, 0.0),
     window_shape: Sequence[int] | None = None,
-    window_dx=None,
-    offset=(0.0, 0.0),
+    window_dx: Array = None,
+    offset: Any = (0.0, 0.0),
     guard: float = GUARD,
-):
+) -> Array:
     """Propagate a field to a plane that is rotated about the point where the optical axis meets it.
 
     Parameters
@@ -82,11 +84,8 @@ def propagate_to_tilted_plane(
 
 def _rotated_axes(angles, grid: Grid) -> tuple:
     """Return the plane's unit vectors (x, y, z) along its columns, its rows and its normal: the columns of Rz·Ry·Rx."""
-    angles = tuple(angles)
-    if len(angles) != 3:
-        raise ValueError(f"angles must be three rotations in degrees about x, y and z, got {len(angles)}")
     xp = grid.xp
-    turns = [column(_validate.real("angles", angle), grid) * (xp.pi / 180) for angle in angles]
+    turns = [column(angle, grid) * (xp.pi / 180) for angle in _validate.several("angles", angles, 3)]
     (cx, cy, cz), (sx, sy, sz) = ([function(turn) for turn in turns] for function in (xp.cos, xp.sin))
     return (
         (cz * cy, sz * cy, -sy),

@@ -1,13 +1,15 @@
 """Amplitude, phase and intensity of fields, wave numbers, and patterns for phase-only modulators."""
 
 import math
+from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
+from odak._array import Array
 
 
-def wavenumber(wavelength):
+def wavenumber(wavelength: float | Array) -> float | Array:
     """Return the wave number 2π/λ.
 
     Parameters
@@ -25,15 +27,25 @@ def wavenumber(wavelength):
     TypeError, ValueError
         If `wavelength` is not a positive number.
     """
-    return 2 * math.pi / _validate.real("wavelength", wavelength, positive=True)
+    return 2 * math.pi / _positive("wavelength", wavelength)
 
 
-def rotationspeed(wavelength, c=3 * 10**11):
+def _positive(name, value):
+    """Return positive numbers, lists as arrays, and those in half precision in single."""
+    value = _validate.real(name, value, positive=True)
+    value = np.asarray(value) if isinstance(value, (list, tuple)) else value
+    half = "float16" in str(getattr(value, "dtype", ""))
+    return _array.namespace(value).astype(value, _array.real_dtype(value)) if half else value
+
+
+def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
     """Return the angular frequency ω = 2πc/λ, in rad/s for `wavelength` in mm and the default `c` in mm/s."""
-    return wavenumber(wavelength) * _validate.real("c", c, positive=True)
+    k, c = wavenumber(wavelength), _positive("c", c)
+    _validate.fitting(wavelength=k, c=c)
+    return k * c
 
 
-def rayleigh_resolution(diameter, focal=None, wavelength=0.0005):
+def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength: float = 0.0005) -> float:
     """Return the Rayleigh criterion of a circular aperture: 1.22·λ/D radians, or times `focal` as a length.
 
     Parameters
@@ -50,12 +62,13 @@ def rayleigh_resolution(diameter, focal=None, wavelength=0.0005):
     float
         Resolution (Born and Wolf 1999, section 8.6.2).
     """
-    angle = 1.22 * _validate.real("wavelength", wavelength, positive=True)
-    angle = angle / _validate.real("diameter", diameter, positive=True)
-    return angle if focal is None else angle * _validate.real("focal", focal)
+    wavelength, diameter = _positive("wavelength", wavelength), _positive("diameter", diameter)
+    focal = 1.0 if focal is None else np.asarray(focal) if isinstance(focal, (list, tuple)) else focal
+    _validate.fitting(wavelength=wavelength, diameter=diameter, focal=_validate.real("focal", focal))
+    return 1.22 * wavelength / diameter * focal
 
 
-def calculate_phase(field, deg: bool = False):
+def calculate_phase(field: Array, deg: bool = False) -> Array:
     """Return the phase of a field in radians (degrees if `deg`), −π to π.
 
     Parameters
@@ -70,25 +83,25 @@ def calculate_phase(field, deg: bool = False):
     array
         Real, of the field's shape and precision.
     """
+    field = _array.to_complex(_validate.array("field", field))
     xp = _array.namespace(field)
-    field = _array.to_complex(_as_array(field))
     phase = xp.atan2(xp.imag(field), xp.real(field))
-    return phase * (180 / math.pi) if deg else phase
+    return phase * (180 / math.pi) if _validate.flag("deg", deg) else phase
 
 
-def calculate_amplitude(field):
+def calculate_amplitude(field: Array) -> Array:
     """Return the amplitude |u| of a field: real, of the field's shape and precision."""
-    return _array.namespace(field).abs(_as_array(field))
+    return _array.namespace(field).abs(_validate.array("field", field))
 
 
-def calculate_intensity(field):
+def calculate_intensity(field: Array) -> Array:
     """Return the intensity |u|² of a field: real, of the field's shape and precision."""
+    field = _array.to_complex(_validate.array("field", field))
     xp = _array.namespace(field)
-    field = _array.to_complex(_as_array(field))
     return xp.real(field) ** 2 + xp.imag(field) ** 2
 
 
-def generate_complex_field(amplitude, phase):
+def generate_complex_field(amplitude: float | Array, phase: float | Array) -> Array:
     """Return amplitude·exp(i·phase).
 
     Parameters
@@ -102,24 +115,34 @@ def generate_complex_field(amplitude, phase):
         Complex field; complex128 if either array is 64-bit, complex64 otherwise.
     """
     like = phase if _array.is_array(phase) else amplitude
-    amplitude, phase = _as_real(amplitude, like), _as_real(phase, like)
+    amplitude, phase = _as_floats("amplitude", amplitude, like), _phase("phase", phase, like)
+    _validate.fitting(amplitude=amplitude, phase=phase)
     xp = _array.namespace(phase)
     dtype = xp.complex128 if _array.is_double(amplitude) or _array.is_double(phase) else xp.complex64
     return _array.phasor(phase, dtype) * xp.astype(amplitude, dtype)
 
 
-def _as_real(value, like):
-    """Return a number or an array as a floating-point array of `like`'s library, device and precision."""
-    xp = _array.namespace(like)
-    if not _array.is_array(value):
-        dtype = _array.real_dtype(like) if _array.is_array(like) else xp.float64
-        return xp.asarray(float(value), dtype=dtype, device=_array.device_of(like))
-    if xp.isdtype(value.dtype, ("real floating", "complex floating")):
-        return value
-    return xp.astype(value, _array.real_dtype(value))
+def _as_floats(name, value, like):
+    """Return an array in floats of its own precision, a number or a list in those of the array `like`."""
+    if type(_validate.given(name, value)) in (int, float, complex) and _array.is_array(like):
+        dtype = _array.complex_dtype if isinstance(value, complex) else _array.real_dtype
+        return _array.cast(value, like, dtype(like))
+    array = _validate.array(name, _validate.given(name, value))
+    dtype = _array.complex_dtype if "complex" in str(array.dtype) else _array.real_dtype
+    if _array.is_array(value) or not _array.is_array(like):
+        return _array.namespace(array).astype(array, dtype(array), copy=False)
+    return _array.cast(array, like, dtype(like))
 
 
-def set_amplitude(field, amplitude):
+def _phase(name, value, like):
+    """Return phases as floats, see `_as_floats`; a complex one has no meaning."""
+    phase = _as_floats(name, value, like)
+    if "complex" in str(phase.dtype):
+        raise TypeError(f"{name} must be real, got {phase.dtype}")
+    return phase
+
+
+def set_amplitude(field: Array, amplitude: float | Array) -> Array:
     """Return `field` with its phase kept and its amplitude replaced by |amplitude|.
 
     Parameters
@@ -134,18 +157,21 @@ def set_amplitude(field, amplitude):
     array
         Complex field.
     """
-    xp = _array.namespace(field, amplitude)
-    amplitude = xp.abs(amplitude) if _array.is_array(amplitude) else abs(amplitude)
+    field = _validate.array("field", field)
+    amplitude = abs(_as_floats("amplitude", amplitude, field))
+    _validate.fitting(field=field, amplitude=amplitude)
     return generate_complex_field(amplitude, calculate_phase(field))
 
 
-def add_phase(field, new_phase):
+def add_phase(field: Array, new_phase: Array) -> Array:
     """Return field·exp(i·new_phase), the phase in radians."""
-    field = _array.to_complex(_as_array(field))
-    return field * _array.phasor(_as_real(new_phase, field), field.dtype)
+    field = _array.to_complex(_validate.array("field", field))
+    new_phase = _phase("new_phase", new_phase, field)
+    _validate.fitting(field=field, new_phase=new_phase)
+    return field * _array.phasor(new_phase, field.dtype)
 
 
-def add_random_phase(field, seed=None):
+def add_random_phase(field: Array, seed: Any = None) -> Array:
     """Return `field` with a phase added that is uniform between 0 and π.
 
     Parameters
@@ -160,12 +186,12 @@ def add_random_phase(field, seed=None):
     array
         Complex field.
     """
-    field = _array.to_complex(_as_array(field))
-    phase = np.random.default_rng(seed).random(tuple(field.shape)) * math.pi
+    field = _array.to_complex(_validate.array("field", field))
+    phase = np.random.default_rng(_validate.seed("seed", seed)).random(tuple(field.shape)) * math.pi
     return add_phase(field, _array.cast(phase, field, _array.real_dtype(field)))
 
 
-def adjust_phase_only_slm_range(native_range, working_wavelength, native_wavelength):
+def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, native_wavelength: float) -> float:
     """Return a modulator's phase range at another wavelength than the one it was specified for.
 
     Parameters
@@ -180,14 +206,23 @@ def adjust_phase_only_slm_range(native_range, working_wavelength, native_wavelen
     float
         native_range·native_wavelength/working_wavelength (the path difference is what stays).
     """
-    _validate.real("native_range", native_range, positive=True)
-    _validate.real("working_wavelength", working_wavelength, positive=True)
-    return native_range / working_wavelength * _validate.real("native_wavelength", native_wavelength, positive=True)
+    native_range = _positive("native_range", native_range)
+    working_wavelength = _positive("working_wavelength", working_wavelength)
+    native_wavelength = _positive("native_wavelength", native_wavelength)
+    _validate.fitting(
+        native_range=native_range, working_wavelength=working_wavelength, native_wavelength=native_wavelength
+    )
+    return native_range / working_wavelength * native_wavelength
 
 
 def produce_phase_only_slm_pattern(
-    hologram, slm_range, filename=None, bits: int = 8, default_range: float = 6.28, illumination=None
-):
+    hologram: Array,
+    slm_range: float,
+    filename: str | None = None,
+    bits: int = 8,
+    default_range: float = 6.28,
+    illumination: Array = None,
+) -> tuple:
     """Return a hologram as a modulator shows it, and the integer pattern to send to it.
 
     Parameters
@@ -219,6 +254,12 @@ def produce_phase_only_slm_pattern(
     _validate.real("slm_range", slm_range, positive=True)
     levels = 2 ** _validate.integer("bits", bits, minimum=1)
     xp = _array.namespace(hologram)
+    _validate.real("default_range", default_range)
+    amplitude = 1.0 if illumination is None else _as_floats("illumination", illumination, hologram)
+    if illumination is not None:
+        _validate.fitting(illumination=amplitude, hologram=hologram)
+    if filename is not None and hologram.ndim != 2:
+        raise ValueError(f"hologram must be [rows, columns] to be saved, got {tuple(hologram.shape)}")
     phase = calculate_phase(hologram)
     turn = phase - xp.floor(phase / slm_range) * slm_range
     pattern = xp.clip(xp.floor(turn / slm_range * levels), 0, levels - 1)
@@ -227,10 +268,5 @@ def produce_phase_only_slm_pattern(
 
         array = pattern.detach().cpu().numpy() if _array.is_torch(pattern) else pattern
         save_image(filename, array, cmin=0, cmax=levels - 1, color_depth=8 if bits <= 8 else 16)
-    amplitude = 1.0 if illumination is None else illumination
     field = generate_complex_field(amplitude, pattern * (default_range / levels))
     return field, xp.astype(pattern, xp.int32)
-
-
-def _as_array(field):
-    return field if _array.is_array(field) else np.asarray(field)

@@ -3,11 +3,14 @@
 import math
 
 from odak import _array, _validate
+from odak._array import Array
 
 _CHUNK_BYTES = 1 << 26
 
 
-def electric_field_per_plane_wave(amplitude, opd, k, phase=0, w=0, t=0):
+def electric_field_per_plane_wave(
+    amplitude: float | Array, opd: float | Array, k: float, phase: float | Array = 0, w: float = 0, t: float = 0
+) -> Array:
     """Return A·exp(i(−ω·t + k·opd + phase))/opd².
 
     Parameters
@@ -33,18 +36,25 @@ def electric_field_per_plane_wave(amplitude, opd, k, phase=0, w=0, t=0):
     ValueError
         If an optical path difference is zero.
     """
+    for name, value in (("k", k), ("w", w), ("t", t)):
+        _validate.real(name, value)
     _validate.real("opd", opd, nonzero=True)
-    if not any(_array.is_array(value) for value in (amplitude, opd, phase)):
-        angle = math.remainder(-w * t + k * opd + phase, 2 * math.pi)
+    given = {"amplitude": amplitude, "opd": opd, "phase": phase}
+    arrays = {name: _validate.array(name, _validate.given(name, value)) for name, value in given.items()}
+    if not any(array.ndim or _array.is_array(given[name]) for name, array in arrays.items()):
+        angle = math.remainder(-w * t + k * opd + _validate.real("phase", phase), 2 * math.pi)
         return amplitude * complex(math.cos(angle), math.sin(angle)) / opd**2
-    xp = _array.namespace(amplitude, opd, phase)
-    angle = -w * t + k * opd + phase
-    if not _array.is_array(angle):
-        angle = xp.asarray(angle, dtype=xp.float64)
-    return amplitude * _array.phasor(angle) / opd**2
+    _validate.fitting(**arrays)
+    kinds = [value for value in given.values() if _array.is_array(value)] or list(arrays.values())
+    xp = _array.namespace(*kinds)
+    dtype = xp.complex128 if any(_array.is_double(value) for value in kinds) else xp.complex64
+    amplitude = _array.cast(arrays["amplitude"], kinds[0], xp.complex128)
+    # Many turns of phase do not fit into 32 bits.
+    opd, phase = (_array.cast(arrays[name], kinds[0], xp.float64) for name in ("opd", "phase"))
+    return xp.astype(amplitude * _array.phasor(k * opd + (phase - w * t)) / opd**2, dtype, copy=False)
 
 
-def propagate_plane_waves(field, opd, k, w=0, t=0):
+def propagate_plane_waves(field: Array, opd: float | Array, k: float, w: float = 0, t: float = 0) -> Array:
     """Return a field carried over an optical path difference: u·exp(i(−ω·t + k·opd))/opd².
 
     Parameters
@@ -68,10 +78,12 @@ def propagate_plane_waves(field, opd, k, w=0, t=0):
     ValueError
         If an optical path difference is zero.
     """
+    field = _validate.given("field", field)
+    _validate.fitting(field=field, opd=_validate.array("opd", opd))
     return field * electric_field_per_plane_wave(1.0, opd, k, 0, w, t)
 
 
-def propagate_field(points0, points1, field0, wave_number, direction=1):
+def propagate_field(points0: Array, points1: Array, field0: Array, wave_number: float, direction: int = 1) -> Array:
     """Return the field that point sources cause at other points: Σ_p |u_p|·exp(i(k·direction·d_pq + arg u_p))/d_pq².
 
     Parameters
@@ -98,15 +110,21 @@ def propagate_field(points0, points1, field0, wave_number, direction=1):
     for name, points in (("points0", points0), ("points1", points1)):
         if not _array.is_array(points) or points.ndim != 2 or points.shape[-1] != 3:
             raise ValueError(f"{name} must be an array of shape [n, 3], got {getattr(points, 'shape', type(points))}")
-    if tuple(field0.shape) != (points0.shape[0],):
-        raise ValueError(f"field0 must have one value for each of {points0.shape[0]} points, got {tuple(field0.shape)}")
+        _validate.array(name, points)
+    _validate.real("wave_number", wave_number)
+    if _validate.integer("direction", direction, minimum=-1) == 0 or direction > 1:
+        raise ValueError(f"direction must be 1 or -1, got {direction}")
+    if tuple(_validate.array("field0", field0, like=points0).shape) != (points0.shape[0],):
+        raise ValueError(
+            f"field0 must have one value for each of the {len(points0)} points0, got {tuple(field0.shape)}"
+        )
     xp = _array.namespace(points0, points1, field0)
-    field0 = _array.to_complex(field0)
+    field0 = _array.to_complex(_validate.array("field0", field0, like=points0))
     rows = max(1, _CHUNK_BYTES // (16 * max(1, points0.shape[0])))
     parts = []
     for start in range(0, points1.shape[0], rows):
-        separation = points1[start : start + rows, None, :] - points0[None, :, :]
-        squared = xp.sum(xp.astype(separation, xp.float64) ** 2, axis=-1)
+        targets = xp.astype(points1[start : start + rows, :], xp.float64)
+        squared = xp.sum((targets[:, None, :] - xp.astype(points0, xp.float64)) ** 2, axis=-1)
         if xp.any(squared == 0):
             raise ValueError("points1 must not coincide with a point of points0: the distance is zero there")
         wave = _array.phasor(direction * wave_number * xp.sqrt(squared), field0.dtype)

@@ -3,8 +3,10 @@
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
 from odak.wave.frequency_box import GUARD, Window, carry_to_offset, make_window, to_line, to_window
 from odak.wave.grid import Grid
 from odak.wave.propagation import check_geometry
@@ -16,15 +18,15 @@ _log = logging.getLogger("odak")
 
 
 def propagate_to_window(
-    field,
-    wavelength,
-    distance,
-    dx,
+    field: Array,
+    wavelength: float | Array,
+    distance: float | Array,
+    dx: float | Array,
     window_shape: Sequence[int] | None = None,
-    window_dx=None,
-    offset=(0.0, 0.0),
+    window_dx: float | Array | None = None,
+    offset: Any = (0.0, 0.0),
     guard: float = GUARD,
-):
+) -> Array:
     """Propagate a field to a window with its own pitch, number of samples and place.
 
     Parameters

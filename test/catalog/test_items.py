@@ -89,7 +89,7 @@ def test_detector_rims_and_rays_that_miss():
 def test_detector_errors():
     with pytest.raises(ValueError, match=r"field must be \[2, 2\]"):
         plane_detector(np.zeros((3, 2)), [2, 2])
-    with pytest.raises(ValueError, match="shape must be two positive"):
+    with pytest.raises(ValueError, match="shape must be positive"):
         plane_detector(shape=[0, 1])
     detector = plane_detector(resolution=[2, 2])
     ray = create_ray_from_two_points([0, 0, -1], [0, 0, 1])

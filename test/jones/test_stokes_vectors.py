@@ -129,3 +129,12 @@ def test_errors_and_precision(as_array):
     assert "complex64" in str(jones.field_from_stokes(vector).dtype)
     assert "float32" in str(jones.mueller(jones.polarizer(as_array(np.ones(2, np.float32)))).dtype)
     assert "float32" in str(jones.stokes_ellipse(vector).azimuth.dtype)
+
+
+@pytest.mark.parametrize("place", [1, 2, 3])
+def test_what_is_not_a_number_is_not_taken_for_darkness(place):
+    vector = np.asarray([1.0, 0.2, 0.3, 0.4])
+    vector[place] = np.nan
+    assert np.isnan(jones.degree_of_polarization(vector))
+    assert np.isnan(jones.field_from_stokes(vector)).any()
+    assert np.isnan(jones.degree_of_polarization([np.nan, 0.2, 0.3, 0.4]))

@@ -80,11 +80,11 @@ def test_polynomial_fit_returns_the_polynomial():
 def test_errors_name_the_argument():
     with pytest.raises(ValueError, match="location must be a region inside 20 x 20"):
         measurement.roi(np.zeros((20, 20)), [0, 30, 0, 5])
-    with pytest.raises(ValueError, match="threshold must be four numbers"):
+    with pytest.raises(ValueError, match="threshold must hold 4 numbers"):
         measurement.roi(np.zeros((20, 20)), [0, 5, 0, 5], [0, 1])
     with pytest.raises(ValueError, match="image must be"):
         measurement.roi(np.zeros(20))
-    with pytest.raises(ValueError, match="px_size must be two"):
+    with pytest.raises(ValueError, match="px_size must hold 2 numbers"):
         measurement.modulation_transfer_function(EDGE, EDGE, [1])
     with pytest.raises(ValueError, match="px_size must be positive"):
         measurement.modulation_transfer_function(EDGE, EDGE, [1, 0])

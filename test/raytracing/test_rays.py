@@ -117,3 +117,14 @@ def test_errors_name_the_argument(call, message):
         call()
     with pytest.raises(TypeError, match="x1y1z1 must be real numbers"):
         rt.create_ray_from_two_points([0, 0, 0], ["a", "b", "c"])
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf])
+def test_a_lost_ray_does_not_seem_to_pass_another_by(number):
+    ray, other = np.asarray([[0.0, 0, 0], [1, 0, 0]]), np.asarray([[3.0, -7, 0], [0, 1, 0]])
+    for which, place in ((0, (0, 2)), (0, (1, 0)), (1, (0, 0)), (1, (1, 1))):
+        rays = [ray.copy(), other.copy()]
+        rays[which][place] = number
+        with np.errstate(invalid="ignore"):
+            point, distances = rt.calculate_intersection_of_two_rays(*rays)
+        assert np.isnan(point).any() and np.isnan(distances).all()

@@ -140,3 +140,9 @@ def test_gaussians_refused():
         blur_gaussian(np.ones((4, 4)), [4, 3])
     with pytest.raises(TypeError, match="field must be a real array"):
         blur_gaussian(np.ones((4, 4), complex), [2, 2])
+
+
+def test_quantised_levels_stay_within_their_bits():
+    """What is not a number became the lowest 64-bit integer."""
+    levels = quantize(np.array([np.nan, np.inf, -np.inf, -3.0, 300.0, 255.0]), bits=4)
+    assert levels.tolist() == [0, 15, 0, 0, 15, 15]

@@ -81,3 +81,13 @@ def test_settings_of_a_plot():
         "x",
         0.75,
     )
+
+
+def test_origins_and_places_that_do_not_exist_are_named():
+    picture = plotshow()
+    with pytest.raises(ValueError, match="origin must be one of"):
+        picture.add_2d_plot(np.ones((3, 4)), origin="nonsense")
+    for place, message in (({"row": 2}, "row must be 1 to 1"), ({"col": 0}, "col must be at least 1")):
+        with pytest.raises(ValueError, match=message):
+            picture.add_plot([0.0, 1.0], **place)
+    assert not picture.fig.data

@@ -2,6 +2,7 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 import odak
 from odak.learn import wave as torch_wave
@@ -70,3 +71,9 @@ def test_linear_grating():
     for face in (odak.wave, torch_wave):
         with pytest.raises(ValueError, match="axis must be one of 'x', 'y', 'xy'; got 'z'"):
             face.linear_grating(4, 4, axis="z")
+
+
+def test_gratings_take_the_library_itself():
+    for make in (odak.wave.blazed_grating, odak.wave.linear_grating):
+        tensor = make(4, 6, xp=torch)
+        np.testing.assert_allclose(tensor.numpy(), make(4, 6, xp=np), atol=1e-15)

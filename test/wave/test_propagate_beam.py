@@ -300,3 +300,11 @@ def test_a_warning_says_which_criterion_fails(method, shape, distance, reason, c
     with caplog.at_level(logging.WARNING, logger="odak"):
         odak.wave.propagate_beam(np.ones(shape, np.complex64), None, distance, DX, WAVELENGTH, method)
     assert reason in caplog.text
+
+
+def test_texts_are_not_taken_letter_by_letter(random):
+    field = random.normal(size=(8, 8)) + 0j
+    for name, value in (("zero_padding", "yes"), ("samples", "1111"), ("k", "text"), ("k", [])):
+        arguments = {"k": None, "distance": 1e-3, "dx": 8e-6, "wavelength": 532e-9} | {name: value}
+        with pytest.raises((TypeError, ValueError), match=f"^{name} must"):
+            odak.wave.propagate_beam(field, propagation_type="Angular Spectrum", **arguments)

@@ -233,3 +233,10 @@ def test_a_dark_start_is_left():
     target[8, 8] = target[16, 20] = target[24, 4] = 1.0
     hologram, image = weighted_gerchberg_saxton(target, 20, initial_phase=np.zeros((32, 32)))
     assert np.isfinite(hologram).all() and uniformity(np.abs(image[target > 0]) ** 2) > 0.98
+
+
+def test_a_start_that_is_not_finite_is_refused(random):
+    start = random.random((4, 4))
+    start[1, 2] = np.nan
+    with pytest.raises(ValueError, match="initial_phase must be finite"):
+        weighted_gerchberg_saxton(np.ones((4, 4)), 2, initial_phase=start)

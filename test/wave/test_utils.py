@@ -61,3 +61,10 @@ def test_random_phase_is_uniform_over_half_a_turn_and_reproducible():
     assert phase.max() <= np.pi
     assert phase.mean() == pytest.approx(np.pi / 2, abs=0.02)
     assert phase.std() == pytest.approx(np.pi / np.sqrt(12), abs=0.02)
+
+
+def test_complex_phases_are_refused_rather_than_halved():
+    with pytest.raises(TypeError, match="phase must be real"):
+        odak.wave.generate_complex_field(1.0, np.asarray([1 + 1j]))
+    with pytest.raises(TypeError, match="new_phase must be real"):
+        odak.wave.add_phase(np.ones(2), 1j)

@@ -41,3 +41,23 @@ def test_plane_waves():
         odak.wave.electric_field_per_plane_wave(1, 0.0, 7)
     with pytest.raises(ValueError, match="opd"):
         odak.wave.propagate_plane_waves(np.ones(2), np.array([1.0, 0.0]), 7)
+
+
+def test_phases_of_many_turns_do_not_lose_their_digits_in_single_precision(random):
+    k = 2 * np.pi / 532e-9
+    opd = random.uniform(0.1, 0.9, (8, 8)).astype(np.float32)
+    expected = np.exp(1j * k * opd.astype(np.float64)) / opd.astype(np.float64) ** 2
+    for result in (odak.wave.electric_field_per_plane_wave(1.0, opd, k), odak.wave.propagate_plane_waves(1.0, opd, k)):
+        assert np.abs(result - expected).max() < 1e-5 * np.abs(expected).max()
+    assert odak.wave.electric_field_per_plane_wave(1.0, opd, k).dtype == np.complex64
+    half = odak.wave.electric_field_per_plane_wave(1.0, opd.astype(np.float16), k)
+    assert np.isfinite(half).all()
+
+
+def test_points_of_single_precision_are_subtracted_in_double(random):
+    sources, targets = random.normal(size=(4, 3)), random.normal(loc=[0, 0, 5], size=(3, 3))
+    sources, targets = sources.astype(np.float32), targets.astype(np.float32)
+    field = np.ones(4, np.complex64)
+    expected = odak.wave.propagate_field(sources.astype(np.float64), targets.astype(np.float64), field, 1e5)
+    result = odak.wave.propagate_field(sources, targets, field, 1e5)
+    assert np.abs(result - expected).max() < 1e-5 * np.abs(expected).max()

@@ -1,9 +1,12 @@
 """Jones vectors and matrices as tensors; the formulas live in :mod:`odak.jones.elements`."""
 
+import numpy as np
 import torch
 
+from odak import _validate
 from odak.jones import elements as core
 from odak.jones.elements import apply_matrix, cascade, linearpolarizer, reverse
+from odak.learn._tensors import checked_device
 
 __all__ = [
     "apply_matrix",
@@ -22,7 +25,13 @@ __all__ = [
 ]
 
 
-def electricfield(px, py, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def electricfield(
+    px: complex | torch.Tensor,
+    py: complex | torch.Tensor,
+    *,
+    device: torch.device | None = None,
+    dtype: torch.dtype | None = None,
+) -> torch.Tensor:
     """Return the Jones vector of two amplitudes, ``[..., 2, k]``; see :func:`odak.jones.electricfield`.
 
     Parameters
@@ -37,10 +46,12 @@ def electricfield(px, py, *, device: torch.device | None = None, dtype: torch.dt
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.electricfield(*_tensors(device, dtype, px, py))
+    return core.electricfield(*_tensors(device, dtype, px=px, py=py))
 
 
-def polarizer(angle=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def polarizer(
+    angle: complex | torch.Tensor = 0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> torch.Tensor:
     """Return the matrix of an ideal linear polariser; see :func:`odak.jones.polarizer`.
 
     Parameters
@@ -55,11 +66,16 @@ def polarizer(angle=0.0, *, device: torch.device | None = None, dtype: torch.dty
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.polarizer(*_tensors(device, dtype, angle))
+    return core.polarizer(*_tensors(device, dtype, angle=angle))
 
 
 def diattenuator(
-    first=1.0, second=0.0, angle=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+    first: complex | torch.Tensor = 1.0,
+    second: complex | torch.Tensor = 0.0,
+    angle: complex | torch.Tensor = 0.0,
+    *,
+    device: torch.device | None = None,
+    dtype: torch.dtype | None = None,
 ) -> torch.Tensor:
     """Return the matrix of a partial polariser; see :func:`odak.jones.diattenuator`.
 
@@ -75,11 +91,15 @@ def diattenuator(
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.diattenuator(*_tensors(device, dtype, first, second, angle))
+    return core.diattenuator(*_tensors(device, dtype, first=first, second=second, angle=angle))
 
 
 def retarder(
-    retardance, angle=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+    retardance: complex | torch.Tensor,
+    angle: complex | torch.Tensor = 0.0,
+    *,
+    device: torch.device | None = None,
+    dtype: torch.dtype | None = None,
 ) -> torch.Tensor:
     """Return the matrix of a wave plate; see :func:`odak.jones.retarder`.
 
@@ -95,11 +115,11 @@ def retarder(
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.retarder(*_tensors(device, dtype, retardance, angle))
+    return core.retarder(*_tensors(device, dtype, retardance=retardance, angle=angle))
 
 
 def quarter_wave_plate(
-    angle=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+    angle: complex | torch.Tensor = 0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
 ) -> torch.Tensor:
     """Return the matrix of a quarter-wave plate; see :func:`odak.jones.quarter_wave_plate`.
 
@@ -115,10 +135,12 @@ def quarter_wave_plate(
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.quarter_wave_plate(*_tensors(device, dtype, angle))
+    return core.quarter_wave_plate(*_tensors(device, dtype, angle=angle))
 
 
-def half_wave_plate(angle=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def half_wave_plate(
+    angle: complex | torch.Tensor = 0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> torch.Tensor:
     """Return the matrix of a half-wave plate; see :func:`odak.jones.half_wave_plate`.
 
     Parameters
@@ -133,10 +155,12 @@ def half_wave_plate(angle=0.0, *, device: torch.device | None = None, dtype: tor
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.half_wave_plate(*_tensors(device, dtype, angle))
+    return core.half_wave_plate(*_tensors(device, dtype, angle=angle))
 
 
-def rotator(angle, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def rotator(
+    angle: complex | torch.Tensor, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> torch.Tensor:
     """Return the matrix that turns the polarisation; see :func:`odak.jones.rotator`.
 
     Parameters
@@ -151,7 +175,7 @@ def rotator(angle, *, device: torch.device | None = None, dtype: torch.dtype | N
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.rotator(*_tensors(device, dtype, angle))
+    return core.rotator(*_tensors(device, dtype, angle=angle))
 
 
 def circular_polarizer(
@@ -172,10 +196,19 @@ def circular_polarizer(
         Complex ``2 x 2``.
     """
     matrix = torch.from_numpy(core.circular_polarizer(handedness))
-    return matrix.to(device=device or torch.get_default_device(), dtype=dtype or torch.get_default_dtype().to_complex())
+    dtype = torch.get_default_dtype().to_complex() if dtype is None else dtype
+    if dtype not in (torch.complex64, torch.complex128):
+        raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype}")
+    return matrix.to(device=checked_device("device", device) or torch.get_default_device(), dtype=dtype)
 
 
-def mirror(rx=1.0, ry=1.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def mirror(
+    rx: complex | torch.Tensor = 1.0,
+    ry: complex | torch.Tensor = 1.0,
+    *,
+    device: torch.device | None = None,
+    dtype: torch.dtype | None = None,
+) -> torch.Tensor:
     """Return the matrix of a mirror, diag(rx, −ry); see :func:`odak.jones.mirror`.
 
     Parameters
@@ -190,13 +223,13 @@ def mirror(rx=1.0, ry=1.0, *, device: torch.device | None = None, dtype: torch.d
     torch.Tensor
         Complex; differentiable in every tensor given.
     """
-    return core.mirror(*_tensors(device, dtype, rx, ry))
+    return core.mirror(*_tensors(device, dtype, rx=rx, ry=ry))
 
 
-def _tensors(device, dtype, *values):
+def _tensors(device, dtype, **values):
     """Return the values as tensors on one device, in the precision that gives the complex dtype asked for."""
-    given = [value for value in values if isinstance(value, torch.Tensor)]
-    device = device or (given[0].device if given else torch.get_default_device())
+    given = [value for value in values.values() if isinstance(value, torch.Tensor)]
+    device = checked_device("device", device) or (given[0].device if given else torch.get_default_device())
     if dtype is None:
         # Numbers follow the tensors: float32 given stays float32.
         wide = any(value.dtype in (torch.float64, torch.complex128) for value in given)
@@ -206,5 +239,14 @@ def _tensors(device, dtype, *values):
         real = dtype.to_real()
     else:
         raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype}")
-    tensors = [value if isinstance(value, torch.Tensor) else torch.as_tensor(value) for value in values]
+    tensors = [_tensor(name, value) for name, value in values.items()]
     return [value.to(device=device, dtype=real.to_complex() if value.is_complex() else real) for value in tensors]
+
+
+def _tensor(name, value):
+    value = _validate.given(name, value)
+    if isinstance(value, np.ndarray):
+        return torch.from_numpy(np.array(value, order="C"))
+    if isinstance(value, torch.Tensor):
+        return value
+    return torch.as_tensor(value, dtype=torch.complex128 if isinstance(value, complex) else torch.float64)

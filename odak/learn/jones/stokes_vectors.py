@@ -12,6 +12,7 @@ from odak.jones.stokes_vectors import (
     stokes,
     stokes_ellipse,
 )
+from odak.learn._tensors import checked_device
 
 __all__ = [
     "PolarizationEllipse",
@@ -25,7 +26,9 @@ __all__ = [
 ]
 
 
-def depolarizer(kept=0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None) -> torch.Tensor:
+def depolarizer(
+    kept: complex | torch.Tensor = 0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
+) -> torch.Tensor:
     """Return the Mueller matrix of an ideal depolariser; see :func:`odak.jones.depolarizer`.
 
     Parameters
@@ -40,7 +43,9 @@ def depolarizer(kept=0.0, *, device: torch.device | None = None, dtype: torch.dt
     torch.Tensor
         Real ``[..., 4, 4]``.
     """
+    if dtype not in (None, torch.float32, torch.float64):
+        raise TypeError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
     if not isinstance(kept, torch.Tensor):
         core.depolarizer(kept)
         kept = torch.as_tensor(kept, dtype=torch.get_default_dtype())
-    return core.depolarizer(kept.to(device=device, dtype=dtype))
+    return core.depolarizer(kept.to(device=checked_device("device", device), dtype=dtype))

@@ -7,6 +7,9 @@ from contextlib import contextmanager
 import torch
 from torch import nn
 
+from odak import _validate
+from odak.learn._tensors import checked_device
+from odak.learn.models.arguments import features
 from odak.learn.models.objectives import errors, weighed_errors
 from odak.learn.models.training import TrainingHistory, train
 from odak.learn.models.weights import load_weights, save_weights
@@ -49,7 +52,7 @@ class spec_track(nn.Module):
 
     def __init__(self, reduction: str = "sum", device: torch.device | str = "cpu"):
         super().__init__()
-        self.device = torch.device(device)
+        self.device = torch.device("cpu") if device is None else checked_device("device", device)
         self.reduction = reduction
         self.l2, self.l1 = errors(reduction)
         self.train_history: list[float] = []
@@ -87,6 +90,7 @@ class spec_track(nn.Module):
         ValueError
             If the pictures have another size.
         """
+        x = features("x", x, None, next(self.network.parameters(), None))
         if x.ndim != 4 or tuple(x.shape[1:]) != FRAME:
             raise ValueError(f"x must be [B, 5, 180, 320], pictures of 180×320 pixels; got {list(x.shape)}")
         if self.training and len(x) == 1:
@@ -152,7 +156,10 @@ class spec_track(nn.Module):
         TrainingHistory
             Losses of this training, and which epoch was best.
         """
-        folder = validate_path(directory)
+        for name, value in (("learning_rate", learning_rate), ("weight_decay", weight_decay)):
+            if _validate.real(name, value) < 0:
+                raise ValueError(f"{name} must be at least 0, got {value!r}")
+        folder = validate_path(directory, name="directory")
         check_directory(os.path.join(folder, "log"))
         history = train(
             self,

@@ -4,7 +4,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.models.arguments import channels
+from odak.learn.models.arguments import channels, features
 
 
 def gaussian(x: torch.Tensor, multiplier: float | torch.Tensor = 1.0) -> torch.Tensor:
@@ -27,6 +27,11 @@ def gaussian(x: torch.Tensor, multiplier: float | torch.Tensor = 1.0) -> torch.T
     >>> gaussian(torch.tensor([0.0, 1.0]), 2.0)
     tensor([1.0000, 0.0183])
     """
+    x = features("x", x)
+    if isinstance(multiplier, torch.Tensor):
+        _validate.fitting(x=x, multiplier=multiplier)
+    else:
+        _validate.real("multiplier", multiplier)
     return torch.exp(-((multiplier * x) ** 2))
 
 
@@ -43,7 +48,7 @@ def swish(x: torch.Tensor) -> torch.Tensor:
     torch.Tensor
         The same shape and dtype.
     """
-    return nn.functional.silu(x)
+    return nn.functional.silu(features("x", x))
 
 
 class gaussian_activation(nn.Module):
@@ -61,7 +66,7 @@ class gaussian_activation(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return exp(−(alpha·x)²) for an input ``[..., dim]``."""
-        return gaussian(x, self.alpha)
+        return gaussian(features("x", x, self.alpha.shape[-1]), self.alpha)
 
 
 class swish_activation(nn.Module):
@@ -87,7 +92,7 @@ class siren_activation(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return sin(multiplier·x) for an input of any shape."""
-        return torch.sin(self.multiplier * x)
+        return torch.sin(self.multiplier * features("x", x))
 
     def extra_repr(self) -> str:
         """Return the multiplier for the printed form."""
@@ -109,4 +114,4 @@ class film_siren_activation(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return sin(alpha[0]·x + alpha[1]) for an input ``[..., dim]``."""
-        return torch.sin(self.alpha[0] * x + self.alpha[1])
+        return torch.sin(self.alpha[0] * features("x", x, self.alpha.shape[-1]) + self.alpha[1])

@@ -9,7 +9,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn.models.adaptive_convolution import modulated_convolution
-from odak.learn.models.arguments import activation_module, channels, kernel
+from odak.learn.models.arguments import activation_module, channels, kernel, pictures
 
 _LEAKY_RELU = nn.LeakyReLU(0.2, inplace=True)
 
@@ -23,6 +23,7 @@ class _AdaptiveLayer(nn.Module):
         self.kernel_size = kernel(kernel_size)
         self.stride = _validate.integer("stride", stride, minimum=1)
         self.padding = _validate.integer("padding", padding)
+        bias = _validate.flag("bias", bias)
         standard = nn.Conv2d(input_channels, weights, kernel_size, stride=stride, padding=padding, bias=bias)
         self.weight = standard.weight
         self.standard_convolution = standard
@@ -46,18 +47,21 @@ class _AdaptiveLayer(nn.Module):
 
     def _fitted(self, x: torch.Tensor, factors: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return both inputs after a check of their shapes, padded where only that makes them meet."""
-        if x.ndim != 4 or x.shape[1] != self.input_channels:
-            raise ValueError(f"x must be [B, {self.input_channels}, H, W], got {tuple(x.shape)}")
+        x = pictures("x", x, self.input_channels, self.weight)
         count = self.input_channels * self.kernel_size**2
+        factors = pictures("sv_kernel_feature", factors, None, self.weight)
         if factors.ndim != 4 or factors.shape[1] != count or factors.shape[0] not in (1, x.shape[0]):
             raise ValueError(
-                f"sv_kernel_feature must be [{x.shape[0]} or 1, {count}, H', W'], got {tuple(factors.shape)}"
+                f"sv_kernel_feature must be [{x.shape[0]} or 1, {count}, H', W'] for x {tuple(x.shape)}, "
+                f"got {tuple(factors.shape)}"
             )
         wanted, given = self._windows_of(x), list(factors.shape[-2:])
         apart = [had != needed for had, needed in zip(given, wanted, strict=True)]
         x, factors = self._filled(x, apart), self._filled(factors, apart)
         if self._windows_of(x) != list(factors.shape[-2:]):
-            raise ValueError(f"sv_kernel_feature must have a kernel for each of {wanted} pixels, got {given}")
+            raise ValueError(
+                f"sv_kernel_feature must have a kernel for each of {wanted} pixels, got {given} for x {tuple(x.shape)}"
+            )
         return x, factors.expand(len(x), -1, -1, -1)
 
     def _windows_of(self, x) -> list[int]:

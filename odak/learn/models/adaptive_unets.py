@@ -11,7 +11,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn.models.adaptive_layers import spatially_adaptive_module
-from odak.learn.models.arguments import activation_module, channels, kernel
+from odak.learn.models.arguments import activation_module, channels, kernel, pictures
 from odak.learn.models.convolution_layers import (
     convolution_layer,
     double_convolution,
@@ -99,7 +99,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
         ValueError
             If the shapes do not meet or the pictures are too small.
         """
-        self._check(focal_surface, field)
+        focal_surface, field = self._checked(focal_surface, field)
         focal_surface = focal_surface.expand(len(field), -1, -1, -1)
         pooled, coded = [], [self.inc(torch.cat([focal_surface, field], dim=1))]
         for pool, convolution in zip(self.encoder[::2], self.encoder[1::2], strict=True):
@@ -123,16 +123,16 @@ class spatially_varying_kernel_generation_model(nn.Module):
         # The scale next to this one comes first, then the others from the finest on.
         return block(torch.cat([risen, focal_surface, *finer[-1:], *finer[:-1]], dim=1))
 
-    def _check(self, focal_surface, field):
-        smallest = 2 ** (self.depth + 1)
-        if field.ndim != 4 or field.shape[1] != self.input_channels - 1 or min(field.shape[-2:]) < smallest:
-            raise ValueError(
-                f"field must be [B, {self.input_channels - 1}, H, W] with H and W of at least {smallest}, "
-                f"got {tuple(field.shape)}"
-            )
+    def _checked(self, focal_surface, field):
+        weight, smallest = self.inc.model[0].weight, 2 ** (self.depth + 1)
+        field = pictures("field", field, self.input_channels - 1, weight, smallest=smallest)
+        focal_surface = pictures("focal_surface", focal_surface, 1, weight)
         wanted = (len(field), 1, *field.shape[-2:])
         if tuple(focal_surface.shape) not in (wanted, (1, *wanted[1:])):
-            raise ValueError(f"focal_surface must be {wanted}, or have a batch of 1; got {tuple(focal_surface.shape)}")
+            raise ValueError(
+                f"focal_surface must be {wanted}, or have a batch of 1, as field is; got {tuple(focal_surface.shape)}"
+            )
+        return focal_surface, field
 
 
 def _kernel_block(inputs, hidden, outputs, size, bias, activation) -> nn.Sequential:
@@ -206,7 +206,9 @@ class spatially_adaptive_unet(nn.Module):
         )
         last = nn.Sequential(
             convolution_layer(widths[0], widths[0], **options),
-            convolution_layer(widths[0], out_channels, **{**options, "kernel_size": 1, "activation": None}),
+            convolution_layer(
+                widths[0], channels("out_channels", out_channels), **{**options, "kernel_size": 1, "activation": None}
+            ),
         )
         joins = [*(double_convolution(n, n, n, **options) for n in widths[-2:0:-1]), last]
         self.decoder = nn.ModuleList(
@@ -235,8 +237,20 @@ class spatially_adaptive_unet(nn.Module):
         ValueError
             If there are more or fewer factors, or their shapes do not meet those of the field.
         """
+        listed = isinstance(sv_kernel, Sequence) and all(isinstance(factors, torch.Tensor) for factors in sv_kernel)
+        if not listed or isinstance(sv_kernel, str):
+            raise TypeError(f"sv_kernel must be a sequence of tensors, got {type(sv_kernel).__name__}")
         if len(sv_kernel) != self.depth + 1:
             raise ValueError(f"sv_kernel must hold {self.depth + 1} tensors, got {len(sv_kernel)}")
+        first = self.inc.model[0]
+        field = pictures("field", field, first.in_channels, first.weight, smallest=2 ** (self.depth + 1))
+        for level, factors in zip(range(self.depth + 1, 0, -1), sv_kernel, strict=True):
+            wanted = [n // 2**level for n in field.shape[-2:]]
+            if list(factors.shape[-2:]) != wanted:
+                raise ValueError(
+                    f"sv_kernel must have {wanted} kernels where field is {list(field.shape)}, "
+                    f"got {list(factors.shape)}"
+                )
         x = self.inc(field)
         joined = []
         for (pool, convolution, adaptive), factors in zip(self.encoder, reversed(sv_kernel), strict=True):

@@ -1,8 +1,12 @@
 """Arguments that the layers share: their checks, and the older call form, which had the activation earlier."""
 
+from collections.abc import Sequence
+
+import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import trainable
 
 
 def channels(name: str, value) -> int:
@@ -49,3 +53,77 @@ def with_older_form(
     if not isinstance(normalization, bool):
         raise TypeError(f"normalization must be a bool, got {type(normalization).__name__}")
     return normalization, activation_module(activation)
+
+
+def features(
+    name: str, value: torch.Tensor, count: int | None = None, parameter: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Return a real tensor that a layer may take and autograd may save.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    value : torch.Tensor
+        What came.
+    count : int, optional
+        Length of its last axis.
+    parameter : torch.Tensor, optional
+        The layer's parameter whose precision it must have, unless autocast sees to that.
+    """
+    if isinstance(value, torch.fx.Proxy):
+        return value
+    if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+        raise TypeError(f"{name} must be a real floating tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+    wanted = getattr(parameter, "dtype", value.dtype)
+    if value.dtype != wanted and not torch.is_autocast_enabled(value.device.type):
+        raise TypeError(f"{name} must have the precision of the layer, {wanted}; got {value.dtype}")
+    if count is not None and (value.ndim == 0 or value.shape[-1] != count):
+        raise ValueError(f"{name} must be [..., {count}], got {list(value.shape)}")
+    return trainable(value)
+
+
+def pictures(
+    name: str,
+    value: torch.Tensor,
+    count: int | None = None,
+    parameter: torch.Tensor | None = None,
+    *,
+    axes: Sequence[int] = (4,),
+    smallest: int = 1,
+) -> torch.Tensor:
+    """Return pictures ``[B, C, H, W]`` that a layer may take and autograd may save.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    value : torch.Tensor
+        What came.
+    count : int, optional
+        Number C of channels.
+    parameter : torch.Tensor, optional
+        As in :func:`features`.
+    axes : sequence of int
+        Numbers of axes accepted; three are one picture without a batch.
+    smallest : int
+        Least height and width.
+    """
+    value = features(name, value, None, parameter)
+    if isinstance(value, torch.fx.Proxy):
+        return value
+    shape = list(value.shape)
+    fits = value.ndim in axes and min(shape[-2:]) >= smallest and 0 not in shape[1:]
+    if not fits or (count is not None and shape[-3] != count):
+        wanted = f"[B, {'C' if count is None else count}, H, W]"
+        raise ValueError(f"{name} must be {wanted} with H and W of at least {smallest}, got {shape}")
+    return value
+
+
+def same_batch(**pairs: torch.Tensor) -> None:
+    """Check that two batches are of one size, or the second one holds one picture for all."""
+    (first, one), (second, other) = pairs.items()
+    if other.shape[0] not in (1, one.shape[0]):
+        raise ValueError(
+            f"{second} must hold as many pictures as {first}, {one.shape[0]}, or one; got {list(other.shape)}"
+        )

@@ -9,7 +9,7 @@ from torch.nn.functional import scaled_dot_product_attention
 from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
-from odak.learn.models.arguments import activation_module, channels, kernel
+from odak.learn.models.arguments import activation_module, channels, kernel, pictures
 from odak.learn.models.convolution_layers import convolution_layer
 
 _RELU = nn.ReLU()
@@ -51,7 +51,7 @@ class residual_attention_layer(nn.Module):
         if channels("output_channels", output_channels) not in (1, channels("input_channels", input_channels)):
             raise ValueError(f"output_channels must be 1 or input_channels ({input_channels}), got {output_channels}")
         size = kernel(kernel_size, odd=True)
-        options = {"kernel_size": size, "padding": size // 2, "bias": bias}
+        options = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
         self.activation = activation_module(activation)
         self.convolution0, self.convolution1 = (
             nn.Sequential(nn.Conv2d(input_channels, output_channels, **options), nn.BatchNorm2d(output_channels))
@@ -73,6 +73,11 @@ class residual_attention_layer(nn.Module):
         torch.Tensor
             ``[B, input_channels, H, W]``.
         """
+        convolution = self.convolution0[0]
+        x0, x1 = (
+            pictures(name, x, convolution.in_channels, convolution.weight) for name, x in (("x0", x0), ("x1", x1))
+        )
+        _validate.fitting(x0=x0, x1=x1)
         return self.final_layer(self.convolution0(x0) + self.convolution1(x1)) * x0
 
 
@@ -100,7 +105,7 @@ class non_local_layer(nn.Module):
     ):
         super().__init__()
         size = kernel(kernel_size, odd=True)
-        options = {"kernel_size": size, "padding": size // 2, "bias": bias}
+        options = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
         outer = channels("input_channels", input_channels)
         inner = channels("bottleneck_channels", bottleneck_channels)
         self.g = nn.Conv2d(outer, inner, **options)
@@ -109,6 +114,7 @@ class non_local_layer(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the picture plus its weighted mean, ``[B, input_channels, H, W]``."""
+        x = pictures("x", x, self.g.in_channels, self.g.weight)
         tokens, values = (picture.flatten(2).mT for picture in (x, self.g(x)))
         mean = _attend(tokens, values)
         return self.W_z(mean.mT.unflatten(2, x.shape[2:])) + x
@@ -120,7 +126,7 @@ def _attend(tokens, values):
     Kernels that never form the weights exist for some devices, dtypes and sizes only; rows serve them all.
     """
     batch, count = tokens.shape[:2]
-    rows = max(1, _SCORE_BYTES // (batch * count * tokens.element_size()))
+    rows = max(1, _SCORE_BYTES // (max(batch, 1) * count * tokens.element_size()))
     if rows >= count:
         return _rows(tokens, tokens, values)
     attend = _rows
@@ -156,7 +162,7 @@ class channel_gate(nn.Module):
     def __init__(self, gate_channels: int, reduction_ratio: int = 16, pool_types: Sequence[str] = _POOLS):
         super().__init__()
         hidden = channels("gate_channels", gate_channels) // channels("reduction_ratio", reduction_ratio)
-        named = [pool_types] if isinstance(pool_types, str) else pool_types
+        named = _validate.texts("pool_types", [pool_types] if isinstance(pool_types, str) else pool_types)
         self.pool_types = [_validate.one_of("pool_types", name, _POOLS) for name in named]
         if not self.pool_types:
             raise ValueError(f"pool_types must name at least one of {', '.join(_POOLS)}")
@@ -166,6 +172,7 @@ class channel_gate(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the pictures ``[B, C, H, W]`` with each channel times its weight between 0 and 1."""
+        x = pictures("x", x, self.mlp[1].in_features, self.mlp[1].weight)
         pools = {"avg": torch.mean, "max": torch.amax}
         scores = sum(self.mlp(pools[name](x, dim=(2, 3))) for name in self.pool_types)
         return x * torch.sigmoid(scores)[:, :, None, None]
@@ -194,10 +201,12 @@ class spatial_gate(nn.Module):
         torch.Tensor
             ``[B, 2, H, W]``, the maximum first.
         """
+        x = pictures("x", x)
         return torch.stack([x.amax(dim=1), x.mean(dim=1)], dim=1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the pictures ``[B, C, H, W]`` with each pixel times its weight between 0 and 1."""
+        x = pictures("x", x, None, self.spatial.model[0].weight)
         return x * torch.sigmoid(self.spatial(self.channel_pool(x)))
 
 
@@ -227,7 +236,7 @@ class convolutional_block_attention(nn.Module):
     ):
         super().__init__()
         self.channel_gate = channel_gate(gate_channels, reduction_ratio, pool_types)
-        self.no_spatial = no_spatial
+        self.no_spatial = _validate.flag("no_spatial", no_spatial)
         if not no_spatial:
             self.spatial_gate = spatial_gate()
 

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.models.arguments import channels, kernel, with_older_form
+from odak.learn.models.arguments import channels, kernel, pictures, with_older_form
 
 _RELU = nn.ReLU()
 
@@ -53,7 +53,7 @@ class convolution_layer(nn.Module):
                 kernel_size=size,
                 stride=_validate.integer("stride", stride, minimum=1),
                 padding=size // 2,
-                bias=bias,
+                bias=_validate.flag("bias", bias),
             )
         ]
         if normalization:
@@ -64,7 +64,10 @@ class convolution_layer(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the layer's output ``[B, output_channels, H', W']`` for pictures ``[B, input_channels, H, W]``."""
-        return self.model(x)
+        convolution, *rest = self.model
+        normalized = bool(rest) and isinstance(rest[0], nn.BatchNorm2d)
+        axes = (4,) if normalized else (3, 4)
+        return self.model(pictures("x", x, convolution.in_channels, convolution.weight, axes=axes))
 
 
 class double_convolution(nn.Module):
@@ -98,7 +101,8 @@ class double_convolution(nn.Module):
     ):
         super().__init__()
         normalization, activation = with_older_form(normalization, activation)
-        middle = output_channels if mid_channels is None else channels("mid_channels", mid_channels)
+        middle = channels("output_channels", output_channels)
+        middle = middle if mid_channels is None else channels("mid_channels", mid_channels)
         options = {
             "kernel_size": kernel_size,
             "bias": bias,
@@ -147,7 +151,7 @@ class residual_layer(nn.Module):
         normalization, activation = with_older_form(normalization, activation, default=True)
         self.activation = activation
         self.convolution = double_convolution(
-            input_channels,
+            channels("input_channels", input_channels),
             mid_channels=mid_channels,
             output_channels=input_channels,
             kernel_size=kernel(kernel_size, odd=True),
@@ -176,6 +180,9 @@ class normalization(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return pictures ``[B, dim, H, W]`` less their mean over the channels, over their standard deviation."""
+        count = self.k.shape[1]
+        # One scale serves any number of channels.
+        x = pictures("x", x, count if count > 1 else None)
         smallest = 1e-5 if x.dtype in (torch.float32, torch.float64) else 1e-3
         variance, mean = torch.var_mean(x, dim=1, unbiased=False, keepdim=True)
         return (x - mean) * torch.rsqrt(variance + smallest) * self.k
@@ -213,7 +220,7 @@ class downsample_layer(nn.Module):
             nn.MaxPool2d(2),
             double_convolution(
                 input_channels,
-                mid_channels=output_channels,
+                mid_channels=channels("output_channels", output_channels),
                 output_channels=output_channels,
                 kernel_size=kernel_size,
                 bias=bias,
@@ -224,7 +231,7 @@ class downsample_layer(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return ``[B, output_channels, H // 2, W // 2]`` for pictures ``[B, input_channels, H, W]``."""
-        return self.maxpool_conv(x)
+        return self.maxpool_conv(pictures("x", x, axes=(3, 4), smallest=2))
 
 
 class upsample_layer(nn.Module):
@@ -265,12 +272,13 @@ class upsample_layer(nn.Module):
             bilinear = activation
         normalization, activation = with_older_form(normalization, activation)
         half = _validate.integer("input_channels", input_channels, minimum=2) // 2
-        if bilinear:
+        channels("output_channels", output_channels)
+        if _validate.flag("bilinear", bilinear):
             self.up = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
         else:
             self.up = nn.ConvTranspose2d(input_channels, half, kernel_size=2, stride=2)
         self.conv = double_convolution(
-            input_channels + channels("output_channels", output_channels) if bilinear else input_channels,
+            input_channels + output_channels if bilinear else input_channels,
             mid_channels=half if bilinear else output_channels,
             output_channels=output_channels,
             kernel_size=kernel_size,
@@ -294,6 +302,13 @@ class upsample_layer(nn.Module):
         torch.Tensor
             ``[B, output_channels, H, W]``.
         """
+        convolution = self.conv.model[0].model[0]
+        transposed = isinstance(self.up, nn.ConvTranspose2d)
+        x1 = pictures("x1", x1, self.up.in_channels if transposed else None, convolution.weight)
+        small = self.up.out_channels if transposed else x1.shape[1]
+        x2 = pictures("x2", x2, convolution.in_channels - small, convolution.weight)
+        if len(x1) != len(x2):
+            raise ValueError(f"x1 and x2 must be as many pictures, got {len(x1)} and {len(x2)}")
         return self.conv(torch.cat([x2, _fit(self.up(x1), x2)], dim=1))
 
 
@@ -321,7 +336,7 @@ class upsample_convtranspose2d_layer(nn.Module):
             channels("output_channels", output_channels),
             kernel_size=kernel(kernel_size),
             stride=_validate.integer("stride", stride, minimum=1),
-            bias=bias,
+            bias=_validate.flag("bias", bias),
         )
 
     def forward(self, x1: torch.Tensor, x2: torch.Tensor) -> torch.Tensor:
@@ -340,6 +355,9 @@ class upsample_convtranspose2d_layer(nn.Module):
         torch.Tensor
             ``[B, output_channels, H, W]``.
         """
+        x1 = pictures("x1", x1, self.up.in_channels, self.up.weight)
+        x2 = pictures("x2", x2, self.up.out_channels)
+        _validate.fitting(x1=x1[:, :1, :1, :1], x2=x2[:, :1, :1, :1])
         return _fit(self.up(x1), x2) + x2
 
 

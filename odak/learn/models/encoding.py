@@ -4,6 +4,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import floating
 
 _HIGHEST = 1000
 # 2^63 times a coordinate is far from the largest float32 (2^128).
@@ -45,8 +46,9 @@ class positional_encoder(nn.Module):
             ``[..., n + 2nL]``: x, then the cosines, then the sines; within a block all octaves of the first
             coordinate, then those of the second.
         """
-        if not x.is_floating_point():
-            x = x.to(torch.get_default_dtype())
+        x = floating("x", x)
+        if x.ndim == 0:
+            raise ValueError("x must be coordinates [..., n], got a tensor without axes")
         dtype = torch.float64 if self.L > _SINGLE_SUFFICES or x.dtype == torch.float64 else torch.float32
         # Products with powers of two are exact, so that only the range of the dtype matters.
         octaves = torch.exp2(torch.arange(self.L, dtype=torch.float64)).to(x.device, dtype)

@@ -10,8 +10,10 @@ from torch import nn
 from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
+from odak.learn._tensors import checked_device, tensor, trainable
+from odak.learn.models.arguments import features
 from odak.learn.models.training import train
-from odak.learn.models.volume_losses import DEFAULT_WEIGHTS, volume_loss
+from odak.learn.models.volume_losses import DEFAULT_WEIGHTS, complete_weights, volume_loss
 from odak.learn.models.weights import load_weights, save_weights
 from odak.learn.tools.function import evaluate_3d_gaussians
 from odak.log import logger
@@ -74,7 +76,8 @@ class gaussian_3d_volume(nn.Module):
     ):
         super().__init__()
         self.number_of_elements = whole_number("number_of_elements", number_of_elements)
-        self.initialize_parameters(initial_centers, initial_angles, initial_scales, initial_alphas)
+        given = (initial_centers, initial_angles, initial_scales, initial_alphas)
+        self._take(dict(zip(_COLUMNS, given, strict=True)), prefix="initial_")
         self.l2_loss, self.l1_loss = nn.MSELoss(), nn.L1Loss()
 
     def initialize_parameters(
@@ -103,17 +106,20 @@ class gaussian_3d_volume(nn.Module):
         ValueError
             If a shape is wrong.
         """
-        given = {"centers": centers, "angles": angles, "scales": scales, "alphas": alphas}
+        self._take({"centers": centers, "angles": angles, "scales": scales, "alphas": alphas}, device)
+
+    def _take(self, given, device="cpu", prefix: str = ""):
+        device = checked_device("device", device)
         for name, value in given.items():
             shape = (self.number_of_elements, _COLUMNS[name])
             if value is None:
                 value = torch.randn(shape) if name in ("centers", "angles") else torch.rand(shape)
-            value = torch.as_tensor(value).detach().clone()
+            value = tensor(prefix + name, value).detach().clone()
             value = value if value.is_floating_point() else value.float()
             if name == "alphas" and value.shape == shape[:1]:
                 value = value[:, None]
             if tuple(value.shape) != shape:
-                raise ValueError(f"{name} must be {list(shape)}, got {list(value.shape)}")
+                raise ValueError(f"{prefix}{name} must be {list(shape)}, got {list(value.shape)}")
             self.register_parameter(name, nn.Parameter(value.to(device)))
 
     def forward(self, points: torch.Tensor, test: bool = False) -> torch.Tensor:
@@ -132,7 +138,8 @@ class gaussian_3d_volume(nn.Module):
             ``[n]``. Many points are computed part by part, and once more in the backward pass.
         """
         at_once = max(1, _PAIRS // self.number_of_elements)
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not test):
+        points = features("points", points, 3)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not _validate.flag("test", test)):
             if len(points) <= at_once:
                 return self._density(points)
             parts = points.split(at_once)
@@ -172,6 +179,9 @@ class gaussian_3d_volume(nn.Module):
         ValueError
             If a weight has an unknown name, or the percentile is not one.
         """
+        _same_samples("estimate", estimate, ground_truth)
+        _validate.integer("epoch_id", epoch_id)
+        _validate.integer("epoch_count", epoch_count, minimum=1)
         return volume_loss(self, estimate, ground_truth, epoch_id, epoch_count, weights)
 
     def optimize(
@@ -223,9 +233,14 @@ class gaussian_3d_volume(nn.Module):
         epochs = _validate.integer("number_of_epochs", number_of_epochs)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
         _validate.real("learning_rate", learning_rate, positive=True)
+        if _validate.real("scheduler_power", scheduler_power) < 0:
+            raise ValueError(f"scheduler_power must be at least 0, got {scheduler_power}")
         if weights_filename is not None:
-            validate_path(weights_filename, _EXTENSIONS)
-        points, ground_truth = (tensor.to(self.centers.device) for tensor in (points, ground_truth))
+            validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
+        complete_weights(loss_weights, "loss_weights")
+        points = features("points", points, 3).to(self.centers.device)
+        _same_samples("points", points[..., 0], ground_truth)
+        ground_truth = trainable(ground_truth.to(self.centers.device))
         steps = itertools.count()
 
         def loss(model, batch):
@@ -244,7 +259,7 @@ class gaussian_3d_volume(nn.Module):
             scheduler=lambda made: torch.optim.lr_scheduler.PolynomialLR(made, epochs, scheduler_power),
             max_norm=max_norm,
             callback=save,
-            progress=verbose,
+            progress=_validate.flag("verbose", verbose),
             description="Gaussians",
         )
 
@@ -256,6 +271,7 @@ class gaussian_3d_volume(nn.Module):
         ValueError
             If the path is not acceptable or its folder does not exist.
         """
+        validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
         save_weights(self, weights_filename, extensions=_EXTENSIONS)
 
     def load_weights(
@@ -280,7 +296,19 @@ class gaussian_3d_volume(nn.Module):
         """
         if weights_filename is None:
             return
+        validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
         try:
             load_weights(self, weights_filename, device=device, extensions=_EXTENSIONS)
         except FileNotFoundError:
             logger.warning("There is no file %s: the Gaussians stay as they are", weights_filename)
+
+
+def _same_samples(name, samples, ground_truth):
+    for key, value in ((name, samples), ("ground_truth", ground_truth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{key} must be a tensor, got {type(value).__name__}")
+    if samples.shape != ground_truth.shape:
+        raise ValueError(
+            f"{name} and ground_truth must hold as many samples, got {list(samples.shape)} and "
+            f"{list(ground_truth.shape)}"
+        )

@@ -8,10 +8,13 @@ from collections.abc import Mapping
 import torch
 from torch import nn
 
+from odak import _validate
+from odak.learn._tensors import trainable
 from odak.learn.models.gaussian_sums import sum_of_soft_gaussians
 from odak.learn.models.gaussian_volume import gaussian_3d_volume, whole_number
-from odak.learn.models.weights import load_weights, save_weights
+from odak.learn.models.weights import EXTENSIONS, load_weights, save_weights
 from odak.log import logger as _log
+from odak.tools._paths import validate_path
 
 __all__ = ["gaussian_2d", "gaussian_3d_volume", "gaussians_2d"]
 
@@ -71,10 +74,14 @@ class gaussian_2d(nn.Module):
         ValueError
             If a name is unknown or a range does not ascend.
         """
+        if not isinstance(ranges, (Mapping, type(None))):
+            raise TypeError(f"ranges must be a dict, got {type(ranges).__name__}")
         ranges = {} if ranges is None else dict(ranges)
         if unknown := sorted(set(ranges) - set(_RANGES)):
             raise ValueError(f"ranges must be of {', '.join(_RANGES)}; got {', '.join(map(repr, unknown))}")
         for name, (low, high) in {**_RANGES, **ranges}.items():
+            for end in (low, high):
+                _validate.real(f"ranges[{name!r}]", end)
             if not low <= high:
                 raise ValueError(f"ranges[{name!r}] must ascend, got {(low, high)}")
             getattr(self, name).normal_((low + high) / 2, (high - low) / 4)
@@ -94,7 +101,7 @@ class gaussian_2d(nn.Module):
         torch.Tensor
             ``[..., N]``.
         """
-        x, y = _with_last_axis(x), _with_last_axis(y)
+        x, y = _coordinates(x, y)
         cosine, sine = self.rotations.cos(), self.rotations.sin()
         u = (x * cosine - y * sine + self.offsets[0]) / self.widths[0]
         v = (x * sine + y * cosine + self.offsets[1]) / self.widths[1]
@@ -105,7 +112,7 @@ class gaussian_2d(nn.Module):
 
         Far Gaussians are left out where they are below rounding error. Differentiable once, in the coordinates too.
         """
-        x, y = torch.broadcast_tensors(_with_last_axis(x), _with_last_axis(y))
+        x, y = torch.broadcast_tensors(*_coordinates(x, y))
         cosine, sine = self.rotations[0].cos(), self.rotations[0].sin()
         (w0, w1), (o0, o1) = self.widths[:, 0], self.offsets[:, 0]
         rows = torch.stack([cosine / w0, -sine / w0, o0 / w0, sine / w1, cosine / w1, o1 / w1], dim=-1)
@@ -144,6 +151,8 @@ class gaussians_2d(nn.Module):
         self.model = gaussian_2d(number_of_elements)
         self.number_of_elements = self.model.number_of_elements
         self.total_params = sum(parameter.numel() for parameter in self.parameters())
+        if not (logger is None or hasattr(logger, "debug")):
+            raise TypeError(f"logger must be a logging.Logger, got {type(logger).__name__}")
         self.logger = _log if logger is None else logger
         self.logger.debug("%d Gaussians with %d parameters", self.number_of_elements, self.total_params)
 
@@ -162,7 +171,7 @@ class gaussians_2d(nn.Module):
         torch.Tensor
             ``[..., 1]``.
         """
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not test):
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not _validate.flag("test", test)):
             return self.model.total(x, y)
 
     def save_weights(self, weights_filename: str | os.PathLike) -> None:
@@ -173,6 +182,7 @@ class gaussians_2d(nn.Module):
         ValueError
             If the path is not acceptable or its folder does not exist.
         """
+        validate_path(weights_filename, EXTENSIONS, name="weights_filename")
         save_weights(self, weights_filename)
         self.logger.info("Gaussians saved to %s", weights_filename)
 
@@ -198,11 +208,18 @@ class gaussians_2d(nn.Module):
             If the path is not acceptable, or the file is broken, would run code or holds other parameters.
         """
         if weights_filename is not None:
+            validate_path(weights_filename, EXTENSIONS, name="weights_filename")
             load_weights(self, weights_filename, device=device)
             self.logger.info("Gaussians loaded from %s", weights_filename)
 
 
-def _with_last_axis(coordinate):
-    if not isinstance(coordinate, torch.Tensor):
-        raise TypeError(f"x and y must be tensors, got {type(coordinate).__name__}")
-    return coordinate if coordinate.ndim and coordinate.shape[-1] == 1 else coordinate.unsqueeze(-1)
+def _coordinates(x, y):
+    for name, coordinate in (("x", x), ("y", y)):
+        if not isinstance(coordinate, torch.Tensor) or coordinate.is_complex():
+            raise TypeError(f"x and y must be tensors, real ones; got {type(coordinate).__name__} for {name}")
+    x, y = (
+        coordinate if coordinate.ndim and coordinate.shape[-1] == 1 else coordinate.unsqueeze(-1)
+        for coordinate in (trainable(x), trainable(y))
+    )
+    _validate.fitting(x=x, y=y)
+    return x, y

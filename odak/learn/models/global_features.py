@@ -3,7 +3,7 @@
 import torch
 from torch import nn
 
-from odak.learn.models.arguments import channels, with_older_form
+from odak.learn.models.arguments import channels, pictures, same_batch, with_older_form
 from odak.learn.models.convolution_layers import double_convolution
 
 _RELU = nn.ReLU()
@@ -42,6 +42,10 @@ class global_transformations(nn.Module):
         torch.Tensor
             ``[B, output_channels, H, W]``.
         """
+        first, second = self.global_feature_1[0], self.global_feature_2[0]
+        x1 = pictures("x1", x1, second.in_features, second.weight)
+        x2 = pictures("x2", x2, first.in_features, first.weight)
+        same_batch(x1=x1, x2=x2)
         scale = self.global_feature_1(x2.mean(dim=(2, 3)))
         offset = self.global_feature_2(scale)
         return x1 * scale[:, :, None, None] + offset[:, :, None, None]

@@ -38,10 +38,14 @@ def weighed_errors(
     ValueError
         If the shapes differ, or there are not two weights.
     """
+    for name, value in (("input_data", input_data), ("ground_truth", ground_truth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
     if input_data.shape != ground_truth.shape:
         raise ValueError(
             f"input_data must have ground_truth's shape {list(ground_truth.shape)}, got {list(input_data.shape)}"
         )
-    if len(weights) != 2:
-        raise ValueError(f"weights must be two numbers, squared error first; got {weights!r}")
+    if not hasattr(weights, "__len__") or len(weights) != 2:
+        raise ValueError(f"weights must be two numbers, squared error first; got {weights!r:.80}")
+    weights = _validate.several("weights", weights, 2)
     return weights[0] * l2(input_data, ground_truth) + weights[1] * l1(input_data, ground_truth)

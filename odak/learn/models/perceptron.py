@@ -15,7 +15,7 @@ from odak.learn.models.activations import (
     siren_activation,
     swish_activation,
 )
-from odak.learn.models.arguments import activation_module
+from odak.learn.models.arguments import activation_module, features
 
 _RELU = nn.ReLU(inplace=True)
 _TYPES = ("conventional", "swish", "SIREN", "FILM SIREN", "Gaussian")
@@ -71,16 +71,16 @@ class multi_layer_perceptron(nn.Module):
         self.dimensions = _dimensions(dimensions)
         self.model_type = _validate.one_of("model_type", model_type, _TYPES)
         self.siren_multiplier = _validate.real("siren_multiplier", siren_multiplier, positive=True)
-        self.bias = bias
-        self.uniform_flag = uniform_flag
+        self.bias = bias = _validate.flag("bias", bias)
+        self.uniform_flag = uniform_flag = _validate.flag("uniform_flag", uniform_flag)
         self.input_multiplier = None
         if input_multiplier is not None:
             factor = float(_validate.real("input_multiplier", input_multiplier))
             self.input_multiplier = nn.Parameter(torch.full((1, self.dimensions[0]), factor))
         layers = []
         activation_module(activation)
-        for features, results in itertools.pairwise(self.dimensions):
-            layers += [nn.Linear(features, results, bias=bias), self._activation(results, activation)]
+        for inputs, results in itertools.pairwise(self.dimensions):
+            layers += [nn.Linear(inputs, results, bias=bias), self._activation(results, activation)]
         self.model = nn.Sequential(*(layer for layer in layers[:-1] if layer is not None))
         if uniform_flag and "SIREN" in self.model_type:
             self._spread()
@@ -98,6 +98,7 @@ class multi_layer_perceptron(nn.Module):
         torch.Tensor
             ``[..., dimensions[-1]]``.
         """
+        x = features("x", x, self.dimensions[0], self.model[0].weight)
         return self.model(x if self.input_multiplier is None else self.input_multiplier * x)
 
     def _activation(self, features, activation):

@@ -12,16 +12,20 @@ from torch import nn
 from tqdm import tqdm
 
 from odak import _validate
+from odak.learn._tensors import checked_device
 from odak.learn.tools._checkpoints import (
     own_randomness,
     randomness,
     read_checkpoint,
     set_randomness,
+    taking_up,
     write_checkpoint,
 )
+from odak.learn.tools._memory import advising_on_memory
 from odak.log import logger
 from odak.tools._paths import validate_path
 
+_LESS_MEMORY = "use smaller batches, mixed_precision=True or device='cpu'; a checkpoint written so far can be taken up"
 _PARTS = ("done", "model", "best", "history", "optimizer", "scheduler", "scaler", "randomness", "generators")
 
 
@@ -149,11 +153,23 @@ def train(
     >>> round(line.weight.item(), 2), round(line.bias.item(), 2), history.finished
     (3.0, 1.0, True)
     """
+    if not isinstance(model, nn.Module):
+        raise TypeError(f"model must be a torch.nn.Module, got {type(model).__name__}")
+    for name, value in (("loss", loss), ("optimizer", optimizer), ("scheduler", scheduler), ("callback", callback)):
+        if not (callable(value) or isinstance(value, torch.optim.Optimizer) or (value is None and name != "loss")):
+            raise TypeError(f"{name} must be callable, got {type(value).__name__}")
+    for name, value in (("batches", batches), ("validation", validation)):
+        if isinstance(value, str) or not (isinstance(value, Iterable) or (value is None and name != "batches")):
+            raise TypeError(f"{name} must be an iterable of batches, got {type(value).__name__}")
+    _validate.real("learning_rate", learning_rate, positive=True)
+    progress = _validate.flag("progress", progress)
+    if not isinstance(description, str):
+        raise TypeError(f"description must be a string, got {type(description).__name__}")
     if patience is not None:
         _validate.integer("patience", patience, minimum=1)
     if max_norm is not None:
         _validate.real("max_norm", max_norm, positive=True)
-    device = _device_of(model) if device is None else torch.device(device)
+    device = _device_of(model) if device is None else checked_device("device", device)
     run = _Run(model.to(device), loss, batches, validation, device, mixed_precision)
     run.epochs = _validate.integer("epochs", epochs)
     run.patience, run.max_norm, run.callback = patience, max_norm, callback
@@ -161,7 +177,8 @@ def train(
     run.choose_checkpoint(checkpoint, checkpoint_every)
     with own_randomness(seed, device):
         run.resume()
-        run.go(tqdm(disable=not progress, desc=description, leave=False, total=run.steps(epochs)))
+        with advising_on_memory(_LESS_MEMORY):
+            run.go(tqdm(disable=not progress, desc=description, leave=False, total=run.steps(epochs)))
     return run.history
 
 
@@ -171,7 +188,7 @@ class _Run:
     def __init__(self, model, loss, batches, validation, device, mixed_precision):
         self.model, self.loss, self.batches, self.validation = model, loss, batches, validation
         self.device = device
-        self.mixed = bool(mixed_precision) and device.type == "cuda"
+        self.mixed = _validate.flag("mixed_precision", mixed_precision) and device.type == "cuda"
         self.scaler = torch.amp.GradScaler("cuda", enabled=self.mixed)
         self.history = TrainingHistory()
         self.done = 0
@@ -199,7 +216,7 @@ class _Run:
         self.about["scheduler"] = None if scheduler is None else type(self.scheduler).__name__
 
     def choose_checkpoint(self, checkpoint, every):
-        self.checkpoint = None if checkpoint is None else validate_path(checkpoint, (".pt", ".pth"))
+        self.checkpoint = None if checkpoint is None else validate_path(checkpoint, (".pt", ".pth"), name="checkpoint")
         self.checkpoint_every = _validate.integer("checkpoint_every", every, minimum=1)
         if self.checkpoint is not None and not os.path.isdir(os.path.dirname(self.checkpoint)):
             raise ValueError(f"the folder of checkpoint {self.checkpoint!r} does not exist")
@@ -350,12 +367,17 @@ class _Run:
             return
         # Adam counts its steps on the CPU wherever the weights are: what is read goes there, and on from there.
         state = read_checkpoint(self.checkpoint, torch.device("cpu"), _PARTS, self.about, "a training")
+        with taking_up(self.checkpoint):
+            self._take_up(state)
+
+    def _take_up(self, state):
         self.model.load_state_dict(state["model"])
         self.optimizer.load_state_dict(state["optimizer"])
         if self.scheduler is not None:
             self.scheduler.load_state_dict(state["scheduler"])
         self.scaler.load_state_dict(state["scaler"])
-        self.best, self.done, self.saved = state["best"], state["done"], state["done"]
+        self.best, self.done = state["best"], _validate.integer("done", state["done"])
+        self.saved = self.done
         self.history = TrainingHistory(**state["history"])
         set_randomness(state["randomness"], self.device)
         for generator, before in zip(self._generators(), state["generators"], strict=True):

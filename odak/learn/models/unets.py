@@ -4,7 +4,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.models.arguments import channels, kernel
+from odak.learn.models.arguments import channels, kernel, pictures
 from odak.learn.models.convolution_layers import double_convolution, downsample_layer, upsample_layer
 
 _RELU = nn.ReLU(inplace=True)
@@ -87,6 +87,8 @@ class unet(nn.Module):
         ValueError
             If the pictures are too small for that many steps.
         """
+        first = self.inc.model[0].model[0]
+        x = pictures("x", x, first.in_channels, first.weight)
         if min(x.shape[-2:]) < 2**self.depth:
             raise ValueError(
                 f"x must be at least {2**self.depth} pixels high and wide for a depth of {self.depth}, "

@@ -1,19 +1,23 @@
 """The loss of a density of Gaussians: how far it is from the samples, and how far its parameters are from good ones."""
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 import torch
 
 from odak import _validate
 
-DEFAULT_WEIGHTS = {
-    "content": {"l2": 1.0, "l1": 0.0},
-    "alpha": {"smaller": 0.0, "larger": 0.0, "threshold": [0.0, 1.0]},
-    "scale": {"smaller": 0.0, "larger": 0.0, "threshold": [0.0, 1.0]},
-    "angle": 0.0,
-    "center": 0.0,
-    "utilization": {"l2": 0.0, "percentile": 0},
-}
+# Not to be changed by whoever gets it as a default.
+DEFAULT_WEIGHTS = MappingProxyType(
+    {
+        "content": MappingProxyType({"l2": 1.0, "l1": 0.0}),
+        "alpha": MappingProxyType({"smaller": 0.0, "larger": 0.0, "threshold": (0.0, 1.0)}),
+        "scale": MappingProxyType({"smaller": 0.0, "larger": 0.0, "threshold": (0.0, 1.0)}),
+        "angle": 0.0,
+        "center": 0.0,
+        "utilization": MappingProxyType({"l2": 0.0, "percentile": 0}),
+    }
+)
 
 
 def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, weights: Mapping) -> torch.Tensor:
@@ -43,7 +47,7 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
     ValueError
         If a weight has an unknown name, or the percentile is not from 0 to 100.
     """
-    weights = _complete(weights)
+    weights = complete_weights(weights)
     content, use = weights["content"], weights["utilization"]
     terms = [
         (content["l2"], lambda: model.l2_loss(estimate, ground_truth)),
@@ -64,16 +68,18 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
     return loss
 
 
-def _complete(weights) -> dict:
-    """Return the weights with the defaults for those left out."""
-    _refuse_unknown("weights", weights, DEFAULT_WEIGHTS)
+def complete_weights(weights: Mapping, argument: str = "weights") -> dict:
+    """Return the weights with the defaults for those left out; raise TypeError or ValueError that names `argument`."""
+    if not isinstance(weights, Mapping):
+        raise TypeError(f"{argument} must be a dict of {', '.join(DEFAULT_WEIGHTS)}; got {type(weights).__name__}")
+    _refuse_unknown(argument, weights, DEFAULT_WEIGHTS)
     whole = dict(DEFAULT_WEIGHTS)
     for name, value in weights.items():
         default = DEFAULT_WEIGHTS[name]
-        if isinstance(default, dict):
+        if isinstance(default, Mapping):
             if not isinstance(value, Mapping):
-                raise ValueError(f"weights[{name!r}] must be a dict of {', '.join(default)}; got {value!r}")
-            _refuse_unknown(f"weights[{name!r}]", value, default)
+                raise ValueError(f"{argument}[{name!r}] must be a dict of {', '.join(default)}; got {value!r}")
+            _refuse_unknown(f"{argument}[{name!r}]", value, default)
             value = {**default, **value}
         whole[name] = value
     return whole

@@ -7,7 +7,10 @@ from collections.abc import Iterable
 import torch
 from torch import nn
 
+from odak._validate import texts
+from odak.learn._tensors import checked_device
 from odak.learn.tools._checkpoints import first_line
+from odak.learn.tools._torch_files import read_torch_file
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
 
@@ -33,8 +36,8 @@ def save_weights(module: nn.Module, filename: str | os.PathLike, *, extensions: 
     ValueError
         If the path is not acceptable or its folder does not exist.
     """
-    with replacing(validate_path(filename, extensions)) as stream:
-        torch.save(module.state_dict(), stream)
+    with replacing(validate_path(filename, texts("extensions", extensions))) as stream:
+        torch.save(_module(module).state_dict(), stream)
 
 
 def load_weights(
@@ -68,7 +71,8 @@ def load_weights(
         If the path is not acceptable; if the file is broken, would run code, or holds no state dict; or if its keys or
         shapes are not those of the module: the message names those missing, unexpected and of another shape.
     """
-    path = validate_path(filename, extensions)
+    path = validate_path(filename, texts("extensions", extensions))
+    module, device = _module(module), checked_device("device", device)
     take_state(module, read_state(path, _device_of(module) if device is None else device), path)
 
 
@@ -98,7 +102,7 @@ def take_state(module: nn.Module, state: dict, path: str) -> None:
 def read_state(path: str, device: torch.device | str | None) -> dict:
     """Return the state dict in a file, its tensors on a device, without running code."""
     try:
-        state = torch.load(path, map_location=device, weights_only=True)
+        state = read_torch_file(path, device)
     except FileNotFoundError:
         raise
     except Exception as error:
@@ -130,3 +134,9 @@ def _misfits(wanted: dict, found: dict) -> list[str]:
 def _listed(keys) -> str:
     rest = len(keys) - _LISTED
     return ", ".join(map(str, keys[:_LISTED])) + (f" and {rest} more" if rest > 0 else "")
+
+
+def _module(module) -> nn.Module:
+    if not isinstance(module, nn.Module):
+        raise TypeError(f"module must be a torch.nn.Module, got {type(module).__name__}")
+    return module

@@ -5,6 +5,10 @@ from collections.abc import Sequence
 import torch
 from torch import nn
 
+from odak import _validate
+from odak.learn._tensors import checked_device
+from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.foveation import _growth, _point
 from odak.learn.perception.radially_varying_blur import RadiallyVaryingBlur
 from odak.learn.perception.util import check_loss_inputs, check_values
 
@@ -27,6 +31,11 @@ class BlurLoss(nn.Module):
     equi : bool
         Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
     Attributes
     ----------
     target, blur, loss_func
@@ -48,10 +57,12 @@ class BlurLoss(nn.Module):
         equi: bool = False,
     ) -> None:
         super().__init__()
+        device = checked_device("device", device)
         self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
-        self.alpha = alpha
-        self.real_image_width, self.real_viewing_distance = real_image_width, real_viewing_distance
-        self.mode, self.blur_source, self.equi = mode, blur_source, equi
+        self.alpha, self.mode = _growth(alpha, mode)
+        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
+        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+        self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
         self.blur = RadiallyVaryingBlur().to(device)
         self.target: torch.Tensor | None = None
         self.loss_func = nn.MSELoss()
@@ -63,6 +74,7 @@ class BlurLoss(nn.Module):
 
     def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
         """Return a picture ``[B, C, H, W]`` blurred for a gaze (x, y), 0 to 1 from the top-left corner."""
+        gaze = _point("gaze", gaze)
         return self.blur.blur(
             image, self.alpha, self.real_image_width, self.real_viewing_distance, gaze, self.mode, self.equi
         )
@@ -84,10 +96,11 @@ class BlurLoss(nn.Module):
 
         Raises
         ------
-        ValueError
+        ValueError, TypeError
             If the pictures cannot be compared or an argument makes no map.
         """
         check_loss_inputs("BlurLoss", image, target)
+        as_pictures("image", image, None), as_pictures("target", target, None)
         check_values(**{"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target})
         self.target = target.detach()
         if self.blur_source:

@@ -142,7 +142,7 @@ def linear_rgb_to_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     -----
     IEC 61966-2-1:1999, section 5.3.
     """
-    _validate.real("threshold", threshold, positive=True)
+    _validate.number("threshold", threshold, positive=True)
     threshold = float(threshold)
     formulas = (pixel_formulas.encoded, pixel_formulas.encoded_slopes)
     function, slopes = (functools.partial(formula, threshold=threshold) for formula in formulas)
@@ -200,12 +200,13 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If the image does not hold three channels of real floats.
+        If the image does not hold three channels of real floats, or `eps` is negative.
 
     Notes
     -----
     Smith, SIGGRAPH Comput. Graph. 12, 12 (1978).
     """
+    eps = float(_validate.number("eps", eps, least=0))
     return by_pixels(functools.partial(pixel_formulas.to_hsv, eps=eps), as_pictures("image", image))
 
 
@@ -291,7 +292,8 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
     Reinhard, Ashikhmin, Gooch and Shirley, IEEE Comput. Graph. Appl. 21, 34 (2001), in L*a*b* for lαβ.
     """
     _validate.one_of("model", model, ("Lab Stats",))
-    source, target = srgb_to_lab(input_image), srgb_to_lab(target_image)
+    source, target = (_single(*named) for named in (("input_image", input_image), ("target_image", target_image)))
+    source, target = srgb_to_lab(source), srgb_to_lab(target)
     for name, picture in (("input_image", source), ("target_image", target)):
         if picture.shape[-2:].numel() < 2:
             raise ValueError(f"{name} must have two pixels or more, got {tuple(picture.shape)}")
@@ -331,7 +333,7 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
 
 def _xyz_matrices(white):
     """Return the matrices to XYZ and back."""
-    if white is XYZ_WHITE:
+    if isinstance(white, tuple) and white == XYZ_WHITE:
         return _XYZ_MATRICES
     matrix = _rgb_to_xyz_rows(*_checked_space(BT709_PRIMARIES, white))
     return rows(matrix), rows(np.linalg.inv(matrix))

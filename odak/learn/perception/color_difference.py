@@ -4,6 +4,7 @@ import math
 
 import torch
 
+from odak import _validate
 from odak.learn.perception.color_matrices import as_pictures
 
 _25_TO_7 = 25.0**7
@@ -25,14 +26,14 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If a picture does not hold three channels of real floats.
+        If a picture does not hold three channels of real floats, or the shapes do not fit together.
 
     Notes
     -----
     CIE 015:2018, section 8.2.1.3.
     """
-    difference = as_pictures("first", first) - as_pictures("second", second)
-    return _root(difference.square().sum(-3, keepdim=True))
+    first, second = _pair(first, second)
+    return _root((first - second).square().sum(-3, keepdim=True))
 
 
 def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
@@ -52,7 +53,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If a picture does not hold three channels of real floats.
+        If a picture does not hold three channels of real floats, or the shapes do not fit together.
 
     Notes
     -----
@@ -66,8 +67,8 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     >>> round(ciede2000(pair[:1], pair[1:]).item(), 4)
     2.0425
     """
-    l1, a1, b1 = as_pictures("first", first).unbind(-3)
-    l2, a2, b2 = as_pictures("second", second).unbind(-3)
+    first, second = _pair(first, second)
+    (l1, a1, b1), (l2, a2, b2) = first.unbind(-3), second.unbind(-3)
     mean_chroma = (_norm(a1, b1) + _norm(a2, b2)) / 2
     stretch = 1.5 - _saturating(mean_chroma) / 2
     c1, c2 = _norm(stretch * a1, b1), _norm(stretch * a2, b2)
@@ -86,6 +87,12 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
              hue_step / (1 + 0.015 * chroma * _hue_weight(mean_hue)))  # fmt: skip
     squares = sum(term**2 for term in terms) + _rotation(mean_hue, chroma) * terms[1] * terms[2]
     return _root(squares.clamp_min(0)).unsqueeze(-3)
+
+
+def _pair(first, second):
+    first, second = as_pictures("first", first), as_pictures("second", second)
+    _validate.fitting(first=first, second=second)
+    return first, second
 
 
 def _lightness_scale(lightness):
@@ -128,5 +135,6 @@ def _norm(a, b):
 
 def _root(value):
     """Return √value with a gradient of 0 at 0."""
-    some = value > 0
-    return torch.where(some, torch.where(some, value, 1.0).sqrt(), 0.0)
+    # What is not a number stays so.
+    none = value <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, value).sqrt())

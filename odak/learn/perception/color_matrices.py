@@ -1,12 +1,13 @@
 """Matrices between colour spaces, derived from primaries and a white, and their application to pictures."""
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import torch
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
 from odak.learn.perception.pixel_blocks import by_matrix
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -109,6 +110,7 @@ def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 
+@in_own_precision
 def mix(matrix, image: torch.Tensor, *, offset: tuple[float, ...] | None = None) -> torch.Tensor:
     """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision.
 
@@ -142,6 +144,8 @@ def _constant(matrix, dtype, device):
 
 
 def _checked_space(primaries, white):
+    if not isinstance(primaries, Iterable) or isinstance(primaries, str):
+        raise TypeError(f"primaries must be three pairs (x, y), got {type(primaries).__name__}")
     pairs = tuple(tuple(_validate.numbers(_validate.real("primaries", pair))) for pair in primaries)
     if len(pairs) != 3 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
         raise ValueError(f"primaries must be three pairs (x, y) with y > 0, got {primaries!r}")

@@ -8,11 +8,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from odak import _validate
+from odak import _array, _validate
+from odak.learn._precision import in_own_precision
 from odak.learn.perception.color_matrices import as_pictures, mix, rows
 from odak.learn.perception.cvd_loss_functions import cvd_loss
 from odak.learn.perception.pixel_blocks import by_values
 from odak.learn.perception.pixel_formulas import decoded, decoded_slopes, encoded, encoded_slopes
+from odak.learn.perception.util import check_values
 
 DEFICIENCIES = ("protan", "deutan", "tritan")
 METHODS = ("Machado", "Brettel", "Vienot")
@@ -79,7 +81,7 @@ def simulate_color_vision_deficiency(
     image = as_pictures("image", image)
     deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
     method = _validate.one_of("method", method, METHODS)
-    severity = _checked_severity(severity, image)
+    severity, linear = _checked_severity(severity, image), _validate.flag("linear", linear)
     if method == "Vienot" and deficiency == "tritan":
         raise ValueError("method 'Vienot' is for protan and deutan; take 'Brettel' for tritan")
     light = image if linear else by_values(decoded, image, decoded_slopes)
@@ -126,8 +128,8 @@ class CVDLoss(nn.Module):
         super().__init__()
         self.deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
         self.method = _validate.one_of("method", method, METHODS)
-        self.severity = float(_validate.real("severity", severity))
-        self.alpha, self.beta = (float(_validate.real(name, v)) for name, v in (("alpha", alpha), ("beta", beta)))
+        self.severity = float(_validate.number("severity", severity))
+        self.alpha, self.beta = (float(_validate.number(name, v)) for name, v in (("alpha", alpha), ("beta", beta)))
 
     def forward(self, image: torch.Tensor, target: torch.Tensor | None = None) -> torch.Tensor:
         """Return the loss.
@@ -149,16 +151,23 @@ class CVDLoss(nn.Module):
         ValueError, TypeError
             If the shapes differ or the pictures are not ``[B, 3, H, W]`` of real floats.
         """
+        for name, picture in (("image", image), ("target", image if target is None else target)):
+            as_pictures(name, picture)
+            if picture.ndim != 4:
+                raise ValueError(f"{name} must be [B, 3, H, W], got {tuple(picture.shape)}")
+            check_values(**{name: picture})
+        if target is not None and target.shape != image.shape:
+            raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
         seen = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)
         return cvd_loss(image if target is None else target, seen, self.alpha, self.beta)[0]
 
 
 def _checked_severity(severity, image):
-    _validate.real("severity", severity)
+    _validate.number("severity", severity)
     severity = torch.as_tensor(severity, dtype=image.dtype, device=image.device)
     if severity.ndim:
         raise ValueError(f"severity must be one number, got {tuple(severity.shape)}")
-    if not severity.is_cuda and not 0 <= float(severity.detach()) <= 1:
+    if _array.is_readable(severity) and not 0 <= float(severity.detach()) <= 1:
         raise ValueError(f"severity must be 0 … 1, got {float(severity.detach())!r}")
     return severity
 
@@ -169,8 +178,9 @@ def _machado_tables():
     return json.loads(path.read_text(encoding="utf-8"))
 
 
+@in_own_precision
 def _machado_matrix(deficiency, severity):
-    tables = _machado_tables()
+    tables = _array.outside_graphs(_machado_tables)
     matrices = severity.new_tensor(tables[deficiency])
     # Each table weighs as a hat over its own severity, which is linear between them.
     steps = severity.new_tensor(tables["severities"])
@@ -191,7 +201,7 @@ def _onto_plane(deficiency, anchor):
 
 def _vienot(deficiency, light):
     # The plane of white and of the display's blue.
-    return mix(rows(_onto_plane(deficiency, tuple(_RGB_TO_LMS[:, 2]))), light)
+    return mix(rows(_array.outside_graphs(_onto_plane, deficiency, tuple(_RGB_TO_LMS[:, 2]))), light)
 
 
 def _brettel(deficiency, light):
@@ -201,5 +211,5 @@ def _brettel(deficiency, light):
     edge = np.cross(_RGB_TO_LMS.sum(1), np.eye(3)[row])
     edge = edge if edge @ short > 0 else -edge
     side = mix(rows((edge @ _RGB_TO_LMS)[None]), light)
-    seen = [mix(rows(_onto_plane(deficiency, tuple(anchor))), light) for anchor in (short, long)]
+    seen = [mix(rows(_array.outside_graphs(_onto_plane, deficiency, tuple(anchor))), light) for anchor in (short, long)]
     return torch.where(side > 0, *seen)

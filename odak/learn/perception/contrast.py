@@ -1,6 +1,5 @@
 """Contrast of regions, and contrast that adapts to the picture's content."""
 
-import operator
 from collections.abc import Sequence
 
 import torch
@@ -93,11 +92,12 @@ def content_aware_contrast_ratio(
     harmonic mean.
     """
     pictures = _lightness(image, lightness_channel)
+    _validate.number("eps", eps, least=0)
     side = _validate.integer("window_size", window_size, minimum=3)
     step = _validate.integer("step", step, minimum=1)
     if side % 2 == 0 or side > min(pictures.shape[-2:]):
         raise ValueError(f"window_size must be odd and fit the picture {tuple(pictures.shape[-2:])}, got {side}")
-    if not 0 < _validate.real("pooling_percentile", pooling_percentile) <= 100:
+    if not 0 < _validate.number("pooling_percentile", pooling_percentile) <= 100:
         raise ValueError(f"pooling_percentile must be above 0 and at most 100, got {pooling_percentile!r}")
     results = []
     for picture in pictures:
@@ -118,6 +118,7 @@ def _require_positive(names, value):
 
 def _lightness(image, channel) -> torch.Tensor:
     """Return pictures ``[B, H, W]`` of 0 … 1."""
+    channel = _validate.integer("lightness_channel", channel)
     if not isinstance(image, torch.Tensor) or image.is_complex():
         raise TypeError(f"image must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
     if image.ndim not in (2, 3, 4) or 0 in image.shape or (image.ndim == 3 and len(image) > 100):
@@ -125,10 +126,11 @@ def _lightness(image, channel) -> torch.Tensor:
             f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {tuple(image.shape)}"
         )
     if image.ndim == 4:
-        if not 0 <= operator.index(channel) < image.shape[1]:
+        if not 0 <= channel < image.shape[1]:
             raise ValueError(f"lightness_channel must be from 0 to {image.shape[1] - 1}, got {channel}")
         image = image[:, channel]
-    image = image if image.is_floating_point() else image.float()
+    # Half precision would lose the sums of windows.
+    image = image if image.dtype in (torch.float32, torch.float64) else image.float()
     return image.reshape(-1, *image.shape[-2:]).clamp(0, 1)
 
 

@@ -5,7 +5,8 @@ import math
 import torch
 from torch import nn
 
-from odak import _validate
+from odak import _array, _validate
+from odak.learn._tensors import tensor
 from odak.learn.perception.color_matrices import as_pictures
 from odak.learn.perception.pixel_blocks import by_values
 from odak.learn.perception.pixel_formulas import decoded, decoded_slopes
@@ -139,12 +140,12 @@ class CSFLoss(nn.Module):
         encoding: str = "sRGB",
     ):
         super().__init__()
-        self.real_image_width = float(_validate.real("real_image_width", real_image_width, positive=True))
+        self.real_image_width = float(_validate.number("real_image_width", real_image_width, positive=True))
         self.real_viewing_distance = float(
-            _validate.real("real_viewing_distance", real_viewing_distance, positive=True)
+            _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
         )
-        self.peak_luminance = float(_validate.real("peak_luminance", peak_luminance, positive=True))
-        self.black_luminance = float(_validate.real("black_luminance", black_luminance, positive=True))
+        self.peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
+        self.black_luminance = float(_validate.number("black_luminance", black_luminance, positive=True))
         if self.black_luminance >= self.peak_luminance:
             raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
         self.encoding = _validate.one_of("encoding", encoding, ("sRGB", "linear"))
@@ -238,7 +239,9 @@ def _numbers(**values):
     kind = {"dtype": torch.float64} if not tensors else {"dtype": tensors[0].dtype, "device": tensors[0].device}
     for name, value in values.items():
         _validate.real(name, value, positive=True)
-    return [v if isinstance(v, torch.Tensor) else torch.tensor(float(v), **kind) for v in values.values()]
+    made = {name: v if isinstance(v, torch.Tensor) else tensor(name, v, **kind) for name, v in values.items()}
+    _validate.fitting(**made)
+    return list(made.values())
 
 
 def _angle(length, distance):
@@ -247,6 +250,6 @@ def _angle(length, distance):
 
 def _check_range(name, picture):
     _validate.real(name, picture)
-    if not picture.is_cuda and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
+    if _array.is_readable(picture) and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
         low, high = picture.detach().aminmax()
         raise ValueError(f"{name} must be about 0 … 1, got {float(low):.3g} … {float(high):.3g}")

@@ -70,13 +70,14 @@ def compute_local_contrast_similarity(
         If the patches are not ``[D, N]`` of real floats and one shape.
     """
     for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
-        if not isinstance(patch, torch.Tensor):
-            raise TypeError(f"{name} must be a tensor, got {type(patch).__name__}")
+        if not isinstance(patch, torch.Tensor) or not patch.is_floating_point():
+            kind = getattr(patch, "dtype", type(patch).__name__)
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
     if patch_x.shape != patch_y.shape or patch_x.ndim != 2:
         raise ValueError(
             f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
         )
-    _validate.real("epsilon", epsilon, positive=True)
+    _validate.number("epsilon", epsilon, positive=True)
     return _similarity(patch_x, patch_y, 0, epsilon)
 
 
@@ -105,9 +106,8 @@ def local_contrast_loss(
         If the pictures are not as said, or the patch is larger than they are.
     """
     image, simulated_image = _checked_pair(image, simulated_image)
-    _validate.real("epsilon", epsilon, positive=True)
-    patches = [extract_local_patches(picture, patch_size, stride)[0] for picture in (image, simulated_image)]
-    return (1 - _similarity(*patches, 1, epsilon)).mean()
+    _validate.number("epsilon", epsilon, positive=True)
+    return _contrast_lost(image, simulated_image, patch_size, stride, epsilon)
 
 
 def color_information_loss(
@@ -137,8 +137,8 @@ def color_information_loss(
     """
     image, simulated_image = _checked_pair(image, simulated_image)
     kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
-    # The blur is linear: one of the difference does for two.
-    return blur_gaussian(image - simulated_image, (kernel_size, kernel_size), (sigma, sigma)).abs().mean()
+    sigma = float(_validate.number("sigma", sigma, least=0))
+    return _colour_lost(image, simulated_image, kernel_size, sigma)
 
 
 def cvd_loss(
@@ -182,10 +182,25 @@ def cvd_loss(
     >>> [term.item() for term in cvd_loss(picture, picture)]
     [0.0, 0.0, 0.0]
     """
-    alpha, beta = _validate.real("alpha", alpha), _validate.real("beta", beta)
-    contrast = local_contrast_loss(image, simulated_image, lc_patch_size, lc_stride)
-    colour = color_information_loss(image, simulated_image, ci_kernel_size, ci_sigma)
+    alpha, beta = _validate.number("alpha", alpha), _validate.number("beta", beta)
+    lc_patch_size = _validate.integer("lc_patch_size", lc_patch_size, minimum=1)
+    lc_stride = _validate.integer("lc_stride", lc_stride, minimum=1)
+    ci_kernel_size = _validate.integer("ci_kernel_size", ci_kernel_size, minimum=1)
+    ci_sigma = float(_validate.number("ci_sigma", ci_sigma, least=0))
+    image, simulated_image = _checked_pair(image, simulated_image)
+    contrast = _contrast_lost(image, simulated_image, lc_patch_size, lc_stride, 1e-8)
+    colour = _colour_lost(image, simulated_image, ci_kernel_size, ci_sigma)
     return alpha * contrast + beta * colour, contrast, colour
+
+
+def _contrast_lost(image, simulated_image, patch_size, stride, epsilon):
+    patches = [extract_local_patches(picture, patch_size, stride)[0] for picture in (image, simulated_image)]
+    return (1 - _similarity(*patches, 1, epsilon)).mean()
+
+
+def _colour_lost(image, simulated_image, kernel_size, sigma):
+    # The blur is linear: one of the difference does for two.
+    return blur_gaussian(image - simulated_image, (kernel_size, kernel_size), (sigma, sigma)).abs().mean()
 
 
 def _similarity(one, two, axis, epsilon):
@@ -196,8 +211,9 @@ def _similarity(one, two, axis, epsilon):
 def _deviation(patches, axis):
     """Return population standard deviations, with a gradient of 0 where there is none."""
     variance = patches.var(axis, correction=0)
-    some = variance > 0
-    return torch.where(some, torch.where(some, variance, 1.0).sqrt(), 0.0)
+    # What is not a number stays so.
+    none = variance <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, variance).sqrt())
 
 
 def _checked(name, image):

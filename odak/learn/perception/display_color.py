@@ -2,11 +2,13 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import checked_device, floating
 from odak.learn.perception.color_matrices import as_pictures, mix
 from odak.learn.perception.spectra import (
     BACKLIGHT_GAUSSIANS,
@@ -83,7 +85,7 @@ class display_color_hvs(nn.Module):
         self.pixel_pitch = pixel_pitch
         self.read_spectrum = read_spectrum
         self.cones = _validate.one_of("cones", cones, ("Gaussian", "CIE 170"))
-        self._keep("primaries_spectrum", _checked_spectra(primaries_spectrum).to(device))
+        self._keep("primaries_spectrum", _checked_spectra(primaries_spectrum).to(checked_device("device", device)))
         for cone, values in zip("lms", self.initialize_cones_normalized(), strict=True):
             self._keep(f"{cone}_normalized", values)
         responses = (self.l_normalized, self.m_normalized, self.s_normalized)
@@ -112,7 +114,7 @@ class display_color_hvs(nn.Module):
         """Same as ``s_normalized``."""
         return self.s_normalized
 
-    def forward(self, input_image: torch.Tensor, ground_truth: torch.Tensor, gaze=None) -> torch.Tensor:
+    def forward(self, input_image: torch.Tensor, ground_truth: torch.Tensor, gaze: Any = None) -> torch.Tensor:
         """Return the mean squared difference of two pictures in opponent colours.
 
         Parameters
@@ -159,7 +161,7 @@ class display_color_hvs(nn.Module):
         """
         return tuple(self._lines(BACKLIGHT_GAUSSIANS))
 
-    def initialize_random_spectrum_normalized(self, dataset) -> torch.Tensor:
+    def initialize_random_spectrum_normalized(self, dataset: Any) -> torch.Tensor:
         """Return a measured spectrum as a smooth curve: a fitted sum of three Gaussians.
 
         Parameters
@@ -201,13 +203,20 @@ class display_color_hvs(nn.Module):
         Raises
         ------
         ValueError, TypeError
-            If the wavelength is not a finite number.
+            If the wavelength is not a positive number or the values are not 301 finite ones.
         """
-        _validate.real("wavelength", wavelength)
+        _validate.number("wavelength", wavelength, positive=True)
+        if len(_validate.numbers(_validate.real("function", function))) != LAST - FIRST + 1:
+            raise ValueError(
+                f"function must hold {LAST - FIRST + 1} numbers, at {FIRST} … {LAST} nm, got {len(function)}"
+            )
         return float(function[min(max(round(float(wavelength)), FIRST), LAST) - FIRST])
 
     def cone_response_to_spectrum(self, cone_spectrum: torch.Tensor, light_spectrum: torch.Tensor) -> torch.Tensor:
         """Return Σ cone·light over the samples, without axes; it grows with their number."""
+        cone_spectrum = floating("cone_spectrum", cone_spectrum)
+        light_spectrum = floating("light_spectrum", light_spectrum)
+        _validate.fitting(cone_spectrum=cone_spectrum, light_spectrum=light_spectrum)
         return (cone_spectrum * light_spectrum).sum()
 
     def construct_matrix_lms(
@@ -267,11 +276,11 @@ class display_color_hvs(nn.Module):
 
     def rgb_to_lms(self, rgb: torch.Tensor) -> torch.Tensor:
         """Return :meth:`primaries_to_lms`."""
-        return self.primaries_to_lms(rgb)
+        return self.primaries_to_lms(as_pictures("rgb", rgb, len(self.lms_tensor)))
 
     def lms_to_rgb(self, lms: torch.Tensor) -> torch.Tensor:
         """Return :meth:`lms_to_primaries`."""
-        return self.lms_to_primaries(lms)
+        return self.lms_to_primaries(as_pictures("lms", lms))
 
     def second_to_third_stage(self, lms_image: torch.Tensor) -> torch.Tensor:
         """Return the opponent channels (M + S) − L, (L + S) − M and L + M + S.
@@ -295,8 +304,7 @@ class display_color_hvs(nn.Module):
         -----
         Schmidt, Neitz and Neitz, J. Opt. Soc. Am. A 31, A195 (2014), table 1.
         """
-        lms_image = as_pictures("lms_image", lms_image)
-        return mix(lms_image.new_tensor(OPPONENT), lms_image)
+        return mix(OPPONENT, as_pictures("lms_image", lms_image))
 
     def _keep(self, name, value):
         # Derived from the constructor's arguments, so no part of a stored state.
@@ -309,6 +317,14 @@ class display_color_hvs(nn.Module):
         return gaussian_lines(self._axis(), lines).to(self.primaries_spectrum)
 
     def _responses(self, *cones):
+        samples = self.primaries_spectrum.shape[-1:]
+        cones = [
+            floating(f"{name}_response", cone).to(self.primaries_spectrum)
+            for name, cone in zip("lms", cones, strict=True)
+        ]
+        for name, cone in zip("lms", cones, strict=True):
+            if cone.shape != samples:
+                raise ValueError(f"{name}_response must hold {samples.numel()} samples, got {tuple(cone.shape)}")
         return self.primaries_spectrum @ torch.stack(cones, -1)
 
 

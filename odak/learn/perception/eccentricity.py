@@ -162,6 +162,7 @@ def ring_masks(
     eccentricity, _ = make_eccentricity_distance_maps(
         gaze, size, real_image_width, real_viewing_distance, dtype=torch.float64, device=device
     )
+    device = eccentricity.device
     bounds = torch.tensor([math.radians(limit) for limit in limits], dtype=torch.float64, device=device)
     places = torch.bucketize(eccentricity, bounds, right=True) - 1
     return torch.stack([places == index for index in range(len(limits) - 1)])

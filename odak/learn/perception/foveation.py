@@ -9,7 +9,8 @@ from collections.abc import Sequence
 
 import torch
 
-from odak import _validate
+from odak import _array, _validate
+from odak.learn._tensors import checked_device, checked_dtype
 
 MODES = ("quadratic", "linear")
 # Cones that graze the screen, or look behind it, are cut short here.
@@ -48,6 +49,7 @@ def make_3d_location_map(
     ValueError, TypeError
         If a length is not positive, or the size not two positive integers.
     """
+    dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     width, distance = _geometry(real_image_width, real_viewing_distance)
     height = width / columns * rows
@@ -91,6 +93,7 @@ def make_eccentricity_distance_maps(
     >>> round(float(angle[1, 0]), 4)  # 0.1 to the side at a distance of 0.1: 45 degrees
     0.7854
     """
+    dtype, device = _options(dtype, device)
     width, distance = _geometry(real_image_width, real_viewing_distance)
     place = make_3d_location_map(image_pixel_size, width, distance, dtype=torch.float64, device=device)
     rows, columns = place.shape[-2:]
@@ -143,6 +146,7 @@ def make_pooling_size_map_pixels(
     Pooling diameters that grow with eccentricity: Freeman and Simoncelli, Nat. Neurosci. 14, 1195 (2011); the map:
     Walton et al., ACM Trans. Graph. 40, 48 (2021).
     """
+    dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     width, distance = _geometry(real_image_width, real_viewing_distance)
     options = {"dtype": torch.float64, "device": device}
@@ -180,6 +184,7 @@ def make_pooling_size_map_lod(
     torch.Tensor
         ``[H, W]``, 0 where the eye resolves single pixels.
     """
+    dtype, device = _options(dtype, device)
     pixels = make_pooling_size_map_pixels(
         gaze_location,
         image_pixel_size,
@@ -216,6 +221,7 @@ def make_radial_map(
     torch.Tensor
         ``[H, W]``, 0 … 1.
     """
+    dtype, device = _options(dtype, device)
     rows, columns = _validate.size("size", size)
     x, y = _point("gaze", gaze)
     across = torch.linspace(0, columns, columns, dtype=torch.float64, device=device) - x * columns
@@ -255,6 +261,7 @@ def make_equi_pooling_size_map_pixels(
     ValueError, TypeError
         If the mode is unknown, `alpha` is negative, or the gaze not two finite numbers.
     """
+    dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     yaw, pitch = _point("gaze_angles", gaze_angles)
     yaws = torch.linspace(-math.pi, math.pi, columns, dtype=torch.float64, device=device)
@@ -288,6 +295,7 @@ def make_equi_pooling_size_map_lod(
     torch.Tensor
         ``[H, W]``.
     """
+    dtype, device = _options(dtype, device)
     pixels = make_equi_pooling_size_map_pixels(
         gaze_angles, image_pixel_size, alpha, mode, dtype=torch.float64, device=device
     )
@@ -295,23 +303,32 @@ def make_equi_pooling_size_map_lod(
 
 
 def _geometry(real_image_width, real_viewing_distance):
-    _validate.real("real_image_width", real_image_width, positive=True)
-    _validate.real("real_viewing_distance", real_viewing_distance, positive=True)
+    _validate.number("real_image_width", real_image_width, positive=True)
+    _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
     return float(real_image_width), float(real_viewing_distance)
 
 
 def _point(name, value) -> tuple[float, float]:
     """Return two finite floats; a copy, so that a list changed afterwards changes nothing here."""
-    numbers = _validate.numbers(value)
-    if len(numbers) != 2 or not all(map(math.isfinite, numbers)):
-        raise ValueError(f"{name} must be two finite numbers, got {value!r}")
-    return numbers[0], numbers[1]
+    try:
+        x, y = _validate.several(name, value.reshape(-1) if _array.is_array(value) else value, 2)
+    except ValueError as error:
+        raise ValueError(f"{name} must be two finite numbers, got {value!r}") from error
+    return float(x), float(y)
+
+
+def _growth(alpha, mode):
+    if _validate.number("alpha", alpha) < 0:
+        raise ValueError(f"alpha must not be negative, got {alpha!r}")
+    return alpha, _validate.one_of("mode", mode, MODES)
+
+
+def _options(dtype, device):
+    return checked_dtype("dtype", dtype), checked_device("device", device)
 
 
 def _pooling_angle(eccentricity, alpha, mode):
-    if _validate.real("alpha", alpha) < 0:
-        raise ValueError(f"alpha must not be negative, got {alpha!r}")
-    mode = _validate.one_of("mode", mode, MODES)
+    alpha, mode = _growth(alpha, mode)
     return alpha * (eccentricity if mode == "linear" else eccentricity**2)
 
 

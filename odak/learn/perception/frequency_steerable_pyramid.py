@@ -8,8 +8,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations
-
-Pyramid = list[dict[str, torch.Tensor | list[torch.Tensor]]]
+from odak.learn.perception.spatial_steerable_pyramid import Pyramid, checked_pyramid
 
 
 class FrequencySteerablePyramid(nn.Module):
@@ -100,9 +99,10 @@ class FrequencySteerablePyramid(nn.Module):
 
         Raises
         ------
-        ValueError
-            If the pyramid has not `n_levels` levels.
+        ValueError, TypeError
+            If the pyramid has not `n_levels` levels of `n_orientations` bands.
         """
+        checked_pyramid(pyramid, self.n_orientations)
         if len(pyramid) != self.n_levels:
             raise ValueError(f"pyramid must have n_levels = {self.n_levels} levels, got {len(pyramid)}")
         residual = pyramid[0]["h"]
@@ -116,10 +116,11 @@ class FrequencySteerablePyramid(nn.Module):
         return _picture(spectrum + torch.fft.rfft2(residual, norm="ortho") * high, size)
 
     def _size(self, image) -> tuple[int, int]:
-        if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-            raise TypeError("image must be a tensor of real floats [..., H, W]")
+        if not isinstance(image, torch.Tensor) or image.dtype not in (torch.float32, torch.float64):
+            kind = getattr(image, "dtype", type(image).__name__)
+            raise TypeError(f"image must be a tensor of real floats [..., H, W], float32 or float64, got {kind}")
         smallest = 1 << (self.n_levels - 1)
-        if image.ndim < 2 or min(image.shape[-2:]) < smallest:
+        if image.ndim < 2 or 0 in image.shape or min(image.shape[-2:]) < smallest:
             raise ValueError(
                 f"image must have sides of at least {smallest} for {self.n_levels} levels, got {tuple(image.shape)}"
             )

@@ -154,7 +154,7 @@ def hlg_system_gamma(peak_luminance: float) -> float:
     ValueError, TypeError
         If the luminance is not positive.
     """
-    peak_luminance = float(_validate.real("peak_luminance", peak_luminance, positive=True))
+    peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
     if 400 <= peak_luminance <= 2000:
         return 1.2 + 0.42 * math.log10(peak_luminance / 1000)
     return 1.2 * 1.111 ** math.log2(peak_luminance / 1000)
@@ -327,7 +327,7 @@ def _with_bounded_slope(function, value, floor, slope):
 
 def _hlg_display(peak, black):
     gamma = hlg_system_gamma(peak)
-    black = float(_validate.real("black_luminance", black))
+    black = float(_validate.number("black_luminance", black))
     if not 0 <= black < peak:
         raise ValueError(f"black_luminance must be at least 0 and less than the peak {peak}, got {black}")
     return gamma, math.sqrt(3 * (black / peak) ** (1 / gamma))

@@ -4,6 +4,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
 from odak.learn.perception.util import checked_pair
 from odak.learn.tools.loss import psnr
 
@@ -35,7 +36,7 @@ class PSNR(nn.Module):
         ValueError
             If the shapes differ, the peak is not positive, or values are NaN or far outside 0 … peak.
         """
-        _validate.real("peak_value", peak_value, positive=True)
+        _validate.number("peak_value", peak_value, positive=True)
         return psnr(*checked_pair(predictions, targets, peak_value), peak_value)
 
 
@@ -139,7 +140,7 @@ def multi_scale_structural_similarity(
 
 
 def _checked(predictions, targets, smallest, data_range):
-    _validate.real("data_range", data_range, positive=True)
+    _validate.number("data_range", data_range, positive=True)
     pair = checked_pair(predictions, targets, data_range)
     if predictions.ndim < 2 or predictions.numel() == 0 or min(predictions.shape[-2:]) < smallest:
         raise ValueError(
@@ -159,7 +160,8 @@ def _similarities(one, two, data_range):
     2ab/(a² + b²) = 1 − (a − b)²/(a² + b²), likewise with variances: four windowed means instead of five, and no
     digits lost where pictures are close.
     """
-    c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
+    # Products: a power of a large number would be an error, where infinity is right.
+    c1, c2 = (k * data_range * k * data_range for k in (K1, K2))
     difference = one - two
     maps = torch.cat([one, difference, one**2 + two**2, difference**2])
     mean_one, mean_difference, power, power_difference = _windowed(maps).chunk(4)
@@ -172,6 +174,7 @@ def _similarities(one, two, data_range):
     return luminance, 1 - variance_of_difference / (variances + c2)
 
 
+@in_own_precision
 def _windowed(planes):
     """Return Gaussian-weighted means, where the window fits."""
     axis = torch.arange(WINDOW, dtype=torch.float64, device=planes.device) - WINDOW // 2
@@ -183,5 +186,6 @@ def _windowed(planes):
 
 def _positive_power(value, exponent):
     """Return value^exponent, 0 with a gradient of 0 where the value is not positive."""
-    positive = value > 0
-    return torch.where(positive, torch.where(positive, value, 1.0) ** exponent, 0.0)
+    # What is not a number stays so.
+    none = value <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, value) ** exponent)

@@ -9,6 +9,8 @@ import warnings
 import torch
 from torch import nn
 
+from odak import _validate
+from odak.learn._tensors import checked_device
 from odak.learn.perception.util import checked_pair
 
 _log = logging.getLogger("odak")
@@ -21,6 +23,7 @@ class _Wrapper(nn.Module):
 
     def __init__(self, required: bool):
         super().__init__()
+        required = _validate.flag("required", required)
         try:
             self._import()
             self.available = True
@@ -105,10 +108,11 @@ class CVVDP(_DifferencePredictor):
 
     def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
         super().__init__(required)
+        device = checked_device("device", device)
         self.cvvdp = None
         if self.available:
             with _quietly():
-                self.cvvdp = self._import().cvvdp(display_name="standard_4k", device=torch.device(device))
+                self.cvvdp = self._import().cvvdp(display_name="standard_4k", device=device)
 
     def _metric(self):
         return self.cvvdp
@@ -143,12 +147,11 @@ class FVVDP(_DifferencePredictor):
 
     def __init__(self, device: torch.device = torch.device("cpu"), *, required: bool = False):  # noqa: B008
         super().__init__(required)
+        device = checked_device("device", device)
         self.fvvdp = None
         if self.available:
             with _quietly():
-                self.fvvdp = self._import().fvvdp(
-                    display_name="standard_4k", heatmap="none", device=torch.device(device)
-                )
+                self.fvvdp = self._import().fvvdp(display_name="standard_4k", heatmap="none", device=device)
 
     def _metric(self):
         return self.fvvdp
@@ -231,6 +234,8 @@ def _quietly():
 
 def _as_batch(pictures, dim_order):
     """Return pictures as ``[B, C, H, W]``, C being 1 or 3."""
+    if not isinstance(dim_order, str):
+        raise TypeError(f"dim_order must be a string, got {type(dim_order).__name__}")
     if pictures.ndim not in (3, 4):
         raise ValueError(f"predictions and targets must have three or four axes, got {tuple(pictures.shape)}")
     if pictures.ndim == 3:

@@ -58,7 +58,7 @@ class MetamerMSELoss(nn.Module):
             use_l2_foveal_loss=False,
             equi=equi,
         )
-        self.alpha, self.mode, self.equi = alpha, self.metameric_loss.mode, equi
+        self.alpha, self.mode, self.equi = alpha, self.metameric_loss.mode, self.metameric_loss.equi
         self.real_image_width, self.real_viewing_distance = real_image_width, real_viewing_distance
         self.n_pyramid_levels, self.n_orientations = n_pyramid_levels, n_orientations
         self.loss_func = nn.MSELoss()

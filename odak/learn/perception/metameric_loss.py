@@ -7,8 +7,9 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
+from odak.learn._tensors import checked_device
 from odak.learn.perception import pyramid_statistics as statistics
-from odak.learn.perception.foveation import MODES, _point, make_radial_map
+from odak.learn.perception.foveation import _growth, _point, make_radial_map
 from odak.learn.perception.pooled_distance import as_maps
 from odak.learn.perception.radially_varying_blur import RadiallyVaryingBlur
 from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid, pad_image_for_pyramid
@@ -92,21 +93,20 @@ class MetamericLoss(nn.Module):
         equi: bool = False,
     ) -> None:
         super().__init__()
+        use_l2_foveal_loss = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
+        use_fullres_l0 = _validate.flag("use_fullres_l0", use_fullres_l0)
         if use_l2_foveal_loss and use_fullres_l0:
             raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
-        self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
-        self.alpha = alpha
-        self.real_image_width = _validate.real("real_image_width", real_image_width, positive=True)
-        self.real_viewing_distance = _validate.real("real_viewing_distance", real_viewing_distance, positive=True)
+        self.register_buffer("_place", torch.empty(0, device=checked_device("device", device)), persistent=False)
+        self.alpha, self.mode = _growth(alpha, mode)
+        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
+        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
         self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
-        self.mode = _validate.one_of("mode", mode, MODES)
         self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
-        self.use_l2_foveal_loss, self.fovea_weight = bool(use_l2_foveal_loss), fovea_weight
-        self.use_radial_weight, self.use_fullres_l0, self.equi = (
-            bool(use_radial_weight),
-            bool(use_fullres_l0),
-            bool(equi),
-        )
+        self.use_l2_foveal_loss, self.use_fullres_l0 = use_l2_foveal_loss, use_fullres_l0
+        self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
+        self.use_radial_weight = _validate.flag("use_radial_weight", use_radial_weight)
+        self.equi = _validate.flag("equi", equi)
         self.pyramid_maker: SpatialSteerablePyramid | None = None
         self.blurs: nn.ModuleList | None = None
         self.target_stats = self.fovea_mask = self.periphery_mask = self.loss_map = None
@@ -150,7 +150,7 @@ class MetamericLoss(nn.Module):
             If the pictures cannot be compared or are too small for the pyramid.
         """
         statistics.checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
-        gaze = _point("gaze", gaze)
+        gaze, visualise_loss = _point("gaze", gaze), _validate.flag("visualise_loss", visualise_loss)
         key = (gaze, self._options(), image_colorspace, target.dtype)
         reference, self.target_stats, kept = self._kept.get(
             target, key, lambda: self._described(target, gaze, image_colorspace)
@@ -192,8 +192,14 @@ class MetamericLoss(nn.Module):
         -------
         list of torch.Tensor
             Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture does not fit the pyramid, or an argument makes no map.
         """
-        equi = bool(equi or self.equi)
+        equi = _validate.flag("equi", equi) or self.equi
+        _validate.image("image", image, axes=4)
         gaze = _point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
         geometry = (alpha, real_image_width, real_viewing_distance, gaze, mode, equi)
         groups, low, samplers = self._analysed(image, geometry)
@@ -214,7 +220,14 @@ class MetamericLoss(nn.Module):
             As :meth:`calc_statsmaps` returns them.
         gaze : sequence of float
             (x, y); counts with `use_radial_weight` only.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the lists are not statistics of pictures of one size.
         """
+        gaze = _point("gaze", gaze)
+        statsmap_a, statsmap_b = statistics.checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b)
         if self.use_radial_weight:
             weights = {}
             for value in statsmap_a:
@@ -231,7 +244,8 @@ class MetamericLoss(nn.Module):
         """Keep the sum of the absolute differences from the last target's statistics as `loss_map` ``[B, H, W]``."""
         if self.target_stats is None:
             raise ValueError("visualise_loss_map needs the statistics of a target: call the loss first")
-        self.loss_map = statistics.difference_map(image_stats, self.target_stats)
+        maps = statistics.checked_statistics(image_stats=image_stats, target_stats=self.target_stats)
+        self.loss_map = statistics.difference_map(*maps)
 
     def _apply(self, function, recurse=True):
         self._kept.clear()

@@ -5,10 +5,15 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
+from odak.learn._tensors import checked_device
 from odak.learn.perception import pyramid_statistics as statistics
+from odak.learn.perception.color_matrices import as_pictures
 from odak.learn.perception.mip_sampling import UniformSampler
 from odak.learn.perception.pooled_distance import as_maps
 from odak.learn.perception.spatial_steerable_pyramid import SpatialSteerablePyramid, pad_image_for_pyramid
+
+# Pixels: smaller pooling regions would only take memory.
+FINEST = 1 / 64
 
 
 def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
@@ -19,7 +24,7 @@ def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
     image : torch.Tensor
         ``[B, C, H, W]``.
     pooling_size : float
-        Side of the squares in pixels, positive; at least one square fits always.
+        Side of the squares in pixels, at least 1/64; at least one square fits always.
 
     Returns
     -------
@@ -29,10 +34,11 @@ def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If the size is not positive.
+        If the picture has not four axes, or the size is below 1/64.
     """
-    _validate.image("image", image, axes=4)
-    return _sampler(image, float(_validate.real("pooling_size", pooling_size, positive=True)))(image)
+    if as_pictures("image", image, None).ndim != 4 or 0 in _validate.image("image", image, axes=4).shape:
+        raise ValueError(f"image must be [B, C, H, W], none empty, got {tuple(image.shape)}")
+    return _sampler(image, float(_validate.number("pooling_size", pooling_size, positive=True, least=FINEST)))(image)
 
 
 def _sampler(image, pooling_size):
@@ -73,8 +79,8 @@ class MetamericLossUniform(nn.Module):
         n_orientations: int = 2,
     ) -> None:
         super().__init__()
-        self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
-        self.pooling_size = _validate.real("pooling_size", pooling_size, positive=True)
+        self.register_buffer("_place", torch.empty(0, device=checked_device("device", device)), persistent=False)
+        self.pooling_size = _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
         self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
         self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
         self.pyramid_maker: SpatialSteerablePyramid | None = None
@@ -115,6 +121,7 @@ class MetamericLossUniform(nn.Module):
             If the pictures cannot be compared or are too small for the pyramid.
         """
         statistics.checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
+        visualise_loss = _validate.flag("visualise_loss", visualise_loss)
         key = (self.pooling_size, self.n_pyramid_levels, self.n_orientations, image_colorspace, target.dtype)
         self.target, self.target_stats, kept = self._kept.get(
             target, key, lambda: self._described(target, image_colorspace)
@@ -143,18 +150,26 @@ class MetamericLossUniform(nn.Module):
         -------
         list of torch.Tensor
             Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture does not fit the pyramid, or the size is below 1/64.
         """
+        _validate.image("image", image, axes=4)
+        _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
         return statistics.pooled_statistics(*self._analysed(image, pooling_size))
 
     def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
         """Return the mean over two lists of statistics of their mean squared differences."""
-        return statistics.mean_distance(statsmap_a, statsmap_b)
+        return statistics.mean_distance(*statistics.checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b))
 
     def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
         """Keep how far the first picture's statistics are from the target's as `loss_map` ``[H, W]``."""
         if self.target_stats is None:
             raise ValueError("visualise_loss_map needs the statistics of a target: call the loss first")
-        self.loss_map = statistics.difference_map(image_stats, self.target_stats)[0]
+        maps = statistics.checked_statistics(image_stats=image_stats, target_stats=self.target_stats)
+        self.loss_map = statistics.difference_map(*maps)[0]
 
     def gen_metamer(self, image: torch.Tensor, seed: int = 0) -> torch.Tensor:
         """Return noise with the pooled statistics of a picture.

@@ -14,6 +14,7 @@ import scipy.sparse
 import torch
 from torch.nn import functional
 
+from odak import _array
 from odak.learn.perception.banded import Banded
 from odak.learn.perception.pixel_blocks import is_plain
 
@@ -98,7 +99,7 @@ class MipSampler(Sampler):
         self.weights = weights.to(dtype)
         if self.is_blocked:
             size = tuple(lod.shape)
-            self.levels = _mip_levels(size, len(weights) - 1, dtype)
+            self.levels = _array.outside_graphs(_mip_levels, size, len(weights) - 1, dtype)
             self.strips = _strips(self.weights, self.levels, _strip_rows(size[1]))
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
@@ -131,7 +132,7 @@ class UniformSampler(Sampler):
         super().__init__(device, dtype)
         self.squares = squares
         if self.is_blocked:
-            self.levels = _uniform_levels(size, squares, dtype)
+            self.levels = _array.outside_graphs(_uniform_levels, size, squares, dtype)
             shares = torch.zeros(2, *size, dtype=dtype)
             shares[1] = 1
             self.strips = _strips(shares, self.levels, _strip_rows(size[1]))

@@ -4,8 +4,6 @@ from collections.abc import Callable
 
 import torch
 
-from odak import _array
-
 # Values for one thread: a few such blocks fit a core's cache, and calls cost little.
 BLOCK = 1 << 17
 
@@ -70,7 +68,8 @@ def is_plain(image: torch.Tensor) -> bool:
     """Say whether a tensor holds numbers on a CPU, not followed by torch.func, forward-mode gradients or a compiler."""
     if image.device.type != "cpu" or torch.compiler.is_compiling() or torch.autograd.forward_ad._current_level >= 0:
         return False
-    return not _array._is_transformed(image)
+    # Not the image alone: what stands beside one that is vmapped goes through the same operations.
+    return torch._C._functorch.peek_interpreter_stack() is None
 
 
 class _Blocks(torch.autograd.Function):

@@ -5,7 +5,7 @@ from collections.abc import Callable, Hashable, Sequence
 import torch
 from torch.nn import functional
 
-from odak import _array
+from odak import _array, _validate
 from odak.learn.perception.color_conversion import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.mip_sampling import Sampler
 from odak.learn.perception.pixel_blocks import is_plain
@@ -41,13 +41,32 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     smallest = 7 << max(0, n_levels - 2)
     if any(-(-side // step) * step < smallest for side in image.shape[-2:]) or min(image.shape[-2:]) < 2:
         raise ValueError(
-            f"{name} ERROR: sides must be at least 2 and fill {n_levels} pyramid levels, got {tuple(image.shape)}"
+            f"{name} ERROR: image and target are too small: sides must be at least 2 and fill {n_levels} pyramid "
+            f"levels, got {tuple(image.shape)}"
         )
     check_values(**{f"{name} ERROR: image": image, f"{name} ERROR: target": target})
 
 
+def checked_maps(name: str, value: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    """Return statistics as a list after checking that they are tensors ``[B, C, H, W]``."""
+    maps = list(value) if isinstance(value, (list, tuple)) else [None]
+    if not maps or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in maps):
+        raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
+    return maps
+
+
+def checked_statistics(**lists: Sequence[torch.Tensor]) -> list[list[torch.Tensor]]:
+    """Return two lists of statistics after checking that they come from pictures of one size."""
+    checked = [checked_maps(name, value) for name, value in lists.items()]
+    if [one.shape[-2:] for one in checked[0]] != [two.shape[-2:] for two in checked[1]]:
+        raise ValueError(f"{' and '.join(lists)} must be statistics of pictures of one size and as many levels")
+    return checked
+
+
 def converted(image: torch.Tensor, colourspace: str) -> torch.Tensor:
     """Return a picture in Y′CrCb: RGB is converted, one channel and anything not named "RGB" stay as they are."""
+    if not isinstance(colourspace, str):
+        raise TypeError(f"image_colorspace must be a string, got {type(colourspace).__name__}")
     return rgb_2_ycrcb(image) if image.shape[1] == 3 and colourspace.upper() == "RGB" else image
 
 
@@ -159,7 +178,7 @@ def matched_noise(
     -----
     Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4.
     """
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
     pyramid = maker.construct_pyramid(noise, n_levels)
     maps = iter(statistics)

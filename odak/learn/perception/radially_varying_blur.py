@@ -91,19 +91,38 @@ class RadiallyVaryingBlur(nn.Module):
         """
         if not isinstance(image, torch.Tensor) or image.ndim != 4 or not image.is_floating_point():
             raise ValueError("image must be a tensor of real floats [B, C, H, W]")
+        equi = _validate.flag("equi", equi)
         centre = _point("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre)
-        return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, bool(equi))(image)
+        return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)(image)
 
-    def sampler(self, image: torch.Tensor, *geometry) -> MipSampler:
+    def sampler(
+        self,
+        image: torch.Tensor,
+        alpha: float,
+        real_image_width: float,
+        real_viewing_distance: float,
+        centre: Sequence[float],
+        mode: str,
+        equi: bool,
+    ) -> MipSampler:
         """Return what blurs pictures of one size, precision and geometry; that of the last call if it will do.
 
         Parameters
         ----------
         image : torch.Tensor
             One of the pictures ``[B, C, …, H, W]``.
-        *geometry
-            The further arguments of :meth:`blur`, `centre` being two floats.
+        alpha, real_image_width, real_viewing_distance, centre, mode, equi
+            As for :meth:`blur`.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture has not four axes or more, or an argument makes no map.
         """
+        if not isinstance(image, torch.Tensor) or _validate.image("image", image).ndim < 4:
+            raise ValueError(f"image must be a tensor [B, C, ..., H, W], got {getattr(image, 'shape', image)!r:.80}")
+        geometry = (alpha, real_image_width, real_viewing_distance, _point("centre", centre), mode)
+        geometry = (*geometry, _validate.flag("equi", equi))
         size = tuple(image.shape[-2:])
         self.n_channels = image.shape[1]
         key = (size, geometry, image.dtype, image.device)

@@ -3,12 +3,14 @@
 import torch
 from torch.nn import functional
 
+from odak.learn._precision import in_own_precision
 from odak.learn.perception.pixel_blocks import is_plain
 
 # A vector register's worth of results is computed as so many output channels.
 LANES = 16
 
 
+@in_own_precision
 def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch.Tensor:
     """Return the correlations of every plane, mirrored at its borders, with every filter.
 

@@ -8,6 +8,8 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device
 from odak.learn.perception.pyramid_filter_design import orientations, steering
 from odak.learn.perception.small_filters import correlate
 from odak.learn.perception.steerable_pyramid_filters import get_steerable_pyramid_filters
@@ -38,6 +40,18 @@ def pad_image_for_pyramid(image: torch.Tensor, n_pyramid_levels: int) -> torch.T
         return image
     mode = "reflect" if down < rows and right < columns else "replicate"
     return functional.pad(image, (0, right, 0, down), mode=mode)
+
+
+def checked_pyramid(pyramid: Pyramid, n_orientations: int) -> Pyramid:
+    """Return a pyramid after checking that it has levels with K bands, a high-pass residual and a last low-pass."""
+    if not isinstance(pyramid, (list, tuple)) or not all(isinstance(level, dict) for level in pyramid):
+        raise TypeError(f"pyramid must be a list of dictionaries, got {type(pyramid).__name__}")
+    if len(pyramid) < 2 or "h" not in pyramid[0] or "l" not in pyramid[-1]:
+        raise ValueError("pyramid must have two levels or more, 'h' in the first one and 'l' in the last one")
+    counts = [len(level.get("b", ())) for level in pyramid[:-1]]
+    if any(count != n_orientations for count in counts):
+        raise ValueError(f"pyramid must have n_orientations = {n_orientations} bands 'b' in each level, got {counts}")
+    return pyramid
 
 
 class SpatialSteerablePyramid(nn.Module):
@@ -90,10 +104,11 @@ class SpatialSteerablePyramid(nn.Module):
         device: torch.device | str = "cpu",
     ) -> None:
         super().__init__()
-        self.use_bilinear_downup = bool(use_bilinear_downup)
-        self.n_channels = _validate.integer("n_channels", n_channels, minimum=1)
-        self.filter_size, self.n_orientations, self.filter_type = filter_size, n_orientations, filter_type
-        self._build(torch.float32, torch.device(device))
+        self.use_bilinear_downup = _validate.flag("use_bilinear_downup", use_bilinear_downup)
+        self.n_channels = _validate.side("n_channels", n_channels)
+        self.filter_size = _validate.integer("filter_size", filter_size, minimum=1)
+        self.n_orientations, self.filter_type = n_orientations, filter_type
+        self._build(torch.float32, checked_device("device", device) or torch.device("cpu"))
 
     @property
     def device(self) -> torch.device:
@@ -128,6 +143,7 @@ class SpatialSteerablePyramid(nn.Module):
         ValueError, TypeError
             If the picture does not fit the pyramid, or is too small for so many levels.
         """
+        multiple_highpass = _validate.flag("multiple_highpass", multiple_highpass)
         groups, low = self.stacked_bands(image, n_levels)
         pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
         for bands, level in zip(groups[2:], low[1:], strict=False):
@@ -178,7 +194,13 @@ class SpatialSteerablePyramid(nn.Module):
         -------
         torch.Tensor
             ``[B, C, H, W]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pyramid is not one that :meth:`construct_pyramid` makes.
         """
+        checked_pyramid(pyramid, self.n_orientations)
         image = pyramid[-1]["l"]
         self._follow(image)
         for level in reversed(pyramid[:-1]):
@@ -234,6 +256,7 @@ class SpatialSteerablePyramid(nn.Module):
     def _split(self, low):
         return correlate(low, self._bands[: self.n_orientations, 0])
 
+    @in_own_precision
     def _join(self, bands):
         """Apply the adjoints of the band filters and sum, each mirrored at the borders as its filter asks."""
         stacked = torch.einsum("ik,kbchw->bcihw", self._mixing, torch.stack(tuple(bands))).flatten(1, 2)

@@ -66,7 +66,9 @@ def _start(left, axis):
 def _checked(dataset):
     if not isinstance(dataset, (torch.Tensor, np.ndarray)):
         raise TypeError(f"dataset must be a tensor or an array, got {type(dataset).__name__}")
-    table = dataset.detach().cpu().numpy() if isinstance(dataset, torch.Tensor) else dataset
+    if "complex" in str(dataset.dtype):
+        raise TypeError(f"dataset must be real, got {dataset.dtype}")
+    table = dataset.detach().cpu().double().numpy() if isinstance(dataset, torch.Tensor) else dataset
     if table.ndim != 2 or 2 not in table.shape or table.size < 4:
         raise ValueError(f"dataset must be [N, 2] or [2, N], got {tuple(table.shape)}")
     table = (table if table.shape[1] == 2 else table.T).astype(float)

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.perception import pyramid_filter_design
 
 FILTER_TYPES = ("full", "cropped", "trained")
@@ -67,11 +68,11 @@ def get_steerable_pyramid_filters(
     sizes = FULL_SIZES.get(count, OTHER_FULL_SIZES)
     if kind != "full":
         sizes = _cropped_sizes(size, sizes)
-    bank = pyramid_filter_design.design(count, sizes, bool(bilinear))
+    bank = pyramid_filter_design.design(count, sizes, _validate.flag("bilinear", bilinear))
     bands = bank["b"]
     if kind == "trained":
         bands = _trained(size, count)
-    options = {"dtype": dtype, "device": device}
+    options = {"dtype": checked_dtype("dtype", dtype), "device": checked_device("device", device)}
     filters = {name: torch.tensor(bank[name], **options)[None, None] for name in ("l", "l0", "h0")}
     return {**filters, "b": [torch.tensor(band, **options)[None, None] for band in bands]}
 
@@ -105,6 +106,8 @@ def crop_steerable_pyramid_filters(
     :func:`get_steerable_pyramid_filters` gives for "cropped".
     """
     size = _odd(size)
+    if not isinstance(filters, dict) or not {"l", "l0", "h0", "b"} <= set(filters):
+        raise TypeError(f"filters must be a dictionary with 'l', 'l0', 'h0' and 'b', got {type(filters).__name__}")
     low = {name: _middle(filters[name], wide) for name, wide in (("l", CROPPED_LOW), ("l0", CROPPED_LOW0))}
     bands = [_middle(band, size) for band in filters["b"]]
     return {

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import torch
 
-from odak import _array
+from odak import _array, _validate
+from odak.learn._tensors import tensor
 from odak.learn.tools.matrix import blur_gaussian
 
 __all__ = ["blur_gaussian", "check_loss_inputs", "check_values", "checked_pair", "slice_rgbd_targets"]
@@ -25,9 +26,14 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If the sizes differ, there are not four axes, or not one or three channels.
     """
+    if not isinstance(loss_name, str):
+        raise TypeError(f"loss_name must be a string, got {type(loss_name).__name__}")
+    for name, picture in (("image", image), ("target", target)):
+        if not isinstance(picture, torch.Tensor):
+            raise TypeError(f"{loss_name} ERROR: {name} must be a tensor, got {type(picture).__name__}")
     shapes = f"got {tuple(image.shape)} and {tuple(target.shape)}"
     if image.shape != target.shape:
         raise ValueError(f"{loss_name} ERROR: image and target must have one size, {shapes}")
@@ -49,10 +55,13 @@ def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
 
     Raises
     ------
-    ValueError
-        If a value is not finite, or below −10 or above 11 times the peak.
+    ValueError, TypeError
+        If a value is not finite, or below −10 or above 11 times the peak; or the peak is not positive.
     """
+    _validate.number("peak", peak, positive=True)
     for name, picture in pictures.items():
+        if picture.is_complex():
+            raise TypeError(f"{name} must be real, got {picture.dtype}")
         if not picture.numel() or not _array.is_readable(picture):
             continue
         low, high = (float(value) for value in torch.aminmax(picture.detach()))
@@ -90,7 +99,7 @@ def checked_pair(
         raise ValueError(
             f"predictions and targets must have one shape, got {tuple(predictions.shape)} and {tuple(targets.shape)}"
         )
-    check_values(float(peak), predictions=predictions, targets=targets)
+    check_values(peak, predictions=predictions, targets=targets)
     dtype = torch.promote_types(predictions.dtype, targets.dtype)
     return predictions.to(dtype), targets.to(dtype)
 
@@ -108,7 +117,7 @@ def slice_rgbd_targets(
         Depth of each pixel ``[H, W]``.
     depth_plane_positions : sequence of float or torch.Tensor
         N + 1 rising boundaries. Slice i holds boundary[i] ≤ depth < boundary[i + 1]; the last one its upper boundary
-        too. Pixels beyond the outermost boundaries are in no slice.
+        too. Pixels beyond the outermost boundaries, and those whose depth is not a number, are in no slice.
 
     Returns
     -------
@@ -137,7 +146,7 @@ def slice_rgbd_targets(
             f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"
         )
     target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
-    edges = torch.as_tensor(depth_plane_positions, dtype=depth.dtype, device=depth.device)
+    edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype, depth.device)
     if edges.ndim != 1 or len(edges) < 2 or not (edges[1:] > edges[:-1]).all():
         raise ValueError(f"depth_plane_positions must be two or more rising numbers, got {depth_plane_positions!r}")
     edges = edges[:, None, None]

@@ -1,6 +1,7 @@
 """Rays, points and surfaces as the public doors accept them, turned into tensors of one precision and device."""
 
 import functools
+from numbers import Real
 
 import torch
 
@@ -12,8 +13,8 @@ def tensors(**named) -> list[torch.Tensor]:
 
     Raises
     ------
-    TypeError
-        If an argument cannot be read as real numbers.
+    ValueError, TypeError
+        If an argument cannot be read as real numbers, or is a plain number or list without or not of numbers.
     """
     given = {name: _tensor(name, value) for name, value in named.items()}
     device = next((v.device for v in named.values() if isinstance(v, torch.Tensor)), torch.device("cpu"))
@@ -28,6 +29,21 @@ def shaped(name: str, value: torch.Tensor, last: tuple[int, ...], accepted: str)
     if value.shape[value.ndim - len(last) :] != last:
         raise ValueError(f"{name} must be {accepted}, got {tuple(value.shape)}")
     return value if value.ndim > len(last) else value[None]
+
+
+def listed(name: str, value: torch.Tensor, last: tuple[int, ...], accepted: str) -> torch.Tensor:
+    """Return `value` with one batch axis in front of its last axes, after checking that it has no more."""
+    value = shaped(name, value, last, accepted)
+    if value.ndim > 1 + len(last):
+        raise ValueError(f"{name} must be {accepted}, got {tuple(value.shape)}")
+    return value
+
+
+def vector(name: str, value: torch.Tensor, count: int = 3) -> torch.Tensor:
+    """Return `count` numbers as ``[count]``."""
+    if value.numel() != count:
+        raise ValueError(f"{name} must be {count} numbers, got {tuple(value.shape)}")
+    return value.reshape(count)
 
 
 def points(name: str, value: torch.Tensor) -> torch.Tensor:
@@ -52,11 +68,21 @@ def as_rays(start: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
 
 def _precisions(value) -> list[torch.dtype]:
     """Return the floating dtypes of the tensors in an argument."""
-    values = value if isinstance(value, (list, tuple)) else (value,)
+    values = _items(value)
     return [v.dtype for v in values if isinstance(v, torch.Tensor) and v.dtype.is_floating_point]
 
 
+def _items(value):
+    return value if isinstance(value, (list, tuple)) else (value,)
+
+
 def _tensor(name: str, value) -> torch.Tensor:
+    items = _items(value)
+    if not len(items):
+        raise ValueError(f"{name} must hold at least one number, got an empty {type(value).__name__}")
+    # In plain Python, which torch.compile can follow. Arrays may hold NaN: rays that missed something.
+    if any(isinstance(item, Real) and item != item for item in items):
+        raise ValueError(f"{name} must not be NaN, got {value!r}")
     if isinstance(value, (list, tuple)) and any(isinstance(v, torch.Tensor) for v in value):
         value = torch.stack([v if isinstance(v, torch.Tensor) else torch.tensor(v, dtype=torch.float64) for v in value])
     try:

@@ -1,7 +1,12 @@
 """Rays at surfaces: differentiable intersections, normals, reflection, refraction and Fresnel coefficients."""
 
+from collections.abc import Sequence
+from numbers import Real
+from typing import Any
+
 import torch
 
+from odak import _validate
 from odak._array import is_readable
 from odak.learn.raytracing import arguments
 from odak.learn.raytracing.recompute import in_pieces
@@ -24,7 +29,13 @@ __all__ = [
 ]
 
 
-def refract(vector, normvector, n1, n2, error: float = 0.01) -> torch.Tensor:
+def refract(
+    vector: torch.Tensor,
+    normvector: torch.Tensor,
+    n1: float | torch.Tensor,
+    n2: float | torch.Tensor,
+    error: float = 0.01,
+) -> torch.Tensor:
     """Refract rays at surfaces by Snell's law.
 
     Parameters
@@ -60,10 +71,11 @@ def refract(vector, normvector, n1, n2, error: float = 0.01) -> torch.Tensor:
     ray, normal, n1, n2 = arguments.tensors(vector=vector, normvector=normvector, n1=n1, n2=n2)
     ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
     n1, n2 = n1.reshape(-1), n2.reshape(-1)
+    _validate.fitting(vector=ray[..., 0, 0], normvector=normal[..., 0, 0], n1=n1, n2=n2)
     return in_pieces(_refracted, (2, 2, 0, 0), ray, normal, n1, n2)
 
 
-def reflect(input_ray, normal) -> torch.Tensor:
+def reflect(input_ray: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
     """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
 
     Parameters
@@ -88,10 +100,13 @@ def reflect(input_ray, normal) -> torch.Tensor:
     """
     ray, normal = arguments.tensors(input_ray=input_ray, normal=normal)
     ray, normal = arguments.rays("input_ray", ray), arguments.rays("normal", normal)
+    _validate.fitting(input_ray=ray, normal=normal)
     return in_pieces(_reflected, (2, 2), ray, normal)
 
 
-def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
+def fresnel_coefficients(
+    ray: torch.Tensor, normal: torch.Tensor, n1: float | torch.Tensor, n2: complex | torch.Tensor
+) -> Fresnel:
     """Return the Fresnel coefficients of rays at surfaces; see :func:`odak.raytracing.fresnel_coefficients`.
 
     Parameters
@@ -109,14 +124,19 @@ def fresnel_coefficients(ray, normal, n1, n2) -> Fresnel:
         Named tuple of tensors ``[m]``, differentiable in all arguments.
     """
     ray, normal = arguments.tensors(ray=ray, normal=normal)
-    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (n1, n2))
-    return interfaces.fresnel(
-        arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :], n1, n2
-    )
+    ray, normal = arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :]
+    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (_index("n1", n1), _index("n2", n2)))
+    indices = {name: value for name, value in (("n1", n1), ("n2", n2)) if torch.is_tensor(value)}
+    _validate.fitting(ray=ray[..., 0], normal=normal[..., 0], **indices)
+    return interfaces.fresnel(ray, normal, n1, n2)
 
 
 def intersect_w_sphere(
-    ray, sphere, learning_rate: float = 2e-1, number_of_steps: int = 5000, error_threshold: float = 1e-2
+    ray: torch.Tensor,
+    sphere: torch.Tensor,
+    learning_rate: float = 2e-1,
+    number_of_steps: int = 5000,
+    error_threshold: float = 1e-2,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Meet a sphere in closed form: the nearest point ahead, or the exit when the ray starts inside.
 
@@ -156,7 +176,7 @@ def intersect_w_sphere(
     return rays, normals, distance, check
 
 
-def intersect_w_triangle(ray, triangle) -> tuple:
+def intersect_w_triangle(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
     """Meet one triangle, ahead of the starts or behind them.
 
     Parameters
@@ -181,7 +201,7 @@ def intersect_w_triangle(ray, triangle) -> tuple:
     return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
 
 
-def intersect_w_triangle_batch(ray, triangle) -> tuple:
+def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
     """Meet many triangles with many rays.
 
     Parameters
@@ -207,7 +227,7 @@ def intersect_w_triangle_batch(ray, triangle) -> tuple:
     return normal, distances, [ray[check[i]] for i in struck], [normal[i][check[i]] for i in struck], check
 
 
-def intersect_w_surface(ray, points) -> tuple[torch.Tensor, torch.Tensor]:
+def intersect_w_surface(ray: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Meet the plane through three points.
 
     Parameters
@@ -237,7 +257,7 @@ def intersect_w_surface(ray, points) -> tuple[torch.Tensor, torch.Tensor]:
     return normal, distance[..., None]
 
 
-def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor]:
+def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Meet the planes of m triangles with n rays: normals ``[m, n, 2, 3]`` and signed distances ``[m, n]``.
 
     Each entry is that of :func:`intersect_w_surface`.
@@ -247,7 +267,7 @@ def intersect_w_surface_batch(ray, triangle) -> tuple[torch.Tensor, torch.Tensor
     return in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(_before(triangle, ray)))
 
 
-def get_triangle_normal(triangle, triangle_center=None) -> torch.Tensor:
+def get_triangle_normal(triangle: torch.Tensor, triangle_center: torch.Tensor | None = None) -> torch.Tensor:
     """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
 
     Parameters
@@ -262,15 +282,16 @@ def get_triangle_normal(triangle, triangle_center=None) -> torch.Tensor:
     torch.Tensor
         ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN normal where the corners are in line.
     """
-    given = {"triangle": triangle} if triangle_center is None else {"triangle": triangle, "center": triangle_center}
-    triangle, *center = arguments.tensors(**given)
+    center = {} if triangle_center is None else {"triangle_center": triangle_center}
+    triangle, *center = arguments.tensors(triangle=triangle, **center)
     triangle = arguments.triangles("triangle", triangle)
     start = arguments.points("triangle_center", center[0]) if center else triangle.mean(dim=-2)
+    _validate.fitting(triangle=triangle[..., 0], triangle_center=start)
     normal = arguments.as_rays(start, geometry.triangle_normal(triangle))
     return normal[0] if len(normal) == 1 else normal
 
 
-def get_sphere_normal_torch(point, sphere) -> torch.Tensor:
+def get_sphere_normal_torch(point: torch.Tensor, sphere: torch.Tensor) -> torch.Tensor:
     """Return the rays from points of a sphere towards its centre.
 
     Parameters
@@ -287,10 +308,11 @@ def get_sphere_normal_torch(point, sphere) -> torch.Tensor:
     """
     point, sphere = arguments.tensors(point=point, sphere=sphere)
     point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
-    return arguments.as_rays(point, geometry.unit(sphere[:, :3] - point))
+    _validate.fitting(point=point[..., 0], sphere=sphere[..., 0])
+    return arguments.as_rays(point, geometry.unit(sphere[..., :3] - point))
 
 
-def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
+def intersect_w_circle(ray: torch.Tensor, circle: Sequence) -> tuple[torch.Tensor, torch.Tensor]:
     """Meet the plane of a circle; the distance is 0 where the point lies outside the circle.
 
     Parameters
@@ -305,6 +327,8 @@ def intersect_w_circle(ray, circle) -> tuple[torch.Tensor, torch.Tensor]:
     tuple of torch.Tensor
         Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
     """
+    if not isinstance(circle, (list, tuple)) or len(circle) != 3:
+        raise TypeError(f"circle must be [plane, centre, radius] of define_circle, got {type(circle).__name__}")
     ray, plane, center, radius = arguments.tensors(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
     rays, plane = arguments.rays("ray", ray), arguments.triangles("circle[0]", plane)
     normal, distance = in_pieces(_circle_hits, (2, 1, 1, 1, 0), rays, *_planes(plane), center, radius.reshape(-1))
@@ -357,6 +381,15 @@ def _reflected(ray, normal):
 def _refracted(ray, normal, n1, n2):
     direction, _, _ = interfaces.refracted(ray[..., 1, :], normal[..., 1, :], n1, n2)
     return vec.join(vec.split(normal[..., 0, :]), direction)
+
+
+def _index(name: str, value):
+    """Return a refractive index after checking it; the one behind a surface may be complex."""
+    is_complex = isinstance(value, complex) or (torch.is_tensor(value) and value.is_complex())
+    if is_complex and name == "n2":
+        return value
+    value = _validate.real(name, value)
+    return value if isinstance(value, (Real, torch.Tensor)) else arguments.tensors(**{name: value})[0]
 
 
 def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:

@@ -1,5 +1,7 @@
 """Cylinders as tensors, and rays that meet them."""
 
+from typing import Any
+
 import torch
 
 from odak._array import is_readable
@@ -13,7 +15,9 @@ from odak.tools.transformation import rotation_matrix
 __all__ = ["cylinder_function", "define_cylinder", "get_cylinder_normal", "intersect_w_cylinder"]
 
 
-def define_cylinder(center, radius, rotation=(0.0, 0.0, 0.0)) -> torch.Tensor:
+def define_cylinder(
+    center: torch.Tensor, radius: torch.Tensor, rotation: torch.Tensor = (0.0, 0.0, 0.0)
+) -> torch.Tensor:
     """Return infinite cylinders as ``[m, 7]``: c, r and q, a point of the axis one unit from c.
 
     Parameters
@@ -38,7 +42,8 @@ def define_cylinder(center, radius, rotation=(0.0, 0.0, 0.0)) -> torch.Tensor:
     tensor([[0., 0., 4., 2., 0., 0., 5.]])
     """
     center, radius, rotation = arguments.tensors(center=center, radius=radius, rotation=rotation)
-    center, rotation = arguments.points("center", center), arguments.points("rotation", rotation)
+    center = arguments.listed("center", center, (3,), "[3] or [m, 3]")
+    rotation = arguments.listed("rotation", rotation, (3,), "[3] or [m, 3]")
     axis, radius = rotation_matrix(rotation)[..., 2], radius.reshape(-1, 1)
     try:
         count = torch.broadcast_shapes(center.shape[:1], radius.shape[:1], axis.shape[:1])[0]
@@ -49,7 +54,7 @@ def define_cylinder(center, radius, rotation=(0.0, 0.0, 0.0)) -> torch.Tensor:
     return torch.cat((center, radius.expand(count, 1), center + axis), dim=-1)
 
 
-def cylinder_function(point, cylinder) -> torch.Tensor:
+def cylinder_function(point: Any, cylinder: Any) -> torch.Tensor:
     """Return the squared distance to the axis minus r² of points ``[3]`` or ``[m, 3]``: zero on the cylinder."""
     point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
     center, radius, axis = _split(cylinder)
@@ -58,7 +63,7 @@ def cylinder_function(point, cylinder) -> torch.Tensor:
     return dot(across, across) - radius**2
 
 
-def get_cylinder_normal(point, cylinder) -> torch.Tensor:
+def get_cylinder_normal(point: torch.Tensor, cylinder: torch.Tensor) -> torch.Tensor:
     """Return the rays from the axis of a cylinder outwards through points of it.
 
     Parameters
@@ -81,7 +86,9 @@ def get_cylinder_normal(point, cylinder) -> torch.Tensor:
     return arguments.as_rays(foot, unit(point - foot))
 
 
-def intersect_w_cylinder(ray, cylinder) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def intersect_w_cylinder(
+    ray: torch.Tensor, cylinder: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Meet an infinite cylinder in closed form: the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters

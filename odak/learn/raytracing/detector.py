@@ -1,8 +1,12 @@
 """A flat array of pixels that counts rays, with the differentiable distances of rays to pixels."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device
 from odak.learn.raytracing import arguments
 from odak.learn.raytracing.boundary import intersect_w_surface
 from odak.learn.raytracing.primitives import define_plane
@@ -58,10 +62,16 @@ class detector:
     """
 
     def __init__(
-        self, colors: int = 3, center=None, tilt=None, size=(10.0, 10.0), resolution=(100, 100), device=None
+        self,
+        colors: int = 3,
+        center: torch.Tensor | None = None,
+        tilt: torch.Tensor | None = None,
+        size: Sequence[float] = (10.0, 10.0),
+        resolution: Sequence[int] = (100, 100),
+        device: torch.device | str | None = None,
     ) -> None:
-        device = center.device if device is None and torch.is_tensor(center) else device
-        self.device = torch.device("cpu" if device is None else device)
+        device = center.device if device is None and torch.is_tensor(center) else checked_device("device", device)
+        self.device = torch.device("cpu") if device is None else device
         self.colors = _validate.integer("colors", colors, minimum=1)
         shape = _validate.size("resolution", resolution)
         self.resolution = torch.tensor(shape, device=self.device)
@@ -83,7 +93,7 @@ class detector:
         self.pixel_locations = apply_matrix(rotation_matrix(self.surface_tilt), flat) + self.surface_center
         self.image = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
-    def intersect(self, rays, color: int = 0, distances: bool = True):
+    def intersect(self, rays: torch.Tensor, color: int = 0, distances: bool = True) -> Any:
         """Count rays on the pixels and return where they meet the detector's plane.
 
         Parameters
@@ -108,13 +118,14 @@ class detector:
         outer pixels belongs to it. Distances are formed in the detector's frame, (u − x)² + (v − y)², which holds no
         array but the result.
         """
-        color = _validate.integer("color", color)
+        color, distances = _validate.integer("color", color), _validate.flag("distances", distances)
         if color >= self.colors:
             raise ValueError(f"color must be below {self.colors}, got {color}")
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
         rays, size, center, tilt = arguments.tensors(
             rays=rays, size=self.size, center=self.surface_center, tilt=self.surface_tilt
         )
+        rays = arguments.rays("rays", rays).reshape(-1, 2, 3)
         # Not self.plane: a stored graph could go backward once only.
         normal, distance = intersect_w_surface(rays, define_plane(center, tilt))
         points, met = normal[:, 0], distance[:, 0].isfinite()

@@ -4,6 +4,7 @@ from dataclasses import fields, is_dataclass
 
 import torch
 
+from odak import _validate
 from odak.learn.raytracing import arguments
 from odak.learn.raytracing.recompute import in_pieces
 from odak.raytracing import surfaces
@@ -16,7 +17,14 @@ from odak.tools.transformation import rotation_matrix
 __all__ = ["Conic", "EvenAsphere", "SplineFreeform", "Toroid", "ZernikeFreeform", "intersect_w_sag"]
 
 
-def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=None, ahead: bool = True) -> Hit:
+def intersect_w_sag(
+    ray: torch.Tensor,
+    surface: Surface,
+    center: torch.Tensor | None = None,
+    angles: torch.Tensor | None = None,
+    aperture: float | torch.Tensor | None = None,
+    ahead: bool = True,
+) -> Hit:
     """Meet a surface given by its height, differentiable in rays, placement and all parameters of the surface.
 
     Parameters
@@ -68,8 +76,16 @@ def intersect_w_sag(ray, surface: Surface, center=None, angles=None, aperture=No
     extra = dict(zip(extra, values[1 + len(names) :], strict=True))
     if ray.shape[-2:] != (2, 3):
         raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
-    matrix = rotation_matrix(extra["angles"].reshape(3)) if "angles" in extra else None
+    ahead = _validate.flag("ahead", ahead)
+    if "aperture" in extra:
+        _validate.fitting(ray=ray[..., 0, 0], aperture=extra["aperture"])
+    matrix = rotation_matrix(arguments.vector("angles", extra["angles"])) if "angles" in extra else None
     center = extra.get("center")
+    if center is not None:
+        center = (
+            arguments.shaped("center", center, (3,), "[3]") if center.ndim > 1 else arguments.vector("center", center)
+        )
+        _validate.fitting(ray=ray[..., 0, :], center=center)
     start, direction = surfaces.to_local(ray[..., 0, :], ray[..., 1, :], center, matrix)
     return surfaces.to_global(
         _meet(start, direction, surface, parameters, extra.get("aperture"), ahead), center, matrix

@@ -2,15 +2,19 @@
 
 import io
 import os
+from collections.abc import Sequence
+from typing import Any
 
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, trainable
 from odak.learn.raytracing import arguments
 from odak.learn.raytracing.boundary import reflect
 from odak.learn.raytracing.triangles import triangle_mesh
 from odak.tools import _ply
 from odak.tools._atomic import replacing
+from odak.tools._paths import _text
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 __all__ = ["planar_mesh"]
@@ -60,10 +64,16 @@ class planar_mesh:
     """
 
     def __init__(
-        self, size=(1.0, 1.0), number_of_meshes=(10, 10), angles=None, offset=None, device=None, heights=None
+        self,
+        size: Sequence[float] = (1.0, 1.0),
+        number_of_meshes: Sequence[int] = (10, 10),
+        angles: torch.Tensor | None = None,
+        offset: torch.Tensor | None = None,
+        device: torch.device | str | None = None,
+        heights: torch.Tensor | None = None,
     ) -> None:
-        device = heights.device if device is None and torch.is_tensor(heights) else device
-        self.device = torch.device("cpu" if device is None else device)
+        device = heights.device if device is None and torch.is_tensor(heights) else checked_device("device", device)
+        self.device = torch.device("cpu") if device is None else device
         self.number_of_meshes = torch.tensor(_validate.size("number_of_meshes", number_of_meshes), device=self.device)
         none = [0.0, 0.0, 0.0]
         given = [size, none if angles is None else angles, none if offset is None else offset]
@@ -77,7 +87,7 @@ class planar_mesh:
         self._mesh = None
         self.init_heights(heights)
 
-    def init_heights(self, heights=None) -> None:
+    def init_heights(self, heights: Any = None) -> None:
         """Set the heights, ``[n0, n1, 1]``, and the places of the vertices.
 
         A tensor is taken as it is and made to require a gradient; None gives zeros.
@@ -89,7 +99,7 @@ class planar_mesh:
             raise TypeError("heights must be a tensor of real numbers")
         if tuple(heights.shape) != (n0, n1, 1):
             raise ValueError(f"heights must be [{n0}, {n1}, 1], got {tuple(heights.shape)}")
-        heights = heights.to(self.device)
+        heights = trainable(heights.to(self.device))
         self.heights = heights if heights.requires_grad else heights.requires_grad_()
         dtype = torch.promote_types(heights.dtype, self.size.dtype)
         axes = (
@@ -117,7 +127,7 @@ class planar_mesh:
             self._mesh = triangle_mesh(vertices.detach(), self._faces(), backend="torch")
         return self._mesh.moved(vertices)
 
-    def mirror(self, rays) -> tuple[torch.Tensor, torch.Tensor]:
+    def mirror(self, rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Reflect rays where they first meet the mesh ahead of them, on either side of it.
 
         Parameters
@@ -133,7 +143,7 @@ class planar_mesh:
         """
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
         rays, _ = arguments.tensors(rays=rays, heights=self.heights)
-        rays = arguments.rays("rays", rays)
+        rays = arguments.rays("rays", rays).reshape(-1, 2, 3)
         hit = self.get_mesh().intersect(rays)
         struck = hit.hit.nonzero().flatten()
         self.ray_indices = struck[hit.face[struck].argsort(stable=True)]
@@ -142,7 +152,7 @@ class planar_mesh:
 
     def save_heights(self, filename: str = "heights.pt") -> None:
         """Write the heights with torch.save, without their graph; the file appears whole or not at all."""
-        with replacing(os.path.expanduser(filename)) as stream:
+        with replacing(os.path.expanduser(_text("filename", filename))) as stream:
             buffer = io.BytesIO()
             torch.save(self.heights.detach().clone(), buffer)
             stream.write(buffer.getvalue())

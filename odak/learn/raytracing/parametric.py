@@ -1,10 +1,12 @@
 """Rays and surfaces that the user gives as a function that is zero on them, differentiable in both."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
 
+from odak import _validate
 from odak.learn.raytracing import arguments
 from odak.raytracing import parametric
 from odak.raytracing.geometry import dot, unit
@@ -13,8 +15,8 @@ __all__ = ["intersect_parametric"]
 
 
 def intersect_parametric(
-    ray,
-    parametric_surface,
+    ray: torch.Tensor,
+    parametric_surface: Any,
     surface_function: Callable,
     surface_normal_function: Callable | None = None,
     target_error: float = 0.00000001,
@@ -57,6 +59,9 @@ def intersect_parametric(
     >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
     [4.0, -1.0]
     """
+    _validate.number("target_error", target_error, positive=True)
+    _validate.function("surface_function", surface_function)
+    _validate.function_or_none("surface_normal_function", surface_normal_function)
     (ray,) = arguments.tensors(ray=ray)
     batch = arguments.rays("ray", ray).shape[:-2]
     rays = ray.reshape(-1, 2, 3)

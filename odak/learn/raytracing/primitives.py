@@ -1,6 +1,7 @@
 """Planes, triangles, circles and spheres as tensors, and the test whether points lie on triangles."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -14,7 +15,7 @@ from odak.tools.transformation import apply_matrix, rotation_matrix
 _NONE = torch.tensor([0.0, 0.0, 0.0])
 
 
-def define_plane(point, angles=_NONE) -> torch.Tensor:
+def define_plane(point: torch.Tensor, angles: torch.Tensor = _NONE) -> torch.Tensor:
     """Return three points of a plane through `point`, tilted.
 
     Parameters
@@ -39,8 +40,8 @@ def define_plane(point, angles=_NONE) -> torch.Tensor:
 def define_plane_mesh(
     number_of_meshes: Sequence[int] = (10, 10),
     size: Sequence[float] = (1.0, 1.0),
-    angles=_NONE,
-    offset=_NONE,
+    angles: torch.Tensor = _NONE,
+    offset: torch.Tensor = _NONE,
 ) -> torch.Tensor:
     """Return a flat rectangle cut into triangles.
 
@@ -75,7 +76,7 @@ def define_plane_mesh(
     size, angles, offset = arguments.tensors(size=size, angles=angles, offset=offset)
     if size.numel() != 2 or angles.numel() != 3:
         raise ValueError(f"size must be [2] and angles [3], got {tuple(size.shape)} and {tuple(angles.shape)}")
-    offset = arguments.points("offset", offset)
+    offset = arguments.listed("offset", offset, (3,), "[3] or [m, 3]")
     if len(offset) not in (1, 2 * n0 * n1):
         raise ValueError(f"offset must be [3], [1, 3] or [{2 * n0 * n1}, 3], got {tuple(offset.shape)}")
     axes = (
@@ -90,7 +91,12 @@ def define_plane_mesh(
 
 
 def bring_plane_to_origin(
-    point, plane=None, shape=(10.0, 10.0), center=_NONE, angles=_NONE, mode: str = "XYZ"
+    point: torch.Tensor,
+    plane: Any = None,
+    shape: Any = (10.0, 10.0),
+    center: torch.Tensor = _NONE,
+    angles: torch.Tensor = _NONE,
+    mode: str = "XYZ",
 ) -> torch.Tensor:
     """Return points in the frame of a plane that was rotated by `angles` and moved to `center`.
 
@@ -119,13 +125,13 @@ def bring_plane_to_origin(
     )
 
 
-def center_of_triangle(triangle) -> torch.Tensor:
+def center_of_triangle(triangle: Any) -> torch.Tensor:
     """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
     (triangle,) = arguments.tensors(triangle=triangle)
     return arguments.triangles("triangle", triangle).mean(dim=-2)
 
 
-def is_it_on_triangle(point_to_check, triangle) -> torch.Tensor:
+def is_it_on_triangle(point_to_check: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:
     """Say which points lie on which triangles, judged along the triangles' normals.
 
     Parameters
@@ -139,7 +145,7 @@ def is_it_on_triangle(point_to_check, triangle) -> torch.Tensor:
     -------
     torch.Tensor
         bool ``[k, m]``. The first corner and the two edges at it belong to a triangle, its last edge does not. False
-        for NaN points and for triangles without area.
+        for points and triangles that are not finite, and for triangles without area.
 
     Notes
     -----
@@ -157,18 +163,19 @@ def is_it_on_triangle(point_to_check, triangle) -> torch.Tensor:
     return within(point, point.isfinite().all(dim=-1), triangle[:, None])
 
 
-def is_it_on_triangle_batch(point_to_check, triangle) -> torch.Tensor:
+def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
     """Say which points of row i lie on triangle i: ``[k, m, 3]`` and ``[k, 3, 3]`` give bool ``[k, m]``.
 
     The rule is that of :func:`is_it_on_triangle`.
     """
     point, triangle = arguments.tensors(point_to_check=point_to_check, triangle=triangle)
-    triangle = arguments.triangles("triangle", triangle)
+    triangle = arguments.listed("triangle", triangle, (3, 3), "[k, 3, 3]")
     point = arguments.shaped("point_to_check", point, (3,), "[k, m, 3]")
+    _validate.fitting(point_to_check=point[..., 0], triangle=triangle[..., 0, :1])
     return within(point, point.isfinite().all(dim=-1), triangle[:, None])
 
 
-def define_sphere(center=None, radius=None) -> torch.Tensor:
+def define_sphere(center: torch.Tensor | None = None, radius: torch.Tensor | None = None) -> torch.Tensor:
     """Return spheres as ``[m, 4]``: centre and radius.
 
     Parameters
@@ -192,14 +199,14 @@ def define_sphere(center=None, radius=None) -> torch.Tensor:
     """
     center = [[0.0, 0.0, 0.0]] if center is None else center
     center, radius = arguments.tensors(center=center, radius=[1.0] if radius is None else radius)
-    center, radius = arguments.points("center", center), radius.reshape(-1, 1)
+    center, radius = arguments.listed("center", center, (3,), "[3] or [m, 3]"), radius.reshape(-1, 1)
     if len(center) != len(radius) and 1 not in (len(center), len(radius)):
         raise ValueError(f"center and radius must be as many, or one; got {len(center)} and {len(radius)}")
     count = max(len(center), len(radius))
     return torch.cat((center.expand(count, 3), radius.expand(count, 1)), dim=-1)
 
 
-def sphere_function(point, sphere) -> torch.Tensor:
+def sphere_function(point: Any, sphere: Any) -> torch.Tensor:
     """Return |p − c|² − r² of points ``[3]`` or ``[m, 3]`` and spheres ``[4]`` or ``[m, 4]``: zero on the sphere."""
     point, sphere = arguments.tensors(point=point, sphere=sphere)
     sphere = arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
@@ -207,10 +214,11 @@ def sphere_function(point, sphere) -> torch.Tensor:
     return dot(arm, arm) - sphere[..., 3] ** 2
 
 
-def define_circle(center, radius, angles) -> list:
+def define_circle(center: Any, radius: Any, angles: Any) -> list:
     """Return a circle as [plane ``[3, 3]``, centre, radius ``[1]``]; see :func:`define_plane`."""
-    plane = define_plane(center, angles)
-    return [plane, center, torch.as_tensor(radius, dtype=plane.dtype, device=plane.device).reshape(1)]
+    place, radius = arguments.tensors(center=center, radius=radius)
+    plane = define_plane(arguments.vector("center", place), angles)
+    return [plane, center, arguments.vector("radius", radius, 1).to(plane)]
 
 
 def _beside(point, angles) -> list[torch.Tensor]:

@@ -1,5 +1,8 @@
 """Rays as tensors ``[m, 2, 3]``: start and direction cosines."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 
 from odak import _validate
@@ -22,7 +25,7 @@ __all__ = [
 ]
 
 
-def create_ray(xyz, abg, direction: bool = False) -> torch.Tensor:
+def create_ray(xyz: torch.Tensor, abg: torch.Tensor, direction: bool = False) -> torch.Tensor:
     """Return rays from points with given angles to the three axes.
 
     Parameters
@@ -47,11 +50,13 @@ def create_ray(xyz, abg, direction: bool = False) -> torch.Tensor:
     tensor([0.0000, 0.5000, 0.8660])
     """
     xyz, abg = arguments.tensors(xyz=xyz, abg=abg)
-    abg = arguments.points("abg", abg)
-    return arguments.as_rays(arguments.points("xyz", xyz), abg if direction else torch.cos(torch.deg2rad(abg)))
+    xyz, abg = arguments.points("xyz", xyz), arguments.points("abg", abg)
+    _validate.fitting(xyz=xyz, abg=abg)
+    cosines = abg if _validate.flag("direction", direction) else torch.cos(torch.deg2rad(abg))
+    return arguments.as_rays(xyz, cosines)
 
 
-def create_ray_from_two_points(x0y0z0, x1y1z1) -> torch.Tensor:
+def create_ray_from_two_points(x0y0z0: torch.Tensor, x1y1z1: torch.Tensor) -> torch.Tensor:
     """Return rays that start at the first points and head to the second ones.
 
     Parameters
@@ -74,10 +79,11 @@ def create_ray_from_two_points(x0y0z0, x1y1z1) -> torch.Tensor:
     """
     start, end = arguments.tensors(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
     start, end = arguments.points("x0y0z0", start), arguments.points("x1y1z1", end)
+    _validate.fitting(x0y0z0=start, x1y1z1=end)
     return arguments.as_rays(start, unit(end - start))
 
 
-def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> torch.Tensor:
+def create_ray_from_all_pairs(x0y0z0: torch.Tensor, x1y1z1: torch.Tensor) -> torch.Tensor:
     """Return the rays from every start to every end.
 
     Parameters
@@ -95,7 +101,7 @@ def create_ray_from_all_pairs(x0y0z0, x1y1z1) -> torch.Tensor:
     return arguments.as_rays(start, unit(end - start)).reshape(-1, 2, 3)
 
 
-def create_ray_from_angles(point, angles, mode: str = "XYZ") -> torch.Tensor:
+def create_ray_from_angles(point: torch.Tensor, angles: torch.Tensor, mode: str = "XYZ") -> torch.Tensor:
     """Return rays from points along the rotated z axis.
 
     Parameters
@@ -113,12 +119,20 @@ def create_ray_from_angles(point, angles, mode: str = "XYZ") -> torch.Tensor:
         ``[m, 2, 3]``.
     """
     point, angles = arguments.tensors(point=point, angles=angles)
-    direction = rotation_matrix(arguments.points("angles", angles), mode)[..., 2]
-    return arguments.as_rays(arguments.points("point", point), direction)
+    point, angles = arguments.points("point", point), arguments.points("angles", angles)
+    _validate.fitting(point=point, angles=angles)
+    return arguments.as_rays(point, rotation_matrix(angles, mode)[..., 2])
 
 
 def create_ray_from_grid_w_luminous_angle(
-    center, size, no, tilt, num_ray_per_light: int, angle_limit, seed: int | None = None, generator=None
+    center: torch.Tensor,
+    size: Sequence[float],
+    no: Sequence[int],
+    tilt: torch.Tensor,
+    num_ray_per_light: int,
+    angle_limit: float,
+    seed: int | None = None,
+    generator: torch.Generator | None = None,
 ) -> torch.Tensor:
     """Return random rays from a tilted grid of lights, each within a cone about the grid's normal.
 
@@ -160,19 +174,23 @@ def create_ray_from_grid_w_luminous_angle(
     """
     center, size, tilt = arguments.tensors(center=center, size=size, tilt=tilt)
     rows, columns = _validate.size("no", no)
-    if size.numel() != 2:
-        raise ValueError(f"size must be two numbers, got {tuple(size.shape)}")
-    axes = [_spread(half, n) for half, n in zip(size.reshape(2) / 2, (rows, columns), strict=True)]
+    size = arguments.vector("size", size, 2)
+    axes = [_spread(half, n) for half, n in zip(size / 2, (rows, columns), strict=True)]
     x, y = torch.meshgrid(*axes, indexing="ij")
     flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
-    matrix = rotation_matrix(_vector("tilt", tilt))
-    lights = apply_matrix(matrix, flat) + _vector("center", center)
+    matrix = rotation_matrix(arguments.vector("tilt", tilt))
+    lights = apply_matrix(matrix, flat) + arguments.vector("center", center)
     count = _validate.integer("num_ray_per_light", num_ray_per_light, minimum=0)
     return _cone(lights.repeat(count, 1), matrix, angle_limit, seed, generator)
 
 
 def create_ray_from_point_w_luminous_angle(
-    origin, num_ray: int, tilt, angle_limit, seed: int | None = None, generator=None
+    origin: torch.Tensor,
+    num_ray: int,
+    tilt: Any,
+    angle_limit: Any,
+    seed: int | None = None,
+    generator: torch.Generator | None = None,
 ) -> torch.Tensor:
     """Return random rays from one point within a cone.
 
@@ -199,11 +217,11 @@ def create_ray_from_point_w_luminous_angle(
     """
     origin, tilt = arguments.tensors(origin=origin, tilt=tilt)
     count = _validate.integer("num_ray", num_ray, minimum=0)
-    matrix = rotation_matrix(_vector("tilt", tilt))
-    return _cone(_vector("origin", origin).expand(count, 3), matrix, angle_limit, seed, generator)
+    matrix = rotation_matrix(arguments.vector("tilt", tilt))
+    return _cone(arguments.vector("origin", origin).expand(count, 3), matrix, angle_limit, seed, generator)
 
 
-def propagate_ray(ray, distance) -> torch.Tensor:
+def propagate_ray(ray: torch.Tensor, distance: float | torch.Tensor) -> torch.Tensor:
     """Return rays whose starts have moved along their directions; the directions stay.
 
     Parameters
@@ -228,13 +246,14 @@ def propagate_ray(ray, distance) -> torch.Tensor:
     ray, distance = arguments.tensors(ray=ray, distance=distance)
     ray = arguments.rays("ray", ray)
     distance = distance.reshape(-1, 1) if ray.ndim == 3 else distance[..., None]
+    _validate.fitting(ray=ray[..., 0, 0], distance=distance[..., 0])
     return arguments.as_rays(ray[..., 0, :] + distance * ray[..., 1, :], ray[..., 1, :])
 
 
 propagate_a_ray = propagate_ray
 
 
-def get_points_along_a_ray_segment(ray, distances) -> torch.Tensor:
+def get_points_along_a_ray_segment(ray: torch.Tensor, distances: torch.Tensor) -> torch.Tensor:
     """Return the points at given distances along rays.
 
     Parameters
@@ -255,7 +274,7 @@ def get_points_along_a_ray_segment(ray, distances) -> torch.Tensor:
     return points[0] if ray.shape[:-2] == (1,) else points
 
 
-def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[torch.Tensor, torch.Tensor]:
+def calculate_intersection_of_two_rays(ray0: torch.Tensor, ray1: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the common points of lines and how far along each of the rays they lie.
 
     Parameters
@@ -284,7 +303,7 @@ def calculate_intersection_of_two_rays(ray0, ray1) -> tuple[torch.Tensor, torch.
     return start0 + distances[..., :1] * direction0, distances
 
 
-def find_nearest_points(ray0, ray1) -> tuple[torch.Tensor, torch.Tensor]:
+def find_nearest_points(ray0: torch.Tensor, ray1: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return, on each of two lines, the point nearest to the other line.
 
     Parameters
@@ -304,7 +323,9 @@ def find_nearest_points(ray0, ray1) -> tuple[torch.Tensor, torch.Tensor]:
 
 def _pair(ray0, ray1) -> tuple[torch.Tensor, ...]:
     ray0, ray1 = arguments.tensors(ray0=ray0, ray1=ray1)
-    ray0, ray1 = torch.broadcast_tensors(arguments.rays("ray0", ray0), arguments.rays("ray1", ray1))
+    ray0, ray1 = arguments.rays("ray0", ray0), arguments.rays("ray1", ray1)
+    _validate.fitting(ray0=ray0, ray1=ray1)
+    ray0, ray1 = torch.broadcast_tensors(ray0, ray1)
     return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :]
 
 
@@ -313,15 +334,12 @@ def _spread(half: torch.Tensor, count: int) -> torch.Tensor:
     return half * torch.linspace(-1, 1, count, dtype=half.dtype, device=half.device)
 
 
-def _vector(name: str, value: torch.Tensor) -> torch.Tensor:
-    if value.numel() != 3:
-        raise ValueError(f"{name} must be three numbers, got {tuple(value.shape)}")
-    return value.reshape(3)
-
-
 def _cone(start: torch.Tensor, matrix: torch.Tensor, angle_limit, seed, generator) -> torch.Tensor:
     """Return rays of random directions about the rotated z axis, uniform in solid angle."""
     limit = _half_angle(angle_limit, start)
+    seed = None if seed is None else _validate.integer("seed", seed)
+    if generator is not None and not isinstance(generator, torch.Generator):
+        raise TypeError(f"generator must be a torch.Generator, got {type(generator).__name__}")
     if generator is None and seed is not None:
         generator = torch.Generator(device=start.device).manual_seed(seed)
     draw = torch.rand(2, len(start), dtype=start.dtype, device=start.device, generator=generator)
@@ -333,7 +351,7 @@ def _cone(start: torch.Tensor, matrix: torch.Tensor, angle_limit, seed, generato
 
 
 def _half_angle(angle_limit, like: torch.Tensor) -> torch.Tensor:
-    _validate.real("angle_limit", angle_limit)
+    _validate.number("angle_limit", angle_limit)
     angle = torch.as_tensor(angle_limit, dtype=like.dtype, device=like.device).reshape(())
     if not like.is_cuda and not 0 <= float(angle.detach()) <= 180:
         raise ValueError(f"angle_limit must lie within 0 … 180 degrees, got {float(angle.detach())!r}")

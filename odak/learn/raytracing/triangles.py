@@ -1,10 +1,12 @@
 """Meshes of triangles that rays meet in bulk: nearest hit, without gaps, differentiable in rays and vertices."""
 
 import itertools
+from typing import Any
 
 import torch
 
 from odak import _validate
+from odak.learn._tensors import tensor
 from odak.learn.raytracing import arguments, embree, triangle_search, triangle_tree
 from odak.learn.raytracing.triangle_hits import (
     Frame,
@@ -69,7 +71,14 @@ class triangle_mesh:
     (tensor([5., nan]), tensor([ 0, -1]))
     """
 
-    def __init__(self, vertices, faces, normals="flat", backend: str = "auto", memory_budget: int = 2**28) -> None:
+    def __init__(
+        self,
+        vertices: torch.Tensor,
+        faces: torch.Tensor,
+        normals: str | torch.Tensor = "flat",
+        backend: str = "auto",
+        memory_budget: int = 2**28,
+    ) -> None:
         (vertices,) = arguments.tensors(vertices=vertices)
         self.vertices = _checked_vertices(vertices)
         self.faces = _checked_faces(faces, self.vertices)
@@ -80,12 +89,13 @@ class triangle_mesh:
         self.normals = _checked_normals(normals, self.vertices)
         self._leaves, self._trees, self._scene = None, {}, None
 
-    def moved(self, vertices) -> "triangle_mesh":
+    def moved(self, vertices: Any) -> "triangle_mesh":
         """Return the same mesh with its vertices elsewhere; the hierarchy is refitted, not built again.
 
         Meant for the steps of an optimization. Normals given at vertices are kept.
         """
-        if len(vertices) != len(self.vertices):
+        (vertices,) = arguments.tensors(vertices=vertices)
+        if len(_checked_vertices(vertices)) != len(self.vertices):
             raise ValueError(f"vertices must be as many as before, {len(self.vertices)}; got {len(vertices)}")
         mesh = triangle_mesh(vertices, self.faces, self.normals, self.backend, self.memory_budget)
         mesh._leaves = self._sorted()
@@ -108,7 +118,12 @@ class triangle_mesh:
             total = total.index_add(0, self.faces[:, i], weight[:, None] * geometry.cross(edge1, edge2))
         return geometry.unit(total)
 
-    def intersect(self, rays, minimum_distance=None, leaving=None) -> MeshHit:
+    def intersect(
+        self,
+        rays: torch.Tensor,
+        minimum_distance: float | torch.Tensor | None = None,
+        leaving: torch.Tensor | None = None,
+    ) -> MeshHit:
         """Return the nearest hit ahead of each ray.
 
         Parameters
@@ -146,10 +161,11 @@ class triangle_mesh:
 
     def write_PLY(self, filename: str, text: bool = False) -> None:
         """Write vertices and faces as a PLY file, binary unless `text`; it appears whole or not at all."""
+        text = _validate.flag("text", text)
         _ply.write_mesh(filename, self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy(), text)
 
     @classmethod
-    def read_PLY(cls, filename: str, device=None, **options) -> "triangle_mesh":
+    def read_PLY(cls, filename: str, device: torch.device | str | None = None, **options: Any) -> "triangle_mesh":
         """Read a PLY file; polygons become fans of triangles. `options` are those of the class.
 
         Raises
@@ -160,6 +176,8 @@ class triangle_mesh:
             If it is not a PLY file of a mesh.
         """
         vertices, faces = (torch.from_numpy(v).to(device) for v in _ply.read_mesh(filename))
+        if not bool(torch.isfinite(vertices).all()):
+            raise ValueError(f"{filename!r} has vertices that are not finite")
         return cls(vertices, faces, **options)
 
     def _nearest(self, vertices, rays, minimum, leaving) -> MeshHit:
@@ -228,7 +246,7 @@ def _checked_vertices(vertices: torch.Tensor) -> torch.Tensor:
 
 
 def _checked_faces(faces, vertices: torch.Tensor) -> torch.Tensor:
-    faces = torch.as_tensor(faces, device=vertices.device)
+    faces = tensor("faces", faces, device=vertices.device)
     if faces.dtype.is_floating_point or faces.dtype.is_complex or faces.dtype == torch.bool:
         raise TypeError(f"faces must be integers, got {faces.dtype}")
     if faces.ndim != 2 or faces.shape[1] != 3:
@@ -252,7 +270,8 @@ def _per_ray(name: str, value, rays: torch.Tensor) -> torch.Tensor | None:
     """Return a value for each ray ``[m]``, without a graph."""
     if value is None:
         return None
+    (value,) = arguments.tensors(**{name: value}) if name == "minimum_distance" else (tensor(name, value),)
     try:
-        return torch.as_tensor(value, device=rays.device).detach().expand(rays.shape[:-2]).reshape(-1)
+        return value.to(rays.device).detach().expand(rays.shape[:-2]).reshape(-1)
     except RuntimeError as error:
-        raise ValueError(f"{name} must be a number or {tuple(rays.shape[:-2])}, one per ray") from error
+        raise ValueError(f"{name} must be a number or {tuple(rays.shape[:-2])}, one for each of the rays") from error

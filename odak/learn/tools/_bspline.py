@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, checked_dtype
 from odak.tools._splines import bspline_factor
 
 
@@ -20,6 +21,9 @@ class SeparableBasis:
     """
 
     def __init__(self, rows: torch.Tensor, columns: torch.Tensor):
+        for name, factor in (("rows", rows), ("columns", columns)):
+            if not isinstance(factor, torch.Tensor) or factor.ndim != 2:
+                raise TypeError(f"{name} must be a tensor [splines, samples], got {type(factor).__name__}")
         self.rows, self.columns = rows, columns
         self._matrix: torch.Tensor | None = None
 
@@ -101,6 +105,7 @@ def generate_bspline_basis_2d(
     >>> generate_bspline_basis_2d([4, 1], [1, 7])[0][1].round(decimals=3)
     tensor([0.1670, 0.4790, 0.6670, 0.4790, 0.1670, 0.0210, 0.0000])
     """
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
     factors, grid = _factors(num_control_points, resolution, dtype, device)
     return torch.kron(*factors), grid
 
@@ -172,24 +177,32 @@ def compose_bspline_2d(
     Returns
     -------
     torch.Tensor
-        ``[H, W]``, differentiable.
+        ``[H, W]``, in the wider precision of the two, differentiable.
 
     Raises
     ------
+    TypeError
+        If one of them is not a tensor.
     ValueError
         If the shapes do not fit each other.
     """
     rows, columns = _validate.size("resolution", resolution)
+    separable = isinstance(basis_matrix, SeparableBasis)
+    for name, value in (("control_coefficients", control_coefficients), ("basis_matrix", basis_matrix)):
+        if not isinstance(value, torch.Tensor) and not (separable and value is basis_matrix):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
     if tuple(basis_matrix.shape) != (control_coefficients.numel(), rows * columns):
         raise ValueError(
-            f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these coefficients and this "
-            f"resolution, got {list(basis_matrix.shape)}"
+            f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these control_coefficients "
+            f"and this resolution, got {list(basis_matrix.shape)}"
         )
-    coefficients = control_coefficients.reshape(-1)
-    if isinstance(basis_matrix, SeparableBasis):
-        grid = coefficients.reshape(len(basis_matrix.rows), len(basis_matrix.columns))
-        return basis_matrix.rows.T @ grid @ basis_matrix.columns
-    return (coefficients @ basis_matrix).reshape(rows, columns)
+    factors = (basis_matrix.rows, basis_matrix.columns) if separable else (basis_matrix,)
+    dtype = torch.promote_types(control_coefficients.dtype, factors[0].dtype)
+    coefficients, *factors = (value.to(dtype) for value in (control_coefficients.reshape(-1), *factors))
+    if separable:
+        grid = coefficients.reshape(len(factors[0]), len(factors[1]))
+        return factors[0].T @ grid @ factors[1]
+    return (coefficients @ factors[0]).reshape(rows, columns)
 
 
 def decompose_wavelet_like(
@@ -252,6 +265,12 @@ def reconstruct_wavelet_like(
     torch.Tensor
         ``[H, W]``.
     """
+    for name, layers in (("coefficients", coefficients), ("residuals", residuals), ("base", [base])):
+        listed = isinstance(layers, Sequence) and not isinstance(layers, str)
+        if not listed or not all(isinstance(layer, torch.Tensor) for layer in layers):
+            raise TypeError(f"{name} must hold tensors, got {layers!r:.80}")
+    for residual in residuals:
+        _validate.fitting(base=base, residuals=residual)
     # Backwards, as each sum then is the picture that the finer residual was taken from.
     for residual in reversed(residuals):
         base = base + residual

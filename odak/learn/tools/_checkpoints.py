@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from odak import _validate
+from odak.learn.tools._torch_files import read_torch_file
 from odak.tools._atomic import replacing
 
 
@@ -55,16 +56,41 @@ def read_checkpoint(
     """
     name = repr(os.fspath(path))
     try:
-        state = torch.load(path, map_location=device, weights_only=True)
+        state = read_torch_file(path, device)
     except Exception as error:
         raise ValueError(f"checkpoint {name} cannot be read: {first_line(error)}") from error
     if not isinstance(state, dict) or not {"about", *parts} <= set(state):
         raise ValueError(f"checkpoint {name} is not one of {kind}")
     before = state["about"]
+    if not isinstance(before, dict):
+        raise ValueError(f"checkpoint {name} is not one of {kind}: it does not say what run it is of")
     if before != about:
         differing = sorted(key for key in {*before, *about} if before.get(key) != about.get(key))
         raise ValueError(f"checkpoint {name} is of another run: its {', '.join(differing)} differ")
     return state
+
+
+@contextmanager
+def taking_up(path: str | os.PathLike) -> Iterator[None]:
+    """Turn what goes wrong while a state is taken up into a ValueError that names its file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File of :func:`write_checkpoint`, perhaps broken or from elsewhere.
+
+    Raises
+    ------
+    ValueError
+        In place of any other error.
+    """
+    try:
+        yield
+    except Exception as error:
+        if os.fspath(path) in str(error):
+            raise
+        reason = f"{type(error).__name__}: {first_line(error)}"
+        raise ValueError(f"checkpoint {os.fspath(path)!r} cannot be taken up ({reason})") from error
 
 
 @contextmanager

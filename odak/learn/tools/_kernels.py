@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, checked_dtype
 
 
 def generate_2d_dirac_delta(
@@ -57,6 +58,8 @@ def generate_2d_dirac_delta(
     tensor([0.5700, 1.0000, 0.5700])
     """
     lengths = _validate.size("kernel_length", kernel_length)
+    normalize = _validate.flag("normalize", normalize)
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
     widths = _pair("a", _validate.real("a", a, nonzero=True), device)
     centre = _pair("mu", _validate.real("mu", mu), device)
     angle = torch.as_tensor(_validate.real("theta", theta), dtype=torch.float64, device=device)

@@ -2,6 +2,8 @@
 
 import torch
 
+from odak.learn._tensors import checked_device, floating, tensor
+
 
 class PerspectiveCamera:
     """A pinhole camera whose axes and place are given as x' = x·R + T for points as rows.
@@ -33,10 +35,18 @@ class PerspectiveCamera:
     tensor([[0., 0., 5.]])
     """
 
-    def __init__(self, R, T, focal_length, principal_point, device: torch.device | str = "cpu"):
-        self.device = torch.device(device)
-        self.R, self.T = self._tensor(R), self._tensor(T)
-        self.focal_length, self.principal_point = self._tensor(focal_length), self._tensor(principal_point)
+    def __init__(
+        self,
+        R: torch.Tensor,
+        T: torch.Tensor,
+        focal_length: torch.Tensor,
+        principal_point: torch.Tensor,
+        device: torch.device | str = "cpu",
+    ):
+        self.device = torch.device("cpu") if device is None else checked_device("device", device)
+        self.R, self.T = self._tensor("R", R), self._tensor("T", T)
+        self.focal_length = self._tensor("focal_length", focal_length)
+        self.principal_point = self._tensor("principal_point", principal_point)
         for name, value, shape in (("R", self.R, (3, 3)), ("T", self.T, (3,))):
             if tuple(value.shape) not in (shape, (1, *shape)):
                 raise ValueError(f"{name} must be {list(shape)} or {[1, *shape]}, got {list(value.shape)}")
@@ -52,15 +62,17 @@ class PerspectiveCamera:
         Returns
         -------
         torch.Tensor
-            points·R + T, ``[n, 3]``. Differentiable.
+            points·R + T, ``[n, 3]``, in the widest precision of the three. Differentiable.
         """
-        return points.to(self.device) @ self.R.reshape(3, 3) + self.T.reshape(1, 3)
+        points = floating("points", points).to(self.device)
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise ValueError(f"points must be [n, 3], got {list(points.shape)}")
+        dtype = torch.promote_types(torch.promote_types(points.dtype, self.R.dtype), self.T.dtype)
+        return points.to(dtype) @ self.R.to(dtype).reshape(3, 3) + self.T.reshape(1, 3)
 
     def get_camera_center(self) -> torch.Tensor:
         """Return the camera's place in the world, −T·Rᵀ, ``[1, 3]``."""
         return -self.T.reshape(1, 3) @ self.R.reshape(3, 3).T
 
-    def _tensor(self, value) -> torch.Tensor:
-        if isinstance(value, torch.Tensor):
-            return value.to(self.device)
-        return torch.as_tensor(value, dtype=torch.float32, device=self.device)
+    def _tensor(self, name: str, value) -> torch.Tensor:
+        return tensor(name, value, None if isinstance(value, torch.Tensor) else torch.float32, self.device)

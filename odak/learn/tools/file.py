@@ -7,6 +7,8 @@ import numpy as np
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device
+from odak.learn.tools._torch_files import read_torch_file
 from odak.tools import _images
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
@@ -127,8 +129,8 @@ def save_image(
         image = image[0]
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[-1] not in (1, 3, 4):
         image = np.moveaxis(image, 0, -1)
-    white = _white_of(image, color_depth) if cmax is None else float(cmax)
-    return _images.save_image(fn, image, float(cmin), white, color_depth)
+    white = _white_of(image, color_depth) if cmax is None else cmax
+    return _images.save_image(fn, image, cmin, white, color_depth)
 
 
 def save_torch_tensor(fn: str | os.PathLike, tensor: Any) -> None:
@@ -172,14 +174,19 @@ def torch_load(fn: str | os.PathLike, weights_only: bool = True, map_location: t
     ------
     FileNotFoundError
         If there is no such file.
-    pickle.UnpicklingError
-        If the file would run code, or is not one of torch's.
     ValueError
-        If the path is not acceptable or the file is broken; the message names the file.
+        If the path is not acceptable, or the file would run code, is broken, not one of torch's, or would take far more
+        memory than its size; the message names the file. What is wrong with the file is a pickle.UnpicklingError too.
     """
     path = validate_path(fn, _TENSOR_EXTENSIONS)
+    if isinstance(map_location, (str, int)):
+        map_location = checked_device("map_location", map_location)
+    elif map_location is not None and not isinstance(map_location, (torch.device, dict)) and not callable(map_location):
+        raise TypeError(f"map_location must be a torch.device or its name, got {type(map_location).__name__}")
+    if _validate.flag("weights_only", weights_only):
+        return read_torch_file(path, map_location)
     try:
-        return torch.load(path, weights_only=weights_only, map_location=map_location)
+        return torch.load(path, weights_only=False, map_location=map_location)
     except (EOFError, RuntimeError) as error:
         raise ValueError(f"Failed to load {path!r}: {error}") from error
 

@@ -7,6 +7,7 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
+from odak.learn._tensors import floating, trainable
 from odak.learn.tools.file import torch_load
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
@@ -49,6 +50,16 @@ class multi_layer_perceptron(torch.nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the outputs ``[..., n_output]`` for inputs ``[..., n_input]``."""
+        return self._output("x", x)
+
+    def _output(self, name: str, value: torch.Tensor) -> torch.Tensor:
+        weight = self.layer_final.weight
+        x = trainable(floating(name, value, weight.dtype))
+        width = self.layers[0].in_features
+        if x.ndim == 0 or x.shape[-1] != width:
+            raise ValueError(f"{name} must be [..., {width}], got {list(x.shape)}")
+        if x.dtype != weight.dtype and not torch.is_autocast_enabled(x.device.type):
+            raise TypeError(f"{name} must have the perceptron's precision, {weight.dtype}; got {x.dtype}")
         for layer in self.layers:
             x = layer(x)
         return self.layer_final(x)
@@ -90,14 +101,23 @@ class multi_layer_perceptron(torch.nn.Module):
         ValueError
             If the output does not have the shape of `y_values`.
         """
-        self.optimizer = torch.optim.Adam(self.parameters(), lr=learning_rate)
+        rate = _validate.real("learning_rate", learning_rate)
+        if rate < 0:
+            raise ValueError(f"learning_rate must be at least 0, got {learning_rate}")
+        self.optimizer = torch.optim.Adam(self.parameters(), lr=rate)
         self.loss_function = torch.nn.MSELoss()
         loss = None
-        for _ in tqdm(range(_validate.integer("epochs", epochs)), disable=not progress, leave=False):
+        y_values = trainable(floating("y_values", y_values, self.layer_final.weight.dtype))
+        for _ in tqdm(
+            range(_validate.integer("epochs", epochs)), disable=not _validate.flag("progress", progress), leave=False
+        ):
             self.optimizer.zero_grad()
-            estimate = self.forward(x_values)
+            estimate = self._output("x_values", x_values)
             if estimate.shape != y_values.shape:
-                raise ValueError(f"y_values must be {list(estimate.shape)}, got {list(y_values.shape)}")
+                raise ValueError(
+                    f"y_values must be {list(estimate.shape)} for x_values of {list(x_values.shape)}, "
+                    f"got {list(y_values.shape)}"
+                )
             loss = self.loss_function(estimate, y_values)
             loss.backward()
             self.optimizer.step()

@@ -77,6 +77,8 @@ def evaluate_3d_gaussians(
     for name, value in given.items():
         if not isinstance(value, torch.Tensor) or value.ndim != 2 or value.shape[-1] != 3:
             raise ValueError(f"{name} must be a tensor [n, 3], got {tuple(getattr(value, 'shape', ()))}")
+    if not isinstance(opacity, torch.Tensor):
+        raise TypeError(f"opacity must be a tensor [n, 1] or [n], got {type(opacity).__name__}")
     opacity = opacity.reshape(-1)
     counts = {len(centers), len(scales), len(angles), len(opacity)} - {1}
     if len(counts) > 1:

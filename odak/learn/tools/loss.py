@@ -1,11 +1,12 @@
 """Losses and contrasts of images, differentiable unless said otherwise."""
 
 import operator
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 
 from odak import _validate
+from odak.learn._tensors import floating
 
 
 def total_variation_loss(frame: torch.Tensor) -> torch.Tensor:
@@ -105,7 +106,9 @@ def radial_basis_function(value: torch.Tensor, epsilon: float = 0.5) -> torch.Te
     torch.Tensor
         1 at x = 0, of the shape of `value`.
     """
-    return torch.exp(-((epsilon * value) ** 2))
+    if not isinstance(epsilon, torch.Tensor):
+        _validate.real("epsilon", epsilon)
+    return torch.exp(-((epsilon * floating("value", value)) ** 2))
 
 
 def histogram_loss(
@@ -142,6 +145,7 @@ def histogram_loss(
     """
     bins = _validate.integer("bins", bins, minimum=1)
     low, high = _checked_limits(limits)
+    soft = _validate.flag("soft", soft)
     frame, ground_truth = _as_batch("frame", frame), _as_batch("ground_truth", ground_truth)
     if frame.shape[1] != ground_truth.shape[1]:
         raise ValueError(
@@ -299,9 +303,12 @@ def region_means(image: torch.Tensor, *regions: Sequence[int]) -> list[torch.Ten
 
 
 def _checked_region(name, region, size):
-    region = [operator.index(edge) for edge in region]
-    if len(region) != 4:
-        raise ValueError(f"{name} must be [first row, last row + 1, first column, last column + 1], got {region}")
+    if isinstance(region, str) or not isinstance(region, Iterable) or len(region := list(region)) != 4:
+        raise ValueError(f"{name} must be [first row, last row + 1, first column, last column + 1], got {region!r:.80}")
+    try:
+        region = [operator.index(edge) for edge in region]
+    except TypeError as error:
+        raise TypeError(f"{name} must hold integers, got {region!r:.80}") from error
     top, bottom, left, right = region
     if not (0 <= top < bottom <= size[0] and 0 <= left < right <= size[1]):
         raise ValueError(f"{name} must lie inside the image of {tuple(size)} and not be empty, got {region}")

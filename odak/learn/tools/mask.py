@@ -3,6 +3,7 @@
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device
 
 
 def circular_binary_mask(
@@ -47,12 +48,13 @@ def circular_binary_mask(
     """
     for name, value in (("r", r), ("offset_x", offset_x), ("offset_y", offset_y)):
         _validate.real(name, value)
+    device = checked_device("device", device)
     rows, columns = (_axis(name, n, device) for name, n in (("px", px), ("py", py)))
     squared = (rows[:, None] - offset_x) ** 2 + (columns - offset_y) ** 2
     return (torch.sqrt(squared) < r).to(torch.float32)[None, None]
 
 
 def _axis(name, length, device):
-    length = _validate.integer(name, length, minimum=1)
+    length = _validate.side(name, _validate.integer(name, length, minimum=1))
     edge = length / 2 if length > 1 else 0.0
     return torch.linspace(-edge, edge, length, dtype=torch.float64, device=device)

@@ -1,11 +1,13 @@
 """Padding, cropping, quantising and blurring of tensors, the layouts of images included."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.tools._kernels import generate_2d_dirac_delta
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
@@ -142,7 +144,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
         raise TypeError(f"image_field must be a real tensor, got {kind}")
     if _validate.integer("bits", bits, minimum=1) > _MOST_BITS:
         raise ValueError(f"bits must be at most {_MOST_BITS}, got {bits}")
-    low, high = (float(limit) for limit in limits)
+    low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
     if not low < high:
         raise ValueError(f"limits must be two rising numbers, got {limits!r}")
     levels = (image_field - low) / (high - low) * 2**bits
@@ -192,10 +194,13 @@ def generate_2d_gaussian(
     odak.tools.generate_2d_gaussian : Takes its size in intervals and sums to one.
     """
     lengths = _validate.size("kernel_length", kernel_length)
-    rows, columns = _gaussian_lines(lengths, nsigma, mu, "peak" if normalize else "density", device)
+    scale = "peak" if _validate.flag("normalize", normalize) else "density"
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
+    rows, columns = _gaussian_lines(lengths, nsigma, mu, scale, device)
     return (rows[:, None] * columns).to(dtype)
 
 
+@in_own_precision
 def blur_gaussian(
     field: torch.Tensor,
     kernel_length: Sequence[int] = (21, 21),
@@ -231,7 +236,7 @@ def blur_gaussian(
         raise TypeError(f"field must be a real floating tensor, got {getattr(field, 'dtype', type(field).__name__)}")
     _validate.image("field", field)
     lengths = _validate.size("kernel_length", kernel_length)
-    scale = "sum" if keep_sum else "density"
+    scale = "sum" if _validate.flag("keep_sum", keep_sum) else "density"
     rows, columns = (line.to(field.dtype) for line in _gaussian_lines(lengths, nsigma, (0, 0), scale, field.device))
     planes = torch.nn.functional.pad(field.reshape(-1, 1, *field.shape[-2:]), _borders(padding, lengths))
     if any(length > side for length, side in zip(lengths, planes.shape[-2:], strict=True)):
@@ -275,7 +280,7 @@ def _borders(padding, lengths):
             return (0, 0, 0, 0)
         (above, below), (left, right) = (((length - 1) // 2, length // 2) for length in lengths)
         return (left, right, above, below)
-    pair = (padding, padding) if isinstance(padding, int) else tuple(padding)
+    pair = tuple(padding) if isinstance(padding, Iterable) else (padding, padding)
     if len(pair) != 2:
         raise ValueError(f"padding must be 'same', 'valid', an integer or two, got {padding!r}")
     rows, columns = (_validate.integer("padding", count) for count in pair)

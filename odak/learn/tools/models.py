@@ -11,7 +11,7 @@ def freeze(model: torch.nn.Module) -> None:
     model : torch.nn.Module
         Model to change.
     """
-    model.requires_grad_(False)
+    _module(model).requires_grad_(False)
 
 
 def unfreeze(model: torch.nn.Module) -> None:
@@ -22,4 +22,10 @@ def unfreeze(model: torch.nn.Module) -> None:
     model : torch.nn.Module
         Model to change.
     """
-    model.requires_grad_(True)
+    _module(model).requires_grad_(True)
+
+
+def _module(model):
+    if not isinstance(model, torch.nn.Module):
+        raise TypeError(f"model must be a torch.nn.Module, got {type(model).__name__}")
+    return model

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
+from odak.learn._tensors import tensor
 from odak.learn.tools.transformation import rotmatx, rotmaty, rotmatz
 from odak.tools import sample
 from odak.tools.sample import batch_of_rays, random_sample_point_cloud
@@ -61,7 +62,7 @@ def grid_sample(
     tensor([[-1.,  0.,  0.],
             [ 1.,  0.,  0.]])
     """
-    size, center, angles = _tensors(size, center, angles)
+    size, center, angles = _tensors(size=size, center=center, angles=angles)
     points = sample.grid_sample(no, size, center, angles)
     turns = (turn(angle)[None] for turn, angle in zip((rotmatx, rotmaty, rotmatz), angles.reshape(3), strict=True))
     return (points, *turns)
@@ -74,7 +75,7 @@ def box_volume_sample(
     angles: Sequence[float] = _ORIGIN,
 ) -> torch.Tensor:
     """Return the centres of the cells of a box as a tensor; see :func:`odak.tools.box_volume_sample`."""
-    return sample.box_volume_sample(no, *_tensors(size, center, angles))
+    return sample.box_volume_sample(no, *_tensors(size=size, center=center, angles=angles))
 
 
 def circular_sample(
@@ -84,7 +85,7 @@ def circular_sample(
     angles: Sequence[float] = _ORIGIN,
 ) -> torch.Tensor:
     """Return points of a disc on a polar grid as a tensor; see :func:`odak.tools.circular_sample`."""
-    return sample.circular_sample(no, *_tensors(radius, center, angles))
+    return sample.circular_sample(no, *_tensors(radius=radius, center=center, angles=angles))
 
 
 def circular_uniform_sample(
@@ -94,7 +95,7 @@ def circular_uniform_sample(
     angles: Sequence[float] = _ORIGIN,
 ) -> torch.Tensor:
     """Return points of a disc on rings as a tensor; see :func:`odak.tools.circular_uniform_sample`."""
-    return sample.circular_uniform_sample(no, *_tensors(radius, center, angles))
+    return sample.circular_uniform_sample(no, *_tensors(radius=radius, center=center, angles=angles))
 
 
 def circular_uniform_random_sample(
@@ -106,7 +107,8 @@ def circular_uniform_random_sample(
     seed: int | np.random.Generator | None = None,
 ) -> torch.Tensor:
     """Return random points of a disc as a tensor; see :func:`odak.tools.circular_uniform_random_sample`."""
-    return sample.circular_uniform_random_sample(no, *_tensors(radius, center, angles), seed=seed)
+    placing = _tensors(radius=radius, center=center, angles=angles)
+    return sample.circular_uniform_random_sample(no, *placing, seed=seed)
 
 
 def sphere_sample(
@@ -116,7 +118,7 @@ def sphere_sample(
     k: Sequence[float] = (1, 2),
 ) -> torch.Tensor:
     """Return points of a sphere as a tensor; see :func:`odak.tools.sphere_sample`."""
-    return sample.sphere_sample(no, *_tensors(radius, center), k)
+    return sample.sphere_sample(no, *_tensors(radius=radius, center=center), k)
 
 
 def sphere_sample_uniform(
@@ -126,13 +128,13 @@ def sphere_sample_uniform(
     k: Sequence[float] = (1, 2),
 ) -> torch.Tensor:
     """Return points of a sphere in a sheared order as a tensor; see :func:`odak.tools.sphere_sample_uniform`."""
-    return sample.sphere_sample_uniform(no, *_tensors(radius, center), k)
+    return sample.sphere_sample_uniform(no, *_tensors(radius=radius, center=center), k)
 
 
-def _tensors(*values) -> list[torch.Tensor]:
+def _tensors(**values) -> list[torch.Tensor]:
     """Return tensors of one device and one precision: the widest of the floating tensors given, float32 by default."""
-    given = [value for value in values if isinstance(value, torch.Tensor)]
+    given = [value for value in values.values() if isinstance(value, torch.Tensor)]
     floating = [value.dtype for value in given if value.is_floating_point()]
     dtype = torch.float64 if torch.float64 in floating else torch.float32
     device = given[0].device if given else None
-    return [torch.as_tensor(value, dtype=dtype, device=device) for value in values]
+    return [tensor(name, value, dtype, device) for name, value in values.items()]

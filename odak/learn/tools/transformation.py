@@ -5,8 +5,11 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, floating
+from odak.tools._paths import validate_path
 from odak.tools.asset import read_PLY
-from odak.tools.transformation import apply_matrix, axis_rotation, rotation_matrix, tilt_towards
+from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
 
 __all__ = [
     "get_rotation_matrix",
@@ -43,7 +46,7 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     >>> quaternion_to_rotation_matrix(torch.tensor([0.0, 0.0, 0.0, 2.0])).diagonal()
     tensor([-1., -1.,  1.])
     """
-    quaternions = _tensor(quaternions)
+    quaternions = floating("quaternions", quaternions)
     if quaternions.ndim == 0 or quaternions.shape[-1] != 4:
         raise ValueError(f"quaternions must be [..., 4], got {tuple(quaternions.shape)}")
     w, x, y, z = (quaternions / quaternions.square().sum(-1, keepdim=True).sqrt()).unbind(-1)
@@ -108,13 +111,15 @@ def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_ord
     tensor([-1., -1.,  1.])
     """
     if isinstance(tilt_angles, (list, tuple)):
-        tilt_angles = torch.stack([_tensor(angle).reshape(()) for angle in tilt_angles])
-    angles = _tensor(tilt_angles)
+        tilt_angles = _validate.several("tilt_angles", tilt_angles, 3)
+        tilt_angles = torch.stack([floating("tilt_angles", angle).reshape(()) for angle in tilt_angles])
+    angles = floating("tilt_angles", tilt_angles)
     if angles.numel() != 3:
         raise ValueError(f"tilt_angles must be three angles, got {tuple(angles.shape)}")
-    return rotation_matrix(angles.reshape(3), tilt_order)
+    return rotation_matrix(angles.reshape(3), _validate.one_of("tilt_order", tilt_order, ROTATION_MODES))
 
 
+@in_own_precision
 def rotate_points(
     point: torch.Tensor,
     angles: torch.Tensor = _NONE,
@@ -156,9 +161,9 @@ def rotate_points(
     >>> rotate_points(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([0.0, 0.0, 180.0]))[0].round(decimals=4)
     tensor([[-1., -0.,  0.]])
     """
-    point = _tensor(point)
+    point = floating("point", point)
     given = {"point": point, "angles": angles, "origin": origin, "offset": offset}
-    given = {name: _tensor(value).to(point.device) for name, value in given.items()}
+    given = {name: floating(name, value).to(point.device) for name, value in given.items()}
     for name, value in given.items():
         if value.ndim not in (1, 2) or value.shape[-1] != 3:
             raise ValueError(f"{name} must be [3] or [n, 3], got {tuple(value.shape)}")
@@ -204,14 +209,19 @@ def point_cloud_to_voxel(
     >>> point_cloud_to_voxel(torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), [0.5, 0.5, 0.5])[1].flatten()
     tensor([1., 1.])
     """
-    points = _tensor(points)
+    points = floating("points", points)
     if points.ndim != 2 or points.shape[-1] != 3 or len(points) == 0:
         raise ValueError(f"points must be [n, 3] with at least one point, got {tuple(points.shape)}")
-    _validate.real("voxel_size", voxel_size, positive=True)
-    size = torch.as_tensor(voxel_size, dtype=points.dtype, device=points.device).expand(3)
-    low = points.amin(0)
+    size = _validate.real("voxel_size", voxel_size, positive=True)
+    size = torch.as_tensor(size, dtype=points.dtype, device=points.device).reshape(-1)
+    if len(size) not in (1, 3):
+        raise ValueError(f"voxel_size must be three numbers or one, got {len(size)}")
+    size = size.expand(3)
+    low, high = points.aminmax(dim=0)
+    if not bool(torch.isfinite(high - low).all()):
+        raise ValueError("points must be finite, got coordinates that are not")
     # An extent that is a whole number of cells but for rounding needs no further cell.
-    extent = (points.amax(0) - low) / size
+    extent = (high - low) / size
     cells = (extent - 1e-6 * extent.clamp(min=1)).ceil().clamp(min=1).long()
     index = torch.minimum(((points - low) / size).floor().long(), cells - 1)
     grid = torch.zeros(cells.tolist(), device=points.device)
@@ -248,7 +258,8 @@ def load_voxelized_PLY(
     ValueError
         If it is not a PLY file of a mesh, or the mesh is a single point.
     """
-    centres = torch.from_numpy(read_PLY(ply_filename).mean(axis=1)).to(device)
+    validate_path(ply_filename, [".ply"], name="ply_filename")
+    centres = torch.from_numpy(read_PLY(ply_filename).mean(axis=1)).to(checked_device("device", device))
     if len(centres) == 0:
         raise ValueError(f"{ply_filename!r} holds no triangles")
     centres = centres - centres.mean()
@@ -260,14 +271,8 @@ def load_voxelized_PLY(
 
 
 def _squeezed(axis: str, angle) -> torch.Tensor:
-    matrix = axis_rotation(axis, _tensor(angle))
+    matrix = axis_rotation(axis, floating("angle", angle))
     return matrix[0] if matrix.ndim == 3 and len(matrix) == 1 else matrix
-
-
-def _tensor(value) -> torch.Tensor:
-    if isinstance(value, torch.Tensor) and value.dtype.is_floating_point:
-        return value
-    return torch.as_tensor(value, dtype=torch.get_default_dtype())
 
 
 def _widest(*values) -> torch.dtype:

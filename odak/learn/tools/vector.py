@@ -4,6 +4,8 @@ import functools
 
 import torch
 
+from odak import _validate
+from odak.learn._tensors import tensor
 from odak.tools.vector import cross, on_same_side
 
 
@@ -28,15 +30,16 @@ def cross_product(vector1: torch.Tensor, vector2: torch.Tensor) -> torch.Tensor:
     tensor([[1., 2., 3.],
             [0., 0., 1.]])
     """
-    first, second = _floats(vector1, vector2)
+    first, second = _floats(vector1=vector1, vector2=vector2)
     for name, ray in (("vector1", first), ("vector2", second)):
         if ray.shape[-2:] != (2, 3):
             raise ValueError(f"{name} must be [2, 3] or [m, 2, 3], got {tuple(ray.shape)}")
+    _validate.fitting(vector1=first, vector2=second)
     first, second = torch.broadcast_tensors(first, second)
     return torch.stack((first[..., 0, :], cross(first[..., 1, :], second[..., 1, :])), dim=-2)
 
 
-def same_side(p1, p2, a, b):
+def same_side(p1: torch.Tensor, p2: torch.Tensor, a: torch.Tensor, b: torch.Tensor) -> bool | torch.Tensor:
     """Say whether p1 and p2 lie on the same side of the line through a and b.
 
     Parameters
@@ -55,7 +58,7 @@ def same_side(p1, p2, a, b):
     >>> same_side([0.0, 1, 0], [5.0, 2, 0], [0.0, 0, 0], [1.0, 0, 0])
     True
     """
-    result = on_same_side(*_floats(p1, p2, a, b))
+    result = on_same_side(*_points(p1=p1, p2=p2, a=a, b=b))
     return bool(result) if result.ndim == 0 else result
 
 
@@ -78,13 +81,23 @@ def distance_between_two_points(point1: torch.Tensor, point2: torch.Tensor) -> t
     >>> distance_between_two_points([0, 0, 0], [3, 4, 12])
     tensor(13.)
     """
-    point1, point2 = _floats(point1, point2)
+    point1, point2 = _points(point1=point1, point2=point2)
     return torch.linalg.vector_norm(point1 - point2, dim=-1)
 
 
-def _floats(*values) -> list[torch.Tensor]:
+def _points(**values) -> list[torch.Tensor]:
+    """Return tensors ``[..., 3]`` that fit each other, as :func:`_floats` does."""
+    points = dict(zip(values, _floats(**values), strict=True))
+    for name, point in points.items():
+        if point.ndim == 0 or point.shape[-1] != 3:
+            raise ValueError(f"{name} must be [3] or [n, 3], got {list(point.shape)}")
+    _validate.fitting(**points)
+    return list(points.values())
+
+
+def _floats(**values) -> list[torch.Tensor]:
     """Return tensors of the widest precision among the floating ones, on the first one's device."""
-    floating = [value.dtype for value in values if torch.is_tensor(value) and value.is_floating_point()]
+    floating = [value.dtype for value in values.values() if torch.is_tensor(value) and value.is_floating_point()]
     dtype = functools.reduce(torch.promote_types, floating) if floating else torch.get_default_dtype()
-    device = next((value.device for value in values if torch.is_tensor(value)), torch.device("cpu"))
-    return [torch.as_tensor(value, dtype=dtype, device=device) for value in values]
+    device = next((value.device for value in values.values() if torch.is_tensor(value)), torch.device("cpu"))
+    return [tensor(name, value, dtype, device) for name, value in values.items()]

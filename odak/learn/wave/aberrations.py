@@ -1,10 +1,12 @@
 """Wavefront aberrations as tensors, differentiable in their coefficients."""
 
 from collections.abc import Iterable, Mapping
+from typing import Any
 
 import torch
 from array_api_compat import torch as torch_namespace
 
+from odak.learn._tensors import checked_device
 from odak.wave import aberrations
 
 
@@ -13,8 +15,8 @@ def zernike_phase(
     ny: int,
     coefficients: Mapping,
     radius: float | None = None,
-    dx=1.0,
-    offset=(0.0, 0.0),
+    dx: float | torch.Tensor = 1.0,
+    offset: Any = (0.0, 0.0),
     device: torch.device | None = None,
 ) -> torch.Tensor:
     """Return the aberration Σ c·Z as a phase, float64 ``[..., nx, ny]``; see :func:`odak.wave.zernike_phase`.
@@ -31,6 +33,7 @@ def zernike_phase(
     torch.Tensor
         Phase in radians, not wrapped.
     """
+    device = checked_device("device", device)
     return aberrations.zernike_phase(nx, ny, coefficients, radius, dx, offset, xp=torch_namespace, device=device)
 
 
@@ -39,9 +42,10 @@ def zernike_basis(
     ny: int,
     modes: Iterable,
     radius: float | None = None,
-    dx=1.0,
-    offset=(0.0, 0.0),
+    dx: float | torch.Tensor = 1.0,
+    offset: Any = (0.0, 0.0),
     device: torch.device | None = None,
 ) -> torch.Tensor:
     """Return Zernike polynomials of unit RMS, float64 ``[modes, nx, ny]``; see :func:`odak.wave.zernike_basis`."""
+    device = checked_device("device", device)
     return aberrations.zernike_basis(nx, ny, modes, radius, dx, offset, xp=torch_namespace, device=device)

@@ -5,9 +5,14 @@ from collections.abc import Callable
 import torch
 
 from odak import _validate
+from odak.learn._tensors import tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import on_samples, panel_map
+from odak.wave.methods import find_method
+
+# Shares of the full well that fill it for certain; torch draws no electrons at all from infinitely bright light.
+_FULL = 1e4
 
 
 class simulated_camera(torch.nn.Module):
@@ -94,7 +99,8 @@ class simulated_camera(torch.nn.Module):
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.distance = _validate.real("distance", distance)
         self.pixel_pitch = _validate.real("pixel_pitch", pixel_pitch, positive=True)
-        self.propagation_type, self.slm = propagation_type, slm
+        find_method(propagation_type)
+        self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
         self.register_buffer("illumination", panel_map("illumination", illumination))
         self.exposure = float(_validate.real("exposure", exposure, positive=True))
@@ -105,7 +111,7 @@ class simulated_camera(torch.nn.Module):
         self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
         if bits is not None and bits > 16:
             raise ValueError(f"bits must be at most 16, got {bits}")
-        self.seed, self._generator = seed, None
+        self.seed, self._generator = None if seed is None else _validate.integer("seed", seed), None
 
     def light(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the intensity on the sensor, without its noise and limits: the mean of what is captured.
@@ -120,6 +126,7 @@ class simulated_camera(torch.nn.Module):
         torch.Tensor
             Real ``[..., m, n]``, in the phase's precision; differentiable.
         """
+        phase = _validate.image("phase", tensor("phase", phase))
         field = unit_phasor(phase) if self.slm is None else self.slm(phase)
         s = field.shape[-1] // phase.shape[-1]
         if self.illumination is not None:
@@ -163,14 +170,19 @@ class simulated_camera(torch.nn.Module):
         torch.Tensor
             Of its shape, 0 … 1/exposure.
         """
-        share = light * self.exposure
+        if not isinstance(light, torch.Tensor) or light.dtype not in (torch.float32, torch.float64):
+            kind = light.dtype if isinstance(light, torch.Tensor) else type(light).__name__
+            raise TypeError(f"light must be a float32 or float64 tensor, got {kind}")
+        share = (light * self.exposure).clamp(max=_FULL)
         if self.full_well is not None:
             random = self._random(light.device)
-            electrons = torch.poisson(share * self.full_well, generator=random)
+            # On a GPU, drawing at a negative rate or NaN would end the process.
+            known = share >= 0
+            electrons = torch.poisson(share.where(known, 0.0) * self.full_well, generator=random)
             if self.read_noise:
                 noise = torch.empty_like(electrons).normal_(generator=random)
                 electrons = electrons + self.read_noise * noise
-            share = electrons / self.full_well
+            share = (electrons / self.full_well).where(known, torch.nan)
         share = share.clamp(0, 1)
         if self.bits is not None:
             steps = 2**self.bits - 1

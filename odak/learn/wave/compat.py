@@ -1,10 +1,12 @@
 """Older call forms, translated in one place so that the physics never sees them."""
 
 import functools
+import inspect
 from collections.abc import Callable, Sequence
 
 import torch
 
+from odak import _validate
 from odak.learn.tools.device import get_device
 
 
@@ -24,24 +26,25 @@ def accepts_older_form(function: Callable) -> Callable:
     callable
         The optimizer, accepting both.
     """
+    own = list(inspect.signature(function).parameters)
 
     @functools.wraps(function)
-    def adapted(target, *args, **options):
+    def adapted(*args, **options):
         args = list(args)
+        if not args and own[0] in options:
+            args = [options.pop(own[0])]
         resolution = options.pop("resolution", None)
-        if len(args) > 3 and isinstance(args[3], Sequence) and not isinstance(args[3], str):
-            resolution = args.pop(3)
+        if len(args) > 4 and isinstance(args[4], Sequence) and not isinstance(args[4], str):
+            resolution = args.pop(4)
         for old, new in (("dx", "pixel_pitch"), ("iteration_number", "n_iteration")):
-            if old in options:
+            if old in options and old not in own:
                 options[new] = options.pop(old)
-        if (
-            resolution is not None
-            and isinstance(target, torch.Tensor)
-            and tuple(resolution) != tuple(target.shape[-2:])
-        ):
-            raise ValueError(f"resolution must be the target's {tuple(target.shape[-2:])}, got {tuple(resolution)}")
-        if "cuda" in options:
-            target = target.to(get_device("cuda" if options.pop("cuda") else "cpu"))
-        return function(target, *args, **options)
+        if args and isinstance(args[0], torch.Tensor):
+            shape = tuple(args[0].shape[-2:])
+            if resolution is not None and _validate.size("resolution", resolution) != shape:
+                raise ValueError(f"resolution must be the {own[0]}'s {shape}, got {tuple(resolution)}")
+            if "cuda" in options:
+                args[0] = args[0].to(get_device("cuda" if options.pop("cuda") else "cpu"))
+        return function(*args, **options)
 
     return adapted

@@ -2,11 +2,13 @@
 
 import math
 import os
+from typing import Any
 
 import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import floating
 from odak.learn.tools.device import get_device
 from odak.learn.wave import gaussian_files
 from odak.learn.wave.splatting import sum_of_gaussians
@@ -70,8 +72,10 @@ class complex_2d_gaussians(nn.Module):
         super().__init__()
         number = _validate.integer("num_points", num_points, minimum=1)
         self.img_size = gaussian_files.picture_size("img_size", img_size)
-        self.device, self.merge_opacity = get_device(device), bool(merge_opacity)
-        draw = torch.Generator() if seed is None else torch.Generator().manual_seed(seed)
+        self.device, self.merge_opacity = get_device(device), _validate.flag("merge_opacity", merge_opacity)
+        draw = torch.Generator()
+        if seed is not None:
+            draw.manual_seed(_validate.integer("seed", seed))
         if seed is None:
             draw.manual_seed(int(torch.randint(2**62, ())))
 
@@ -124,6 +128,10 @@ class complex_2d_gaussians(nn.Module):
         rotation : torch.Tensor
             Radians ``[N]``.
         """
+        scales, rotation = floating("scales", scales), floating("rotation", rotation)
+        if scales.ndim == 0 or scales.shape[-1] != 2:
+            raise ValueError(f"scales must be [N, 2], got {list(scales.shape)}")
+        _validate.fitting(scales=scales[..., 0], rotation=rotation)
         cosine, sine = rotation.cos(), rotation.sin()
         first, second = scales.square().unbind(-1)
         return (
@@ -137,6 +145,10 @@ class complex_2d_gaussians(nn.Module):
         cov_00: torch.Tensor, cov_01: torch.Tensor, cov_11: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the entries of the inverses of covariances ``[N]``; determinants below 1e-10 count as 1e-10."""
+        given = {"cov_00": cov_00, "cov_01": cov_01, "cov_11": cov_11}
+        given = {name: floating(name, value) for name, value in given.items()}
+        _validate.fitting(**given)
+        cov_00, cov_01, cov_11 = given.values()
         determinant = (cov_00 * cov_11 - cov_01.square()).clamp_min(1e-10)
         return cov_11 / determinant, -cov_01 / determinant, cov_00 / determinant
 
@@ -154,7 +166,9 @@ class complex_2d_gaussians(nn.Module):
             If the path is not acceptable or its folder does not exist.
         """
         tensors = {name: parameter.detach() for name, parameter in self.named_parameters()}
-        gaussian_files.save(save_path, {**tensors, "img_size": self.img_size, "merge_opacity": self.merge_opacity})
+        gaussian_files.save(
+            save_path, {**tensors, "img_size": self.img_size, "merge_opacity": self.merge_opacity}, "save_path"
+        )
         logger.info("%d complex Gaussians saved to %s", len(self), save_path)
 
     def load_gaussians(self, load_path: str | os.PathLike) -> None:
@@ -169,7 +183,7 @@ class complex_2d_gaussians(nn.Module):
             Gaussians or those of a picture of another size. The Gaussians then stay as they were.
         """
         held = dict(self.named_parameters())
-        found = gaussian_files.load(load_path, held, self.means_2d.device)
+        found = gaussian_files.load(load_path, held, self.means_2d.device, "load_path")
         size = found.get("img_size", self.img_size)
         if tuple(size) != self.img_size:
             raise ValueError(f"{load_path!r} holds Gaussians of a picture of {tuple(size)}, not of {self.img_size}")
@@ -216,7 +230,9 @@ class Scene2D:
     torch.Size([3, 48, 64])
     """
 
-    def __init__(self, gaussians: complex_2d_gaussians, args_prop):
+    def __init__(self, gaussians: complex_2d_gaussians, args_prop: Any):
+        if not isinstance(gaussians, complex_2d_gaussians):
+            raise TypeError(f"gaussians must be complex_2d_gaussians, got {type(gaussians).__name__}")
         wavelengths, pad_size = gaussian_files.settings(args_prop, ("wavelengths", "pad_size"))
         self.gaussians, self.args_prop = gaussians, args_prop
         self.wavelengths = _validate.real("wavelengths", gaussian_files.lengths(wavelengths), positive=True)

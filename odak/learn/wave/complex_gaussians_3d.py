@@ -9,12 +9,14 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
+from odak.learn._tensors import floating, rows_of, shaped, tensor
 from odak.learn.tools.device import get_device
 from odak.learn.tools.transformation import quaternion_to_rotation_matrix
 from odak.learn.wave import gaussian_files
 from odak.learn.wave.gaussian_clouds import NAMES, point_cloud, random_cloud
 from odak.learn.wave.straight_through import StraightThroughEstimator
 from odak.log import logger
+from odak.tools._paths import validate_path
 
 _INIT_TYPES = {"gaussians": "load_path", "random": "num_points", "point": "pointcloud_data"}
 # Square pixels added to each axis of a projected covariance, so that no Gaussian falls between pixels.
@@ -91,24 +93,33 @@ class complex_3d_gaussians(nn.Module):
         seed: int | None = None,
     ):
         super().__init__()
-        if init_type not in _INIT_TYPES:
+        if not isinstance(init_type, str) or init_type not in _INIT_TYPES:
             raise ValueError(f"init_type must be one of {', '.join(map(repr, _INIT_TYPES))}; got {init_type!r}")
         source = {"load_path": load_path, "num_points": num_points, "pointcloud_data": pointcloud_data}
         if source[_INIT_TYPES[init_type]] is None:
             raise ValueError(f"{_INIT_TYPES[init_type]} is needed for init_type {init_type!r}, got None")
         (planes,) = gaussian_files.settings(args_prop, ("num_planes",))
         planes = _validate.integer("args_prop.num_planes", planes, minimum=1)
+        if load_path is not None:
+            load_path = validate_path(load_path, gaussian_files.EXTENSIONS, name="load_path")
+        if img_size is not None:
+            gaussian_files.picture_size("img_size", img_size)
+        if isinstance(generate_dense_point, bool):
+            generate_dense_point = int(generate_dense_point)
+        copies = _validate.integer("generate_dense_point", generate_dense_point)
+        scatter = _validate.real("densepoint_scatter", densepoint_scatter)
+        if pointcloud_data is not None and not isinstance(pointcloud_data, Mapping):
+            raise TypeError(f"pointcloud_data must be a dictionary of tensors, got {type(pointcloud_data).__name__}")
         self.device, self.img_size = get_device(device), img_size
-        draw = torch.Generator().manual_seed(int(torch.randint(2**62, ())) if seed is None else seed)
+        seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
+        draw = torch.Generator().manual_seed(seed)
         if init_type == "gaussians":
             first = _read(load_path, planes, self.device)
         elif init_type == "random":
             first = random_cloud(_validate.integer("num_points", num_points, minimum=1), planes, draw)
         else:
             (outdoor,) = gaussian_files.settings(args_prop, ("is_outdoor",))
-            copies = _validate.integer("generate_dense_point", int(generate_dense_point))
-            points = _points(pointcloud_data)
-            first = point_cloud(*points, planes, copies, densepoint_scatter, bool(outdoor), draw)
+            first = point_cloud(*_points(pointcloud_data), planes, copies, scatter, bool(outdoor), draw)
         for name in NAMES:
             self.register_parameter(name, nn.Parameter(first[name].to(self.device), requires_grad=False))
         logger.debug("%d complex Gaussians on %d planes, from %s", len(self), planes, init_type)
@@ -135,6 +146,7 @@ class complex_3d_gaussians(nn.Module):
         scales : torch.Tensor
             Standard deviations along the Gaussians' axes ``[N, 3]``.
         """
+        quats, scales = rows_of(quats=(quats, 4), scales=(scales, 3))
         axes = quaternion_to_rotation_matrix(quats) * scales[:, None]
         return axes @ axes.mT
 
@@ -143,8 +155,8 @@ class complex_3d_gaussians(nn.Module):
         cam_means_3D: torch.Tensor,
         quats: torch.Tensor,
         scales: torch.Tensor,
-        fx,
-        fy,
+        fx: float | torch.Tensor,
+        fy: float | torch.Tensor,
         R: torch.Tensor,
         img_size: tuple[int, int],
     ) -> torch.Tensor:
@@ -172,18 +184,28 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Square pixels ``[N, 2, 2]``.
         """
+        cam_means_3D, quats, scales = rows_of(cam_means_3D=(cam_means_3D, 3), quats=(quats, 4), scales=(scales, 3))
+        for name, length in (("fx", fx), ("fy", fy)):
+            _validate.real(name, length, nonzero=True)
+        R, (width, height) = _rotation(R), gaussian_files.picture_size("img_size", img_size)
         x, y, z = cam_means_3D.unbind(-1)
         inside = self._in_range(z)
         z = z.where(inside, 1.0)
-        width, height = img_size
         side, up = _held(x / z, _MARGIN * 0.5 * width / fx), _held(y / z, _MARGIN * 0.5 * height / fy)
         nothing = torch.zeros_like(z)
         rows = torch.stack([fx / z, nothing, -fx * side / z, nothing, fy / z, -fy * up / z], dim=-1)
         slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
-        axes = slope @ R.reshape(3, 3).to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
+        axes = slope @ R.to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
         return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
 
-    def compute_means_2D(self, cam_means_3D: torch.Tensor, fx, fy, px, py) -> torch.Tensor:
+    def compute_means_2D(
+        self,
+        cam_means_3D: torch.Tensor,
+        fx: float | torch.Tensor,
+        fy: float | torch.Tensor,
+        px: float | torch.Tensor,
+        py: float | torch.Tensor,
+    ) -> torch.Tensor:
         """Return centres on the picture, (px − fx·x/z, py − fy·y/z): both axes of the picture are inverted.
 
         Parameters
@@ -198,17 +220,22 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Pixels [x, y], ``[N, 2]``; 10⁶ before NEAR_PLANE and beyond FAR_PLANE.
         """
+        (cam_means_3D,) = rows_of(cam_means_3D=(cam_means_3D, 3))
+        for name, number in (("fx", fx), ("fy", fy), ("px", px), ("py", py)):
+            _validate.real(name, number)
         x, y, z = cam_means_3D.unbind(-1)
         inside = self._in_range(z)
         z = z.where(inside, 1.0)
         return torch.stack([px - fx * x / z, py - fy * y / z], dim=-1).where(inside[:, None], _AWAY)
 
     def _in_range(self, z):
-        return (z > self.NEAR_PLANE) & (z < self.FAR_PLANE)
+        # What is not a number is not left out, so that it is seen.
+        return ~((z <= self.NEAR_PLANE) | (z >= self.FAR_PLANE))
 
     @staticmethod
     def invert_cov_2D(cov_2D: torch.Tensor) -> torch.Tensor:
         """Return the inverses of covariances ``[N, 2, 2]``; determinants below 1e-10 count as 1e-10."""
+        (cov_2D,) = rows_of(cov_2D=(cov_2D, 2, 2))
         a, b, c, d = cov_2D.flatten(-2).unbind(-1)
         determinant = (a * d - b * c).clamp_min(1e-10)[..., None]
         return (torch.stack([d, -b, -c, a], dim=-1) / determinant).unflatten(-1, (2, 2))
@@ -235,8 +262,11 @@ class complex_3d_gaussians(nn.Module):
         torch.Tensor
             Least x and y, and largest x and y, ``[N, 4]``.
         """
+        means_2D, cov_2D = rows_of(means_2D=(means_2D, 2), cov_2D=(cov_2D, 2, 2))
+        width, height = gaussian_files.picture_size("img_size", img_size)
+        _validate.real("confidence", confidence)
         reach = confidence * cov_2D.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
-        last = means_2D.new_tensor([img_size[0] - 1, img_size[1] - 1])
+        last = means_2D.new_tensor([width - 1, height - 1])
         corners = [(means_2D + sign * reach).clamp_min(0).minimum(last) for sign in (-1, 1)]
         return torch.cat(corners, dim=-1)
 
@@ -265,12 +295,17 @@ class complex_3d_gaussians(nn.Module):
             Unit quaternions, standard deviations exp(·), phases from 0 to 2π, opacities from 0 to 1, and planes as
             one-hot rows (see :class:`StraightThroughEstimator`).
         """
-        planes = pre_act_plane_assignment
+        quats, scales = floating("pre_act_quats", pre_act_quats), floating("pre_act_scales", pre_act_scales)
+        phase, opacities, planes = pre_act_phase, pre_act_opacities, pre_act_plane_assignment
+        phase = None if phase is None else floating("pre_act_phase", phase)
+        opacities = None if opacities is None else floating("pre_act_opacities", opacities)
+        if planes is not None and not (planes := shaped("pre_act_plane_assignment", planes, "N", "P")).shape[1]:
+            raise ValueError(f"pre_act_plane_assignment must have a plane at least, got {list(planes.shape)}")
         return (
-            functional.normalize(pre_act_quats, dim=-1),
-            pre_act_scales.exp(),
-            None if pre_act_phase is None else gaussian_files.wrapped(pre_act_phase),
-            None if pre_act_opacities is None else pre_act_opacities.sigmoid(),
+            functional.normalize(quats, dim=-1),
+            scales.exp(),
+            None if phase is None else gaussian_files.wrapped(phase),
+            None if opacities is None else opacities.sigmoid(),
             None if planes is None else StraightThroughEstimator()(planes),
         )
 
@@ -282,8 +317,15 @@ class complex_3d_gaussians(nn.Module):
         ValueError
             If the path is not acceptable or its folder does not exist.
         """
-        gaussian_files.save(save_path, {name: getattr(self, name).detach() for name in NAMES})
+        gaussian_files.save(save_path, {name: getattr(self, name).detach() for name in NAMES}, "save_path")
         logger.info("%d complex Gaussians saved to %s", len(self), save_path)
+
+
+def _rotation(R) -> torch.Tensor:
+    R = floating("R", R)
+    if tuple(R.shape) not in ((3, 3), (1, 3, 3)):
+        raise ValueError(f"R must be [3, 3] or [1, 3, 3], got {list(R.shape)}")
+    return R.reshape(3, 3)
 
 
 def _held(slope, bound):
@@ -294,7 +336,7 @@ def _held(slope, bound):
 
 def _read(path, planes, device) -> dict[str, torch.Tensor]:
     """Return the parameters in a file, floating-point numbers of matching shapes."""
-    found = gaussian_files.load(path, NAMES, device)
+    found = gaussian_files.load(path, NAMES, device, "load_path")
     number = len(found["means"]) if found["means"].ndim else 0
     shapes = dict(zip(NAMES, ((number, 4), *[(number, 3)] * 4, (number,), (number, planes)), strict=True))
     for name, shape in shapes.items():
@@ -309,7 +351,10 @@ def _points(pointcloud_data) -> Sequence[torch.Tensor]:
     """Return the positions and colours of a point cloud as float32 tensors."""
     if missing := [name for name in ("positions", "colors") if name not in pointcloud_data]:
         raise ValueError(f"pointcloud_data must have 'positions' and 'colors', missing {', '.join(missing)}")
-    points = [torch.as_tensor(pointcloud_data[name]).detach().cpu().float() for name in ("positions", "colors")]
+    points = [
+        tensor(f"pointcloud_data[{name!r}]", pointcloud_data[name]).detach().cpu().float()
+        for name in ("positions", "colors")
+    ]
     for name, value in zip(("positions", "colors"), points, strict=True):
         if value.ndim != 2 or value.shape[-1] != 3 or not len(value) or len(value) != len(points[0]):
             raise ValueError(f"pointcloud_data[{name!r}] must be [M, 3], got {list(value.shape)}")

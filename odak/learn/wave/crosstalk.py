@@ -4,6 +4,8 @@ import math
 
 import torch
 
+from odak.learn._precision import in_own_precision
+
 
 def gaussian_kernel(sigma: float) -> torch.Tensor:
     """Return the share of a Gaussian that falls on each sample, float64 ``[2·ceil(5σ) + 1]``.
@@ -26,6 +28,7 @@ def gaussian_kernel(sigma: float) -> torch.Tensor:
     return torch.erf(edges).diff() / 2
 
 
+@in_own_precision
 def smooth(phase: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
     """Return the phase convolved with a kernel divided by its sum, the panel continued by its rim.
 

@@ -1,10 +1,12 @@
 """A batch of propagations spread over the GPUs of one machine: from one process, or with one process per GPU."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import torch
 import torch.distributed as dist
+
+from odak.learn._tensors import checked_device
 
 __all__ = ["across_devices", "across_ranks"]
 
@@ -55,7 +57,7 @@ def across_devices(
     >>> across_devices(propagate_beam, fields, None, 1e-3, 8e-6, 532e-9, devices=["cpu", "cpu"]).shape
     torch.Size([5, 16, 16])
     """
-    tensors, home = _checked(batch)
+    tensors, home = _checked(function, batch)
     where = _devices(devices, home)[: max(1, len(tensors[0]))]
     parts = zip(*(torch.tensor_split(tensor, len(where)) for tensor in tensors), strict=True)
     results = []
@@ -104,13 +106,16 @@ def across_ranks(
     go on to compute the same loss from the result and call ``backward``; each then holds the gradient of the whole
     batch. Tensors that the function takes from elsewhere get the gradient of this process's part alone.
     """
-    tensors, home = _checked(batch)
+    tensors, home = _checked(function, batch)
+    device = checked_device("device", device)
+    if group is not None and not isinstance(group, getattr(dist, "ProcessGroup", ())):
+        raise TypeError(f"group must be a torch.distributed.ProcessGroup or None, got {type(group).__name__}")
     if not dist.is_available() or not dist.is_initialized():
         return function(*tensors, *arguments, **options)
     group = dist.group.WORLD if group is None else group
     if not len(tensors[0]):
         raise ValueError("batch must not be empty where several processes share it")
-    device = home if device is None else torch.device(device)
+    device = home if device is None else device
 
     def prepare(value: Any) -> Any:
         return _shared(_to(value, device), group)
@@ -122,7 +127,9 @@ def across_ranks(
     return _join([result], lambda pieces: _Gather.apply(pieces[0], count, group).to(home))
 
 
-def _checked(batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
+def _checked(function: Callable, batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
+    if not callable(function):
+        raise TypeError(f"function must be callable, got {type(function).__name__}")
     tensors = (batch,) if isinstance(batch, torch.Tensor) else tuple(batch) if isinstance(batch, (tuple, list)) else ()
     if not tensors or not all(isinstance(tensor, torch.Tensor) for tensor in tensors):
         raise TypeError(f"batch must be a tensor or a tuple of them, got {type(batch).__name__}")
@@ -135,7 +142,9 @@ def _checked(batch: Tensors) -> tuple[tuple[torch.Tensor, ...], torch.device]:
 def _devices(devices, home: torch.device) -> list[torch.device]:
     if devices is None:
         return [torch.device("cuda", index) for index in range(torch.cuda.device_count())] or [home]
-    found = [torch.device(device) for device in devices]
+    if isinstance(devices, str) or not isinstance(devices, Iterable):
+        raise TypeError(f"devices must be a sequence of devices, got {devices!r:.80}")
+    found = [checked_device("devices", device) for device in devices]
     if not found:
         raise ValueError("devices must name at least one device")
     return found

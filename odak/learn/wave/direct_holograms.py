@@ -6,6 +6,8 @@ import torch
 
 from odak import _validate
 from odak._array import phasor
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, floating, tensor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.util import generate_complex_field
 from odak.wave.spectral import convolve
@@ -42,11 +44,12 @@ def point_wise(
     ValueError, TypeError
         If an argument is outside its range, naming it.
     """
-    target = _validate.image("target", target).to(device)
+    target = _validate.image("target", tensor("target", target)).to(checked_device("device", device))
+    device = target.device
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance, nonzero=True)
     _validate.real("dx", dx, positive=True)
-    radius = _validate.integer("lens_size", lens_size, minimum=1)
+    radius = _validate.side("lens_size", lens_size)
     dtype = torch.complex128 if target.dtype == torch.float64 else torch.complex64
     y, x = (torch.fft.fftfreq(2 * n, 1 / (2 * n), dtype=torch.float64, device=device) for n in target.shape[-2:])
     squared = y[:, None] ** 2 + x[None, :] ** 2
@@ -94,7 +97,10 @@ def shift_w_double_phase(
     -----
     Shi, Li, Kim, Kellnhofer and Matusik, Nature 591, 234 (2021); Hsueh and Sawchuk, Appl. Opt. 17, 3874 (1978).
     """
-    phase = _validate.image("phase", phase)
+    phase = _validate.image("phase", floating("phase", phase))
+    _validate.real("depth_shift", depth_shift)
+    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    kernel_length, sigma = _validate.whole("kernel_length", kernel_length), _validate.real("sigma", sigma)
     field = generate_complex_field(torch.ones_like(phase) if amplitude is None else amplitude, phase)
     field = propagate_beam(field, None, depth_shift, pixel_pitch, wavelength, propagation_type)
     carrier = torch.tensor(-2 * math.pi * (depth_shift / wavelength % 1), dtype=torch.float64, device=phase.device)
@@ -127,6 +133,7 @@ def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
     return phase + sign * offset
 
 
+@in_own_precision
 def _blur(field, length, sigma):
     """Return the field smoothed by a Gaussian of unit sum, real and imaginary parts alike."""
     half = length // 2

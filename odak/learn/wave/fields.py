@@ -5,7 +5,11 @@ import itertools
 import torch
 from torch.autograd.function import once_differentiable
 
+from odak import _array, _validate
+from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.workspace import Workspace, room
+
+_HALVES = (torch.float16, torch.bfloat16)
 
 
 def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
@@ -21,12 +25,17 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     torch.Tensor
         Complex field of amplitude one, in the phase's precision; differentiable any number of times.
     """
-    return _UnitPhasor.apply(phase)
+    if not isinstance(phase, torch.Tensor) or phase.is_complex():
+        raise TypeError(f"phase must be a real tensor, got {getattr(phase, 'dtype', type(phase).__name__)}")
+    # There are no complex numbers to match the half precisions.
+    return _UnitPhasor.apply(phase.float() if phase.dtype in _HALVES else phase)
 
 
 def intensity(field: torch.Tensor) -> torch.Tensor:
     """Return |field|², real, in the field's precision; differentiable any number of times, also at zero."""
-    return _Intensity.apply(field)
+    if not isinstance(field, torch.Tensor):
+        raise TypeError(f"field must be a complex tensor, got {type(field).__name__}")
+    return _Intensity.apply(_array.to_complex(field).resolve_conj())
 
 
 def exposure(
@@ -52,7 +61,19 @@ def exposure(
         Σ_f power² · |field|², ``[planes, colours, rows, columns]``, differentiable any number of times in both. With
         `one_each` no sum: ``[planes, frames, rows, columns]``.
     """
-    return _Exposure.apply(field, power, one_each, workspace)
+    one_each = _validate.flag("one_each", one_each)
+    if not isinstance(field, torch.Tensor) or not field.is_complex():
+        raise TypeError(f"field must be a complex tensor, got {getattr(field, 'dtype', type(field).__name__)}")
+    if field.ndim != 5 or (one_each and field.shape[2] != 1):
+        raise ValueError(
+            f"field must be [frames, planes, colours (1 with one_each), rows, columns], got {list(field.shape)}"
+        )
+    power = tensor("power", power).to(field.real.dtype)
+    if tuple(power.shape) != (field.shape[0], field.shape[2]):
+        raise ValueError(f"power must be [{field.shape[0]}, {field.shape[2]}] like field, got {list(power.shape)}")
+    if workspace is not None and not isinstance(workspace, Workspace):
+        raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+    return _Exposure.apply(trainable(field.resolve_conj()), trainable(power), one_each, workspace)
 
 
 def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:

@@ -4,6 +4,7 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import checked_generator
 from odak.learn.tools.device import get_device
 from odak.learn.tools.matrix import blur_gaussian
 
@@ -107,7 +108,8 @@ class FocalTargets(nn.Module):
         self.multiplier = _validate.real("multiplier", multiplier)
         self.scheme = _validate.one_of("scheme", scheme, SCHEMES)
         self.reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
-        self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, generator
+        self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, None
+        self.generator = checked_generator("generator", generator)
         image, depth = _checked_picture(image, depth)
         device = image.device if device is None else get_device(device)
         self.register_buffer("target_image", image.to(device), False)
@@ -150,6 +152,15 @@ class FocalTargets(nn.Module):
         self, image: torch.Tensor, target: torch.Tensor, plane_id: int | None, inject_noise: bool, noise_ratio: float
     ) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
         """Return three pairs to compare: images, images inside the plane's mask, images weighed by the target."""
+        for name, value in (("image", image), ("target", target)):
+            if not isinstance(value, torch.Tensor) or value.is_complex():
+                raise TypeError(f"{name} must be a real tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+        if plane_id is not None:
+            plane_id = _validate.whole("plane_id", plane_id, minimum=-self.number_of_planes)
+        inject_noise, noise_ratio = (
+            _validate.flag("inject_noise", inject_noise),
+            _validate.real("noise_ratio", noise_ratio),
+        )
         image, target = _without_leading_ones(image, target)
         mask = self._mask(image, plane_id)
         noisy = target

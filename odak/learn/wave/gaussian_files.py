@@ -15,7 +15,7 @@ from odak.tools._paths import validate_path
 EXTENSIONS = (".pth", ".pt")
 
 
-def save(path: str | os.PathLike, contents: dict[str, Any]) -> None:
+def save(path: str | os.PathLike, contents: dict[str, Any], name: str = "path") -> None:
     """Write tensors by name to a ``.pth`` or ``.pt`` file, whole or not at all.
 
     Raises
@@ -23,10 +23,10 @@ def save(path: str | os.PathLike, contents: dict[str, Any]) -> None:
     ValueError
         If the path is not acceptable or its folder does not exist.
     """
-    save_torch_tensor(validate_path(path, EXTENSIONS), contents)
+    save_torch_tensor(validate_path(path, EXTENSIONS, name=name), contents)
 
 
-def load(path: str | os.PathLike, names: Iterable[str], device: torch.device) -> dict[str, Any]:
+def load(path: str | os.PathLike, names: Iterable[str], device: torch.device, name: str = "path") -> dict[str, Any]:
     """Read what :func:`save` wrote.
 
     Raises
@@ -36,7 +36,7 @@ def load(path: str | os.PathLike, names: Iterable[str], device: torch.device) ->
     ValueError
         If the path is not acceptable, or the file is broken, would run code, or lacks one of the tensors.
     """
-    path = validate_path(path, EXTENSIONS)
+    path = validate_path(path, EXTENSIONS, name=name)
     try:
         contents = torch_load(path, map_location=device)
     except FileNotFoundError:
@@ -61,7 +61,7 @@ def picture_size(name: str, size) -> tuple[int, int]:
     """Return the width and height of a picture as integers; raise ValueError for anything but two positive ones."""
     try:
         width, height = size
-        return _validate.integer(name, int(width), minimum=1), _validate.integer(name, int(height), minimum=1)
+        return _validate.side(name, width), _validate.side(name, height)
     except (TypeError, ValueError):
         raise ValueError(f"{name} must be two positive integers (width, height), got {size!r}") from None
 

@@ -1,10 +1,14 @@
 """Gaussians in space, seen by a camera, as fields on planes and as the hologram of these."""
 
+from collections.abc import Iterable
 from functools import lru_cache
+from typing import Any
 
 import torch
 
 from odak import _validate
+from odak._array import is_readable
+from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.camera import PerspectiveCamera
 from odak.learn.wave import gaussian_files
 from odak.learn.wave.complex_gaussians_3d import complex_3d_gaussians
@@ -59,10 +63,12 @@ class Scene:
     (torch.Size([3, 32, 32]), torch.Size([2, 3, 32, 32]))
     """
 
-    def __init__(self, gaussians: complex_3d_gaussians, args_prop, *, rotate_as_points: bool = False):
+    def __init__(self, gaussians: complex_3d_gaussians, args_prop: Any, *, rotate_as_points: bool = False):
+        if not isinstance(gaussians, complex_3d_gaussians):
+            raise TypeError(f"gaussians must be complex_3d_gaussians, got {type(gaussians).__name__}")
         wavelengths, pitch, distances, pad_size, aperture = gaussian_files.settings(args_prop, _SETTINGS)
         self.gaussians, self.args_prop = gaussians, args_prop
-        self.rotate_as_points = bool(rotate_as_points)
+        self.rotate_as_points = _validate.flag("rotate_as_points", rotate_as_points)
         self.wavelengths = _validate.real("wavelengths", gaussian_files.lengths(wavelengths), positive=True)
         self.pixel_pitch = _validate.real("pixel_pitch", pitch, positive=True)
         self.distances = _validate.real("distances", gaussian_files.lengths(distances))
@@ -88,21 +94,25 @@ class Scene:
         torch.Tensor
             ``[N, H, W]``.
         """
+        alphas = shaped("alphas", alphas, "N", "H", "W")
         passed = torch.cat([torch.ones_like(alphas[:1]), 1 - alphas[:-1]]).cumprod(0)
-        return passed.where(passed >= FAINTEST, 0.0)
+        return passed.where(~((passed < FAINTEST) & passed.isfinite()), 0.0)
 
     def compute_depth_values(self, camera: PerspectiveCamera) -> torch.Tensor:
         """Return the depths z of the Gaussians in the axes of the camera ``[N]``."""
-        return camera.transform_world_to_camera_space(self.gaussians.means)[:, 2]
+        return _checked(camera).transform_world_to_camera_space(self.gaussians.means)[:, 2]
 
     def calculate_gaussian_directions(self, means_3D: torch.Tensor, camera: PerspectiveCamera) -> torch.Tensor:
         """Return unit vectors from the camera to points ``[N, 3]``."""
-        return torch.nn.functional.normalize(means_3D - camera.get_camera_center(), dim=-1)
+        means_3D = shaped("means_3D", means_3D, "N", 3)
+        return torch.nn.functional.normalize(means_3D - _checked(camera).get_camera_center(), dim=-1)
 
     def get_idxs_to_filter_and_sort(self, z_vals: torch.Tensor) -> torch.Tensor:
         """Return the numbers of depths from 0 on, in ascending order of depth."""
+        z_vals = shaped("z_vals", z_vals, "N")
         order = z_vals.argsort(stable=True)
-        return order[z_vals[order] >= 0]
+        # What is not a number comes last and is kept, so that it is seen.
+        return order[~(z_vals[order] < 0)]
 
     def splat(
         self,
@@ -161,9 +171,21 @@ class Scene:
         width, height = gaussian_files.picture_size("img_size", img_size)
         if (height, width) != self.pad_size:
             raise ValueError(f"img_size must be (width, height) of pad_size {list(self.pad_size)}, got {img_size}")
-        planes = plane_probs.shape[-1]
+        tile_size = _tile_size(tile_size)
         across, down = (min(n if n > 0 else _TILE, size) for n, size in zip(tile_size, (width, height), strict=True))
-        rays = _rays(camera, means_3D)
+        means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = rows_of(
+            means_3D=(means_3D, 3),
+            z_vals=(z_vals,),
+            quats=(quats, 4),
+            scales=(scales, 3),
+            colours=(colours, "C"),
+            phase=(phase, "C"),
+            opacities=(opacities,),
+            plane_probs=(plane_probs, "P"),
+        )
+        wavelengths = self._checked_wavelengths(wavelengths, plane_probs, colours, phase)
+        planes = plane_probs.shape[-1]
+        rays = _rays(_checked(camera), means_3D)
         covariance = self._project(*rays[:3], quats, scales, (width, height), camera)
         means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
         self.mean_2D_for_planeprob = means.detach()
@@ -174,10 +196,10 @@ class Scene:
     def splat_tile(
         self,
         R: torch.Tensor,
-        fx,
-        fy,
-        px,
-        py,
+        fx: float | torch.Tensor,
+        fy: float | torch.Tensor,
+        px: float | torch.Tensor,
+        py: float | torch.Tensor,
         cam_means_3D: torch.Tensor,
         z_vals: torch.Tensor,
         quats: torch.Tensor,
@@ -226,12 +248,28 @@ class Scene:
         ValueError
             If the tile is outside the picture.
         """
+        tile_size, img_size = _tile_size(tile_size), gaussian_files.picture_size("img_size", img_size)
+        tile_x, tile_y = _validate.whole("tile_x", tile_x), _validate.whole("tile_y", tile_y)
+        for name, number in (("px", px), ("py", py)):
+            _validate.real(name, number)
+        cam_means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = rows_of(
+            cam_means_3D=(cam_means_3D, 3),
+            z_vals=(z_vals,),
+            quats=(quats, 4),
+            scales=(scales, 3),
+            colours=(colours, "C"),
+            phase=(phase, "C"),
+            opacities=(opacities,),
+            plane_probs=(plane_probs, "P"),
+        )
+        _validate.fitting(colours=colours, phase=phase)
+        if not plane_probs.shape[1]:
+            raise ValueError(f"plane_probs must have a plane at least, got {list(plane_probs.shape)}")
         corner = [place * (n if n > 0 else _TILE) for place, n in zip((tile_x, tile_y), tile_size, strict=True)]
         sizes = [min(n if n > 0 else _TILE, size - at) for n, size, at in zip(tile_size, img_size, corner, strict=True)]
         if min(*corner) < 0 or min(*sizes) < 1:
             raise ValueError(f"tile_x and tile_y must be a tile of a picture of {img_size}, got {(tile_x, tile_y)}")
-        some = torch.as_tensor(gaussian_indices, device=cam_means_3D.device)
-        some = some if some.dtype == torch.bool else some.long()
+        some = _numbers_of(gaussian_indices, len(cam_means_3D), cam_means_3D.device)
         cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
         covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
         means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
@@ -270,7 +308,7 @@ class Scene:
         tuple of torch.Tensor
             As from :meth:`splat`.
         """
-        width, height = img_size
+        width, height = _tile_size(img_size, "img_size")
         if width <= 0 and height <= 0:
             height, width = self.pad_size
         depths = self.compute_depth_values(camera)
@@ -294,14 +332,21 @@ class Scene:
         rotation = rotation.T if self.rotate_as_points else rotation
         return self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, rotation, img_size)
 
-    def _propagate(self, fields, wavelengths):
-        wavelengths = gaussian_files.lengths(wavelengths)
-        planes, colours = fields.shape[:2]
-        if planes != len(self.distances) or colours != len(wavelengths):
+    def _checked_wavelengths(self, wavelengths, plane_probs, colours, phase):
+        """Return the wavelengths; raise ValueError unless planes and colours are as many as distances and these."""
+        wavelengths = gaussian_files.lengths(tensor("wavelengths", wavelengths))
+        _validate.real("wavelengths", wavelengths, positive=True)
+        _validate.fitting(colours=colours, phase=phase)
+        planes, count = plane_probs.shape[1], colours.shape[1]
+        if planes != len(self.distances) or count != len(wavelengths):
             raise ValueError(
-                f"there must be a distance for each of {planes} planes and a wavelength for each of {colours} colours; "
-                f"got {len(self.distances)} distances and {len(wavelengths)} wavelengths"
+                "plane_probs must have a column for each distance, and colours one for each "
+                f"of the wavelengths; got {planes} planes and {count} colours for "
+                f"{len(self.distances)} distances and {len(wavelengths)} wavelengths"
             )
+        return wavelengths
+
+    def _propagate(self, fields, wavelengths):
         aperture = 1.0 if self.aperture_size == -1 else _aperture(self.pad_size, self.aperture_size, fields.device)
         back = -self.distances[:, None]
         return propagate_beam(fields, None, back, self.pixel_pitch, wavelengths, aperture=aperture).sum(0)
@@ -311,6 +356,34 @@ class Scene:
 def _aperture(shape, radius, device):
     with torch.inference_mode(False):
         return disc(tuple(2 * n for n in shape), radius).to(device)
+
+
+def _checked(camera):
+    """Return a camera; raise TypeError for anything that cannot be one."""
+    for name in ("R", "focal_length", "principal_point", "transform_world_to_camera_space"):
+        if not hasattr(camera, name):
+            raise TypeError(f"camera must be a PerspectiveCamera, got {camera!r:.80}, which has no {name}")
+    return camera
+
+
+def _tile_size(size, name="tile_size") -> tuple[int, int]:
+    """Return a width and a height, which need not be positive."""
+    if isinstance(size, str) or not isinstance(size, Iterable) or len(size := tuple(size)) != 2:
+        raise ValueError(f"{name} must be two integers (width, height), got {size!r:.80}")
+    return tuple(_validate.whole(name, n, minimum=-_validate.LONGEST_SIDE) for n in size)
+
+
+def _numbers_of(gaussian_indices, count, device) -> torch.Tensor:
+    """Return the numbers, or the choice by truth values, of some of `count` Gaussians."""
+    some = tensor("gaussian_indices", gaussian_indices, device=device)
+    if some.ndim != 1 or (some.dtype == torch.bool and len(some) != count):
+        raise ValueError(f"gaussian_indices must be [n] numbers or {count} truth values, got {list(some.shape)}")
+    if some.dtype == torch.bool:
+        return some
+    some = some.long()
+    if is_readable(some) and bool(((some < -count) | (some >= count)).any()):
+        raise ValueError(f"gaussian_indices must be below {count}, got {some.min().item()} to {some.max().item()}")
+    return some
 
 
 def _rays(camera, means_3D):
@@ -334,6 +407,8 @@ def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs,
     on_plane = torch.ones_like(choices, dtype=torch.bool) if plane_probs.requires_grad else choices != 0
     who, layer = on_plane.nonzero(as_tuple=True)
     who = order[who]
+    # A Gaussian that has no place in the order is not left out.
+    opacities = opacities.where(~z_vals.isnan(), torch.nan)
     weights = (torch.polar(torch.ones_like(phase), phase) * colours)[who]
     rows = conics[:, [0, 0, 1], [0, 1, 1]][who]
     means, tiling = means[who], finer_tiling(tiling, means[who], rows) if len(who) else tiling

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import torch
 
 from odak import _validate
+from odak.learn._tensors import floating
 from odak.learn.wave.camera_in_the_loop import captured_by, seen
 from odak.learn.wave.compat import accepts_older_form
 from odak.learn.wave.fields import intensity, unit_phasor
@@ -112,7 +113,12 @@ def stochastic_gradient_descent(
     """
     target = _checked_target(target)
     n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
+    _validate.real("pixel_pitch", pixel_pitch, positive=True)
     _validate.real("learning_rate", learning_rate, positive=True)
+    scale = _validate.flag("scale", scale)
+    for name, function in (("loss_function", loss_function), ("slm", slm), ("camera", camera)):
+        _validate.function_or_none(name, function)
+    options = Options(progress, callback, checkpoint, checkpoint_every, seed)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     phase = _starting_phase(target, initial_phase, seed).requires_grad_()
     modulate = unit_phasor if slm is None else slm
@@ -140,7 +146,6 @@ def stochastic_gradient_descent(
         loss.backward()
         return loss.detach()
 
-    options = Options(progress, callback, checkpoint, checkpoint_every, seed)
     about = {"learning_rate": learning_rate, "optimizer": optimizer}
     minimise({"phase": phase}, gradient, n_iteration, constant(learning_rate), options, solver=optimizer, about=about)
     with torch.no_grad():
@@ -169,6 +174,7 @@ def _checked_target(target) -> torch.Tensor:
 
 def _starting_phase(target, initial_phase, seed) -> torch.Tensor:
     if initial_phase is not None:
+        _validate.real("initial_phase", floating("initial_phase", initial_phase).detach().cpu())
         if tuple(initial_phase.shape) != tuple(target.shape):
             raise ValueError(
                 f"initial_phase must have the target's shape {tuple(target.shape)}, got {tuple(initial_phase.shape)}"

@@ -1,10 +1,11 @@
 """A holographic display without a relay: a modulator, a pinhole and the planes in front of them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import torch
 
 from odak import _array, _validate
+from odak.learn._tensors import checked_device, floating, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.light_path import plane_distances
 from odak.learn.wave.spectral import convolve
@@ -75,8 +76,12 @@ class holographic_display(display_volume):
         device: torch.device | None = None,
     ):
         layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
-        if len(pad) != 2:
+        if isinstance(pad, str) or not isinstance(pad, Iterable) or len(pad := list(pad)) != 2:
             raise ValueError(f"pad must be two booleans, got {pad!r}")
+        pad, device = [_validate.flag("pad", flag) for flag in pad], checked_device("device", device)
+        _validate.real("pinhole_size", pinhole_size, positive=True)
+        _validate.real("volume_depth", volume_depth)
+        _validate.real("image_location_offset", image_location_offset)
         super().__init__(
             resolution,
             wavelengths,
@@ -86,7 +91,7 @@ class holographic_display(display_volume):
             offset=image_location_offset,
             padding=2 if pad[0] else 1,
         )
-        self.volume_depth, self.pinhole_size, self.pad = volume_depth, pinhole_size, [bool(pad[0]), bool(pad[1])]
+        self.volume_depth, self.pinhole_size, self.pad = volume_depth, pinhole_size, pad
         self.init_aperture()
         self.init_amplitude(illumination)
         if device is not None:
@@ -100,7 +105,7 @@ class holographic_display(display_volume):
         """Set the amplitude of the light on the modulator ``[m, n]``: that given, or one everywhere."""
         if illumination is None:
             illumination = torch.ones(self.resolution)
-        _validate.image("illumination", illumination)
+        illumination = _validate.image("illumination", tensor("illumination", illumination))
         if tuple(illumination.shape) != tuple(self.resolution):
             raise ValueError(f"illumination must be {self.resolution}, got {tuple(illumination.shape)}")
         self.register_buffer("amplitude", illumination.to(self.device), persistent=False)
@@ -167,11 +172,16 @@ class holographic_display(display_volume):
         if not isinstance(hologram_phases, torch.Tensor) or not hologram_phases.is_floating_point():
             kind = getattr(hologram_phases, "dtype", type(hologram_phases).__name__)
             raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
-        if hologram_phases.ndim != 3 or tuple(hologram_phases.shape[1:]) != tuple(self.resolution):
+        if (
+            hologram_phases.ndim != 3
+            or not len(hologram_phases)
+            or tuple(hologram_phases.shape[1:]) != tuple(self.resolution)
+        ):
             raise ValueError(
                 f"hologram_phases must be [frames, {self.resolution[0]}, {self.resolution[1]}], "
                 f"got {tuple(hologram_phases.shape)}"
             )
+        laser_powers = floating("laser_powers", laser_powers)
         expected = (len(hologram_phases), self.number_of_channels)
         if tuple(laser_powers.shape) != expected:
             raise ValueError(f"laser_powers must be [frames, colours] = {expected}, got {tuple(laser_powers.shape)}")

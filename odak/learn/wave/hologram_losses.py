@@ -6,6 +6,9 @@ from collections.abc import Callable, Sequence
 import torch
 
 from odak import _validate
+from odak.learn._tensors import floating
+from odak.learn.tools.file import torch_load
+from odak.tools._paths import validate_path
 
 WEIGHTS = {"image": 1.0, "light": 1.0, "eyebox": 1.0, "phase": 0.0}
 _OLDER_ORDER = ("image", "light", "phase", "eyebox")
@@ -35,17 +38,21 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
     if given is None:
         return dict(defaults)
     if not isinstance(given, dict):
+        given = _validate.several("weights", given)
         if len(given) > len(_OLDER_ORDER):
             raise ValueError(f"weights must be at most {len(_OLDER_ORDER)} ({', '.join(_OLDER_ORDER)}), got {given!r}")
         # A loss that the older form leaves out has no weight.
         given = dict.fromkeys(_OLDER_ORDER, 0.0) | dict(zip(_OLDER_ORDER, given, strict=False))
-    unknown = sorted(set(given) - set(defaults))
+    unknown = sorted(set(map(str, given)) - set(defaults))
     if unknown:
         raise ValueError(f"weights must be of {', '.join(defaults)}; got {', '.join(map(repr, unknown))}")
     for name, value in given.items():
         if _validate.real(f"weights[{name!r}]", value) < 0:
             raise ValueError(f"weights[{name!r}] must not be negative, got {value}")
-    return defaults | {name: float(value) for name, value in given.items()}
+    weights = defaults | {name: float(value) for name, value in given.items()}
+    if not any(weights.values()):
+        raise ValueError(f"weights must hold one above zero, got {given!r}")
+    return weights
 
 
 def keywords_of(loss: Callable) -> set[str]:
@@ -92,3 +99,35 @@ def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
     if bool((targets < 0).any()):
         raise ValueError(f"targets must not be negative, got {targets.min().item()}")
     return targets.detach()
+
+
+def check_pair(input_image, target_image) -> None:
+    """Raise ValueError or TypeError unless an image and its target are real tensors of one shape."""
+    for name, image in (("input_image", input_image), ("target_image", target_image)):
+        if not isinstance(image, torch.Tensor) or image.is_complex():
+            raise TypeError(f"{name} must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+    if not input_image.ndim or input_image.shape != target_image.shape:
+        raise ValueError(
+            "input_image and target_image must have one shape [colours, rows, columns], got "
+            f"{list(input_image.shape)} and {list(target_image.shape)}"
+        )
+
+
+def checked_eyebox(eyebox: dict | None) -> dict:
+    """Return offset and diameter of an eyebox in samples, the usual ones where they are not given."""
+    usual = {"offset": 0.0, "diameter": 100}
+    if eyebox is not None and not isinstance(eyebox, dict):
+        raise TypeError(f"eyebox must be a dictionary of offset and diameter, got {eyebox!r:.80}")
+    if unknown := set(map(str, eyebox or {})) - set(usual):
+        raise ValueError(f"eyebox must hold offset and diameter, got {', '.join(sorted(unknown))}")
+    return usual | (eyebox or {})
+
+
+def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:
+    """Return the channel powers ``[F, C]`` in a file, clipped to 0 … 1."""
+    path = validate_path(filename, name="channel_power_filename")
+    powers = torch_load(path)
+    if not isinstance(powers, torch.Tensor) or tuple(powers.shape) != shape:
+        got = list(powers.shape) if isinstance(powers, torch.Tensor) else type(powers).__name__
+        raise ValueError(f"channel_power_filename {path!r} must hold a tensor {list(shape)}, got {got}")
+    return floating("channel_power_filename", powers).clamp(0, 1)

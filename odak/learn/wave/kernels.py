@@ -1,15 +1,20 @@
 """Transfer functions as tensors, centred."""
 
 from collections.abc import Sequence
-from functools import partial
 
 import torch
 from array_api_compat import torch as torch_namespace
 
+from odak.learn._tensors import checked_device
 from odak.wave import kernels
+from odak.wave.propagation import sample_counts
 
 _CPU = torch.device("cpu")
-_on_torch = partial(kernels.get_propagation_kernel, xp=torch_namespace)
+
+
+def _on_torch(*arguments, device, dtype):
+    device = checked_device("device", device)
+    return kernels.get_propagation_kernel(*arguments, xp=torch_namespace, device=device, dtype=dtype)
 
 
 def get_propagation_kernel(
@@ -57,43 +62,67 @@ def get_propagation_kernel(
 
 
 def get_angular_spectrum_kernel(
-    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    device: torch.device | str = _CPU,
+    dtype: torch.dtype = torch.complex64,
 ) -> torch.Tensor:
     """Return the centred angular-spectrum kernel; see :func:`get_propagation_kernel`."""
     return _on_torch(nu, nv, dx, wavelength, distance, "Angular Spectrum", device=device, dtype=dtype)
 
 
 def get_band_limited_angular_spectrum_kernel(
-    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    device: torch.device | str = _CPU,
+    dtype: torch.dtype = torch.complex64,
 ) -> torch.Tensor:
     """Return the centred band-limited angular-spectrum kernel; see :func:`get_propagation_kernel`."""
     return _on_torch(nu, nv, dx, wavelength, distance, "Bandlimited Angular Spectrum", device=device, dtype=dtype)
 
 
 def get_incoherent_angular_spectrum_kernel(
-    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    device: torch.device | str = _CPU,
+    dtype: torch.dtype = torch.complex64,
 ) -> torch.Tensor:
     """Return the centred optical transfer function of free space; see :func:`get_propagation_kernel`."""
     return _on_torch(nu, nv, dx, wavelength, distance, "Incoherent Angular Spectrum", device=device, dtype=dtype)
 
 
 def get_transfer_function_fresnel_kernel(
-    nu, nv, dx=8e-6, wavelength=515e-9, distance=0.0, device=_CPU, dtype=torch.complex64
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    device: torch.device | str = _CPU,
+    dtype: torch.dtype = torch.complex64,
 ) -> torch.Tensor:
     """Return the centred Fresnel transfer function; see :func:`get_propagation_kernel`."""
     return _on_torch(nu, nv, dx, wavelength, distance, "Transfer Function Fresnel", device=device, dtype=dtype)
 
 
 def get_impulse_response_fresnel_kernel(
-    nu,
-    nv,
-    dx=8e-6,
-    wavelength=515e-9,
-    distance=0.0,
-    device=_CPU,
-    scale=1,
-    aperture_samples=(20, 20, 5, 5),
-    dtype=torch.complex64,
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    device: torch.device | str = _CPU,
+    scale: int = 1,
+    aperture_samples: Sequence[int] = (20, 20, 5, 5),
+    dtype: torch.dtype = torch.complex64,
 ) -> torch.Tensor:
     """Return the centred transform of the Fresnel impulse response; see :func:`get_propagation_kernel`."""
     return _on_torch(
@@ -104,22 +133,22 @@ def get_impulse_response_fresnel_kernel(
         distance,
         "Impulse Response Fresnel",
         scale,
-        aperture_samples,
+        sample_counts(aperture_samples, "aperture_samples"),
         device=device,
         dtype=dtype,
     )
 
 
 def get_seperable_impulse_response_fresnel_kernel(
-    nu,
-    nv,
-    dx=3.74e-6,
-    wavelength=515e-9,
-    distance=0.0,
-    scale=1,
-    aperture_samples=(50, 50, 5, 5),
-    device=_CPU,
-    dtype=torch.complex64,
+    nu: int,
+    nv: int,
+    dx: float | torch.Tensor = 3.74e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
+    scale: int = 1,
+    aperture_samples: Sequence[int] = (50, 50, 5, 5),
+    device: torch.device | str = _CPU,
+    dtype: torch.dtype = torch.complex64,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the Fresnel kernel and its parts.
 
@@ -133,7 +162,8 @@ def get_seperable_impulse_response_fresnel_kernel(
     """
     if distance == 0:
         raise ValueError("distance must not be zero for 'Seperable Impulse Response Fresnel'")
+    samples, device = sample_counts(aperture_samples, "aperture_samples"), checked_device("device", device)
     grid = kernels.make_grid(
-        nu, nv, dx, wavelength, distance, scale, aperture_samples, xp=torch_namespace, device=device, dtype=dtype
+        nu, nv, dx, wavelength, distance, scale, samples, xp=torch_namespace, device=device, dtype=dtype
     )
     return kernels.separable_impulse_response(grid)

@@ -1,22 +1,30 @@
 """Thin phase elements as tensors: lenses, prisms and gratings."""
 
+from collections.abc import Sequence
+from typing import Any
+
 import torch
 from array_api_compat import torch as torch_namespace
 
 from odak import _validate
 from odak._array import phasor
+from odak.learn._tensors import checked_device
 from odak.wave import lens
 
 _CPU = torch.device("cpu")
 
 
-def lens_phase(shape, focal, dx, wavelength, offset=(0.0, 0.0), device: torch.device = _CPU) -> torch.Tensor:
+def lens_phase(
+    shape: Any, focal: Any, dx: Any, wavelength: Any, offset: Any = (0.0, 0.0), device: torch.device = _CPU
+) -> torch.Tensor:
     """Return the phase of a thin lens on the field's own grid; see :func:`odak.wave.lens_phase`."""
-    return lens.lens_phase(shape, focal, dx, wavelength, offset, xp=torch_namespace, device=device)
+    return lens.lens_phase(
+        shape, focal, dx, wavelength, offset, xp=torch_namespace, device=checked_device("device", device)
+    )
 
 
 def quadratic_phase_function(
-    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset=(0, 0)
+    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
 ) -> torch.Tensor:
     """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
@@ -39,6 +47,7 @@ def quadratic_phase_function(
         complex64 ``[nx, ny]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
     _validate.real("focal", focal, nonzero=True)
     squared = lens.squared_radius(nx, ny, dx, offset, torch_namespace)
     return phasor(-k * squared / (2 * focal), torch.complex64)

@@ -2,11 +2,13 @@
 
 import math
 from collections.abc import Sequence
+from numbers import Real
 
 import torch
 
 from odak import _validate
 from odak._array import phasor
+from odak.learn._tensors import checked_device, checked_generator, floating, tensor
 from odak.learn.wave.kernels import get_propagation_kernel
 from odak.wave.methods import find_method
 
@@ -15,9 +17,9 @@ _CHUNK_BYTES = 1 << 27
 
 
 def get_light_kernels(
-    wavelengths,
-    distances,
-    pixel_pitches,
+    wavelengths: Sequence[float],
+    distances: Sequence[float],
+    pixel_pitches: Sequence[float],
     resolution: Sequence[int] = (1080, 1920),
     resolution_factor: int = 1,
     samples: Sequence[int] = (50, 50, 5, 5),
@@ -53,8 +55,11 @@ def get_light_kernels(
     kernel_type = _validate.one_of("kernel_type", kernel_type, ("spatial", "fourier"))
     rows, columns = _validate.size("resolution", resolution)
     method = find_method(propagation_type)
-    factor = resolution_factor if method and "Impulse Response" in method.name else 1
-    wavelengths, distances, pitches = (_validate.numbers(value) for value in (wavelengths, distances, pixel_pitches))
+    factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
+    factor = factor if method and "Impulse Response" in method.name else 1
+    device = checked_device("device", device)
+    wavelengths, distances = _lengths("wavelengths", wavelengths, True), _lengths("distances", distances, False)
+    pitches = _lengths("pixel_pitches", pixel_pitches, True)
     shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
     kernels = torch.empty(shape, dtype=torch.complex64, device=device)
     colours = torch.tensor(wavelengths, dtype=torch.float64, device=device)[:, None]
@@ -69,6 +74,14 @@ def get_light_kernels(
         kernels = torch.fft.fftshift(torch.fft.ifft2(spectrum, dim=axes), dim=axes)
     parameters = _parameters(wavelengths, distances, pitches, (rows, columns), shape, device)
     return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
+
+
+def _lengths(name, values, positive) -> list[float]:
+    alone = isinstance(values, Real) or getattr(values, "ndim", 1) == 0
+    lengths = _validate.several(name, [values] if alone else values, positive=positive)
+    if not lengths:
+        raise ValueError(f"{name} must hold at least one length, got none")
+    return _validate.numbers(lengths)
 
 
 def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> torch.Tensor:
@@ -132,16 +145,25 @@ def get_point_wise_impulse_response_fresnel_kernel(
     ValueError
         If the number of targets does not match the resolution, or the distance is zero.
     """
-    rows, columns = (resolution_factor * n for n in _validate.size("resolution", resolution))
+    factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
+    rows, columns = (factor * n for n in _validate.size("resolution", resolution))
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance, nonzero=True)
-    if target_points.shape[0] != rows * columns:
+    device = checked_device("device", device)
+    sources, targets = (
+        _positions(name, points).to(device=device, dtype=torch.float64)
+        for name, points in (("aperture_points", aperture_points), ("target_points", target_points))
+    )
+    if len(targets) != rows * columns:
+        raise ValueError(f"target_points must hold {rows * columns} points for the resolution, got {len(targets)}")
+    aperture_field = tensor("aperture_field", aperture_field)
+    if aperture_field.numel() != len(sources):
         raise ValueError(
-            f"target_points must hold {rows * columns} points for the resolution, got {target_points.shape[0]}"
+            f"aperture_field must hold a value for each of {len(sources)} aperture_points, "
+            f"got {list(aperture_field.shape)}"
         )
-    sources = aperture_points[:, :2].to(device=device, dtype=torch.float64)
-    targets = target_points[:, :2].to(device=device, dtype=torch.float64)
-    if randomization:
+    generator = checked_generator("generator", generator)
+    if _validate.flag("randomization", randomization):
         extent = sources.amax(0) - sources.amin(0)
         targets = targets + extent * torch.randn(targets.shape, generator=generator, dtype=torch.float64).to(device)
     dtype = torch.complex128 if aperture_field.dtype in (torch.complex128, torch.float64) else torch.complex64
@@ -150,6 +172,13 @@ def get_point_wise_impulse_response_fresnel_kernel(
     parts = [_fresnel_sum(sources, field, part, wavelength, distance) for part in targets.split(chunk)]
     constant = phasor(torch.tensor(-math.pi / 2, dtype=torch.float64), dtype).to(device) / (wavelength * distance)
     return (torch.cat(parts) * constant).reshape(rows, columns)
+
+
+def _positions(name, points) -> torch.Tensor:
+    points = floating(name, points, torch.float64)
+    if points.ndim != 2 or points.shape[1] < 2 or not len(points):
+        raise ValueError(f"{name} must be [points, 2 or more], not empty; got {list(points.shape)}")
+    return points[:, :2]
 
 
 def _fresnel_sum(sources, field, targets, wavelength, distance):

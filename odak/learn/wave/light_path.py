@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 
 from odak import _array, _validate
+from odak.learn._tensors import tensor
 from odak.wave import transfer_functions
 from odak.wave.methods import METHODS, choose_method, find_method, warn_outside_range
 from odak.wave.request import Request
@@ -147,7 +148,7 @@ def plane_distances(distances, volume_depth: float, count: int, offset: float) -
         float64 ``[planes]``.
     """
     if distances is not None:
-        given = torch.as_tensor(distances, dtype=torch.float64).reshape(-1)
+        given = tensor("distances", distances, torch.float64).reshape(-1)
         _validate.real("distances", given)
         if not len(given):
             raise ValueError("distances must hold at least one distance, got none")

@@ -6,6 +6,8 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, tensor
 from odak.learn.tools.device import get_device
 from odak.learn.wave.focal_targets import FocalTargets
 from odak.learn.wave.perceptual_loss import perceptual_multiplane_loss
@@ -49,7 +51,7 @@ class phase_gradient(nn.Module):
         device: torch.device | str = "cpu",
     ):
         super().__init__()
-        kernel = torch.tensor(_LAPLACIAN) / 8 if kernel is None else torch.as_tensor(kernel)
+        kernel = torch.tensor(_LAPLACIAN) / 8 if kernel is None else tensor("kernel", kernel)
         if kernel.ndim not in (2, 4) or (kernel.ndim == 4 and kernel.shape[:2] != (1, 1)) or kernel.numel() == 0:
             raise ValueError(f"kernel must be [h, w] or [1, 1, h, w], not empty; got {tuple(kernel.shape)}")
         self.register_buffer("kernel", kernel.reshape(1, 1, *kernel.shape[-2:]).to(get_device(device)), False)
@@ -60,6 +62,7 @@ class phase_gradient(nn.Module):
         edges = self.functional_conv2d(phase)
         return self.loss(edges, torch.zeros_like(edges))
 
+    @in_own_precision
     def functional_conv2d(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the filtered phase ``[B, 1, m, n]``, zeros around it."""
         planes = _planes("phase", phase)
@@ -108,6 +111,7 @@ class speckle_contrast(nn.Module):
         device: torch.device | str = "cpu",
     ):
         super().__init__()
+        checked_device("device", device)
         self.kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
         self.step_size = _validate.size("step_size", (step_size,) * 2 if isinstance(step_size, int) else step_size)
         self.loss = _checked_loss(loss)
@@ -117,6 +121,7 @@ class speckle_contrast(nn.Module):
         contrast = self.functional_conv2d(intensity)
         return self.loss(contrast, torch.zeros_like(contrast))
 
+    @in_own_precision
     def functional_conv2d(self, intensity: torch.Tensor) -> torch.Tensor:
         """Return the contrast of each square ``[B, 1, m', n']``; 0 where the light is even, or there is none."""
         planes = _planes("intensity", intensity)
@@ -132,7 +137,8 @@ class speckle_contrast(nn.Module):
             for values in (planes - level, (planes - level) ** 2)
         )
         variance, mean = square - mean**2, mean + level
-        uneven = (variance > 0) & (mean != 0)
+        # What is not a number is uneven, so that it is seen.
+        uneven = ~((variance <= 0) | (mean == 0))
         # Both branches must be finite, else the gradient of the one not taken is not a number.
         return torch.where(uneven, variance.where(uneven, 1.0).sqrt() / mean.where(uneven, 1.0), 0.0)
 
@@ -213,9 +219,10 @@ class multiplane_loss(FocalTargets):
             target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, reduction,
             device, generator,
         )  # fmt: skip
+        weights = _validate.several("weights", weights)
         if len(weights) not in (3, 4):
             raise ValueError(f"weights must be three, or four of which the last is not used; got {weights!r}")
-        self.weights = _validate.numbers(_validate.real("weights", weights))
+        self.weights = _validate.numbers(weights)
 
     def forward(
         self,

@@ -1,12 +1,19 @@
 """The multi-colour hologram optimizer in its older form."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
 from odak import _validate
 from odak.learn.wave.multi_color import multi_color_hologram_optimizer
-from odak.learn.wave.phase_constraints import checkerboard, double_phase_roughness, roughness, zero_mean
+from odak.learn.wave.phase_constraints import (
+    checked_pattern,
+    checkerboard,
+    double_phase_roughness,
+    roughness,
+    zero_mean,
+)
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.training import linear
 
@@ -44,7 +51,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         optimize_peak_amplitude: bool = False,
         img_loss_thres: float = 2e-3,
         reduction: str = "sum",
-        **others,
+        **others: Any,
     ):
         self.learning_rate_floor = _validate.real("learning_rate_floor", learning_rate_floor)
         super().__init__(
@@ -84,6 +91,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the double phase of the phase less its mean and the offset, and how rough its parts are."""
+        phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = checkerboard(zero_mean(phase), phase_offset)
         return pattern, double_phase_roughness(pattern, levels)
 
@@ -91,6 +99,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the phase less its mean and the offset, and how rough it is."""
+        phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)
 

@@ -7,6 +7,8 @@ import torch
 from torch import nn
 
 from odak import _validate
+from odak.learn._tensors import checked_device
+from odak.learn.models.arguments import channels, pictures
 from odak.learn.models.models import (
     spatially_adaptive_unet,
     spatially_varying_kernel_generation_model,
@@ -64,7 +66,8 @@ class holobeam_multiholo(nn.Module):
     ):
         super().__init__()
         _validate.integer("n_output", n_output, minimum=2)
-        self.device = torch.device(device)
+        n_input, n_hidden = channels("n_input", n_input), channels("n_hidden", n_hidden)
+        self.device = checked_device("device", device)
         self.reduction = reduction
         self.l2, self.l1 = errors(reduction)
         self.network = unet(dimensions=n_hidden, input_channels=n_input, output_channels=n_output)
@@ -85,6 +88,7 @@ class holobeam_multiholo(nn.Module):
         torch.Tensor
             ``[B, 1, H, W]``: the network's first channel where row + column is even, its second where it is odd.
         """
+        test = _validate.flag("test", test)
         with torch.set_grad_enabled(torch.is_grad_enabled() and not test):
             phases = self.network(x)
             rows, columns = (torch.arange(n, device=x.device) for n in phases.shape[-2:])
@@ -150,12 +154,15 @@ class holobeam_multiholo(nn.Module):
         """
         folder = validate_path(directory)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
+        epochs = _validate.integer("number_of_epochs", number_of_epochs)
+        if isinstance(dataloader, str) or not isinstance(dataloader, Iterable):
+            raise TypeError(f"dataloader must be an iterable of batches, got {type(dataloader).__name__}")
         check_directory(folder)
         history = train(
             self,
             lambda model, batch: model.evaluate(model(batch[0]), batch[1]),
             dataloader,
-            number_of_epochs,
+            epochs,
             learning_rate=learning_rate,
             seed=seed,
             mixed_precision=mixed_precision,
@@ -241,8 +248,9 @@ class focal_surface_light_propagation(nn.Module):
         super().__init__()
         if _validate.integer("out_channels", out_channels, minimum=2) % 2:
             raise ValueError(f"out_channels must be even, real and imaginary parts of colours; got {out_channels}")
+        bias, input_channels = _validate.flag("bias", bias), channels("input_channels", input_channels)
         self.depth = depth
-        self.device = torch.device(device)
+        self.device = checked_device("device", device)
         common = {"depth": depth, "dimensions": dimensions, "kernel_size": kernel_size, "bias": bias}
         common |= {"normalization": False, "activation": activation}
         self.sv_kernel_generation = spatially_varying_kernel_generation_model(
@@ -268,6 +276,15 @@ class focal_surface_light_propagation(nn.Module):
         torch.Tensor
             Intensities ``[B, 3, H, W]``.
         """
+        smallest, weight = 2 ** (self.depth + 1), next(self.parameters())
+        colours = (self.sv_kernel_generation.input_channels - 1) // 2
+        phase_only_hologram = pictures("phase_only_hologram", phase_only_hologram, colours, weight, smallest=smallest)
+        focal_surface = pictures("focal_surface", focal_surface, 1, weight)
+        if focal_surface.shape[-2:] != phase_only_hologram.shape[-2:]:
+            raise ValueError(
+                f"focal_surface must have the rows and columns of phase_only_hologram, "
+                f"{list(phase_only_hologram.shape[-2:])}; got {list(focal_surface.shape)}"
+            )
         input_field = self.generate_input_field(phase_only_hologram)
         kernels = self.sv_kernel_generation(focal_surface, input_field)
         real, imaginary = self.light_propagation(kernels, input_field).chunk(2, dim=1)
@@ -286,7 +303,7 @@ class focal_surface_light_propagation(nn.Module):
         torch.Tensor
             ``[B, 2C, H, W]``: the cosines of all colours, then their sines.
         """
-        phase = 2 * torch.pi * phase_only_hologram
+        phase = 2 * torch.pi * pictures("phase_only_hologram", phase_only_hologram)
         return torch.cat([phase.cos(), phase.sin()], dim=1)
 
     def load_weights(self, weight_filename: str | os.PathLike, key_mapping_filename: str | os.PathLike) -> None:
@@ -308,7 +325,8 @@ class focal_surface_light_propagation(nn.Module):
             If a file is broken, the mapping is not one, or what it gives does not fit the model, which then stays as
             it was; the message names what is wrong.
         """
-        path = validate_path(weight_filename, EXTENSIONS)
+        path = validate_path(weight_filename, EXTENSIONS, name="weight_filename")
+        validate_path(key_mapping_filename, name="key_mapping_filename")
         mapping = _read_mapping(key_mapping_filename)
         state = read_state(path, self.device)
         if missing := [old for old in mapping.values() if old not in state]:

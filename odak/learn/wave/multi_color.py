@@ -1,17 +1,33 @@
 """Phase patterns shown in sequence, each lit by several colours at once, that together make colour images on planes."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import torch
 
 from odak import _validate
-from odak.learn.tools.file import torch_load
+from odak.learn._tensors import checked_device, floating
 from odak.learn.wave.camera_in_the_loop import captured_by, seen
 from odak.learn.wave.fields import squared_error
-from odak.learn.wave.hologram_losses import WEIGHTS, checked_targets, keywords_of, light_loss, loss_weights
+from odak.learn.wave.hologram_losses import (
+    WEIGHTS,
+    check_pair,
+    checked_eyebox,
+    checked_targets,
+    keywords_of,
+    light_loss,
+    loss_weights,
+    powers_from,
+)
 from odak.learn.wave.masks import disc
-from odak.learn.wave.phase_constraints import checkerboard, double_phase_roughness, eyebox_loss, roughness, zero_mean
+from odak.learn.wave.phase_constraints import (
+    checked_pattern,
+    checkerboard,
+    double_phase_roughness,
+    eyebox_loss,
+    roughness,
+    zero_mean,
+)
 from odak.learn.wave.phase_levels import TURN, even_levels
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.spectral import release_memory
@@ -125,21 +141,26 @@ class multi_color_hologram_optimizer:
         checkpoint_every: int = 50,
         seed: int | None = None,
     ):
+        if not isinstance(propagator, propagator_type):
+            raise TypeError(f"propagator must be an odak.learn.wave.propagator, got {propagator!r:.80}")
+        device = checked_device("device", device)
         self.propagator = propagator if device is None else propagator.to(device)
         self.device = propagator.device
         self.number_of_frames, self.number_of_depth_layers = number_of_frames, number_of_depth_layers
-        self.wavelengths, self.resolution, self.scale_factor = list(wavelengths), list(resolution), scale_factor
-        self.method = _validate.one_of("method", method.replace(" ", "_"), METHODS)
+        self.wavelengths = list(_validate.several("wavelengths", wavelengths, positive=True))
+        self.resolution, self.scale_factor = list(_validate.size("resolution", resolution)), scale_factor
+        self.method = _validate.one_of("method", _validate.text("method", method).replace(" ", "_"), METHODS)
         self._check_display()
         shape = (self.number_of_depth_layers, len(self.wavelengths), *propagator.field_shape)
         self.targets = checked_targets(targets, shape).to(self.device)
-        self.double_phase = double_phase
+        self.double_phase = _validate.flag("double_phase", double_phase)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
         lowest = learning_rate / 100 if min_learning_rate is None else min_learning_rate
         self.min_learning_rate = _validate.real("min_learning_rate", lowest)
         self.channel_power_filename = channel_power_filename
-        self._peak, self.optimize_peak_amplitude = peak_amplitude, optimize_peak_amplitude
-        self.img_loss_thres, self.camera = img_loss_thres, camera
+        self._peak = peak_amplitude
+        self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
+        self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
         self.options = Options(progress, callback, checkpoint, checkpoint_every, seed)
         self._generator = None if seed is None else torch.Generator().manual_seed(_validate.integer("seed", seed))
         self.init_loss_function(loss_function, reduction)
@@ -194,6 +215,7 @@ class multi_color_hologram_optimizer:
         return values.to(self.device).requires_grad_()
 
     def _start_from(self, phase):
+        _validate.real("initial_phase", floating("initial_phase", phase).detach().cpu())
         if tuple(phase.shape) != tuple(self.phase.shape):
             raise ValueError(f"initial_phase must be {tuple(self.phase.shape)}, got {tuple(phase.shape)}")
         self.phase = self._leaf(phase.detach().to(self.phase.dtype, copy=True))
@@ -204,20 +226,21 @@ class multi_color_hologram_optimizer:
         learned = self.method.endswith("multi-color")
         powers = torch.ones(shape) if learned else torch.eye(*shape)
         if self.channel_power_filename:
-            powers = torch_load(self.channel_power_filename).clamp(0, 1)
+            powers = powers_from(self.channel_power_filename, shape)
         self.propagator.method = self.method.replace("_", " ")
         self.channel_power = powers.to(self.device, self.targets.dtype).requires_grad_(learned)
         self.propagator.set_laser_powers(self.channel_power)
 
     def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
         """Set the loss of an image, and how those of planes and pixels are put together."""
-        self.loss_function = loss_function
+        self.loss_function = _validate.function_or_none("loss_function", loss_function)
         self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
         if loss_function is not None:
             self._loss_keywords = keywords_of(loss_function)
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
         """Gather what is learned, and the learning rate of each iteration."""
+        number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         learned = {
             "phase": self.phase,
             "phase_offset": self.phase_offset,
@@ -255,6 +278,9 @@ class multi_color_hologram_optimizer:
         torch.Tensor
             The loss; that of a given function is summed over colours.
         """
+        inject_noise = _validate.flag("inject_noise", inject_noise)
+        plane_id, noise_ratio = _validate.integer("plane_id", plane_id), _validate.real("noise_ratio", noise_ratio)
+        check_pair(input_image, target_image)
         if self.loss_function is not None:
             known = {"plane_id": plane_id, "noise_ratio": noise_ratio, "inject_noise": inject_noise}
             keywords = {name: value for name, value in known.items() if name in self._loss_keywords}
@@ -270,17 +296,18 @@ class multi_color_hologram_optimizer:
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the double phase (phase − offset and phase + offset in checkerboard) and how rough its parts are."""
-        pattern = checkerboard(phase, phase_offset.reshape(-1, 1, 1))
+        pattern = checkerboard(*checked_pattern(phase, phase_offset, of_frames=True))
         return pattern, double_phase_roughness(pattern, levels)
 
     def direct_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the phase less its mean and the offset, and how rough it is."""
-        pattern = zero_mean(phase) - phase_offset.reshape(-1, 1, 1)
+        phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=True)
+        pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)
 
-    def eyebox_constrain(self, phase: torch.Tensor, offset, diameter: float) -> torch.Tensor:
+    def eyebox_constrain(self, phase: torch.Tensor, offset: float | Sequence[float], diameter: float) -> torch.Tensor:
         """Return how unevenly light fills a disc of the hologram's spectrum, and the share that misses it.
 
         Parameters
@@ -292,10 +319,16 @@ class multi_color_hologram_optimizer:
         diameter : float
             Diameter of the disc in samples of the spectrum.
         """
-        shift = tuple(offset) if isinstance(offset, Sequence) else (offset, offset)
+        phase = _validate.image("phase", floating("phase", phase))
+        if not phase.numel():
+            raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
+        alone = not isinstance(offset, Iterable) or getattr(offset, "ndim", 1) == 0
+        shift = _validate.numbers(_validate.several("offset", (offset, offset) if alone else offset, 2))
         mask = disc(phase.shape[-2:], _validate.real("diameter", diameter, positive=True) / 2, shift)
         if not bool(mask.any()):
-            raise ValueError(f"eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}")
+            raise ValueError(
+                f"the eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}"
+            )
         return eyebox_loss(phase, torch.fft.ifftshift(mask).to(phase))
 
     def gradient_descent(
@@ -309,7 +342,11 @@ class multi_color_hologram_optimizer:
         """Return the optimized phases ``[F, m, n]``; parameters as in :meth:`optimize`, the eyebox not weighed."""
         iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
-        self._eyebox = {"offset": 0.0, "diameter": 100} | (eyebox or {})
+        self._eyebox = checked_eyebox(eyebox)
+        inject_noise, noise_ratio = (
+            _validate.flag("inject_noise", inject_noise),
+            _validate.real("noise_ratio", noise_ratio),
+        )
         self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
         self.init_optimizer(iterations)
         self._workspace = Workspace()
@@ -398,6 +435,8 @@ class multi_color_hologram_optimizer:
         reached = [(root, leaf.grad) for root, leaf in zip(roots, leaves, strict=True) if leaf.grad is not None]
         if rest is not None and rest.requires_grad:
             reached.append((rest, None))
+        if not reached:
+            raise ValueError(f"weights leave nothing to learn from, got {self.weights}")
         torch.autograd.backward(*zip(*reached, strict=True))
         return total if rest is None else total + rest.detach()
 

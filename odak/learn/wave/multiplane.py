@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 import torch
 
 from odak import _validate
+from odak.learn._tensors import floating
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.hologram_losses import checked_targets
-from odak.learn.wave.phase_constraints import checkerboard, zero_mean
+from odak.learn.wave.phase_constraints import checked_pattern, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
 from odak.learn.wave.training import Options, constant, minimise
 
@@ -98,6 +99,14 @@ class multiplane_hologram_optimizer:
         self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        _validate.real("wavelength", wavelength, positive=True)
+        _validate.real("slm_pixel_pitch", slm_pixel_pitch, positive=True)
+        for name, length in (
+            *(("image_location", image_location), ("image_spacing", image_spacing)),
+            ("zero_mode_distance", zero_mode_distance),
+        ):
+            _validate.real(name, length)
+        slm_resolution = _validate.size("slm_resolution", slm_resolution)
         self.propagator = propagator(
             slm_resolution,
             [wavelength],
@@ -135,9 +144,10 @@ class multiplane_hologram_optimizer:
 
     def _plane(self, name, given, make):
         shape = tuple(self.slm_resolution)
-        values = make(shape, dtype=self.targets.dtype) if given is None else given.detach().clone()
+        values = make(shape, dtype=self.targets.dtype) if given is None else floating(name, given).detach().clone()
         if tuple(values.shape) != shape:
             raise ValueError(f"{name} must be {shape}, got {tuple(values.shape)}")
+        _validate.real(name, values.cpu())
         return values.to(self.device, self.targets.dtype)
 
     def init_optimizer(self) -> None:
@@ -146,7 +156,8 @@ class multiplane_hologram_optimizer:
 
     def init_loss_function(self, loss_function: Callable | None = None, reduction: str = "mean") -> None:
         """Set the loss of a plane: that given, or the squared error."""
-        self.loss_function = loss_function
+        self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
         self.l2_loss = torch.nn.MSELoss(reduction=reduction)
 
     def init_mask(self) -> None:
@@ -163,11 +174,17 @@ class multiplane_hologram_optimizer:
 
     def evaluate(self, input_image: torch.Tensor, target_image: torch.Tensor, plane_id: int) -> torch.Tensor:
         """Return the loss of an image ``[m, n]`` on a plane, outside the mask left out."""
+        _validate.integer("plane_id", plane_id)
+        for name, image in (("input_image", input_image), ("target_image", target_image)):
+            if not isinstance(image, torch.Tensor) or image.shape[-2:] != self.mask.shape:
+                got = list(image.shape) if isinstance(image, torch.Tensor) else type(image).__name__
+                raise ValueError(f"{name} must be a tensor [..., {', '.join(map(str, self.mask.shape))}], got {got}")
         pair = input_image * self.mask, target_image * self.mask
         return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
 
     def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
         """Return the double phase of the phase less its mean and the offset, ``[m, n]``."""
+        shifted_phase, phase_offset = checked_pattern(shifted_phase, phase_offset, "shifted_phase")
         return checkerboard(zero_mean(shifted_phase), phase_offset)
 
     def optimize(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -179,7 +196,14 @@ class multiplane_hologram_optimizer:
 
     def reconstruct(self, hologram_amplitude: torch.Tensor, hologram_phase: torch.Tensor) -> torch.Tensor:
         """Return the intensities ``[P, m, n]`` of a hologram's amplitude and phase ``[m, n]``."""
-        return self.propagator.reconstruct(hologram_phase, hologram_amplitude)[0, :, 0].detach()
+        m, n = self.slm_resolution
+        shaped = {"hologram_amplitude": hologram_amplitude, "hologram_phase": hologram_phase}
+        for name, value in shaped.items():
+            if not isinstance(value, torch.Tensor) or tuple(value.shape[-2:]) != (m, n) or value.numel() != m * n:
+                got = list(value.shape) if isinstance(value, torch.Tensor) else type(value).__name__
+                raise ValueError(f"{name} must be a tensor [{m}, {n}], got {got}")
+        phase, amplitude = hologram_phase.reshape(m, n), hologram_amplitude.reshape(m, n)
+        return self.propagator.reconstruct(phase, amplitude)[0, :, 0].detach()
 
     def gradient_descent(self) -> None:
         """Optimize phase and offset in place."""

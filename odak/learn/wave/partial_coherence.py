@@ -1,10 +1,12 @@
 """Partially coherent light, differentiable within bounded memory."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch.utils.checkpoint import checkpoint
 
+from odak.learn._tensors import checked_device, trainable
 from odak.wave import partial_coherence
 from odak.wave.frequency_box import GUARD
 
@@ -12,14 +14,14 @@ _CPU = torch.device("cpu")
 
 
 def propagate_partially_coherent(
-    field,
-    spectrum,
-    source,
-    distance,
-    dx,
+    field: Any,
+    spectrum: Any,
+    source: Any,
+    distance: Any,
+    dx: Any,
     window_shape: Sequence[int] | None = None,
-    window_dx=None,
-    offset=(0.0, 0.0),
+    window_dx: Any = None,
+    offset: Any = (0.0, 0.0),
     guard: float = GUARD,
     memory: int = partial_coherence.MEMORY,
 ) -> torch.Tensor:
@@ -45,6 +47,7 @@ def propagate_partially_coherent(
     ValueError, TypeError
         If an argument is outside its range, naming it.
     """
+    field = trainable(field) if isinstance(field, torch.Tensor) else field
     return partial_coherence.sum_intensities(
         _recomputed,
         field,
@@ -70,6 +73,7 @@ def gaussian_spectrum(
     wavelength: float, width: float, count: int = 9, device: torch.device = _CPU
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return wavelengths and weights, float64, of a Gaussian line; see :func:`odak.wave.gaussian_spectrum`."""
+    device = checked_device("device", device)
     return tuple(torch.from_numpy(v).to(device) for v in partial_coherence.gaussian_spectrum(wavelength, width, count))
 
 
@@ -81,4 +85,5 @@ def disk_source(
     device: torch.device = _CPU,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return directions and weights, float64, of a bright disk; see :func:`odak.wave.disk_source`."""
+    device = checked_device("device", device)
     return tuple(torch.from_numpy(v).to(device) for v in partial_coherence.disk_source(radius, rings, spokes, center))

@@ -1,5 +1,7 @@
 """Images right on every plane, for an eye."""
 
+from collections.abc import Mapping
+
 import torch
 from torch import nn
 
@@ -74,7 +76,7 @@ class perceptual_multiplane_loss(FocalTargets):
         self.additional_loss_weights = _checked_weights(
             "additional_loss_weights", additional_loss_weights, {"cvvdp": 1.0}, _MEASURES
         )
-        self.return_components = bool(return_components)
+        self.return_components = _validate.flag("return_components", return_components)
         self.measures = nn.ModuleDict(
             {name: _MEASURES[name][0](self.target_image.device) for name in self.additional_loss_weights}
         )
@@ -124,6 +126,8 @@ _MEASURES = {
 
 def _checked_weights(argument, given, default, known):
     given = default if given is None else given
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{argument} must be a dictionary of weights, got {given!r:.80}")
     unknown = sorted(set(given) - set(known))
     if unknown:
         raise ValueError(f"{argument} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")

@@ -2,9 +2,34 @@
 
 import torch
 
+from odak import _validate
+from odak.learn._tensors import floating
 from odak.learn.tools.loss import multi_scale_total_variation_loss
 from odak.learn.wave.fields import unit_phasor
 from odak.wave.double_phase import decompose_double_phase
+
+
+def checked_pattern(
+    phase, offset, name: str = "phase", *, of_frames: bool = False
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a phase ``[..., m, n]`` and the offset that goes with it after checking both.
+
+    Parameters
+    ----------
+    phase, offset : torch.Tensor
+        What came.
+    name : str
+        What the phase is called; the offset is "phase_offset".
+    of_frames : bool
+        The offset is one for each frame, ``[F]``, rather than one that broadcasts against the phase.
+    """
+    phase, offset = _validate.image(name, floating(name, phase)), floating("phase_offset", offset)
+    if phase.ndim > 4 or not phase.numel():
+        raise ValueError(f"{name} must be [m, n], [F, m, n] or [B, F, m, n], not empty; got {list(phase.shape)}")
+    offset = offset.reshape(-1, 1, 1) if of_frames else offset
+    if _validate.fitting(**{name: phase, "phase_offset": offset}) != tuple(phase.shape):
+        raise ValueError(f"phase_offset must fit into {name} {list(phase.shape)}, got {list(offset.shape)}")
+    return phase, offset
 
 
 def checkerboard(phase: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
@@ -34,6 +59,7 @@ def zero_mean(phase: torch.Tensor) -> torch.Tensor:
 
 def roughness(phase: torch.Tensor, levels: int = 6) -> torch.Tensor:
     """Return the total variation of a phase ``[..., m, n]`` over so many sizes, each half of the one before."""
+    levels = _validate.whole("levels", levels, minimum=1)
     # Frames smaller than that have fewer sizes.
     return multi_scale_total_variation_loss(phase, min(levels, min(phase.shape[-2:]).bit_length()))
 

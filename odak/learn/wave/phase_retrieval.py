@@ -66,6 +66,7 @@ def gerchberg_saxton(
         If an argument is outside its range, naming it.
     """
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    progress, callback = _validate.flag("progress", progress), _validate.function_or_none("callback", callback)
     turns = tqdm(range(count), desc="hologram", disable=not progress, leave=False)
     return phase_retrieval.retrieve(
         field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, callback=callback

@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 
+import torch
+
 from odak.learn.wave import spectral
 from odak.wave import classical
 
@@ -11,18 +13,18 @@ APERTURE_SAMPLES = (20, 20, 5, 5)
 
 
 def propagate_beam(
-    field,
-    k,
-    distance,
-    dx,
-    wavelength,
+    field: torch.Tensor,
+    k: float | torch.Tensor | None,
+    distance: float | Sequence[float] | torch.Tensor,
+    dx: float | torch.Tensor,
+    wavelength: float | Sequence[float] | torch.Tensor,
     propagation_type: str = "Bandlimited Angular Spectrum",
-    kernel=None,
+    kernel: torch.Tensor | None = None,
     zero_padding: Sequence[bool] = (True, False, True),
-    aperture=1.0,
+    aperture: complex | torch.Tensor = 1.0,
     scale: int = 1,
     samples: Sequence[int] = APERTURE_SAMPLES,
-):
+) -> torch.Tensor:
     """Propagate a field by the method named, differentiable in the field and in every length given as a tensor.
 
     Parameters
@@ -60,16 +62,16 @@ def propagate_beam(
 
 
 def impulse_response_fresnel(
-    field,
-    k,
-    distance,
-    dx,
-    wavelength,
+    field: torch.Tensor,
+    k: float | torch.Tensor | None,
+    distance: float | Sequence[float] | torch.Tensor,
+    dx: float | torch.Tensor,
+    wavelength: float | Sequence[float] | torch.Tensor,
     zero_padding: bool = False,
-    aperture=1.0,
+    aperture: complex | torch.Tensor = 1.0,
     scale: int = 1,
     samples: Sequence[int] = APERTURE_SAMPLES,
-):
+) -> torch.Tensor:
     """Propagate by the Fresnel impulse response, averaged over source pixels and target samples.
 
     Parameters and result are those of :func:`odak.wave.impulse_response_fresnel`.

@@ -2,14 +2,17 @@
 
 from collections.abc import Sequence
 from contextlib import nullcontext
+from typing import Any
 
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, floating, tensor
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.light_path import PROPAGATOR_TYPES, plane_distances
 from odak.learn.wave.spectral import convolve
-from odak.learn.wave.volume import display_volume
+from odak.learn.wave.volume import checked_slice, display_volume
+from odak.learn.wave.workspace import Workspace
 
 __all__ = ["propagator"]
 
@@ -130,7 +133,13 @@ class propagator(display_volume):
     ):
         kind = _validate.one_of("propagator_type", propagator_type, PROPAGATOR_TYPES)
         layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
-        _validate.real("back_and_forth_distance", back_and_forth_distance)
+        for name, length in (
+            *(("back_and_forth_distance", back_and_forth_distance), ("volume_depth", volume_depth)),
+            *(("image_location_offset", image_location_offset), ("vaccination_scale", vaccination_scale)),
+        ):
+            _validate.real(name, length)
+        vaccination, device = _validate.flag("vaccination", vaccination), checked_device("device", device)
+        _validate.function_or_none("slm", slm)
         super().__init__(
             resolution,
             wavelengths,
@@ -142,7 +151,7 @@ class propagator(display_volume):
             resolution_factor=resolution_factor,
             samples_per_pixel=int(getattr(slm, "samples_per_pixel", 1)),
             aperture_samples=aperture_samples,
-            vaccination=_validate.real("vaccination_scale", vaccination_scale) if vaccination else 0.0,
+            vaccination=vaccination_scale if vaccination else 0.0,
             seed=seed,
             memory_budget=memory_budget,
         )
@@ -152,7 +161,7 @@ class propagator(display_volume):
         self.method, self.slm = power_method(method), slm
         self.set_aperture(aperture, aperture_size)
         self.init_phase_scale()
-        self.init_channel_power(laser_channel_power)
+        self._hold_powers(laser_channel_power, "laser_channel_power")
         if device is not None:
             self.to(device)
 
@@ -170,10 +179,13 @@ class propagator(display_volume):
 
     def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
         """Set the channel powers ``[F, C]``: those given, or one source per frame."""
-        if channel_power is None:
-            channel_power = torch.eye(self.number_of_frames, self.number_of_channels)
+        self._hold_powers(channel_power, "channel_power")
+
+    def _hold_powers(self, power, name):
+        if power is None:
+            power = torch.eye(self.number_of_frames, self.number_of_channels)
         self.register_buffer("channel_power", None)
-        self.set_laser_powers(channel_power)
+        self._set_powers(power, name)
 
     def get_laser_powers(self) -> torch.Tensor:
         """Return the amplitudes of the sources ``[F, C]``: the channel powers, or |cos| of them for "multi-color"."""
@@ -187,16 +199,18 @@ class propagator(display_volume):
         ValueError, TypeError
             If their shape is another, or they are not finite, or negative where they are amplitudes.
         """
-        power = torch.as_tensor(laser_power)
-        power = power if power.is_floating_point() else power.float()
+        self._set_powers(laser_power, "laser_power")
+
+    def _set_powers(self, power, name):
+        power = floating(name, power)
         expected = (self.number_of_frames, self.number_of_channels)
         if tuple(power.shape) != expected:
-            raise ValueError(f"laser_power must be [frames, colours] = {expected}, got {tuple(power.shape)}")
+            raise ValueError(f"{name} must be [frames, wavelengths] = {expected}, got {tuple(power.shape)}")
         if not bool(power.isfinite().all()):
-            raise ValueError("laser_power must be finite, got NaN or infinite values")
+            raise ValueError(f"{name} must be finite, got NaN or infinite values")
         amplitudes = not self.method.endswith("multi-color")
         if amplitudes and bool((power < 0).any()):
-            raise ValueError(f"laser_power must not be negative, got {power.min().item()}")
+            raise ValueError(f"{name} must not be negative, got {power.min().item()}")
         self.channel_power = power.to(self.device)
         self._one_source_per_frame = amplitudes and not power.requires_grad and _is_diagonal(power)
 
@@ -221,10 +235,14 @@ class propagator(display_volume):
             field = unit_phasor(phases if alike else phases * self.phase_scale[:, None, None])
         if amplitude is None:
             return self._on_grid(field)
-        _validate.image("amplitude", amplitude)
+        amplitude = _validate.image("amplitude", tensor("amplitude", amplitude))
         if amplitude.ndim > 2 and amplitude.shape[-3] not in (1, self.number_of_channels):
             raise ValueError(f"amplitude must have {self.number_of_channels} colours, got {tuple(amplitude.shape)}")
-        return self._on_grid(amplitude.to(self.device)) * self._on_grid(field)
+        if amplitude.ndim > 5 or any(n != 1 for n in amplitude.shape[-4:-3]):
+            raise ValueError(
+                f"amplitude must be [rows, columns] or [colours, rows, columns], got {tuple(amplitude.shape)}"
+            )
+        return self._on_grid(amplitude.to(self.device), "amplitude") * self._on_grid(field)
 
     def _checked_phases(self, phases) -> torch.Tensor:
         if not isinstance(phases, torch.Tensor) or phases.is_complex():
@@ -237,7 +255,9 @@ class propagator(display_volume):
         phases = phases if phases.is_floating_point() else phases.float()
         return phases.reshape(expected).to(self.device)
 
-    def fields(self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace=None) -> torch.Tensor:
+    def fields(
+        self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace: Any = None
+    ) -> torch.Tensor:
         """Return the fields of some frames on some planes, of unit source power.
 
         Parameters
@@ -257,6 +277,13 @@ class propagator(display_volume):
             Complex ``[frames, planes, C, ms, ns]``; ``[frames, planes, 1, ms, ns]`` where each frame is lit by one
             source, frame f in colour f.
         """
+        self._check_holograms(holograms)
+        checked_slice("frames", frames)
+        if not isinstance(kernels, torch.Tensor) or kernels.ndim != 4 or 0 in kernels.shape:
+            got = list(kernels.shape) if isinstance(kernels, torch.Tensor) else type(kernels).__name__
+            raise ValueError(f"kernels must be a tensor [planes, colours, rows, columns], got {got}")
+        if workspace is not None and not isinstance(workspace, Workspace):
+            raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
         if not self._one_source_per_frame:
             return convolve(holograms[frames], kernels, workspace)
         lit = range(self._lit_frames())[frames]
@@ -265,8 +292,16 @@ class propagator(display_volume):
         holograms = holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
         return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
 
+    def _check_holograms(self, holograms):
+        if not isinstance(holograms, torch.Tensor) or not holograms.is_complex():
+            kind = getattr(holograms, "dtype", type(holograms).__name__)
+            raise TypeError(f"holograms must be a complex tensor, got {kind}")
+        expected = [self.number_of_frames, 1, self.number_of_channels, *self.field_shape]
+        if list(holograms.shape) not in (expected, [*expected[:2], 1, *expected[3:]]):
+            raise ValueError(f"holograms must be {expected}, or of one colour; got {list(holograms.shape)}")
+
     def exposures(
-        self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None, *, workspace=None
+        self, holograms: torch.Tensor, planes: slice, powers: torch.Tensor | None = None, *, workspace: Any = None
     ) -> torch.Tensor:
         """Return the intensities that all frames together leave on some planes.
 
@@ -287,8 +322,13 @@ class propagator(display_volume):
         torch.Tensor
             Real ``[planes, C, ms, ns]``.
         """
+        self._check_holograms(holograms)
+        powers = self.get_laser_powers() if powers is None else floating("powers", powers)
+        if tuple(powers.shape) != (self.number_of_frames, self.number_of_channels):
+            expected = (self.number_of_frames, self.number_of_channels)
+            raise ValueError(f"powers must be [frames, colours] = {expected}, got {tuple(powers.shape)}")
         fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
-        powers = (self.get_laser_powers() if powers is None else powers).to(fields.real.dtype)
+        powers = powers.to(fields.real.dtype)
         if not self._one_source_per_frame:
             return exposure(fields, powers, workspace=workspace)
         light = exposure(fields, powers.diagonal()[:, None], one_each=True, workspace=workspace)
@@ -325,18 +365,22 @@ class propagator(display_volume):
         ValueError, TypeError
             If phases or amplitude do not fit.
         """
+        no_grad, get_complex = _validate.flag("no_grad", no_grad), _validate.flag("get_complex", get_complex)
         with torch.no_grad() if no_grad else nullcontext():
             holograms = self.holograms(hologram_phases, amplitude)
             powers = self.get_laser_powers().to(holograms.real.dtype)
             powers = (powers if get_complex else powers.square())[:, None, :, None, None]
-            dtype = holograms.dtype if get_complex else holograms.real.dtype
-            shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
-            result = torch.zeros(shape, dtype=dtype, device=self.device)
+            result, shape = (
+                None,
+                (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape),
+            )
             for planes in self.plane_chunks():
                 kernels = self.transfer(planes, holograms.dtype)
                 for frames in self._frame_chunks():
                     fields = self.fields(holograms, frames, kernels)
                     light = fields if get_complex else intensity(fields)
+                    # Of the light itself, so that torch.func.vmap may write it.
+                    result = light.new_zeros(shape) if result is None else result
                     if self._one_source_per_frame:
                         for frame, shown in zip(range(self._lit_frames())[frames], light, strict=True):
                             result[frame, planes, frame] = shown[:, 0] * powers[frame, :, frame]

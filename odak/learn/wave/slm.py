@@ -6,6 +6,7 @@ from collections.abc import Sequence
 import torch
 
 from odak import _array, _validate
+from odak.learn._tensors import floating
 from odak.learn.wave.crosstalk import gaussian_kernel, smooth
 from odak.learn.wave.fields import unit_phasor
 from odak.learn.wave.phase_levels import TURN, even_levels, nearest_levels, within_range
@@ -157,6 +158,8 @@ class spatial_light_modulator(torch.nn.Module):
         if self.lut is None:
             raise ValueError("bits must be given for a modulator to have levels, got None")
         phase = _checked_phase(phase).detach()
+        # Whole numbers cannot say that there was none to round.
+        _validate.real("phase", phase)
         if self._even:
             return even_levels(phase, 2**self.bits).to(torch.int32)
         return nearest_levels(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
@@ -249,6 +252,10 @@ def temporal_average(intensity: torch.Tensor, dim: int = -3) -> torch.Tensor:
     torch.Tensor
         `intensity` without that axis.
     """
+    intensity = floating("intensity", intensity)
+    dim = _validate.whole("dim", dim, minimum=-(2**31))
+    if not -intensity.ndim <= dim < intensity.ndim:
+        raise ValueError(f"dim must be an axis of an intensity {list(intensity.shape)}, got {dim}")
     return intensity.mean(dim)
 
 
@@ -289,7 +296,8 @@ def on_samples(name: str, value: torch.Tensor, shape: Sequence[int], samples_per
     for have, want in zip(value.shape[-2:], shape[-2:], strict=True):
         if have not in (1, want):
             raise ValueError(
-                f"{name} must have the modulator's pixels or samples {tuple(shape[-2:])}, got {tuple(value.shape)}"
+                f"{name} must have the modulator's pixels or samples {tuple(shape[-2:])}, those of the phase; "
+                f"got {tuple(value.shape)}"
             )
     return value
 

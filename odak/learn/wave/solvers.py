@@ -99,5 +99,10 @@ class LBFGS:
         return self.solver.state_dict()
 
     def load(self, state: dict) -> None:
-        """Take over a state that :meth:`state` returned."""
+        """Take over a state that :meth:`state` returned, but not how many evaluations a step may take."""
+        settings = [
+            {key: value for key, value in group.items() if key != "params"} for group in self.solver.param_groups
+        ]
         self.solver.load_state_dict(state)
+        for group, own in zip(self.solver.param_groups, settings, strict=True):
+            group.update(own)

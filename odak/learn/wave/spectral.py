@@ -10,6 +10,7 @@ import threading
 
 import torch
 
+from odak import _array
 from odak.learn.wave.workspace import Workspace, room
 from odak.wave.spectral import convolve_plainly, register_convolver, spectrum_of, window_of
 
@@ -32,6 +33,11 @@ def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | N
     kernels (planes, colours) is transformed once, and so is the sum of what comes back to it. The result may be written
     to a workspace.
     """
+    # What is kept between calls has no place in a graph of torch.compile.
+    return _array.outside_graphs(_convolve, field, kernel, workspace)
+
+
+def _convolve(field, kernel, workspace):
     if kernel.requires_grad or torch._C._functorch.is_functorch_wrapped_tensor(kernel):
         return convolve_plainly(field, kernel)
     batch = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])

@@ -1,7 +1,12 @@
 """Choices that gradients pass through: the largest of some numbers, as if it were a soft choice."""
 
+from typing import Any
+
 import torch
 from torch import nn
+
+from odak import _validate
+from odak.learn._tensors import floating, trainable
 
 
 class STEFunction(torch.autograd.Function):
@@ -19,14 +24,16 @@ class STEFunction(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(ctx, input: torch.Tensor, temperature: float = 0.001) -> torch.Tensor:
+    def forward(ctx: Any, input: torch.Tensor, temperature: float = 0.001) -> torch.Tensor:
         """Return ones where rows of ``input [n, c]`` are largest (the first of equals), zeros elsewhere."""
         ctx.save_for_backward(input)
         ctx.temperature = temperature
-        return torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
+        choice = torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
+        # Zero, or not a number where there was none to compare.
+        return choice + (input - input)
 
     @staticmethod
-    def backward(ctx, grad_output: torch.Tensor) -> tuple[torch.Tensor, None]:
+    def backward(ctx: Any, grad_output: torch.Tensor) -> tuple[torch.Tensor, None]:
         """Return the gradient times softmax(input/temperature)."""
         (values,) = ctx.saved_tensors
         return grad_output * torch.softmax(values / ctx.temperature, dim=1), None
@@ -48,12 +55,11 @@ class StraightThroughEstimator(nn.Module):
 
     def __init__(self, temperature: float = 0.001):
         super().__init__()
-        if not temperature > 0:
-            raise ValueError(f"temperature must be positive, got {temperature!r}")
-        self.temperature = temperature
+        self.temperature = _validate.real("temperature", temperature, positive=True)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the choices of the rows of ``x [n, c]``, of its dtype."""
-        if x.ndim != 2:
-            raise ValueError(f"x must be [n, c], got {tuple(x.shape)}")
-        return STEFunction.apply(x, self.temperature)
+        x = floating("x", x)
+        if x.ndim != 2 or not x.shape[1]:
+            raise ValueError(f"x must be [n, c] with a choice at least, got {tuple(x.shape)}")
+        return STEFunction.apply(trainable(x), self.temperature)

@@ -10,17 +10,24 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from odak import _validate
 from odak.learn.tools._checkpoints import (
     own_randomness,
     randomness,
     read_checkpoint,
     set_randomness,
+    taking_up,
     write_checkpoint,
 )
+from odak.learn.tools._memory import advising_on_memory
 from odak.learn.wave.solvers import make_solver
 
 _log = logging.getLogger("odak")
 
+_LESS_MEMORY = (
+    "use fewer planes, frames or colours, a smaller resolution, complex64, the propagator's memory_budget, "
+    "or device='cpu'; a checkpoint written so far can be taken up"
+)
 _PARTS = ("done", "parameters", "best", "best_loss", "solver", "randomness")
 
 
@@ -47,6 +54,17 @@ class Options:
     checkpoint: str | os.PathLike | None = None
     checkpoint_every: int = 50
     seed: int | None = None
+
+    def __post_init__(self):
+        _validate.flag("progress", self.progress)
+        _validate.function_or_none("callback", self.callback)
+        _validate.integer("checkpoint_every", self.checkpoint_every, minimum=1)
+        if self.seed is not None:
+            _validate.integer("seed", self.seed)
+        if self.checkpoint is not None and not isinstance(self.checkpoint, (str, os.PathLike)):
+            raise TypeError(f"checkpoint must be a path, got {type(self.checkpoint).__name__}")
+        if "\0" in os.fspath(self.checkpoint or ""):
+            raise ValueError(f"checkpoint must not hold a null byte, got {self.checkpoint!r}")
 
 
 def minimise(
@@ -96,7 +114,8 @@ def minimise(
     run = _Run(parameters, make_solver(solver, list(parameters.values())), iterations, options, about or {})
     with own_randomness(options.seed, run.device):
         run.resume()
-        return run.go(gradient, learning_rate, description)
+        with advising_on_memory(_LESS_MEMORY):
+            return run.go(gradient, learning_rate, description)
 
 
 class _Run:
@@ -197,6 +216,10 @@ class _Run:
         if path is None or not os.path.exists(path):
             return
         state = read_checkpoint(path, self.device, _PARTS, self.about, "an optimization")
+        with taking_up(path):
+            self._take_up(state, path)
+
+    def _take_up(self, state, path):
         shapes = [{name: tuple(t.shape) for name, t in d.items()} for d in (state["parameters"], self.parameters)]
         if shapes[0] != shapes[1]:
             raise ValueError(f"checkpoint {os.fspath(path)!r} holds {shapes[0]}, but this run has {shapes[1]}")
@@ -205,7 +228,7 @@ class _Run:
             self.best[name].copy_(state["best"][name])
         self.best_loss.copy_(state["best_loss"])
         self.solver.load(state["solver"])
-        self.done = state["done"]
+        self.done = _validate.integer("done", state["done"])
         set_randomness(state["randomness"], self.device)
 
 

@@ -1,10 +1,12 @@
 """Amplitude, phase and patterns of fields as tensors."""
 
 import math
+from typing import Any
 
 import torch
 
-from odak import _validate
+from odak import _array, _validate
+from odak.learn._tensors import floating
 from odak.wave import utils
 from odak.wave.double_phase import compose_double_phase, decompose_double_phase
 from odak.wave.utils import (
@@ -32,7 +34,7 @@ __all__ = [
 ]
 
 
-def generate_complex_field(amplitude, phase) -> torch.Tensor:
+def generate_complex_field(amplitude: float | torch.Tensor, phase: float | torch.Tensor) -> torch.Tensor:
     """Return amplitude·exp(i·phase).
 
     Parameters
@@ -50,7 +52,7 @@ def generate_complex_field(amplitude, phase) -> torch.Tensor:
     return utils.generate_complex_field(amplitude, phase)
 
 
-def set_amplitude(field: torch.Tensor, amplitude) -> torch.Tensor:
+def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch.Tensor:
     """Return amplitude·exp(i·arg field), the amplitude taken as it is (a negative one turns the phase by π).
 
     Parameters
@@ -65,6 +67,9 @@ def set_amplitude(field: torch.Tensor, amplitude) -> torch.Tensor:
     torch.Tensor
         Complex field.
     """
+    field = _validate.array("field", field)
+    if _array.is_array(amplitude):
+        _validate.fitting(field=field, amplitude=amplitude)
     return generate_complex_field(amplitude, calculate_phase(field))
 
 
@@ -88,7 +93,11 @@ def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: floa
     ValueError
         If the range is empty.
     """
+    phase = floating("phase", phase)
+    if not phase.numel():
+        raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
     _validate.real("range_min", range_min)
+    _validate.real("range_max", range_max)
     if not range_max > range_min:
         raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
     low, high = phase.min(), phase.max()
@@ -98,7 +107,7 @@ def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: floa
 
 
 def produce_phase_only_slm_pattern(
-    hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination=None
+    hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination: Any = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a hologram as a modulator shows it and its levels: :func:`odak.wave.produce_phase_only_slm_pattern`."""
     return utils.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)

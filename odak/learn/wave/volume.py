@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import torch
 
 from odak import _array, _validate
+from odak.learn._tensors import tensor
 from odak.learn.wave.light_path import LightPath, fill, stack, suited_method
 from odak.learn.wave.masks import disc
 from odak.learn.wave.spectral import convolve
@@ -76,7 +77,9 @@ class display_volume(torch.nn.Module):
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
         self.vaccination = bool(vaccination)
         self.vaccination_scale = _validate.real("vaccination_scale", vaccination)
-        self._generator = None if seed is None else torch.Generator().manual_seed(seed)
+        self._generator = None
+        if seed is not None:
+            self._generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
         # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad hang on.
         self._distances, self._relay = distances, relay
         shape, pitch = tuple(n * samples_per_pixel for n in self.resolution), self.pixel_pitch / samples_per_pixel
@@ -89,7 +92,7 @@ class display_volume(torch.nn.Module):
         )
         factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
         self.resolution_factor = factor if "Impulse Response" in self.propagation_type else 1
-        self.aperture_samples = sample_counts(aperture_samples)
+        self.aperture_samples = sample_counts(aperture_samples, "aperture_samples")
         self._path = LightPath(pitch, self.propagation_type, relay, self.resolution_factor, self.aperture_samples)
         self.field_shape = tuple(n * self.resolution_factor for n in shape)
         self.padded_shape = tuple(padding * n for n in self.field_shape)
@@ -133,9 +136,9 @@ class display_volume(torch.nn.Module):
         """
         padded = self.padded_shape
         device = self.aperture.device if "aperture" in self._buffers else None
-        if aperture is None:
-            radius = max(padded) / 2 if aperture_size is None else aperture_size
-            aperture = disc(padded, _validate.real("aperture_size", radius, positive=True))
+        radius = max(padded) / 2 if aperture_size is None else aperture_size
+        _validate.real("aperture_size", radius, positive=True)
+        aperture = disc(padded, radius) if aperture is None else tensor("aperture", aperture)
         _validate.image("aperture", aperture)
         if any(have > want for have, want in zip(aperture.shape[-2:], padded, strict=True)):
             raise ValueError(f"aperture must fit the padded grid {padded}, got {tuple(aperture.shape)}")
@@ -179,6 +182,9 @@ class display_volume(torch.nn.Module):
             ``[planes, C, 2ms, 2ns]`` in FFT order: kept from call to call, or built anew where they would take more
             than the memory budget, where the distances are drawn on each call, or where gradients are asked of them.
         """
+        checked_slice("planes", planes)
+        if dtype not in (torch.complex64, torch.complex128):
+            raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype!r:.80}")
         distances = self._net_distances()
         if self.vaccination:
             error = torch.randn(distances.shape, generator=self._generator, dtype=torch.float64)
@@ -237,9 +243,11 @@ class display_volume(torch.nn.Module):
         field = self._on_grid(input_field)
         colour = index("channel_id", channel_id, self.number_of_channels)
         plane = index("depth_id", depth_id, self.number_of_depth_layers)
-        if zero_padding_size is None or tuple(zero_padding_size) == self.padded_shape:
+        size = self.padded_shape
+        if zero_padding_size is not None:
+            size = _validate.size("zero_padding_size", zero_padding_size)
+        if size == self.padded_shape:
             return convolve(field, self.transfer(slice(plane, plane + 1), field.dtype)[0, colour])
-        size = _validate.size("zero_padding_size", zero_padding_size)
         if any(pad < n for pad, n in zip(size, self.field_shape, strict=True)):
             raise ValueError(f"zero_padding_size must be at least the field's {self.field_shape}, got {size}")
         kernel = self._path.kernel(
@@ -250,20 +258,29 @@ class display_volume(torch.nn.Module):
 
     def propagate(self, field: torch.Tensor, H: torch.Tensor) -> torch.Tensor:
         """Return a field filtered by a transfer function ``[2ms, 2ns]`` (centred) and the aperture."""
+        H = _validate.image("H", tensor("H", H))
         if tuple(H.shape[-2:]) != self.padded_shape:
             raise ValueError(f"H must be [..., {self.padded_shape[0]}, {self.padded_shape[1]}], got {tuple(H.shape)}")
-        field = self._on_grid(field)
+        field = self._on_grid(field, "field")
+        _validate.fitting(field=field[..., 0, 0], H=H[..., 0, 0])
         return convolve(field, torch.fft.ifftshift((H * self.aperture).to(field.dtype), dim=(-2, -1)))
 
-    def _on_grid(self, field) -> torch.Tensor:
+    def _on_grid(self, field, name: str = "input_field") -> torch.Tensor:
         """Return a complex field on the grid of the fields, zeros between its samples if it has one per pixel."""
-        field = _array.to_complex(_validate.image("input_field", field))
+        field = _array.to_complex(_validate.image(name, field))
         shape = tuple(field.shape[-2:])
         if shape == self.field_shape:
             return field
         if tuple(n * self.resolution_factor for n in shape) == self.field_shape:
             return spread(field, self.resolution_factor)
-        raise ValueError(f"input_field must be [..., {self.field_shape[0]}, {self.field_shape[1]}], got {shape}")
+        raise ValueError(f"{name} must be [..., {self.field_shape[0]}, {self.field_shape[1]}], got {shape}")
+
+
+def checked_slice(name: str, value) -> slice:
+    """Return a slice after checking that it is one."""
+    if not isinstance(value, slice):
+        raise TypeError(f"{name} must be a slice, got {value!r:.80}")
+    return value
 
 
 def index(name: str, value: int, count: int) -> int:

@@ -1,6 +1,7 @@
 """What a scene holds: objects, a camera and lights, as plain data."""
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -125,7 +126,10 @@ class Camera:
             pixel. NaN for a point behind a perspective camera.
         """
         rows, columns = resolution
-        seen = (real_array("points", points) - np.asarray(self.location)) @ np.asarray(self.axes).T
+        points = real_array("points", points)
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise ValueError(f"points must be [..., 3], got {list(points.shape)}")
+        seen = (points - np.asarray(self.location)) @ np.asarray(self.axes).T
         half = np.where(seen[..., 2] < 0, -seen[..., 2], np.nan) * math.tan(math.radians(self.fov) / 2)
         if self.projection == "orthographic":
             half = np.full_like(half, self.width / 2)
@@ -209,4 +213,14 @@ def aim(location, target, up=None) -> list[list[float]]:
 
 def positive(name: str, value) -> float:
     """Return a positive number."""
-    return float(_validate.real(name, float(value) if np.ndim(value) == 0 else value, positive=True))
+    found = _validate.numbers(_validate.real(name, value, positive=True))
+    if len(found) != 1:
+        raise ValueError(f"{name} must be one positive number, got {value!r:.80}")
+    return found[0]
+
+
+def pair(name: str, value) -> list:
+    """Return two things as a list."""
+    if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or len(found := list(value)) != 2:
+        raise ValueError(f"{name} must be two numbers, got {value!r:.80}")
+    return found

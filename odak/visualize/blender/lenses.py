@@ -1,7 +1,7 @@
 """Lenses and whole optical systems in a scene."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -144,6 +144,15 @@ class Lenses:
         Rays are those of the reference wavelength; glasses have their index at it. Surfaces without a semi-diameter are
         drawn as far as rays reach. Cemented lenses stand 1/10 000 of a thickness apart.
         """
+        if not isinstance(getattr(system, "surfaces", None), Iterable):
+            raise TypeError(
+                f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}"
+            )
+        segments = _validate.integer("segments", segments, minimum=8)
+        if not isinstance(name, str):
+            raise TypeError(f"name must be a string, got {type(name).__name__}")
+        if isinstance(colors, str) or not isinstance(colors, Iterable) or not (colors := list(colors)):
+            raise TypeError(f"colors must be a sequence of colours, got {colors!r:.80}")
         surfaces = list(system.surfaces)
         if any(bool(item.shift.any()) or bool(item.tilt.any()) for item in surfaces):
             raise ValueError("system must not have shifted or tilted surfaces; draw its lenses one by one")
@@ -178,6 +187,8 @@ class Lenses:
 
 
 def _curvature(radius) -> float:
+    if isinstance(radius, str) or np.ndim(radius):
+        raise TypeError(f"radii must be numbers, got {radius!r:.80}")
     radius = float(radius)
     if radius == 0 or math.isnan(radius):
         raise ValueError(f"radii must not be 0 or NaN, got {radius}")
@@ -185,6 +196,8 @@ def _curvature(radius) -> float:
 
 
 def _pair(name: str, value) -> list:
+    if isinstance(value, str) or not isinstance(value, Iterable):
+        raise TypeError(f"{name} must be two, of front and back, got {value!r:.80}")
     pair = list(value)
     if len(pair) != 2:
         raise ValueError(f"{name} must be two, of front and back, got {len(pair)}")

@@ -6,6 +6,7 @@ One unit is a metre, as Blender has it, and colours are linear light, as Blender
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def prepare(
     device: str = "GPU",
     intensity: float = 2.0,
     world_color: Sequence[float] = (0.3, 0.3, 0.3),
-):
+) -> Any:
     """Set camera, background and device, and remove the cube and the light of a new ".blend" file.
 
     Parameters
@@ -322,7 +323,12 @@ def reflect_ray(input_ray, normal: Sequence[float], intersection: Sequence[float
         The point, and one that is ten units farther on the reflected ray; ``[3]`` each.
     """
     point, across = np.asarray(three("intersection", intersection)), np.asarray(three("normal", normal))
+    given = np.asarray(_validate.array("input_ray", input_ray), dtype=np.float64)
+    if given.shape != (2, 3):
+        raise ValueError(f"input_ray must be [2, 3], got {list(given.shape)}")
+    if not across.any():
+        raise ValueError("normal must not be zero")
     surface = np.stack((point, across / np.linalg.norm(across)))
-    ray = np.stack((point, np.asarray(input_ray, dtype=np.float64)[1]))
+    ray = np.stack((point, given[1]))
     direction = np.asarray(reflect(ray, surface)).reshape(2, 3)[1]
     return point, point + 10 * direction / np.linalg.norm(direction)

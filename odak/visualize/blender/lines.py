@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from odak import _validate
 from odak.visualize import _arrays
 from odak.visualize.blender.items import Item, positive
 from odak.visualize.blender.materials import diffuse, emission, linear_light
@@ -53,12 +54,18 @@ class Lines:
         'rays'
         """
         directions = _arrays.real_array("rays", rays)
+        if directions.ndim not in (2, 3) or directions.shape[-2:] != (2, 3) or not len(directions):
+            raise ValueError(f"rays must be [2, 3] or [m, 2, 3], not empty; got {list(directions.shape)}")
         count = 1 if directions.ndim == 2 else len(directions)
         lengths = _arrays.real_array("distance", distance)
         lengths = np.where(np.isfinite(lengths), lengths, np.nan)
         starts, ends = _arrays.reach(rays, lengths)
         kept = np.isfinite(directions.reshape(count, 6)).all(-1) & np.isfinite(lengths.reshape(-1))
         lines = np.stack((starts, ends), axis=1)
+        if not (starts != ends).any():
+            raise ValueError(
+                "points must hold a path of more than one finite point: rays must be finite and distance not 0"
+            )
         return self.add_lines(lines, radius=radius, color=_of_kept(color, kept), material=material, name=name)
 
     def add_lines(
@@ -178,6 +185,7 @@ class Lines:
             raise ValueError(f"start and end must be finite points [3], got {starts.tolist()} and {ends.tolist()}")
         if (starts == ends).all():
             raise ValueError(f"start and end must be apart, got {starts[0].tolist()} for both")
+        segments = _validate.integer("segments", segments, minimum=3)
         mesh = tube_mesh(starts, ends, positive("radius", radius), segments)
         return self._add(name, mesh, material, color, diffuse(), smooth=True)
 

@@ -3,11 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from PIL import ImageColor
 
-from odak import _validate
+from odak import _array, _validate
 from odak.catalog.dispersion import Material as CatalogMaterial
 from odak.catalog.materials import refractive_index
 
@@ -45,7 +47,7 @@ class Material:
     name: str = ""
 
 
-def diffuse(color="white") -> Material:
+def diffuse(color: str | Sequence[float] = "white") -> Material:
     """Return a matt surface that scatters light alike in all directions (Lambert).
 
     Parameters
@@ -56,7 +58,7 @@ def diffuse(color="white") -> Material:
     return Material("diffuse", linear_color(color))
 
 
-def emission(color="white", strength: float = 1.0) -> Material:
+def emission(color: str | Sequence[float] = "white", strength: float = 1.0) -> Material:
     """Return a surface that shines by itself.
 
     Parameters
@@ -69,7 +71,13 @@ def emission(color="white", strength: float = 1.0) -> Material:
     return Material("emission", linear_color(color), strength=_not_negative("strength", strength))
 
 
-def glass(index="N-BK7", wavelength: float | None = None, unit: str = "m", color="white", roughness: float = 0.0):
+def glass(
+    index: Any = "N-BK7",
+    wavelength: float | None = None,
+    unit: str = "m",
+    color: str | Sequence[float] = "white",
+    roughness: float = 0.0,
+) -> Any:
     """Return a transparent material.
 
     Parameters
@@ -101,15 +109,21 @@ def glass(index="N-BK7", wavelength: float | None = None, unit: str = "m", color
     >>> round(blender.glass("N-BK7").index, 4)
     1.5168
     """
+    unit = _validate.one_of("unit", unit, ("m", "mm", "um", "nm"))
+    if wavelength is not None:
+        wavelength = _validate.real("wavelength", wavelength, positive=True)
     name = index if isinstance(index, str) else getattr(index, "name", "glass")
     if isinstance(index, (str, CatalogMaterial)):
         given = (D_LINE, "m") if wavelength is None else (wavelength, unit)
-        index = refractive_index(index, given[0], unit=given[1], medium="air")
+        try:
+            index = refractive_index(index, given[0], unit=given[1], medium="air")
+        except ValueError as error:
+            raise ValueError(f"index: {error}") from error
     index = float(_validate.real("index", index, positive=True))
     return Material("glass", linear_color(color), index=index, roughness=_share("roughness", roughness), name=name)
 
 
-def metal(color="white", roughness: float = 0.0) -> Material:
+def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Material:
     """Return a mirror.
 
     Parameters
@@ -142,7 +156,7 @@ def chosen(material, color, default: Material, wavelength: float, unit: str) -> 
         found = material
     elif isinstance(material, str) and material.casefold() == "mirror":
         found = metal()
-    elif isinstance(material, (str, int, float, CatalogMaterial)) or np.ndim(material) == 0:
+    elif isinstance(material, (str, Real, CatalogMaterial)) or _array.is_array(material):
         found = glass(material, wavelength, unit)
     else:
         raise TypeError(

@@ -3,6 +3,7 @@
 import dataclasses
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -112,7 +113,7 @@ class scene(Lines, Shapes, Lenses, Views):
         names = ", ".join(repr(item.name) for item in self.objects) or "none"
         raise ValueError(f"name must be that of an object of the scene ({names}), got {name!r}")
 
-    def remove(self, item) -> None:
+    def remove(self, item: Any) -> None:
         """Take an object out of the scene.
 
         Parameters
@@ -136,7 +137,7 @@ class scene(Lines, Shapes, Lenses, Views):
         blender: str | os.PathLike | None = None,
         timeout: float | None = 3600.0,
         verbose: bool = True,
-    ):
+    ) -> Any:
         """Render the picture with Cycles, Blender's path tracer; no window opens.
 
         Parameters
@@ -250,7 +251,15 @@ class scene(Lines, Shapes, Lenses, Views):
         ValueError
             If the file is missing or malformed; the message names it.
         """
-        document = scene_files.read(validate_path(path, [".json"]))
+        path = validate_path(path, [".json"])
+        document = scene_files.read(path)
+        try:
+            return cls._from(document)
+        except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
+            raise ValueError(f"{path!r} cannot be read as a scene: {error}") from error
+
+    @classmethod
+    def _from(cls, document: dict) -> "scene":
         job = document["render"]
         found = cls(
             document["unit"],

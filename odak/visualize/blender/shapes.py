@@ -10,7 +10,7 @@ from odak.tools._images import read_levels
 from odak.tools._ply import read_mesh
 from odak.tools.file import validate_path
 from odak.visualize import _arrays
-from odak.visualize.blender.items import Item, positive, three
+from odak.visualize.blender.items import Item, pair, positive, three
 from odak.visualize.blender.materials import diffuse, emission, linear_light
 from odak.visualize.blender.meshes import Mesh, disc_mesh, grid_mesh, sphere_mesh
 
@@ -66,6 +66,7 @@ class Shapes:
             If a shape is wrong, a number not finite, or a face names a vertex that does not exist.
         """
         default, found = _mesh(mesh, faces)
+        smooth = _validate.flag("smooth", smooth)
         if not np.isfinite(found.vertices).all():
             raise ValueError("mesh must be finite")
         many = None
@@ -134,16 +135,16 @@ class Shapes:
         """
         if callable(surface):
             rows, columns = _validate.size("resolution", resolution)
-            spans = [_validate.numbers(_validate.real(n, list(s))) for n, s in (("u", u), ("v", v))]
-            if any(len(span) != 2 for span in spans):
-                raise ValueError(f"u and v must be two numbers each, got {u!r} and {v!r}")
+            if not (y is z is size is None):
+                raise ValueError("y, z and size must be left out where surface is a function")
+            spans = [_validate.numbers(_validate.several(name, span, 2)) for name, span in (("u", u), ("v", v))]
             across, along = np.meshgrid(np.linspace(*spans[0], columns), np.linspace(*spans[1], rows))
             points = _grid(surface(across, along), (rows, columns))
         elif y is None and z is None:
             heights = _arrays.image("surface", surface)
-            if size is None or len(_validate.numbers(size)) != 2:
-                raise ValueError(f"size must be the extent of the heights along x and y, got {size!r}")
-            width, height = (positive("size", value) for value in size)
+            if size is None:
+                raise ValueError("size must be the extent of the heights along x and y, got None")
+            width, height = (positive("size", value) for value in pair("size", size))
             lines = np.linspace(-width / 2, width / 2, heights.shape[1]), np.linspace(-0.5, 0.5, heights.shape[0])
             points = _grid((*np.meshgrid(lines[0], lines[1] * height), heights), heights.shape)
         else:
@@ -212,7 +213,7 @@ class Shapes:
         Item
             The object.
         """
-        width, height = (positive("size", value) / 2 for value in _validate.numbers(size))
+        width, height = (positive("size", value) / 2 for value in pair("size", size))
         corners = np.array(
             [[[-width, -height, 0.0], [width, -height, 0.0]], [[-width, height, 0.0], [width, height, 0.0]]]
         )
@@ -264,7 +265,7 @@ class Shapes:
             The object.
         """
         shown = pixels("image", image)
-        material = emission() if shines else diffuse()
+        material = emission() if _validate.flag("shines", shines) else diffuse()
         item = self.add_plane(size, location=location, rotation=rotation, material=material, name=name)
         item.image = shown
         return item
@@ -273,7 +274,10 @@ class Shapes:
 def pixels(name: str, image) -> np.ndarray:
     """Return a picture, given as a file or as numbers, as uint8 ``[rows, columns, 3]``."""
     if isinstance(image, (str, os.PathLike)):
-        image = read_levels(image)
+        try:
+            image = read_levels(image)
+        except ValueError as error:
+            raise ValueError(f"{name} cannot be read: {error}") from error
         image = image // 257 if image.dtype == np.uint16 else image
     found = _arrays.real_array(name, image)
     if found.ndim == 2:
@@ -295,7 +299,7 @@ def _mesh(mesh, faces) -> tuple[str, Mesh]:
     if isinstance(mesh, Mesh):
         return "mesh", mesh
     if isinstance(mesh, (str, os.PathLike)):
-        path = validate_path(mesh, [".ply"])
+        path = validate_path(mesh, [".ply"], name="mesh")
         return os.path.splitext(os.path.basename(path))[0], Mesh(*read_mesh(path))
     if hasattr(mesh, "get_triangles"):
         mesh = mesh.get_triangles()
@@ -308,7 +312,9 @@ def _mesh(mesh, faces) -> tuple[str, Mesh]:
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:
         raise ValueError(f"faces must be integers [f, 3], got {faces.dtype} {list(faces.shape)}")
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise ValueError(f"faces must name vertices from 0 to {len(vertices) - 1}, got {faces.min()} … {faces.max()}")
+        raise ValueError(
+            f"faces must name vertices from 0 to {len(vertices) - 1} of mesh, got {faces.min()} … {faces.max()}"
+        )
     return "mesh", Mesh(vertices, faces)
 
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from odak import _validate
-from odak.visualize.blender.items import LIGHTS, PROJECTIONS, Camera, Light, aim, positive, three
+from odak.visualize.blender.items import LIGHTS, PROJECTIONS, Camera, Light, aim, pair, positive, three
 from odak.visualize.blender.materials import linear_color
 
 # Where a camera stands that was not told: in front, to the right and above, with the optical axis (z) in view.
@@ -215,7 +215,7 @@ def _fit(points: np.ndarray, axes, fov: float, size) -> tuple[float, float]:
 
 
 def _clip(clip) -> list[float]:
-    near, far = (positive("clip", value) for value in clip)
+    near, far = (positive("clip", value) for value in pair("clip", clip))
     if near >= far:
         raise ValueError(f"clip must be the nearest and the farthest distance, got {list(clip)}")
     return [near, far]

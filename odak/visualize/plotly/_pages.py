@@ -7,6 +7,7 @@ import tempfile
 import webbrowser
 from pathlib import Path
 
+from odak import _validate
 from odak.log import logger
 from odak.tools._atomic import replacing
 from odak.tools._paths import validate_path
@@ -30,7 +31,7 @@ def write_html(figure, filename: str | os.PathLike, plotlyjs=True) -> str:
         As for :func:`plotly.io.to_html`: True writes plotly.js into the page (5 MB, works without a network), "cdn"
         lets the page fetch it.
     """
-    path = validate_path(filename, HTML)
+    path, plotlyjs = validate_path(filename, HTML), _library_of(plotlyjs)
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=True)
     with replacing(path) as stream:
         stream.write(text.encode())
@@ -46,7 +47,7 @@ def write_markdown(figure, filename: str | os.PathLike, plotlyjs=False) -> str:
         As in :func:`write_html`, with a ``.md`` file and without plotly.js by default.
     """
     path = validate_path(filename, MARKDOWN)
-    text = division(figure, plotlyjs)
+    text = division(figure, _library_of(plotlyjs))
     with replacing(path) as stream:
         stream.write(text.encode() + b"\n")
     return text
@@ -56,6 +57,14 @@ def division(figure, plotlyjs=False) -> str:
     """Return a figure as a ``<div>`` without the blank lines at which Markdown would end it."""
     text = page.to_html(figure, include_plotlyjs=plotlyjs, include_mathjax=False, full_html=False)
     return re.sub(r"\n\s*\n", "\n", text.strip())
+
+
+def _library_of(plotlyjs) -> bool | str:
+    """Return where a page gets plotly.js from: itself, "cdn", "directory" or the address of a script."""
+    if isinstance(plotlyjs, str):
+        known = plotlyjs.lower() in ("cdn", "directory") or plotlyjs.lower().endswith(".js")
+        return plotlyjs if known else _validate.one_of("plotlyjs", plotlyjs, ("cdn", "directory"))
+    return _validate.flag("plotlyjs", plotlyjs)
 
 
 def show(figure) -> str | None:

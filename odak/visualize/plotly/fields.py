@@ -8,9 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from odak import _validate
+from odak._array import Array
+from odak.tools._images import read_levels
 from odak.tools._paths import validate_path
 from odak.visualize._arrays import image
-from odak.visualize.plotly import _layout
+from odak.visualize.plotly import _checks, _layout
 from odak.visualize.plotly._library import graph, make_subplots
 from odak.visualize.plotly._panels import CYCLIC_SCALE, MAXIMUM_SIDE, QUANTITIES, Quantity, value_panel
 from odak.visualize.plotly._picture import Picture
@@ -35,12 +37,12 @@ _AXIS = {
 class _Images(Picture):
     """A grid of images."""
 
-    def __init__(self, rows: int, cols: int, titles: list, row_titles, settings: dict, **spacing):
-        rows, cols = (_validate.integer(name, n, minimum=1) for name, n in (("rows", rows), ("cols", cols)))
+    def __init__(self, rows: int, cols: int, titles: list, settings: dict, **spacing):
         figure = make_subplots(rows=rows, cols=cols, **spacing)
-        _layout.place_titles(figure, titles, list(row_titles)[:rows], cols)
+        _layout.place_titles(figure, titles, settings["row titles"][:rows], cols)
         super().__init__(figure, settings)
         self._domains = _layout.domains(figure)
+        self._cells = rows, cols
 
     def update_layout(self) -> None:
         """Bring the figure in line with its settings; showing and saving do this first."""
@@ -61,7 +63,7 @@ class _Images(Picture):
             zmin=quantity.limits[0],
             zmax=_upper(quantity, panel.values),
             colorscale=scale,
-            showscale=bool(showscale),
+            showscale=_validate.flag("showscale", showscale),
             colorbar={"title": {"text": bar}, **({"dtick": 90} if quantity.cyclic else {})},
             name=bar,
         )
@@ -111,29 +113,32 @@ class plot2dshow(_Images):
         horizontal_spacing: float = 0.05,
         vertical_spacing: float = 0.05,
     ):
+        rows, cols = _counts(rows, cols)
+        shape = _checks.numbers("shape", shape, 2, positive=True)
+        titles = _checks.texts("subplot_titles", subplot_titles)
         settings = {
-            "title": title,
-            "subplot titles": list(subplot_titles),
-            "row titles": list(row_titles),
-            "color scale": color_scale,
+            "title": _checks.text("title", title),
+            "subplot titles": titles,
+            "row titles": _checks.texts("row_titles", row_titles),
+            "color scale": _checks.scale("color_scale", color_scale),
             "column number": cols,
             "row number": rows,
-            "font": {"size": 48} if font_settings is None else dict(font_settings),
+            "font": _checks.mapping("font_settings", font_settings, {"size": 48}),
             "width": shape[0],
             "height": shape[1],
-            "margin": list(margin),
-            "xaxis": dict(_AXIS if xaxis_settings is None else xaxis_settings),
-            "yaxis": dict(_AXIS if yaxis_settings is None else yaxis_settings),
-            "horizontal spacing": horizontal_spacing,
-            "vertical spacing": vertical_spacing,
+            "margin": _checks.numbers("margin", margin, 4, least=0),
+            "xaxis": _checks.mapping("xaxis_settings", xaxis_settings, _AXIS),
+            "yaxis": _checks.mapping("yaxis_settings", yaxis_settings, _AXIS),
+            "horizontal spacing": _checks.share("horizontal_spacing", horizontal_spacing),
+            "vertical spacing": _checks.share("vertical_spacing", vertical_spacing),
             "maximum side": MAXIMUM_SIDE,
         }
         spacing = {"horizontal_spacing": horizontal_spacing, "vertical_spacing": vertical_spacing}
-        super().__init__(rows, cols, list(subplot_titles)[: rows * cols], row_titles, settings, **spacing)
+        super().__init__(rows, cols, titles[: rows * cols], settings, **spacing)
 
     def add_field(
         self,
-        field,
+        field: Array,
         zoomed_inset: str | os.PathLike | None = None,
         zoomed_inset_settings: dict | None = None,
         row: int = 1,
@@ -171,16 +176,21 @@ class plot2dshow(_Images):
         ValueError, TypeError
             If the field is not one real image, or the inset cannot be read.
         """
+        place = _checks.cell(self._cells, row, col)
+        label = _checks.text("label", label)
+        inset = _checks.mapping("zoomed_inset_settings", zoomed_inset_settings, {})
         values = image("field", field)
         if values.dtype.kind == "c":
             raise TypeError("field must be real, got a complex one; draw its amplitude or phase, or use detectorshow")
         picture = None if zoomed_inset is None else _inset(zoomed_inset)
-        self._add(values, _PLAIN, self.settings["color scale"], row, col, showscale, dx=dx, bar=label, origin=origin)
+        self._add(
+            values, _PLAIN, self.settings["color scale"], *place.values(), showscale, dx=dx, bar=label, origin=origin
+        )
         if picture:
-            place = {"x": 0, "y": 150, "sizex": 150, "sizey": 150} | (zoomed_inset_settings or {})
+            inset = {"x": 0, "y": 150, "sizex": 150, "sizey": 150} | inset
             # The same rows are covered wherever row 0 is.
-            place = {"yanchor": "bottom" if origin == "upper" else "top", "sizing": "stretch", "layer": "above"} | place
-            self.fig.add_layout_image(source=picture, row=row, col=col, **place)
+            inset = {"yanchor": "bottom" if origin == "upper" else "top", "sizing": "stretch", "layer": "above"} | inset
+            self.fig.add_layout_image(source=picture, **place, **inset)
 
     def update_layout(self) -> None:
         """Bring the figure in line with its settings; showing and saving do this first."""
@@ -235,15 +245,25 @@ class detectorshow(_Images):
         margin: Sequence[int] = (65, 50, 65, 90),
         show_spectrum: bool = False,
     ):
-        wanted = (show_amplitude, show_phase, show_intensity, show_spectrum)
+        rows, cols = _counts(rows, cols)
+        shape, margin = _checks.numbers("shape", shape, 2, positive=True), _checks.numbers("margin", margin, 4, least=0)
+        shown = {
+            "show_amplitude": show_amplitude,
+            "show_phase": show_phase,
+            "show_intensity": show_intensity,
+            "show_spectrum": show_spectrum,
+        }
+        wanted = show_amplitude, show_phase, show_intensity, show_spectrum = tuple(
+            _validate.flag(name, value) for name, value in shown.items()
+        )
         self._quantities = [name for name, shown in zip(QUANTITIES, wanted, strict=True) if shown]
         if not self._quantities:
             raise ValueError("at least one of show_amplitude, show_phase, show_intensity, show_spectrum must be true")
         count = len(self._quantities)
         settings = {
-            "title": title,
-            "subplot titles": list(subplot_titles),
-            "row titles": list(row_titles),
+            "title": _checks.text("title", title),
+            "subplot titles": _checks.texts("subplot_titles", subplot_titles),
+            "row titles": _checks.texts("row_titles", row_titles),
             "color scale": "Portland",
             "phase color scale": CYCLIC_SCALE,
             "sub column no": count,
@@ -255,16 +275,17 @@ class detectorshow(_Images):
             "show spectrum": show_spectrum,
             "width": shape[0],
             "height": shape[1],
-            "margin": list(margin),
+            "margin": margin,
             "maximum side": MAXIMUM_SIDE,
         }
         titles = self._titles(settings["subplot titles"], wanted, rows, cols)
         spacing = _layout.spacing(rows, cols * count, shape, margin)
-        super().__init__(rows, cols * count, titles, row_titles, settings, **spacing)
+        super().__init__(rows, cols * count, titles, settings, **spacing)
+        self._cells = rows, cols
 
     def add_field(
         self,
-        field,
+        field: Array,
         row: int = 1,
         col: int = 1,
         showscale: bool = False,
@@ -291,6 +312,9 @@ class detectorshow(_Images):
             Where row 0 is.
         """
         values, count = image("field", field), len(self._quantities)
+        row, col = _checks.cell(self._cells, row, col).values()
+        if wavelength is not None:
+            _validate.real("wavelength", wavelength, positive=True)
         for i, name in enumerate(self._quantities):
             scale = self.settings["phase color scale" if QUANTITIES[name].cyclic else "color scale"]
             place = row, (col - 1) * count + 1 + i
@@ -306,6 +330,10 @@ class detectorshow(_Images):
         return given[: rows * cols * count]
 
 
+def _counts(rows, cols) -> tuple[int, int]:
+    return _validate.integer("rows", rows, minimum=1), _validate.integer("cols", cols, minimum=1)
+
+
 def _upper(quantity: Quantity, values: np.ndarray):
     """Return the top of the colour scale: given, or the greatest value where the bottom is given."""
     if quantity.limits[1] is not None or quantity.limits[0] is None:
@@ -318,11 +346,12 @@ def _inset(path) -> str:
     """Return an image file as the address of a PNG image."""
     from PIL import Image
 
-    path = validate_path(path, INSETS)
+    path = validate_path(path, INSETS, name="zoomed_inset")
     try:
-        with Image.open(path) as opened:
-            stream = io.BytesIO()
-            opened.convert("RGBA").save(stream, "PNG")
-    except (OSError, SyntaxError, Image.DecompressionBombError) as error:
+        levels = read_levels(path)
+    except ValueError as error:
         raise ValueError(f"zoomed_inset {path!r} cannot be read as an image: {error}") from error
+    levels = (levels // 257).astype(np.uint8) if levels.dtype == np.uint16 else levels
+    stream = io.BytesIO()
+    Image.fromarray(levels).convert("RGBA").save(stream, "PNG")
     return "data:image/png;base64," + base64.b64encode(stream.getvalue()).decode()

@@ -1,11 +1,14 @@
 """Surfaces over a plane, and plots of values."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from odak import _validate
+from odak._array import Array
 from odak.visualize._arrays import image, real_array
-from odak.visualize.plotly import _layout
+from odak.visualize.plotly import _checks, _layout
 from odak.visualize.plotly._library import graph, make_subplots
 from odak.visualize.plotly._panels import MAXIMUM_SIDE, averaged, reduction
 from odak.visualize.plotly._picture import Picture
@@ -13,7 +16,9 @@ from odak.visualize.plotly._picture import Picture
 __all__ = ["plotshow", "surfaceshow"]
 
 MAXIMUM_SURFACE = 512
+ORIGINS = ("upper", "lower")
 _AXES = ("x", "y", "z")
+_MODES = {"lines", "markers", "text", "none"}
 
 
 class surfaceshow(Picture):
@@ -59,15 +64,17 @@ class surfaceshow(Picture):
         camera: Sequence[float] = (1.87, 0.88, -0.64),
         colorbarlength: float = 0.75,
     ):
+        shape, tick_no = _checks.numbers("shape", shape, 2, positive=True), _checks.numbers("tick_no", tick_no, 3)
+        labels, types = _checks.texts("labels", labels, 3), _checks.texts("types", types, 3)
         settings = {
-            "title": title,
+            "title": _checks.text("title", title),
             "color scale": "Portland",
-            "font size": font_size,
+            "font size": _validate.whole("font_size", font_size, minimum=1),
             "width": shape[0],
             "height": shape[1],
-            "margin": list(margin),
-            "camera": list(camera),
-            "colorbar length": colorbarlength,
+            "margin": _checks.numbers("margin", margin, 4, least=0),
+            "camera": _checks.numbers("camera", camera, 3),
+            "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
         }
         for i, axis in enumerate(_AXES):
             settings |= {
@@ -77,7 +84,16 @@ class surfaceshow(Picture):
             }
         super().__init__(graph.Figure(), settings)
 
-    def add_surface(self, data_x, data_y, data_z, label="", mode="lines+markers", opacity=1.0, contour=False) -> None:
+    def add_surface(
+        self,
+        data_x: Array,
+        data_y: Array,
+        data_z: Array,
+        label: str = "",
+        mode: str = "lines+markers",
+        opacity: float = 1.0,
+        contour: bool = False,
+    ) -> None:
         """Add a surface, coloured by its z.
 
         Parameters
@@ -105,11 +121,11 @@ class surfaceshow(Picture):
             self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
         trace = graph.Surface(
             **grid,
-            name=label,
+            name=_checks.text("label", label),
             colorscale=self.settings["color scale"],
-            opacity=float(opacity),
+            opacity=_checks.share("opacity", opacity),
             colorbar={"len": self.settings["colorbar length"], "title": {"text": self.settings["z label"]}},
-            contours={"z": {"show": bool(contour)}},
+            contours={"z": {"show": _validate.flag("contour", contour)}},
         )
         self.fig.add_trace(trace)
 
@@ -167,24 +183,36 @@ class plotshow(Picture):
         rows: int = 1,
         cols: int = 1,
     ):
+        rows, cols = (_validate.integer(name, n, minimum=1) for name, n in (("rows", rows), ("cols", cols)))
+        titles, labels = _checks.texts("subplot_titles", subplot_titles), _checks.texts("labels", labels, 2)
+        shape = _checks.numbers("shape", shape, 2, positive=True)
         figure = make_subplots(rows=rows, cols=cols)
-        _layout.place_titles(figure, list(subplot_titles)[: rows * cols], [], cols)
+        _layout.place_titles(figure, titles[: rows * cols], [], cols)
         settings = {
-            "subplot titles": list(subplot_titles),
+            "subplot titles": titles,
             "color scale": "Portland",
-            "font size": font_size,
+            "font size": _validate.whole("font_size", font_size, minimum=1),
             "x label": labels[0],
             "y label": labels[1],
-            "margin": list(margin),
-            "colorbar length": colorbarlength,
+            "margin": _checks.numbers("margin", margin, 4, least=0),
+            "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
             "width": shape[0],
             "height": shape[1],
             "maximum side": MAXIMUM_SIDE,
         }
         super().__init__(figure, settings)
         self._domains = _layout.domains(figure)
+        self._cells = rows, cols
 
-    def add_plot(self, data_x, data_y=None, label="", mode="lines+markers", row=1, col=1) -> None:
+    def add_plot(
+        self,
+        data_x: Array,
+        data_y: Array = None,
+        label: str = "",
+        mode: str = "lines+markers",
+        row: int = 1,
+        col: int = 1,
+    ) -> None:
         """Add a curve.
 
         Parameters
@@ -207,9 +235,14 @@ class plotshow(Picture):
         y = np.arange(len(x)) if data_y is None else real_array("data_y", data_y).reshape(-1)
         if len(x) != len(y):
             raise ValueError(f"data_x and data_y must be as long as each other, got {len(x)} and {len(y)}")
-        self.fig.add_trace(graph.Scatter(x=x, y=y, mode=mode, name=label), row=row, col=col)
+        place, label = _checks.cell(self._cells, row, col), _checks.text("label", label)
+        if not isinstance(mode, str) or not set(mode.split("+")) <= _MODES:
+            raise ValueError(f"mode must be made of {', '.join(sorted(_MODES))} with + between; got {mode!r:.80}")
+        self.fig.add_trace(graph.Scatter(x=x, y=y, mode=mode, name=label), **place)
 
-    def add_2d_plot(self, image, label="", row=1, col=1, showscale=False, origin="upper") -> None:
+    def add_2d_plot(
+        self, image: Array, label: str = "", row: int = 1, col: int = 1, showscale: bool = False, origin: Any = "upper"
+    ) -> None:
         """Add an image of values.
 
         Parameters
@@ -226,7 +259,8 @@ class plotshow(Picture):
         origin : {"upper", "lower"}
             Where row 0 is.
         """
-        add_image(self, image, row, col, showscale, origin, label)
+        place = _checks.cell(self._cells, row, col).values()
+        add_image(self, image, *place, showscale, origin, _checks.text("label", label))
 
     def update_layout(self) -> None:
         """Bring the figure in line with its settings; showing and saving do this first."""
@@ -240,6 +274,7 @@ class plotshow(Picture):
 def add_image(picture: Picture, values, row: int, col: int, showscale: bool, origin: str, label: str = ""):
     """Add an image of real values to a picture, reduced to what its settings allow, and return the trace."""
     values = real_array("image", image("image", values))
+    origin = _validate.one_of("origin", origin, ORIGINS)
     factor = reduction(values.shape, picture.settings["maximum side"])
     if factor > 1:
         picture._say(f"means of {factor} × {factor} of the {' × '.join(map(str, values.shape))} samples")
@@ -251,7 +286,7 @@ def add_image(picture: Picture, values, row: int, col: int, showscale: bool, ori
         dy=factor,
         name=label,
         colorscale=picture.settings["color scale"],
-        showscale=bool(showscale),
+        showscale=_validate.flag("showscale", showscale),
         colorbar={"title": {"text": label}},
     )
     picture.fig.add_trace(trace, row=row, col=col)

@@ -1,12 +1,14 @@
 """Rays, points, meshes, surfaces and volumes in space."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _validate
+from odak._array import Array
 from odak.visualize import _arrays
-from odak.visualize.plotly import _layout
+from odak.visualize.plotly import _checks, _layout
 from odak.visualize.plotly._colors import colors, face_colors
 from odak.visualize.plotly._library import graph, make_subplots
 from odak.visualize.plotly._picture import Picture
@@ -69,20 +71,22 @@ class rayshow(Picture):
         labels: Sequence[str] = ("x", "y", "z"),
     ):
         rows, columns = (_validate.integer(n, v, minimum=1) for n, v in (("rows", rows), ("columns", columns)))
+        subplot_titles = _checks.texts("subplot_titles", subplot_titles)
+        shape = None if shape is None else _checks.numbers("shape", shape, 2, positive=True)
         titles = [*subplot_titles, *[""] * (rows * columns)][: rows * columns]
         scenes = [[{"type": "scene"}] * columns] * rows
         figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, specs=scenes)
         settings = {
             "rows": rows,
-            "color scale": color_scale,
+            "color scale": _checks.scale("color_scale", color_scale),
             "columns": columns,
-            "subplot titles": list(subplot_titles),
-            "opacity": opacity,
-            "line width": line_width,
-            "marker size": marker_size,
+            "subplot titles": subplot_titles,
+            "opacity": _checks.share("opacity", opacity),
+            "line width": _checks.numbers("line_width", [line_width], 1, least=0)[0],
+            "marker size": _checks.numbers("marker_size", [marker_size], 1, least=0)[0],
             "width": shape[0] if shape else None,
             "height": shape[1] if shape else None,
-            "labels": list(labels),
+            "labels": _checks.texts("labels", labels, 3),
             "aspect ratio": [1.0, 1.0, 1.0],
             "margin": [20, 20, 30, 60],
         }
@@ -104,22 +108,45 @@ class rayshow(Picture):
         return self.settings["columns"] * (row - 1) + column
 
     def set_axis_limits(
-        self, row=1, column=1, x_limits=(-1.0, 1.0), y_limits=(-1.0, 1.0), z_limits=(-1.0, 1.0)
+        self,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        x_limits: Any = (-1.0, 1.0),
+        y_limits: Any = (-1.0, 1.0),
+        z_limits: Any = (-1.0, 1.0),
     ) -> None:
         """Set the ranges of the axes of a scene."""
         limits = zip(_AXES, (x_limits, y_limits, z_limits), strict=True)
-        ranges = {f"{a}axis": {"range": _arrays.real_array(f"{a}_limits", v).tolist()} for a, v in limits}
+        ranges = {f"{a}axis": {"range": _checks.numbers(f"{a}_limits", v, 2)} for a, v in limits}
         self._scene(row, column).update(ranges)
 
-    def set_camera(self, row=1, column=1, x: float = 0.0, y: float = 0.0, z: float = 1.0, up=None) -> None:
+    def set_camera(
+        self,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        x: float = 0.0,
+        y: float = 0.0,
+        z: float = 1.0,
+        up: Array = None,
+    ) -> None:
         """Set where the camera of a scene stands, in units of the scene, and which axis (x, y, z) points up."""
-        camera = {"eye": {"x": float(x), "y": float(y), "z": float(z)}}
+        camera = {"eye": {name: float(_validate.real(name, v)) for name, v in zip(_AXES, (x, y, z), strict=True)}}
+        if isinstance(up, str):
+            up = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}[_validate.one_of("up", up, _AXES)]
         if up is not None:
-            up = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}.get(up, up)
-            camera["up"] = dict(zip(_AXES, map(float, up), strict=True))
+            camera["up"] = dict(zip(_AXES, map(float, _checks.numbers("up", up, 3)), strict=True))
         self._scene(row, column).camera.update(camera)
 
-    def add_point(self, point, row=1, column=1, color="red", opacity=1.0, show_legend=False, label=None) -> None:
+    def add_point(
+        self,
+        point: Array,
+        row: int = 1,
+        column: int = 1,
+        color: Any = "red",
+        opacity: float = 1.0,
+        show_legend: bool = False,
+        label: str | None = None,
+    ) -> None:
         """Add points.
 
         Parameters
@@ -146,16 +173,24 @@ class rayshow(Picture):
                 **dict(zip(_AXES, places.T, strict=True)),
                 mode="markers",
                 marker=marker,
-                opacity=float(opacity),
-                showlegend=bool(show_legend),
-                name=label,
+                opacity=_checks.share("opacity", opacity),
+                showlegend=_validate.flag("show_legend", show_legend),
+                name=_checks.text("label", label),
             ),
             row,
             column,
         )
 
     def add_line(
-        self, point_start, point_end, row=1, column=1, dash=None, color="red", show_legend=False, label=None
+        self,
+        point_start: Array,
+        point_end: Array,
+        row: int = 1,
+        column: int = 1,
+        dash: str | None = None,
+        color: Any = "red",
+        show_legend: bool = False,
+        label: str | None = None,
     ) -> None:
         """Add line segments, all in one trace.
 
@@ -182,7 +217,16 @@ class rayshow(Picture):
         starts, ends = _arrays.pairs(("point_start", "point_end"), point_start, point_end)
         self.add_path(np.stack([starts, ends], axis=1), row, column, dash, color, show_legend, label)
 
-    def add_path(self, points, row=1, column=1, dash=None, color="red", show_legend=False, label=None) -> None:
+    def add_path(
+        self,
+        points: Array,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        dash: Array = None,
+        color: Any = "red",
+        show_legend: bool = False,
+        label: Any = None,
+    ) -> None:
         """Add lines through several points each, all in one trace.
 
         Parameters
@@ -206,14 +250,22 @@ class rayshow(Picture):
             mode="lines",
             line=style,
             opacity=float(self.settings["opacity"]),
-            showlegend=bool(show_legend),
-            name=label,
+            showlegend=_validate.flag("show_legend", show_legend),
+            name=_checks.text("label", label),
             connectgaps=False,
         )
         self._add(trace, row, column)
 
     def add_rays(
-        self, rays, distance=1.0, row=1, column=1, dash=None, color="red", show_legend=False, label=None
+        self,
+        rays: Array,
+        distance: float | Array = 1.0,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        dash: Array = None,
+        color: Any = "red",
+        show_legend: bool = False,
+        label: Any = None,
     ) -> None:
         """Add rays, drawn from their starts over a distance, all in one trace; rays that are NaN are left out.
 
@@ -229,14 +281,30 @@ class rayshow(Picture):
         starts, ends = _arrays.reach(rays, distance)
         self.add_line(starts, ends, row, column, dash, color, show_legend, label)
 
-    def add_triangle(self, triangle, row=1, column=1, dash=None, color="red", show_legend=False) -> None:
+    def add_triangle(
+        self,
+        triangle: Array,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        dash: Array = None,
+        color: Any = "red",
+        show_legend: bool = False,
+    ) -> None:
         """Add triangles ``[3, 3]`` or ``[m, 3, 3]``, all in one mesh; `dash` has no effect."""
         corners = _arrays.triangles("triangle", triangle)
         faces = np.arange(3 * len(corners)).reshape(-1, 3)
         self.add_mesh(corners.reshape(-1, 3), faces, row, column, color, show_legend=show_legend)
 
     def add_mesh(
-        self, vertices, faces, row=1, column=1, color="red", opacity=None, show_legend=False, label=None
+        self,
+        vertices: Array,
+        faces: Array,
+        row: int = 1,
+        column: int = 1,
+        color: Any = "red",
+        opacity: float | None = None,
+        show_legend: bool = False,
+        label: str | None = None,
     ) -> None:
         """Add a mesh.
 
@@ -265,15 +333,23 @@ class rayshow(Picture):
             **dict(zip(_AXES, places.T, strict=True)),
             **dict(zip("ijk", corners.T, strict=True)),
             **style,
-            opacity=float(self.settings["opacity"] if opacity is None else opacity),
+            opacity=self.settings["opacity"] if opacity is None else _checks.share("opacity", opacity),
             flatshading=True,
             lighting={"ambient": 0.75},
-            showlegend=bool(show_legend),
-            name=label,
+            showlegend=_validate.flag("show_legend", show_legend),
+            name=_checks.text("label", label),
         )
         self._add(trace, row, column)
 
-    def add_sphere(self, sphere, row=1, column=1, dash=None, color="red", show_legend=False) -> None:
+    def add_sphere(
+        self,
+        sphere: Array,
+        row: float | Array = 1,
+        column: float | Array = 1,
+        dash: Array = None,
+        color: Any = "red",
+        show_legend: bool = False,
+    ) -> None:
         """Add a sphere, ``[4]`` or ``[1, 4]``: centre and radius; `dash` has no effect."""
         values = _arrays.real_array("sphere", sphere).reshape(-1)
         if values.shape != (4,):
@@ -285,25 +361,25 @@ class rayshow(Picture):
         parts = (*parts, np.outer(np.ones_like(theta), np.cos(phi)))
         trace = graph.Surface(
             **{axis: radius * part + c for axis, part, c in zip(_AXES, parts, centre, strict=True)},
-            colorscale=[[0, color], [1, color]],
+            colorscale=[[0, _checks.colour("color", color)], [1, color]],
             showscale=False,
             opacity=float(self.settings["opacity"]),
-            showlegend=bool(show_legend),
+            showlegend=_validate.flag("show_legend", show_legend),
         )
         self._add(trace, row, column)
 
     def add_surface(
         self,
-        data_x,
-        data_y,
-        data_z,
-        surface_color,
-        row=1,
-        column=1,
-        label="",
-        mode="lines+markers",
-        opacity=1.0,
-        contour=False,
+        data_x: Array,
+        data_y: Array,
+        data_z: Array,
+        surface_color: Any,
+        row: int = 1,
+        column: int = 1,
+        label: str = "",
+        mode: str = "lines+markers",
+        opacity: float = 1.0,
+        contour: bool = False,
     ) -> None:
         """Add a surface, coloured by values on it.
 
@@ -326,9 +402,11 @@ class rayshow(Picture):
             Draw lines of equal z.
         """
         grid, factor = surface_grid(data_x, data_y, data_z)
+        label, opacity = _checks.text("label", label), _checks.share("opacity", opacity)
         if factor > 1:
             self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
         if isinstance(surface_color, str):
+            _checks.colour("surface_color", surface_color)
             style = {"colorscale": [[0, surface_color], [1, surface_color]], "showscale": False}
         else:
             values = _arrays.real_array("surface_color", surface_color)
@@ -336,10 +414,19 @@ class rayshow(Picture):
                 raise ValueError(f"surface_color must be {list(np.shape(data_z))}, got {list(values.shape)}")
             style = {"surfacecolor": values[::factor, ::factor], "colorscale": self.settings["color scale"]}
             style["colorbar"] = {"title": {"text": label}}
-        contours = {"z": {"show": bool(contour)}}
-        self._add(graph.Surface(**grid, **style, name=label, opacity=float(opacity), contours=contours), row, column)
+        contours = {"z": {"show": _validate.flag("contour", contour)}}
+        self._add(graph.Surface(**grid, **style, name=label, opacity=opacity, contours=contours), row, column)
 
-    def add_volume(self, points, values, limits=(0.0, 1.0), row=1, column=1, opacity=1.0, surface_count=17) -> None:
+    def add_volume(
+        self,
+        points: Array,
+        values: Array,
+        limits: Sequence[float] = (0.0, 1.0),
+        row: int = 1,
+        column: int = 1,
+        opacity: float = 1.0,
+        surface_count: int = 17,
+    ) -> None:
         """Add surfaces of equal value in a volume.
 
         Parameters
@@ -358,14 +445,14 @@ class rayshow(Picture):
         places, numbers = _arrays.points("points", points), _arrays.real_array("values", values).reshape(-1)
         if len(numbers) != len(places):
             raise ValueError(f"values must be as many as points, {len(places)}, got {len(numbers)}")
-        low, high = _arrays.real_array("limits", limits).tolist()
+        low, high = _checks.numbers("limits", limits, 2)
         trace = graph.Volume(
             **dict(zip(_AXES, places.T, strict=True)),
             value=numbers,
             isomin=low,
             isomax=high,
-            opacity=float(opacity),
-            surface_count=int(surface_count),
+            opacity=_checks.share("opacity", opacity),
+            surface_count=_validate.whole("surface_count", surface_count, minimum=1),
             colorscale=self.settings["color scale"],
         )
         self._add(trace, row, column)
@@ -387,7 +474,7 @@ class rayshow(Picture):
             self.settings["aspect ratio"] = aspect_ratio
         return super().show()
 
-    def save_offline(self, filename="plot.html") -> str:
+    def save_offline(self, filename: Any = "plot.html") -> str:
         """Save the picture as a page, and return its ``<div>`` without plotly.js; as :meth:`save_html`."""
         return self.save_html(filename)
 

@@ -4,8 +4,9 @@ import os
 from collections.abc import Sequence
 
 from odak import _validate
+from odak._array import Array
 from odak.visualize._arrays import to_numpy
-from odak.visualize.plotly import _layout
+from odak.visualize.plotly import _checks, _layout
 from odak.visualize.plotly._panels import QUANTITIES, length
 from odak.visualize.plotly.fields import detectorshow
 
@@ -15,7 +16,7 @@ MARGIN = (75, 40, 75, 90)
 
 
 def field_show(
-    field,
+    field: Array,
     dx: float | None = None,
     wavelength: float | None = None,
     *,
@@ -73,21 +74,26 @@ def field_show(
     values = to_numpy("field", field)
     if values.ndim < 2 or 0 in values.shape:
         raise ValueError(f"field must be [..., rows, columns], not empty; got {list(values.shape)}")
+    for name, value in (("dx", dx), ("wavelength", wavelength)):
+        if value is not None:
+            _validate.real(name, value, positive=True)
+    show = None if show is None else _validate.flag("show", show)
+    size, labels = _validate.whole("size", size, minimum=1), _checks.texts("labels", labels)
     if quantities is None:
         quantities = ("amplitude", "phase") if values.dtype.kind == "c" else ("amplitude",)
-    names = [quantities] if isinstance(quantities, str) else list(quantities)
+    names = _validate.texts("quantities", [quantities] if isinstance(quantities, str) else quantities)
     chosen = [_validate.one_of("quantities", name, QUANTITIES) for name in names]
     stack = values.reshape(-1, *values.shape[-2:])
     rows, columns = stack.shape[1:]
     picture = detectorshow(
-        row_titles=list(labels) or ([f"Field {i + 1}" for i in range(len(stack))] if len(stack) > 1 else [""]),
+        row_titles=labels or ([f"Field {i + 1}" for i in range(len(stack))] if len(stack) > 1 else [""]),
         title=_description(rows, columns, dx, wavelength) if title is None else title,
         rows=len(stack),
         shape=_fitting(len(stack), len(chosen), rows, columns, size),
         margin=MARGIN,
         **{f"show_{name}": name in chosen for name in QUANTITIES},
     )
-    picture.settings["color scale"] = color_scale
+    picture.settings["color scale"] = _checks.scale("color_scale", color_scale)
     for i, one in enumerate(stack):
         picture.add_field(one, row=i + 1, showscale=True, dx=dx, wavelength=wavelength, origin=origin)
     if filename is not None:

@@ -2,13 +2,15 @@
 
 import math
 import os
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from odak import _validate
 from odak.raytracing.sag import even_asphere_sag
 from odak.tools.transformation import rotate_points
 from odak.visualize._arrays import to_numpy
+from odak.visualize.plotly import _checks
 from odak.visualize.plotly.rays import rayshow
 
 __all__ = ["system_show"]
@@ -28,7 +30,7 @@ class _Sheet(NamedTuple):
 
 
 def system_show(
-    system,
+    system: Any,
     *,
     rings: int = 3,
     pattern: str = "rings",
@@ -70,11 +72,16 @@ def system_show(
     """
     from odak.learn.raytracing.system import launch, optical_system
     from odak.learn.raytracing.system.drawing import COLOURS
+    from odak.learn.raytracing.system.pupils import PATTERNS
 
     if not isinstance(system, optical_system):
         raise TypeError(f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}")
     import torch
 
+    if isinstance(pattern, str):
+        pattern = _validate.one_of("pattern", pattern, PATTERNS)
+    _validate.integer("rings", rings, minimum=1)
+    title, show = _checks.text("title", title), None if show is None else _validate.flag("show", show)
     name = system.name or "Optical system"
     picture = rayshow(
         subplot_titles=[name if title is None else title],

@@ -92,3 +92,9 @@ def test_numbers_follow_the_tensors_and_devices():
     assert jones.circular_polarizer(dtype=torch.complex128).dtype == torch.complex128
     with pytest.raises(TypeError, match=r"dtype must be torch\.complex64"):
         jones.polarizer(3.0, dtype=torch.float32)
+
+
+def test_numbers_keep_the_digits_of_double_precision():
+    angle, retardance = 100 / 3, 200 / 3
+    result = jones.retarder(retardance, angle, dtype=torch.complex128).numpy()
+    np.testing.assert_allclose(result, odak.jones.retarder(retardance, angle), rtol=0, atol=1e-15)

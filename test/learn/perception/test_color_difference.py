@@ -86,3 +86,17 @@ def test_delta_e_is_the_distance():
 def test_refused():
     with pytest.raises(ValueError, match=r"second must be pictures \[..., 3, H, W\]"):
         ciede2000(torch.zeros(3, 1, 1), torch.zeros(2, 1, 1))
+
+
+@pytest.mark.parametrize("difference", [delta_e, ciede2000])
+def test_what_is_no_colour_differs_by_no_number(difference):
+    first = torch.full((1, 3, 1, 2), 40.0)
+    first[0, 1, 0, 0] = torch.nan
+    found = difference(first, torch.full((1, 3, 1, 2), 50.0))
+    assert found.isnan().flatten().tolist() == [True, False]
+
+
+@pytest.mark.parametrize("difference", [delta_e, ciede2000])
+def test_pictures_of_two_sizes_are_named(difference):
+    with pytest.raises(ValueError, match=r"first \[1, 3, 4, 5\], second \[1, 3, 4, 6\]"):
+        difference(torch.ones(1, 3, 4, 5), torch.ones(1, 3, 4, 6))

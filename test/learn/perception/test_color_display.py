@@ -202,3 +202,21 @@ def test_refused():
         display.initialize_random_spectrum_normalized(torch.tensor([[800.0, 1.0], [900.0, 1.0]]))
     with pytest.raises(ValueError, match="wavelengths must rise"):
         p.spectrum_to_xyz(torch.ones(3), [1.0, 2.0])
+
+
+def test_negated_views():
+    """What ``.conj().imag`` gives; torch turns them into plain tensors late."""
+    display, picture = p.display_color_hvs(), torch.rand(1, 3, 4, 4)
+    view = torch._neg_view(-picture)
+    torch.testing.assert_close(display.second_to_third_stage(view), display.second_to_third_stage(picture))
+    table = torch.stack([torch.linspace(400, 700, 31), torch.linspace(0.1, 1, 31)], -1)
+    fitted = display.initialize_random_spectrum_normalized(torch._neg_view(-table))
+    torch.testing.assert_close(fitted, display.initialize_random_spectrum_normalized(table))
+
+
+def test_responses_of_another_precision():
+    display = p.display_color_hvs()
+    cones = [getattr(display, f"{cone}_normalized") for cone in "lms"]
+    torch.testing.assert_close(display.construct_matrix_lms(*(cone.double() for cone in cones)), display.lms_tensor)
+    with pytest.raises(ValueError, match="m_response must hold 301 samples"):
+        display.construct_matrix_lms(cones[0], cones[1][:-1], cones[2])

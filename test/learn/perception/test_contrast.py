@@ -81,3 +81,9 @@ def test_pictures_of_a_batch_do_not_influence_each_other():
 def test_bad_options_are_named(change, message):
     with pytest.raises(ValueError, match=message):
         perception.content_aware_contrast_ratio(**({"image": halves()} | change))
+
+
+def test_content_aware_contrast_in_half_precision():
+    picture = torch.rand(20, 20, generator=torch.Generator().manual_seed(0)).half()
+    half, single = (perception.content_aware_contrast_ratio(image, 5) for image in (picture, picture.float()))
+    assert half["pooled_harmonic_mean"] == single["pooled_harmonic_mean"]

@@ -207,3 +207,20 @@ def test_losses_refused():
         p.local_contrast_loss(good, good, patch_size=9)
     with pytest.raises(ValueError, match=r"\[D, N\] of one shape"):
         p.compute_local_contrast_similarity(torch.ones(4, 2), torch.ones(4, 3))
+
+
+def test_patches_that_hold_no_number_are_not_alike_by_a_number():
+    patches = rand(4, 3)
+    spoilt = patches.clone()
+    spoilt[0, 1] = torch.nan
+    assert p.compute_local_contrast_similarity(spoilt, patches).isnan().tolist() == [False, True, False]
+
+
+def test_loss_names_the_picture_that_came():
+    picture = torch.rand(1, 3, 8, 8)
+    with pytest.raises(ValueError, match=r"^image must hold finite values"):
+        p.CVDLoss()(torch.full_like(picture, torch.nan))
+    with pytest.raises(ValueError, match=r"^target must have the image's shape"):
+        p.CVDLoss()(picture, picture[..., :-1])
+    with pytest.raises(ValueError, match=r"^lc_patch_size must be at least 1"):
+        p.cvd_loss(picture, picture, lc_patch_size=0)

@@ -247,3 +247,10 @@ def test_values_that_cannot_be_meant(metric):
         with pytest.raises(ValueError, match="targets must hold finite values of about 0 to 1"):
             metric(two, bad)
     assert metric(255 * one, 255 * two, 255.0).item() == pytest.approx(metric(one, two).item())
+
+
+def test_values_that_a_transform_hides_are_not_scored():
+    """Such values are not read; MS-SSIM of NaN was 0."""
+    one, two = pictures(2, 1, 176, 176)
+    one[0] = np.nan
+    assert torch.func.vmap(MSSSIM())(one, two).isnan().tolist() == [True, False]

@@ -142,7 +142,7 @@ def test_devices_and_precisions_mix():
         (lambda: core.reflect([1, 2, 3], GOOD), ValueError, r"input_ray must be \[2, 3\]"),
         (lambda: core.intersect_w_sphere(GOOD, [0, 0, 1j, 1]), TypeError, "sphere must be real numbers"),
         (lambda: core.intersect_w_surface(GOOD, [[0, 0, 1]]), ValueError, r"points must be \[3, 3\]"),
-        (lambda: core.refract(GOOD, GOOD, "air", 1.5), TypeError, "n1 must be real numbers"),
+        (lambda: core.refract(GOOD, GOOD, "air", 1.5), TypeError, "n1 must be"),
     ],
 )
 def test_errors_name_the_argument(call, error, message):

@@ -187,3 +187,18 @@ def test_one_row_of_vertices_has_no_triangle():
     mesh = planar_mesh(number_of_meshes=[1, 5])
     assert mesh.get_triangles().shape == (0, 3, 3)
     assert mesh.mirror(torch.tensor([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]]))[0].shape == (0, 2, 3)
+
+
+def test_heights_made_in_inference_mode_can_be_learned():
+    with torch.inference_mode():
+        heights = torch.zeros(3, 3, 1)
+    mesh = planar_mesh(number_of_meshes=[3, 3], heights=heights)
+    mesh.get_triangles().sum().backward()
+    assert mesh.heights.grad.any()
+
+
+def test_mirrors_rays_of_any_batch():
+    rays = torch.tensor([[[0.2, -0.3, 5.0], [0.0, 0.0, -1.0]]] * 4)
+    rays[:, 0, 0] += torch.linspace(0, 0.2, 4)
+    flat, batch = (planar_mesh().mirror(value)[0] for value in (rays, rays.reshape(2, 2, 2, 3)))
+    assert torch.equal(flat, batch)

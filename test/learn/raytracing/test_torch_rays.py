@@ -226,3 +226,27 @@ def test_a_mirror_learns_its_tilt():
         loss.backward()
         optimizer.step()
     assert loss < 1e-2
+
+
+def test_lines_that_hold_no_number_do_not_cross_at_one():
+    ray0 = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    ray1 = torch.tensor([[[3.0, -7.0, 0.0], [0.0, 1.0, 0.0]]] * 2)
+    ray1[0, 0, 1] = torch.nan
+    for face in (rt, core):
+        given = (ray0, ray1) if face is rt else (ray0.numpy(), ray1.numpy())
+        points, distances = (torch.as_tensor(value) for value in face.calculate_intersection_of_two_rays(*given))
+        assert points[0].isnan().any()
+        assert distances[0].isnan().all()
+        assert distances[1].tolist() == [3.0, 7.0]
+
+
+def test_spheres_and_points_that_are_not_as_many_are_named():
+    with pytest.raises(ValueError, match=r"point \[3\], sphere \[2\]"):
+        rt.get_sphere_normal_torch(torch.ones(3, 3), torch.ones(2, 4))
+
+
+@pytest.mark.parametrize("radius", [float("nan"), [], "wide", 1j])
+def test_radii_that_are_no_numbers(radius):
+    for make in (rt.define_sphere, rt.define_cylinder):
+        with pytest.raises((ValueError, TypeError), match="radius must"):
+            make(torch.zeros(3), radius)

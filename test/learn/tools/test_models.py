@@ -4,6 +4,7 @@ import pickle
 import pytest
 import torch
 
+from odak.learn import models, tools
 from odak.learn.tools import PerspectiveCamera, fitcurve, freeze, get_rotation_matrix, multi_layer_perceptron, unfreeze
 
 
@@ -68,3 +69,35 @@ def test_fit_and_what_it_refuses(tmp_path):
         model.load_weights(tmp_path / "bad.pt")
     with pytest.raises(ValueError, match="not allowed"):
         model.save_weights(tmp_path / "w.txt")
+
+
+def test_networks_take_what_was_made_in_inference_mode():
+    """Autograd cannot save such tensors, and said so from its depths."""
+    with torch.inference_mode():
+        x = torch.rand(1, 2, 8, 8)
+    layer = models.convolution_layer(2, 2, activation=None)
+    layer(x).sum().backward()
+    convolution = layer.model[0]
+    wanted = torch.nn.functional.conv2d(x.clone(), convolution.weight, padding=1)
+    assert torch.equal(layer(x), wanted)
+    assert convolution.weight.grad.abs().sum() > 0
+    with pytest.raises(TypeError, match=r"x must have the precision of the layer, torch\.float32"):
+        layer(torch.rand(1, 2, 8, 8, dtype=torch.float64))
+
+
+def test_camera_and_splines_take_the_wider_of_two_precisions():
+    camera = PerspectiveCamera(torch.eye(3), torch.ones(3), [1.0, 1.0], [0.0, 0.0])
+    moved = camera.transform_world_to_camera_space(torch.zeros(2, 3, dtype=torch.float64))
+    assert moved.dtype == torch.float64 and torch.equal(moved, torch.ones(2, 3, dtype=torch.float64))
+    image = torch.rand(8, 8)
+    coefficients, basis, _ = tools.decompose_bspline_2d(image, [4, 4])
+    wide = tools.compose_bspline_2d(coefficients.double(), basis, [8, 8])
+    assert wide.dtype == torch.float64
+    assert torch.allclose(wide.float(), tools.compose_bspline_2d(coefficients, basis, [8, 8]), atol=1e-6)
+
+
+def test_voxels_of_points_that_are_not_finite_are_refused():
+    with pytest.raises(ValueError, match="points must be finite"):
+        tools.point_cloud_to_voxel(torch.tensor([[0.0, 0.0, float("nan")], [1.0, 1.0, 1.0]]))
+    with pytest.raises(ValueError, match="voxel_size must be three numbers or one, got 2"):
+        tools.point_cloud_to_voxel(torch.rand(4, 3), [0.1, 0.1])

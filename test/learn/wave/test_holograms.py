@@ -298,3 +298,10 @@ def test_lbfgs_moves_on_large_pictures_and_reports_the_mean():
     # A flat hologram lights the picture evenly, so that the first loss is about the picture's variance.
     assert losses[0] == pytest.approx(picture.var().item(), rel=0.2)
     assert image.isfinite().all()
+
+
+def test_gerchberg_saxton_by_keywords():
+    field = torch.rand(16, 16) + 0j
+    named = wave.gerchberg_saxton(field=field, n_iterations=2, distance=1e-3, dx=8e-6, wavelength=532e-9, seed=1)
+    placed = wave.gerchberg_saxton(field, 2, 1e-3, 8e-6, 532e-9, seed=1)
+    assert torch.equal(named[0], placed[0])

@@ -47,7 +47,7 @@ def at_stop(system, prescription, rays):
     if numbers.index.shape[-2] > 1:
         numbers = numbers._replace(index=numbers.index[..., system.reference : system.reference + 1, :])
     hit = trace(system, rays, prescription=numbers, until=system.stop, vignetting=False)
-    return hit.x, hit.y, hit.status == RayStatus.HIT
+    return hit.x, hit.y, hit.status == RayStatus.HIT.value
 
 
 def solve_pairs(missed, x, y, step):

@@ -1,11 +1,13 @@
 """Pictures of a system: a section with rays, and spot diagrams."""
 
 import math
+from typing import Any
 
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from odak.learn.raytracing.system.launching import launch
+from odak.learn.raytracing.system.lens import checked_system
 from odak.learn.raytracing.system.pupils import pupil_samples
 from odak.learn.raytracing.system.spots import Spots
 from odak.learn.raytracing.system.tracing import trace
@@ -18,7 +20,7 @@ OVER = 2
 
 
 @torch.no_grad()
-def draw_layout(system, aim: str = "paraxial", count: int = 5) -> Image.Image:
+def draw_layout(system: Any, aim: str = "paraxial", count: int = 5) -> Image.Image:
     """Return a section through a system in the y–z plane, with rays of each field at the reference wavelength.
 
     Parameters
@@ -35,7 +37,7 @@ def draw_layout(system, aim: str = "paraxial", count: int = 5) -> Image.Image:
     PIL.Image.Image
         RGB; z runs to the right, y up. Rays that are lost end where they were last. Shifts and tilts are not drawn.
     """
-    places = _vertices(system)
+    places = _vertices(checked_system(system))
     rays = launch(system, pupil_samples("y", count), aim=aim)
     path = _polylines(system, rays, places)
     heights = _heights(system, path)
@@ -67,7 +69,7 @@ def draw_layout(system, aim: str = "paraxial", count: int = 5) -> Image.Image:
 
 
 @torch.no_grad()
-def draw_spots(system, found: Spots) -> Image.Image:
+def draw_spots(system: Any, found: Spots) -> Image.Image:
     """Return spot diagrams, a column for each field and a colour for each wavelength, all to one scale.
 
     Parameters
@@ -82,7 +84,9 @@ def draw_spots(system, found: Spots) -> Image.Image:
     PIL.Image.Image
         RGB.
     """
-    cell, count = CELL * OVER, len(system.fields)
+    if not isinstance(found, Spots):
+        raise TypeError(f"found must be Spots, got {type(found).__name__}")
+    cell, count = CELL * OVER, len(checked_system(system).fields)
     picture = Image.new("RGB", (count * cell + MARGIN, cell + 2 * MARGIN), PAPER)
     draw = ImageDraw.Draw(picture)
     finite = [value for value in found.largest.tolist() if math.isfinite(value)]

@@ -1,9 +1,11 @@
 """Ray fans, distortion, field curvature."""
 
+from typing import Any
+
 import torch
 
 from odak import _validate
-from odak.learn.raytracing.system.launching import launch
+from odak.learn.raytracing.system.launching import field_points, launch
 from odak.learn.raytracing.system.paraxial import entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.prescription import Prescription
 from odak.learn.raytracing.system.tracing import trace, trace_fields
@@ -11,7 +13,7 @@ from odak.learn.raytracing.system.tracing import trace, trace_fields
 CENTRE = torch.zeros(1, 2, dtype=torch.float64)
 
 
-def ray_fan(system, axis: str = "y", count: int = 21, **options) -> tuple[torch.Tensor, torch.Tensor]:
+def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the transverse ray aberration along a diameter of the pupil.
 
     Parameters
@@ -40,7 +42,7 @@ def ray_fan(system, axis: str = "y", count: int = 21, **options) -> tuple[torch.
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=value.device), value - chief
 
 
-def distortion(system, prescription: Prescription | None = None, **options) -> torch.Tensor:
+def distortion(system: Any, prescription: Prescription | None = None, **options: Any) -> torch.Tensor:
     """Return how far the chief ray lands from where the paraxial one does, over the paraxial image height.
 
     Parameters
@@ -80,7 +82,7 @@ def paraxial_points(system, prescription: Prescription | None = None, fields=Non
     index = signed_indices(system, numbers)
     whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
     pupil = entrance_pupil(system, prescription=numbers)
-    points = torch.tensor(system.fields if fields is None else fields, dtype=torch.float64, device=index.device)
+    points = field_points(system, fields).to(index.device)
     if system.at_infinity:
         slope = torch.tan(torch.deg2rad(points))
         height = -pupil.distance[..., None, None] * slope
@@ -91,7 +93,9 @@ def paraxial_points(system, prescription: Prescription | None = None, fields=Non
     return a * height + b * n * slope
 
 
-def field_curvature(system, prescription: Prescription | None = None, **options) -> tuple[torch.Tensor, torch.Tensor]:
+def field_curvature(
+    system: Any, prescription: Prescription | None = None, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the distances from the image surface to the tangential and the sagittal focus along z.
 
     Parameters

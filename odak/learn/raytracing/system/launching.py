@@ -1,12 +1,15 @@
 """Rays from field points towards the entrance pupil."""
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_dtype
+from odak.learn.raytracing.system.lens import checked_system
 from odak.learn.raytracing.system.paraxial import entrance_pupil
-from odak.learn.raytracing.system.prescription import Prescription
+from odak.learn.raytracing.system.prescription import Prescription, checked_prescription
 from odak.learn.raytracing.system.pupils import PATTERNS, pupil_samples
 
 AIMS = ("paraxial", "real")
@@ -49,11 +52,11 @@ class Rays(NamedTuple):
 
 
 def launch(
-    system,
-    pupil="rings",
+    system: Any,
+    pupil: str | torch.Tensor = "rings",
     count: int = 6,
     *,
-    fields=None,
+    fields: Any = None,
     prescription: Prescription | None = None,
     aim: str = "paraxial",
     dtype: torch.dtype = torch.float64,
@@ -68,8 +71,8 @@ def launch(
         Pattern as in :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
     count : int
         As in :func:`pupil_samples`.
-    fields : sequence, optional
-        Field points (x, y) in place of the system's.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points (x, y), or ``[F, 2]``, in place of the system's.
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps.
     aim : str
@@ -85,12 +88,26 @@ def launch(
         plane of the first vertex. Pupil points are heights in the entrance pupil, for a near object slopes of rays: the
         same up to a factor, but defined for a pupil at infinity too.
     """
-    aim = _validate.one_of("aim", aim, AIMS)
+    aim, dtype = _validate.one_of("aim", aim, AIMS), checked_dtype("dtype", dtype)
+    checked_prescription(prescription)
     points = pupil_of(pupil, count, system)
-    fields = system.fields if fields is None else fields
-    chosen = torch.tensor(fields, dtype=torch.float64, device=points.device).reshape(-1, 1, 2)
+    chosen = field_points(system, fields).to(points.device)[:, None]
     rays = through_pupil(system, points, chosen, prescription, aim)
     return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+
+
+def field_points(system, fields=None) -> torch.Tensor:
+    """Return field points ``[F, 2]`` in float64, the system's own by default."""
+    if isinstance(fields, torch.Tensor):
+        if fields.ndim != 2 or fields.shape[-1] != 2 or len(fields) == 0:
+            raise ValueError(f"fields must be [F, 2], got {tuple(fields.shape)}")
+        return _validate.real("fields", fields).double()
+    if fields is not None and (isinstance(fields, str) or not isinstance(fields, Iterable)):
+        raise TypeError(f"fields must be a sequence of pairs (x, y), got {type(fields).__name__}")
+    pairs = [_validate.several("fields", point, 2) for point in (system.fields if fields is None else fields)]
+    if not pairs:
+        raise ValueError("fields must hold at least one pair (x, y)")
+    return torch.tensor(pairs, dtype=torch.float64)
 
 
 def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
@@ -116,6 +133,7 @@ def starter(system, fields: torch.Tensor, pupil):
 
 def pupil_of(pupil, count: int, system) -> torch.Tensor:
     """Return the points of a pupil, from the name of a pattern or as given."""
+    checked_system(system)
     device = system.surfaces[0].thickness.device
     if isinstance(pupil, str):
         return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)

@@ -3,13 +3,14 @@
 import math
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
+from typing import Any
 
 import torch
 
 from odak import _validate
 from odak.catalog.materials import MICROMETRES, refractive_index
 from odak.learn.raytracing.system.prescription import Prescription
-from odak.learn.raytracing.system.surfaces import surface
+from odak.learn.raytracing.system.surfaces import number_or_infinity, surface
 
 APERTURES = ("EPD", "F-number", "NA", "stop")
 D_LINE = 0.5875618  # micrometres
@@ -71,7 +72,7 @@ class optical_system(torch.nn.Module):
         aperture: float,
         aperture_type: str = "EPD",
         *,
-        wavelengths=None,
+        wavelengths: float | Sequence[float] | None = None,
         reference: int | None = None,
         fields: Iterable = (0.0,),
         object_distance: float = math.inf,
@@ -81,7 +82,7 @@ class optical_system(torch.nn.Module):
         source: str = "",
     ):
         super().__init__()
-        surfaces = list(surfaces)
+        surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
         if not surfaces or not all(isinstance(item, surface) for item in surfaces):
             raise TypeError("surfaces must be a sequence of at least one odak.learn.raytracing.system.surface")
         stops = [i for i, item in enumerate(surfaces) if item.stop]
@@ -91,7 +92,7 @@ class optical_system(torch.nn.Module):
             raise ValueError("a surface occurs twice in a row; make one for each place")
         self.surfaces = torch.nn.ModuleList(surfaces)
         self.stop = stops[0] if stops else 0
-        self.aperture = float(_validate.real("aperture", aperture, positive=True))
+        self.aperture = float(_validate.number("aperture", aperture, positive=True))
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
         self.unit = _validate.one_of("unit", unit, MICROMETRES)
         default = D_LINE / MICROMETRES[self.unit]
@@ -101,11 +102,11 @@ class optical_system(torch.nn.Module):
         if self.reference >= count:
             raise ValueError(f"reference must be below the number of wavelengths, {count}, got {self.reference}")
         self.fields = _fields(fields)
-        self.object_distance = float(object_distance)
+        self.object_distance = float(number_or_infinity("object_distance", object_distance))
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
         self.image = _image(image)
-        self.name, self.source = str(name), str(source)
+        self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 
     @property
     def at_infinity(self) -> bool:
@@ -138,7 +139,7 @@ class optical_system(torch.nn.Module):
             _optional([item.tilt for item in items]),
         )
 
-    def vary(self, **which) -> list[torch.nn.Parameter]:
+    def vary(self, **which: Any) -> list[torch.nn.Parameter]:
         """Make parameters of numbers, for an optimizer, and return them.
 
         Parameters
@@ -154,9 +155,9 @@ class optical_system(torch.nn.Module):
         3
         """
         return [
-            self.surfaces[place].vary(name)
+            self.surfaces[_validate.place_in(name, place, len(self.surfaces))].vary(name)
             for name, places in which.items()
-            for place in ([places] if isinstance(places, int) else places)
+            for place in (places if isinstance(places, Iterable) else [places])
         ]
 
     def _indices(self, wavelengths) -> torch.Tensor:
@@ -174,6 +175,13 @@ class optical_system(torch.nn.Module):
             else:
                 columns.append(refractive_index(item.material, values, self.unit, medium="air").to(one))
         return torch.stack(columns, -1)
+
+
+def checked_system(system) -> optical_system:
+    """Return a system after checking that it is one."""
+    if not isinstance(system, optical_system):
+        raise TypeError(f"system must be an optical_system, got {type(system).__name__}")
+    return system
 
 
 def _image(value) -> surface | None:
@@ -196,6 +204,9 @@ def _wavelengths(values) -> tuple[float, ...]:
 
 
 def _fields(values) -> tuple[tuple[float, float], ...]:
+    if not isinstance(values, Iterable) or isinstance(values, str):
+        raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(values).__name__}")
+    values = values.tolist() if hasattr(values, "tolist") else values
     points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
     if not points or any(len(point) != 2 for point in points):
         raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")

@@ -2,11 +2,14 @@
 
 import json
 import math
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from odak import _validate
-from odak.learn.raytracing.system.lens import optical_system
+from odak.learn.raytracing.system.lens import checked_system, optical_system
 from odak.learn.raytracing.system.surfaces import surface
+from odak.tools._paths import _text
 
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
@@ -31,7 +34,7 @@ def sample_systems() -> tuple[str, ...]:
     return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
 
 
-def load_system(path) -> optical_system:
+def load_system(path: Any) -> optical_system:
     """Return a sample system by its name, or one from a JSON file.
 
     Parameters
@@ -52,18 +55,18 @@ def load_system(path) -> optical_system:
     """
     if isinstance(path, str) and path in sample_systems():
         path = FOLDER / f"system_{path}.json"
-    path = Path(path)
+    path = Path(_text("path", path))
     if not path.is_file():
         raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
     if path.stat().st_size > MAXIMUM_BYTES:
         raise ValueError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
     try:
         return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
-def save_system(system: optical_system, path) -> None:
+def save_system(system: optical_system, path: Any) -> None:
     """Write a system as JSON, every digit of its numbers.
 
     Parameters
@@ -75,13 +78,15 @@ def save_system(system: optical_system, path) -> None:
     """
     from odak.tools._atomic import replacing
 
+    path = _text("path", path)
     text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(str(path)) as stream:
+    with replacing(path) as stream:
         stream.write(text.encode("utf-8"))
 
 
 def system_to_dict(system: optical_system) -> dict:
     """Return a system as a dictionary of plain numbers and strings; infinities are null."""
+    checked_system(system)
     surfaces = [
         _shape(item) | _medium(item) | ({"stop": True} if i == system.stop else {})
         for i, item in enumerate(system.surfaces)
@@ -126,9 +131,11 @@ def system_from_dict(entry: dict) -> optical_system:
 
     Raises
     ------
-    ValueError
+    ValueError, TypeError
         If a key is unknown or a value out of range, naming it.
     """
+    if not isinstance(entry, Mapping):
+        raise TypeError(f"entry must be a dictionary, got {type(entry).__name__}")
     entry = dict(entry)
     surfaces = entry.pop("surfaces", None)
     if not isinstance(surfaces, list) or not surfaces:

@@ -1,6 +1,6 @@
 """Levenberg and Marquardt's method for any residuals that torch can differentiate."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -59,8 +59,8 @@ def levenberg_marquardt(
 
     Raises
     ------
-    ValueError
-        If the residuals at the start are not finite, or do not depend on the parameters.
+    ValueError, TypeError
+        If the residuals at the start are not finite or do not depend on the parameters, or an argument is out of range.
 
     Notes
     -----
@@ -76,6 +76,12 @@ def levenberg_marquardt(
     >>> [round(v, 6) for v in p.tolist()]
     [1.0, 1.0]
     """
+    _validate.function("residuals", residuals)
+    _validate.function_or_none("callback", callback)
+    _validate.number("damping", damping, positive=True)
+    _validate.number("tolerance", tolerance, least=0)
+    if not isinstance(parameters, Iterable):
+        raise TypeError(f"parameters must be a sequence of tensors, got {type(parameters).__name__}")
     parameters = list(parameters)
     if not parameters or not all(isinstance(p, torch.Tensor) and p.is_leaf and p.requires_grad for p in parameters):
         raise ValueError("parameters must be leaf tensors that require grad, at least one")

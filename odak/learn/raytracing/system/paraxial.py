@@ -1,11 +1,12 @@
 """First-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
-from odak import _array
-from odak.learn.raytracing.system.prescription import Prescription
+from odak import _array, _validate
+from odak.learn.raytracing.system.lens import checked_system
+from odak.learn.raytracing.system.prescription import Prescription, checked_prescription
 
 
 class FirstOrder(NamedTuple):
@@ -69,7 +70,7 @@ class Matrix(NamedTuple):
         return Matrix(self.a + reduced * self.c, self.b + reduced * self.d, self.c, self.d)
 
 
-def first_order(system, wavelength: float | None = None, prescription: Prescription | None = None) -> FirstOrder:
+def first_order(system: Any, wavelength: float | None = None, prescription: Prescription | None = None) -> FirstOrder:
     """Return the first-order properties of a system.
 
     Parameters
@@ -98,6 +99,8 @@ def first_order(system, wavelength: float | None = None, prescription: Prescript
     >>> round(float(first_order(load_system("cooke_triplet")).focal_length), 1)
     50.0
     """
+    checked_system(system), checked_prescription(prescription)
+    wavelength = None if wavelength is None else float(_validate.number("wavelength", wavelength, positive=True))
     p = _at_one_wavelength(system, wavelength, prescription)
     index = signed_indices(system, p)
     whole = matrix(p, index, 0, len(system.surfaces))

@@ -1,7 +1,7 @@
 """The numbers of one system or of a batch of them, apart from the modules that hold them."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -43,7 +43,7 @@ class Prescription(NamedTuple):
             *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
         )
 
-    def numbers(self, image=None) -> Numbers:
+    def numbers(self, image: Any = None) -> Numbers:
         """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image added.
 
         Parameters
@@ -78,6 +78,13 @@ class Prescription(NamedTuple):
         count = max(own.shape[-1], len(last))
         own, last = (pad(value, (0, count - value.shape[-1])) for value in (own, last))
         return *found, torch.cat([own, last.expand_as(own[..., :1, :])], -2)
+
+
+def checked_prescription(prescription) -> Prescription | None:
+    """Return a prescription after checking that it is one; None stays None."""
+    if prescription is not None and not isinstance(prescription, Prescription):
+        raise TypeError(f"prescription must be a Prescription, got {type(prescription).__name__}")
+    return prescription
 
 
 def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:

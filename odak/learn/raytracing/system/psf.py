@@ -1,12 +1,13 @@
 """Point spread and modulation transfer: rays to waves in the pupil, waves to light in the image."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
 from odak._array import phasor_of_cycles
+from odak.learn._tensors import floating
 from odak.learn.raytracing.system.wavefronts import wavefront
 
 
@@ -29,7 +30,7 @@ class Spread(NamedTuple):
     strehl: torch.Tensor
 
 
-def point_spread_function(system, samples: int = 64, size: int = 256, **options) -> Spread:
+def point_spread_function(system: Any, samples: int = 64, size: int = 256, **options: Any) -> Spread:
     """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
 
     Parameters
@@ -110,6 +111,8 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     -----
     The modulus of the Fourier transform of the point spread function (Goodman 2005, section 6.3).
     """
+    if not isinstance(spread, Spread):
+        raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
     axis = _validate.one_of("axis", axis, ("x", "y"))
     profile = spread.intensity.sum(-1 if axis == "y" else -2)
     size = profile.shape[-1]
@@ -119,7 +122,7 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     return frequencies, transfer / transfer[..., :1]
 
 
-def airy_pattern(radius, wavelength: float, numerical_aperture: float):
+def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> Any:
     """Return the diffraction image (2J₁(v)/v)² of a point, v = 2π·NA·r/λ.
 
     Parameters
@@ -129,22 +132,32 @@ def airy_pattern(radius, wavelength: float, numerical_aperture: float):
     wavelength, numerical_aperture : float
         In the unit of `radius`; of the image side.
 
+    Raises
+    ------
+    ValueError, TypeError
+        If the wavelength or the aperture is not positive.
+
     Notes
     -----
     Airy, Trans. Camb. Phil. Soc. 5, 283 (1835); Born and Wolf, Principles of Optics (1999), section 8.5.2.
     """
-    v = radius * (2 * math.pi * numerical_aperture / wavelength)
+    radius = floating("radius", radius)
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.number("numerical_aperture", numerical_aperture, positive=True)
+    # Torch has no Bessel functions in half precision.
+    wide = radius if radius.dtype in (torch.float32, torch.float64) else radius.float()
+    v = wide * (2 * math.pi * numerical_aperture / wavelength)
     centre = v.abs() < 1e-8
     safe = torch.where(centre, 1.0, v)
-    return torch.where(centre, 1.0, (2 * torch.special.bessel_j1(safe) / safe).square())
+    return torch.where(centre, 1.0, (2 * torch.special.bessel_j1(safe) / safe).square()).to(radius.dtype)
 
 
 def propagated_point_spread_function(
-    system,
+    system: Any,
     size: int = 512,
     pitch: float | None = None,
     propagation_type: str = "Bandlimited Angular Spectrum",
-    **options,
+    **options: Any,
 ) -> Spread:
     """Return the image of a point with diffraction by propagating the field of the exit pupil to the image.
 

@@ -5,12 +5,18 @@ import math
 import torch
 
 from odak import _validate
+from odak.learn._tensors import checked_device, checked_dtype
 
 PATTERNS = ("rings", "grid", "x", "y", "random")
 
 
 def pupil_samples(
-    pattern: str = "rings", count: int = 6, *, seed: int = 0, device=None, dtype: torch.dtype = torch.float64
+    pattern: str = "rings",
+    count: int = 6,
+    *,
+    seed: int = 0,
+    device: torch.device | str | None = None,
+    dtype: torch.dtype = torch.float64,
 ) -> torch.Tensor:
     """Return points of the unit disc, for rays through a pupil.
 
@@ -38,7 +44,8 @@ def pupil_samples(
     ((127, 2), [[0.0, -1.0], [0.0, 0.0], [0.0, 1.0]])
     """
     pattern = _validate.one_of("pattern", pattern, PATTERNS)
-    count = _validate.integer("count", count, minimum=1)
+    count, seed = _validate.integer("count", count, minimum=1), _validate.integer("seed", seed)
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
     wide = torch.float64
     if pattern == "rings":
         points = [torch.zeros(1, 2, dtype=wide)]

@@ -1,6 +1,6 @@
 """Where the rays of a field point land: spot diagrams and their size."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -36,13 +36,13 @@ class Spots(NamedTuple):
 
 
 def spot_diagram(
-    system,
-    pupil="rings",
+    system: Any,
+    pupil: Any = "rings",
     count: int = 6,
     *,
     reference: str = "centroid",
     prescription: Prescription | None = None,
-    **options,
+    **options: Any,
 ) -> Spots:
     """Return where the rays of each field point land in the image plane.
 
@@ -92,7 +92,7 @@ def spot_diagram(
     return Spots(*lost, torch.stack([cx, cy], -1), rms, largest, traced.status)
 
 
-def rms_spot(system, pupil="rings", count: int = 6, **options) -> torch.Tensor:
+def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
     """Return the root mean square distance of the rays from their centroid, ``[..., F]``, all wavelengths together.
 
     Parameters

@@ -1,8 +1,9 @@
 """One surface of an optical system, as a module whose numbers may be parameters."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from numbers import Real
+from typing import Any
 
 import torch
 
@@ -64,7 +65,7 @@ class surface(torch.nn.Module):
         conic: float = 0.0,
         coefficients: Sequence[float] = (),
         thickness: float = 0.0,
-        material="air",
+        material: Any = "air",
         semi_diameter: float | None = None,
         stop: bool = False,
         shift: Sequence[float] = (0.0, 0.0),
@@ -74,15 +75,16 @@ class surface(torch.nn.Module):
         if isinstance(radius, torch.nn.Parameter):
             self._hold("radius_value", radius)
         elif curvature is None:
-            value = float(radius)
-            if value == 0 or math.isnan(value):
-                raise ValueError(f"radius must not be 0 or NaN, got {value}")
+            value = float(number_or_infinity("radius", radius))
+            if value == 0:
+                raise ValueError(f"radius must not be 0, got {value}")
             # As it was given, to the last digit.
             self._hold(*(("curvature_value", 0.0) if math.isinf(value) else ("radius_value", value)))
         else:
             self._hold("curvature_value", _validate.real("curvature", curvature))
         self._hold("conic", _validate.real("conic", conic))
-        self._hold("coefficients", _validate.real("coefficients", _listed(coefficients)))
+        coefficients = _listed("coefficients", coefficients)
+        self._hold("coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
         self._hold("thickness", _validate.real("thickness", thickness))
         self._hold("shift", _pair("shift", shift))
         self._hold("tilt", _pair("tilt", tilt))
@@ -92,8 +94,8 @@ class surface(torch.nn.Module):
             self.material = None
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
-            self.semi_diameter = float(_validate.real("semi_diameter", semi_diameter, positive=True))
-        self.stop = bool(stop)
+            self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
+        self.stop = _validate.flag("stop", stop)
 
     @property
     def curvature(self) -> torch.Tensor:
@@ -169,12 +171,25 @@ class surface(torch.nn.Module):
         return f"radius={radius:g}, thickness={thickness:g}, material={medium}, stop={self.stop}"
 
 
-def _listed(values):
-    return values if isinstance(values, torch.Tensor) else [float(value) for value in values]
+def number_or_infinity(name: str, value):
+    """Return a real number that may be infinite."""
+    if isinstance(value, Real) and not isinstance(value, bool) and math.isinf(value):
+        return value
+    if isinstance(value, torch.Tensor) and value.numel() == 1 and bool(torch.isinf(value.detach()).all()):
+        return value
+    return _validate.number(name, value)
+
+
+def _listed(name: str, values):
+    if isinstance(values, torch.Tensor):
+        return values
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise TypeError(f"{name} must be a sequence of numbers, got {type(values).__name__}")
+    return [float(_validate.number(name, value)) for value in values]
 
 
 def _pair(name: str, values):
-    values = _validate.real(name, _listed(values))
+    values = _validate.real(name, _listed(name, values))
     if len(values) != 2:
         raise ValueError(f"{name} must be two numbers (x, y), got {values!r}")
     return values

@@ -1,11 +1,12 @@
 """What becomes of a lens that is not made as drawn: Monte Carlo over a batch of systems in one call."""
 
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
+from odak.learn.raytracing.system.lens import checked_system
 from odak.learn.raytracing.system.prescription import Prescription
 from odak.learn.raytracing.system.spots import rms_spot
 
@@ -60,7 +61,7 @@ class ToleranceResult(NamedTuple):
 
 
 def tolerance(
-    system,
+    system: Any,
     perturbations: Sequence[Perturbation],
     samples: int = 200,
     seed: int = 0,
@@ -95,15 +96,18 @@ def tolerance(
     (10, 3)
     """
     samples = _validate.integer("samples", samples, minimum=1)
-    nominal = system.prescription()
-    merit = rms_spot if merit is None else merit
+    nominal = checked_system(system).prescription()
+    merit = rms_spot if merit is None else _validate.function("merit", merit)
     numbers = perturbed(system, nominal, perturbations, samples, seed)
     return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=nominal), numbers)
 
 
 def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
     """Return a batch of prescriptions with random numbers added."""
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+    perturbations = list(perturbations) if isinstance(perturbations, Iterable) else [perturbations]
+    if not all(isinstance(item, Perturbation) for item in perturbations):
+        raise TypeError(f"perturbations must be a sequence of Perturbation, got {perturbations!r:.80}")
     count = len(system.surfaces)
     values = nominal._asdict()
     for name in ("shift", "tilt"):
@@ -112,12 +116,13 @@ def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: 
     values = {name: value.expand(samples, *value.shape) for name, value in values.items()}
     for item in perturbations:
         name = _validate.one_of("name of a perturbation", item.name, NAMES)
-        places = [item.surfaces] if isinstance(item.surfaces, int) else list(item.surfaces)
+        places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]
+        places = [_validate.place_in("surfaces of a perturbation", place, count) for place in places]
         drawn = _draw(item, samples, len(places), 2 if name in ("shift", "tilt") else 1, generator)
         target = "curvature" if name == "radius" else name
         change = torch.zeros(samples, count, drawn.shape[-1], dtype=torch.float64)
         for column, place in enumerate(places):
-            change[:, range(count)[place]] += drawn[:, column]
+            change[:, place] += drawn[:, column]
         values[target] = _changed(name, values[target], change.to(values[target].device), item.relative)
     # Without tilts the fused kernel does the work.
     for name in ("shift", "tilt"):

@@ -1,13 +1,15 @@
 """Rays through a system, to the image plane or to any surface."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
+from odak import _array, _validate
 from odak.learn.raytracing.system import tilted
 from odak.learn.raytracing.system.fused import Trace, plain_trace
-from odak.learn.raytracing.system.prescription import Prescription, layout_of
+from odak.learn.raytracing.system.lens import checked_system
+from odak.learn.raytracing.system.prescription import Prescription, checked_prescription, layout_of
 from odak.learn.raytracing.system.tilted import TiltedTrace
 from odak.raytracing.status import RayStatus
 
@@ -39,7 +41,7 @@ class Traced(NamedTuple):
     @property
     def arrived(self) -> torch.Tensor:
         """Whether the ray got through, bool."""
-        return self.status == RayStatus.HIT
+        return self.status == RayStatus.HIT.value
 
     def to_tensor(self) -> torch.Tensor:
         """Return the rays as ``[..., 2, 3]``."""
@@ -47,8 +49,8 @@ class Traced(NamedTuple):
 
 
 def trace(
-    system,
-    rays,
+    system: Any,
+    rays: Any,
     *,
     prescription: Prescription | None = None,
     until: int | None = None,
@@ -86,8 +88,15 @@ def trace(
     kept, 25 bytes each in float32. Systems with tilted or shifted surfaces go by plain torch operations, block by
     block, and keep no more than that. Under torch.func, autograd keeps what it needs.
     """
+    # What is read of the system, and the threads, have no place in a graph of torch.compile.
+    return _array.outside_graphs(_trace, system, rays, prescription, until, vignetting)
+
+
+def _trace(system, rays, prescription, until, vignetting):
     from odak.learn.raytracing.system.launching import Rays
 
+    checked_system(system), checked_prescription(prescription)
+    vignetting = _validate.flag("vignetting", vignetting)
     if isinstance(rays, torch.Tensor):
         rays = Rays.from_tensor(rays)
     if not isinstance(rays, Rays):
@@ -97,7 +106,8 @@ def trace(
     numbers = system.prescription() if prescription is None else prescription
     if len({value.device for value in (*rays, numbers.curvature)}) > 1:
         raise ValueError("rays and system must be on one device")
-    last = len(system.surfaces) if until is None else range(len(system.surfaces))[until] + 1
+    last = len(system.surfaces)
+    last = last if until is None else _validate.place_in("until", until, last) + 1
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     held = numbers.numbers(system.image)
     if until is not None:
@@ -118,7 +128,7 @@ def trace(
     return Traced(*(value.reshape(shape) for value in found))
 
 
-def trace_fields(system, pupil="rings", count: int = 6, **options) -> Traced:
+def trace_fields(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
     """Launch rays from all field points and trace them to the image plane.
 
     Parameters

@@ -1,6 +1,6 @@
 """Optical path differences on the reference sphere of the exit pupil, and their Zernike polynomials."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -41,12 +41,12 @@ class Wavefront(NamedTuple):
 
 
 def wavefront(
-    system,
-    pupil="rings",
+    system: Any,
+    pupil: Any = "rings",
     count: int = 12,
     *,
     prescription: Prescription | None = None,
-    fields=None,
+    fields: Any = None,
     aim: str = "paraxial",
     vignetting: bool = True,
 ) -> Wavefront:
@@ -70,6 +70,7 @@ def wavefront(
     surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
     Optical Systems (1986), section 7.2.
     """
+    vignetting = _validate.flag("vignetting", vignetting)
     points = pupil_of(pupil, count, system)
     options = {"prescription": prescription, "fields": fields, "aim": aim}
     rays = launch(system, torch.cat([CENTRE.to(points), points]), **options)
@@ -138,6 +139,8 @@ def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.
     ValueError
         If there are fewer rays than polynomials.
     """
+    if not isinstance(found, Wavefront):
+        raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
     terms = _validate.integer("terms", terms, minimum=1)
     radius, angle = found.pupil.square().sum(-1).sqrt(), torch.atan2(found.pupil[:, 1], found.pupil[:, 0])
     radius = radius.clamp(max=1.0)

@@ -2,15 +2,16 @@
 
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
 from odak._array import phasor_of_cycles
 from odak.learn.raytracing.system.launching import AIMS
+from odak.learn.raytracing.system.lens import checked_system
 from odak.learn.raytracing.system.paraxial import first_order
-from odak.learn.raytracing.system.prescription import Prescription
+from odak.learn.raytracing.system.prescription import Prescription, checked_prescription
 from odak.learn.raytracing.system.ray_map import RayMap
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.status import RayStatus
@@ -50,7 +51,7 @@ class ExitField(NamedTuple):
 
 
 def exit_field(
-    system,
+    system: Any,
     size: int | Sequence[int] = 512,
     pitch: float | None = None,
     *,
@@ -123,6 +124,9 @@ def exit_field(
     """
     rows, columns = _validate.size("size", [size, size] if isinstance(size, int) else size)
     plane, aim = _validate.one_of("plane", plane, PLANES), _validate.one_of("aim", aim, AIMS)
+    checked_system(system), checked_prescription(prescription)
+    vignetting = _validate.flag("vignetting", vignetting)
+    _validate.function_or_none("apodization", apodization)
     if dtype not in (torch.complex64, torch.complex128):
         raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype}")
     place = _place("wavelength", wavelength, len(system.wavelengths), system.reference)
@@ -131,7 +135,7 @@ def exit_field(
         dtype=torch.float64,
         device=system.surfaces[0].thickness.device,
     )
-    distance = _exit_pupil(system, prescription) if distance is None else _validate.real("distance", distance)
+    distance = _exit_pupil(system, prescription) if distance is None else _validate.number("distance", distance)
     rays = RayMap(system, prescription, place, point, distance, plane == "chief")
     vacuum, index = system.wavelengths[place], rays.numbers.index[..., 0, -1].detach()
     grid = _grid(rays, aim, (rows, columns), pitch, vacuum / float(index.abs().max()))
@@ -194,7 +198,7 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
     steep = max(float(torch.where(lost, 0.0, value).abs().max()) for value in (met.u, met.v))
     if pitch is None:
         pitch = max(2 * ROOM * size / count for size, count in zip(extent, shape, strict=True))
-    pitch = float(_validate.real("pitch", pitch, positive=True))
+    pitch = float(_validate.number("pitch", pitch, positive=True))
     if pitch * steep > wavelength / 2:
         most = wavelength / 2 / steep
         count = math.ceil(2 * ROOM * max(extent) / most)

@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from odak.catalog.materials import material, nearest_materials
-from odak.learn.raytracing.system.lens import optical_system
+from odak.learn.raytracing.system.lens import checked_system, optical_system
 from odak.learn.raytracing.system.surfaces import MIRROR, surface
 from odak.learn.raytracing.system.zmx_text import Line, read_lines
+from odak.tools._paths import _text
 
 LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 TYPES = ("STANDARD", "EVENASPH")
@@ -62,7 +63,7 @@ class ZmxReport(NamedTuple):
     notes: tuple[str, ...]
 
 
-def read_zmx(path, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
     """Read a sequential Zemax file.
 
     Parameters
@@ -88,7 +89,9 @@ def read_zmx(path, glasses: Mapping | None = None) -> tuple[optical_system, ZmxR
     -----
     Semi-diameters (DIAM) limit rays only where the file says so, by a circular (CLAP) or floating (FLAP) aperture.
     """
-    path = Path(path)
+    path = Path(_text("path", path))
+    if glasses is not None and not isinstance(glasses, Mapping):
+        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
     general, surfaces = read_lines(path)
     notes: list[str] = []
     ignored = [_named(line) for line in general if line.key not in SILENT]
@@ -244,7 +247,7 @@ def _aperture(head, surfaces, scale: float, notes: list) -> tuple[float, str]:
     raise ValueError("no aperture: one of ENPD, FNUM, OBNA, FLOA must be given")
 
 
-def write_zmx(system: optical_system, path) -> None:
+def write_zmx(system: optical_system, path: Any) -> None:
     """Write a system as a Zemax text file, every digit of its numbers.
 
     Parameters
@@ -262,6 +265,6 @@ def write_zmx(system: optical_system, path) -> None:
     from odak.learn.raytracing.system.zmx_writer import text_of
     from odak.tools._atomic import replacing
 
-    text = text_of(system)
-    with replacing(str(path)) as stream:
+    path, text = _text("path", path), text_of(checked_system(system))
+    with replacing(path) as stream:
         stream.write(text.encode("utf-8"))

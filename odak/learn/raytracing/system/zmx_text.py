@@ -38,6 +38,13 @@ class Line(NamedTuple):
             raise ValueError(f"line {self.number}: {self.key} must have a whole number, got {self.words[place]!r}")
         return int(found)
 
+    def counts(self, number: int) -> bool:
+        """Say whether the first of the words is this whole number."""
+        try:
+            return self.whole() == number
+        except ValueError:
+            return False
+
 
 def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
     """Return the lines that concern the whole system, and those of each surface.
@@ -64,7 +71,7 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
             continue
         line = Line(number, words[0].upper(), tuple(words[1:]))
         if line.key == "SURF":
-            if line.whole() != len(surfaces) or len(surfaces) >= MAXIMUM_SURFACES:
+            if not line.counts(len(surfaces)) or len(surfaces) >= MAXIMUM_SURFACES:
                 accepted = f"SURF must count 0, 1, 2, … below {MAXIMUM_SURFACES}"
                 raise ValueError(f"{path.name}, line {number}: {accepted}, got {text.strip()[:80]!r}")
             surfaces.append([])

@@ -331,3 +331,24 @@ def test_what_is_no_ray_is_refused():
         trace(system, rays._replace(x=rays.x.float()))
     with pytest.raises(ValueError, match="must match the systems and wavelengths"):
         trace(system, Rays(*(value.expand(2, 3, *value.shape[-1:]) for value in rays)))
+
+
+@pytest.mark.parametrize("fields", [[0.0, 2.0], [(0.0, 1.0, 2.0)], [(0.0, math.nan)], "12", torch.zeros(2)])
+def test_field_points_are_pairs(fields):
+    """Two numbers were taken for one point, where the system itself takes them for two."""
+    with pytest.raises((ValueError, TypeError), match="fields must"):
+        launch(load_system("cooke_triplet"), fields=fields)
+
+
+def test_field_points_as_a_tensor():
+    system = load_system("cooke_triplet")
+    pairs = [(0.0, 0.0), (0.0, 10.0)]
+    for one, two in zip(launch(system, fields=pairs), launch(system, fields=torch.tensor(pairs)), strict=True):
+        assert torch.equal(one, two)
+
+
+@pytest.mark.parametrize("until", [99, -99, 1.5, "last"])
+def test_surface_that_is_not_there(until):
+    system = load_system("cooke_triplet")
+    with pytest.raises((ValueError, TypeError), match="until must be"):
+        trace(system, launch(system, count=1), until=until)

@@ -222,3 +222,11 @@ def test_radii_may_be_parameters():
     (by_curvature,) = torch.autograd.grad(trace_fields(system, "y", 5).y.square().sum(), curvature)
     assert float(by_radius) == pytest.approx(float(-by_curvature / 50**2), rel=1e-12)
     assert [name for name, _ in system.named_parameters()] == ["surfaces.0.curvature_value"]
+
+
+@pytest.mark.parametrize("write", [save_system, write_zmx])
+def test_what_is_no_path_makes_no_file(tmp_path, monkeypatch, write):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(TypeError, match="path must be"):
+        write(load_system("cooke_triplet"), 5)
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,443 @@
+"""Valid files to start from, of every format that a reader takes, and hostile ones made by hand."""
+
+import functools
+import io
+import json
+import os
+import pickle
+import zipfile
+
+import numpy as np
+
+
+def image_seeds(folder):
+    """Yield pictures: each format, depth and compression."""
+    from PIL import Image
+
+    chance = np.random.default_rng(1)
+    grey, colour = chance.integers(0, 256, (6, 9), np.uint8), chance.integers(0, 256, (6, 9, 3), np.uint8)
+    deep = chance.integers(0, 65536, (6, 9), np.uint16)
+    alpha = chance.integers(0, 256, (6, 9, 4), np.uint8)
+    pictures = [
+        (".png", Image.fromarray(grey), {}),
+        (".png", Image.fromarray(colour), {}),
+        (".png", Image.fromarray(alpha), {}),
+        (".png", Image.fromarray(deep), {}),
+        (".png", Image.fromarray(colour).convert("P"), {"transparency": 3}),
+        (".png", Image.fromarray(alpha).convert("LA"), {}),
+        (".png", Image.fromarray(grey > 99), {}),
+        (".jpg", Image.fromarray(colour), {}),
+        (".jpg", Image.fromarray(grey), {"progressive": True}),
+        (".jpg", Image.fromarray(colour).convert("CMYK"), {}),
+        (".bmp", Image.fromarray(colour), {}),
+        (".bmp", Image.fromarray(colour).convert("P"), {}),
+        (".tif", Image.fromarray(deep), {}),
+        (".tif", Image.fromarray(colour), {"compression": "tiff_lzw"}),
+        (".tif", Image.fromarray(colour), {"compression": "tiff_adobe_deflate"}),
+        (".tif", Image.fromarray(colour), {"compression": "jpeg"}),
+        (".tif", Image.fromarray(grey > 99), {"compression": "group4"}),
+        (".tif", Image.fromarray(grey.astype("f4")), {}),
+        (".gif", Image.fromarray(grey), {}),
+        (".gif", Image.fromarray(colour).convert("P"), {"interlace": 1}),
+        (".webp", Image.fromarray(alpha), {}),
+        (".webp", Image.fromarray(colour), {"lossless": True}),
+        (".pgm", Image.fromarray(grey), {}),
+        (".ppm", Image.fromarray(colour), {}),
+        (".pbm", Image.fromarray(grey > 99), {}),
+    ]
+    forms = {".png": "PNG", ".jpg": "JPEG", ".bmp": "BMP", ".tif": "TIFF", ".gif": "GIF", ".webp": "WEBP"}
+    for extension, picture, options in pictures:
+        stream = io.BytesIO()
+        picture.save(stream, format=forms.get(extension, "PPM"), **options)
+        yield extension, stream.getvalue()
+    from odak.tools import save_image
+
+    for extension, levels in ((".png", np.dstack([deep] * 3)), (".png", np.dstack([deep] * 4))):
+        path = os.path.join(folder, "seed" + extension)
+        save_image(path, levels, 0, 65535, color_depth=16)
+        yield extension, content(path)
+    yield ".ppm", b"P3\n2 2\n255\n1 2 3 4 5 6 7 8 9 10 11 12\n"
+    yield ".ppm", b"P6\n2 2\n65535\n" + bytes(range(24))
+    yield ".ras", np.array([0x59A66A95, 4, 2, 8, 8, 1, 0, 0], ">u4").tobytes() + bytes(range(8))
+    yield ".png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n%%EOF\n"
+
+
+def ply_seeds(folder):
+    """Yield meshes and points, as text and binary."""
+    from odak.tools import asset
+
+    triangles = np.random.default_rng(2).random((3, 3, 3))
+    path = os.path.join(folder, "seed.ply")
+    asset.write_PLY(triangles, path)
+    yield ".ply", content(path)
+    from odak.tools._ply import write_mesh
+
+    write_mesh(path, triangles.reshape(-1, 3), np.arange(9).reshape(3, 3))
+    yield ".ply", content(path)
+    header = "ply\nformat {} 1.0\ncomment x\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    header += "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+    yield ".ply", (header.format("ascii") + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2\n4 0 1 2 3\n").encode()
+    points = np.arange(12).astype(">f4").tobytes()
+    faces = b"\x03" + np.array([0, 1, 2], ">i4").tobytes() + b"\x04" + np.array([0, 1, 2, 3], ">i4").tobytes()
+    yield ".ply", header.format("binary_big_endian").encode() + points + faces
+    yield (
+        ".ply",
+        b"ply\nformat ascii 1.0\nelement vertex 1\nproperty double x\nproperty double y\nproperty double z\n"
+        b"end_header\n1 2 3\n",
+    )
+
+
+def json_seeds(folder):
+    """Yield JSON texts."""
+    yield ".json", b'{"a": [1, 2.5, null, true], "b": {"c": "\\u00e9"}, "d": 1e300}'
+    yield ".json", b'[1, {"x": []}]'
+    yield ".json", json.dumps({part: {"a": "b", "c": "d"} for part in PARTS}).encode()
+
+
+PARTS = ("sv_kernel_generation_key_mapping", "light_prop_key_mapping")
+
+
+def material_seeds(folder):
+    """Yield catalogues of materials."""
+    yield (
+        ".json",
+        json.dumps(
+            {
+                "materials": {
+                    "G1": {
+                        "formula": "Sellmeier",
+                        "B": [1.03961212, 0.231792344, 1.01046945],
+                        "C": [0.00600069867, 0.0200179144, 103.560653],
+                        "range": [0.3, 2.5],
+                        "source": "test",
+                    },
+                    "G2": {
+                        "formula": "Cauchy",
+                        "A": 1.5,
+                        "B": [0.004],
+                        "range": [0.4, 0.7],
+                        "source": "x",
+                        "relative_to": "vacuum",
+                    },
+                },
+                "aliases": {"glass": "G1"},
+            }
+        ).encode(),
+    )
+    from odak.catalog import materials
+
+    whole = json.loads(content(materials._DATA))
+    for name, entry in list(whole["materials"].items())[:40:4]:
+        yield ".json", json.dumps({"materials": {name + "x": entry}}).encode()
+
+
+def system_seeds(folder):
+    """Yield systems of lenses."""
+    from odak.learn.raytracing.system import lens_files, load_system
+
+    for name in ("singlet", "double_gauss"):
+        path = os.path.join(folder, "seed.json")
+        lens_files.save_system(load_system(name), path)
+        yield ".json", json.dumps(json.loads(content(path))).encode()
+
+
+def zmx_seeds(folder):
+    """Yield Zemax texts."""
+    from odak.learn.raytracing.system import load_system, zemax
+
+    for name in ("singlet", "cooke_triplet"):
+        path = os.path.join(folder, "seed.zmx")
+        zemax.write_zmx(load_system(name), path)
+        yield ".zmx", content(path)
+        yield ".zmx", content(path).decode().encode("utf-16")
+    yield ".zmx", ASPHERE
+
+
+ASPHERE = b"""VERS 140124 258 36214
+MODE SEQ
+NAME asphere
+UNIT MM X W X CM MR CPMM
+ENPD 10
+GCAT SCHOTT
+FTYP 0 0 2 2 0 0 0
+XFLN 0 0
+YFLN 0 5
+WAVM 1 0.4861 1
+WAVM 2 0.5876 1
+PWAV 2
+SURF 0
+  TYPE STANDARD
+  CURV 0.0
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE EVENASPH
+  CURV 0.02 0 0 0 0
+  CONI -1
+  PARM 1 0
+  PARM 2 1e-6
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17 0
+  DIAM 6 1 0 0 1
+  FLAP 0 6
+SURF 2
+  TYPE STANDARD
+  CURV -0.01
+  DISZ 95
+  CLAP 0 6
+SURF 3
+  TYPE STANDARD
+  CURV 0
+  DISZ 0
+"""
+
+
+ZMX_WORDS = (
+    b"SURF 1",
+    b"TYPE EVENASPH",
+    b"TYPE STANDARD",
+    b"  PARM 8 1",
+    b"GLAS MIRROR 0 0",
+    b"GLAS ___BLANK 1 0 1.5 60",
+    b"STOP",
+    b"FLOA",
+    b"FNUM 4 0",
+    b"OBNA 0.1",
+    b"UNIT IN",
+    b"UNIT",
+    b"FTYP 1 0 3 3",
+    b"FTYP",
+    b"WAVL 0.5 0.6",
+    b"PWAV 9",
+    b"XFLN 1 2 3",
+    b"MODE NSC",
+    b"COORDBRK",
+    b"INFINITY",
+    b"-INFINITY",
+    b"CLAP 1 2",
+    b"DISZ",
+    b"CURV",
+    b"CONI",
+)
+
+
+@functools.cache
+def net():
+    """Return a small network, the same each time."""
+    import torch
+
+    torch.manual_seed(0)
+    return torch.nn.Sequential(torch.nn.Linear(2, 3), torch.nn.BatchNorm1d(3), torch.nn.Linear(3, 1))
+
+
+class Payload:
+    """An object whose pickle is a call."""
+
+    def __init__(self, call, *arguments):
+        self.held = call, arguments
+
+    def __reduce__(self):
+        return self.held
+
+
+def payloads():
+    """Yield archives and pickles that would run something, or fill the memory."""
+    import subprocess
+
+    import torch
+
+    for payload in (
+        Payload(os.system, "touch pwned"),
+        Payload(eval, "open('pwned','w')"),
+        Payload(subprocess.call, ["touch", "pwned"]),
+        Payload(bytearray, 10**9),
+        Payload(torch.hub.load, "x/y", "z"),
+        Payload(open, "pwned", "w"),
+    ):
+        yield ".pt", pickle.dumps({"weight": payload}, 2)
+        stream = io.BytesIO()
+        with zipfile.ZipFile(stream, "w") as archive:
+            archive.writestr("a/data.pkl", pickle.dumps({"weight": payload}, 2))
+            archive.writestr("a/version", b"3\n")
+        yield ".pt", stream.getvalue()
+
+
+def saved(value, **options):
+    """Return what torch.save writes."""
+    import torch
+
+    stream = io.BytesIO()
+    torch.save(value, stream, **options)
+    return stream.getvalue()
+
+
+def tensor_seeds(folder):
+    """Yield tensors and weights, and archives that call for programs."""
+    import torch
+
+    torch.manual_seed(0)
+    yield ".pt", saved(torch.arange(6.0).reshape(2, 3))
+    yield ".pt", saved({"a": torch.ones(3, dtype=torch.complex64), "b": [1, "x", None, (2.5, torch.tensor(3))]})
+    yield ".pt", saved(net().state_dict())
+    yield ".pt", saved(net().state_dict(), _use_new_zipfile_serialization=False)
+    yield ".pt", saved(torch.arange(6, dtype=torch.uint8), _use_new_zipfile_serialization=False)
+    from odak.learn.wave.complex_gaussians_3d import NAMES
+
+    shapes = [(2, 4), *[(2, 3)] * 4, (2,), (2, 2)]
+    yield ".pt", saved({name: torch.rand(shape) for name, shape in zip(NAMES, shapes, strict=True)})
+    yield from payloads()
+
+
+def descend(path, solver):
+    """Take two steps down a bowl, with a checkpoint."""
+    import torch
+
+    from odak.learn.wave import training
+
+    x = torch.ones(2, dtype=torch.float64, requires_grad=True)
+
+    def gradient(iteration):
+        loss = (x - torch.rand(2)).square().sum()
+        loss.backward()
+        return loss.detach()
+
+    options = training.Options(progress=False, checkpoint=path, checkpoint_every=1, seed=1)
+    training.minimise({"x": x}, gradient, 2, training.constant(0.1), options, solver=solver)
+
+
+def train(path):
+    """Train a network for two epochs, with a checkpoint."""
+    import torch
+
+    from odak.learn.models import train
+
+    torch.manual_seed(0)
+    model = torch.nn.Linear(2, 1)
+    batch = torch.ones(3, 2)
+    schedule = functools.partial(torch.optim.lr_scheduler.StepLR, step_size=1)
+    train(
+        model,
+        lambda m, b: m(b).square().mean(),
+        [batch],
+        2,
+        checkpoint=path,
+        progress=False,
+        seed=1,
+        scheduler=schedule,
+    )
+
+
+RUNS = {"adam": lambda path: descend(path, "adam"), "lbfgs": lambda path: descend(path, "lbfgs"), "train": train}
+
+
+def checkpoint_seeds(folder):
+    """Yield checkpoints of runs."""
+    for name, run in RUNS.items():
+        path = os.path.join(folder, f"seed-{name}.pt")
+        run(path)
+        yield ".pt", content(path)
+        os.unlink(path)
+
+
+def text_seeds(folder):
+    """Yield LaTeX, Markdown and plain texts."""
+    yield (
+        ".tex",
+        rb"""\documentclass{article}
+% a comment
+\begin{document}
+Some text with $x^2$.
+\begin{equation} E = mc^2 \end{equation}
+
+\begin{figure}
+\includegraphics{a.png}
+\end{figure}
+\end{document}
+""",
+    )
+    yield ".md", b"# Title\n\nText `code` [link](x)\n\n```python\nprint(1)\n```\n\n| a | b |\n|---|---|\n- item\n"
+    yield ".txt", "Zeile mit Ümläuten\n\tnext\n".encode()
+
+
+def spectra_seeds(folder):
+    """Yield tables of spectra."""
+    yield ".csv", b"nm,red,green\n400,0.1,0.2\n500,1,2\n600.5,3,4e-3\n"
+    yield ".txt", b"400\t0.1\n410\t0.2\n"
+    yield ".csv", '\ufeff"nm";"a"\n400;1\n401;2\n'.encode()
+
+
+def scene_seeds(folder):
+    """Yield scenes."""
+    from odak.visualize.blender import scene
+
+    made = scene()
+    made.add_mesh(np.random.default_rng(1).random((3, 3)), [[0, 1, 2]])
+    path = os.path.join(folder, "seed.json")
+    made.save(path)
+    # The two files of a scene as one: the text, a mark, the arrays.
+    yield ".scene", content(path) + MARK + content(os.path.join(folder, "seed.npz"))
+    text = json.loads(content(path))
+    # Without it, so that broken arrays are looked at at all.
+    del text["arrays_sha256"]
+    yield ".scene", json.dumps(text).encode() + MARK + content(os.path.join(folder, "seed.npz"))
+
+
+MARK = b"\n--arrays--\n"
+
+
+def command_seeds(folder):
+    """Yield commands as texts, and an answer of a language model."""
+    yield ".txt", b"render('picture.png', exit=True)"
+    yield ".txt", b"cylinder_between([0,0,0], (1, 2, 3), 0.1)"
+    yield ".txt", b"import_ply('a.ply', {'x': -1.5})"
+    yield ".txt", b"__import__('os').system('touch pwned')"
+    yield ".txt", b"render(open('pwned','w'))"
+    yield ".txt", b'{"message": {"content": " hello "}}'
+
+
+def line_seeds(folder):
+    """Yield command lines, one word a line."""
+    for line in (
+        "trace singlet --rings 2 --aim real", "trace no.zmx", "trace double_gauss --rings 1",
+        "hologram photo --distance 3e-3 --wavelength 532e-9 --bits 8", "hologram photo --method double-phase --grating",
+        "hologram no.png --seed 3 --learning-rate 0.1", "hologram scene --planes 2 --volume-depth 1e-3 --grey",
+        "metamer no.png --gaze 0.5 0.5 --width 0.6", "metamer photo --alpha nan", "--version", "--help",
+        "worker tcp://127.0.0.1:1 --workers 0",
+    ):  # fmt: skip
+        yield ".args", "\n".join(line.split()).encode()
+
+
+OPTIONS = (
+    b"--rings\n0",
+    b"--aim\nx",
+    b"--distance\n-1",
+    b"--distance\nnan",
+    b"--wavelength\n1e400",
+    b"--bits\n99",
+    b"--planes\n0",
+    b"--planes\n2",
+    b"--frames\n2",
+    b"--method\nmulti-color",
+    b"--method\n?",
+    b"--seed\n-1",
+    b"--grey",
+    b"--gaze\n9\n9",
+    b"--pixel-pitch\n0",
+    b"--propagation-type\nx",
+    b"--depth-map\n../../x",
+    b"--initial-phase\nrandom",
+    b"--device\ncuda:99",
+    b"--device\n$(id)",
+    b"--mode\nx",
+    b"--",
+    b"-x",
+    b"--retries\n-1",
+    b"--learning-rate\ninf",
+    b"--bits\n1",
+)
+
+
+def content(path):
+    """Return the bytes of a file."""
+    with open(path, "rb") as stream:
+        return stream.read()

@@ -1,0 +1,127 @@
+"""What a public call owes its user: a correct result, or an error that names the argument."""
+
+import copy
+import dataclasses
+import re
+import tempfile
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy
+import torch
+from api_sweep import hostile
+from PIL import Image
+
+
+def call(function: Callable, arguments: dict[str, Any]) -> Any:
+    """Return what a function gives, from the same random state each time and without its warnings."""
+    numpy.random.seed(7)  # noqa: NPY002 (what users' own code still draws from)
+    torch.default_generator.manual_seed(7)  # torch.manual_seed formats the stack each time, for CUDA
+    with warnings.catch_warnings(), numpy.errstate(all="ignore"):
+        warnings.simplefilter("ignore")
+        return function(**arguments)
+
+
+def judge(function: Callable, build: Callable[[], dict], name: str, wrong: Any, verdict: str) -> str | None:
+    """Call a function with one wrong argument; return the complaint, if there is one."""
+    arguments = build() | {name: wrong}
+    before = copied(wrong)
+    try:
+        result = call(function, arguments)
+    except (ValueError, TypeError) as error:
+        return None if names(error, name) else f"{type(error).__name__} that does not name {name}: {first_line(error)}"
+    except (KeyboardInterrupt, SystemExit):
+        raise
+    except BaseException as error:
+        return f"{type(error).__name__}: {first_line(error)}"
+    if not same(before, wrong, 0.0):
+        return "the caller's data was changed"
+    if verdict == hostile.REFUSED:
+        return f"accepted, result {short(result)}"
+    if verdict == hostile.SPREADS and flat(result) and all(numpy.isfinite(array).all() for array in flat(result)):
+        return f"vanishes in a finite result {short(result)}"
+    return None
+
+
+def compare(function: Callable, build: Callable[[], dict], name: str, form: Any, expected: Any, tolerance: float):
+    """Call a function with another form of a valid argument; return the complaint, if there is one."""
+    before = copied(form)
+    try:
+        result = call(function, build() | {name: form})
+    except (ValueError, TypeError) as error:
+        return None if names(error, name) else f"{type(error).__name__} that does not name {name}: {first_line(error)}"
+    except BaseException as error:
+        return f"{type(error).__name__}: {first_line(error)}"
+    if not same(before, form, 0.0):
+        return "the caller's data was changed"
+    if expected is not None and not same(expected, result, tolerance):
+        return f"another result: {short(result)} instead of {short(expected)}"
+    return None
+
+
+def names(error: Exception, name: str) -> bool:
+    """Say whether an error's message names an argument; a file's name counts as a path."""
+    name = f"{name}|path" if name in ("fn", "filename", "savefn", "directory") else re.escape(name)
+    return re.search(rf"(?<![a-z0-9_])(?:{name})(?![a-z0-9])", str(error), re.IGNORECASE) is not None
+
+
+def first_line(error: BaseException) -> str:
+    """Return the start of an error's message."""
+    return (str(error).splitlines() or [""])[0][:160]
+
+
+def short(value: Any) -> str:
+    """Return a value in a few characters."""
+    return re.sub(r"\s+", " ", repr(value))[:100]
+
+
+def copied(value: Any) -> Any:
+    """Return a copy of an argument, as far as it holds data."""
+    if isinstance(value, torch.Tensor):
+        return value.detach().clone()
+    return copy.deepcopy(value) if isinstance(value, (numpy.ndarray, list, dict)) else value
+
+
+def flat(value: Any) -> list[numpy.ndarray]:
+    """Return the numbers in a result as a list of arrays."""
+    if isinstance(value, torch.Tensor):
+        value = value.detach().resolve_conj().resolve_neg()
+        return [value.to(torch.float32 if value.dtype in (torch.bfloat16,) else value.dtype).cpu().numpy()]
+    if isinstance(value, numpy.ndarray):
+        return [value] if value.dtype.kind in "fciub" else []
+    if isinstance(value, Image.Image):
+        return [numpy.asarray(value)]
+    if isinstance(value, (bool, int, float, complex, numpy.generic)) and not isinstance(value, numpy.str_):
+        return [numpy.asarray(value)]
+    if isinstance(value, dict):
+        value = list(value.values())
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = [getattr(value, field.name) for field in dataclasses.fields(value)]
+    if isinstance(value, (list, tuple)):
+        return [array for item in value for array in flat(item)]
+    return []
+
+
+def same(first: Any, second: Any, tolerance: float) -> bool:
+    """Say whether two results hold the same numbers."""
+    ones, others = flat(first), flat(second)
+    if len(ones) != len(others):
+        return False
+    for one, other in zip(ones, others, strict=True):
+        if one.shape != other.shape:
+            return False
+        if one.dtype.kind in "fc":
+            one, other = one.astype(numpy.complex128), other.astype(numpy.complex128)
+            scale = numpy.abs(one[numpy.isfinite(one)]).max(initial=0.0)
+            if not numpy.allclose(one, other, rtol=0, atol=tolerance * max(scale, 1e-300), equal_nan=True):
+                return False
+        elif tolerance < 1e-2 and not numpy.array_equal(one, other):
+            return False
+    return True
+
+
+def fresh_folder(root: Path) -> Path:
+    """Return a folder that no other call has written to."""
+    return Path(tempfile.mkdtemp(dir=root))

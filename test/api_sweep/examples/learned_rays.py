@@ -1,0 +1,190 @@
+"""Valid arguments of odak.learn.raytracing and its optical systems."""
+
+import torch
+from api_sweep.build import Build, tensor
+
+from odak.learn.raytracing import Conic, define_circle, define_cylinder, sphere_function
+from odak.learn.raytracing.system import (
+    Perturbation,
+    launch,
+    optical_system,
+    point_spread_function,
+    save_system,
+    spot_diagram,
+    surface,
+    system_to_dict,
+    wavefront,
+    write_zmx,
+)
+
+HERE = "odak.learn.raytracing"
+# Numbers that half precision holds.
+RAY = torch.tensor([[0.125, 0.25, -5.0], [0.0, 0.0, 1.0]])
+RAYS = torch.stack([RAY, RAY + torch.tensor([[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]])])
+TRIANGLE = torch.tensor([[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0]])
+VERTICES = torch.tensor([[-5.0, -5.0, 0.0], [5.0, -5.0, 0.0], [0.0, 5.0, 0.0], [0.0, -9.0, 1.0]])
+
+
+def _lens():
+    surfaces = [surface(51.5, thickness=4.0, material="N-BK7", semi_diameter=8.0), surface(thickness=97.0)]
+    return optical_system(surfaces, aperture=10.0, fields=(0.0, 2.0), wavelengths=[486.1e-6, 587.6e-6], name="a lens")
+
+
+def _wave_lens():
+    return optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.1)
+
+
+def _cylinder():
+    return define_cylinder(torch.zeros(3), 2.0, (90.0, 0.0, 0.0))[0]
+
+
+def _saved(folder, write, name):
+    write(_lens(), folder / name)
+    return folder / name
+
+
+PLACE = torch.tensor([1.0, 2.0], dtype=torch.float64, requires_grad=True)
+
+
+def _start():
+    with torch.no_grad():
+        PLACE.copy_(torch.tensor([1.0, 2.0]))
+    return [PLACE]
+
+
+LENS = Build(lambda _: _lens())
+BY_NAME = {
+    HERE: {
+        "ray": RAYS,
+        "ray0": RAY,
+        "ray1": RAY + torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.125, 0.0]]),
+        "rays": RAYS,
+        "input_ray": RAYS,
+        "normal": torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, -0.8]]),
+        "vector": RAYS,
+        "normvector": torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0]]),
+        "n1": 1.0,
+        "n2": 1.5,
+        "triangle": TRIANGLE,
+        "points": TRIANGLE,
+        "point_to_check": torch.tensor([[0.1, 0.2, 0.0], [9.0, 0.2, 0.0]]),
+        "sphere": torch.tensor([0.0, 0.0, 0.0, 2.0]),
+        "cylinder": Build(lambda _: _cylinder()),
+        "circle": Build(lambda _: define_circle(torch.zeros(3), 2.0, torch.zeros(3))),
+        "point": torch.tensor([0.1, 0.2, 0.3]),
+        "angles": torch.tensor([5.0, 10.0, 15.0]),
+        "angle_limit": 10.0,
+        "center": torch.tensor([0.1, 0.2, 0.3]),
+        "radius": 2.0,
+        "tilt": torch.tensor([5.0, 10.0, 15.0]),
+        "rotation": torch.tensor([5.0, 10.0, 15.0]),
+        "offset": torch.tensor([0.1, 0.2, 0.3]),
+        "size": [4.0, 6.0],
+        "no": [2, 3],
+        "num_ray": 4,
+        "num_ray_per_light": 4,
+        "origin": torch.tensor([0.1, 0.2, 0.3]),
+        "seed": 3,
+        "resolution": [4, 6],
+        "number_of_meshes": [3, 4],
+        "heights": tensor(3, 4, 1),
+        "device": torch.device("cpu"),
+        "distance": 3.0,
+        "distances": torch.tensor([1.0, 2.0]),
+        "x0y0z0": tensor(4, 3),
+        "x1y1z1": tensor(4, 3, seed=9),
+        "xyz": tensor(4, 3),
+        "abg": 90 * tensor(4, 3),
+        "vertices": VERTICES,
+        "faces": torch.tensor([[0, 1, 2], [0, 3, 1]]),
+        "surface": Conic(0.01),
+        "parametric_surface": torch.tensor([0.0, 0.0, 0.0, 2.0]),
+        "surface_function": sphere_function,
+        "aperture": 4.0,
+        "minimum_distance": 0.1,
+        "leaving": torch.tensor([-1, -1]),
+        "triangle_center": torch.tensor([0.1, 0.2, 0.3]),
+        "filename": Build(lambda folder: folder / "mesh.ply"),
+    },
+    f"{HERE}.system": {
+        "system": LENS,
+        "count": 3,
+        "size": 32,
+        "seed": 3,
+        "entry": Build(lambda _: system_to_dict(_lens())),
+        "spread": Build(lambda _: point_spread_function(_lens(), 8, 16)),
+        "axis": "y",
+        "rays": Build(lambda _: launch(_lens(), count=1)),
+        "surfaces": Build(lambda _: list(_lens().surfaces)),
+        "aperture": 10.0,
+        "wavelengths": [486.1e-6, 587.6e-6],
+        "wavelength": 587.6e-6,
+        "fields": [[0.0, 0.0], [0.0, 2.0]],
+        "reference": 1,
+    },
+}
+BY_CALL = {
+    f"{HERE}.is_it_on_triangle_batch": {
+        "point_to_check": tensor(2, 5, 3),
+        "triangle": torch.stack([TRIANGLE, TRIANGLE]),
+    },
+    f"{HERE}.intersect_w_triangle_batch": {"triangle": torch.stack([TRIANGLE, TRIANGLE + 0.1])},
+    f"{HERE}.intersect_w_surface_batch": {"triangle": torch.stack([TRIANGLE, TRIANGLE + 0.1])},
+    f"{HERE}.bring_plane_to_origin": {"point": tensor(4, 3)},
+    f"{HERE}.planar_mesh.save_heights": {"filename": Build(lambda folder: folder / "heights.pt")},
+    f"{HERE}.triangle_mesh.write_PLY": {"filename": Build(lambda folder: folder / "mesh.ply")},
+    f"{HERE}.intersect_parametric": {"iter_no_limit": 100},
+    f"{HERE}.system.airy_pattern": {"radius": 2e-3 * tensor(5), "wavelength": 5e-4, "numerical_aperture": 0.1},
+    f"{HERE}.system.draw_spots": {"found": Build(lambda _: spot_diagram(_lens(), count=2))},
+    f"{HERE}.system.exit_field": {"wavelength": 0, "size": [64, 64], "system": Build(lambda _: _wave_lens())},
+    f"{HERE}.system.propagated_point_spread_function": {"size": 64, "system": Build(lambda _: _wave_lens())},
+    f"{HERE}.detector.intersect": {"distances": True},
+    f"{HERE}.system.levenberg_marquardt": {
+        "residuals": lambda: PLACE**2 - 3,
+        "parameters": Build(lambda _: _start()),
+        "iterations": 2,
+    },
+    f"{HERE}.system.load_system": {"path": Build(lambda folder: _saved(folder, save_system, "lens.json"))},
+    f"{HERE}.system.read_zmx": {"path": Build(lambda folder: _saved(folder, write_zmx, "lens.zmx"))},
+    f"{HERE}.system.save_system": {"path": Build(lambda folder: folder / "lens.json")},
+    f"{HERE}.system.write_zmx": {"path": Build(lambda folder: folder / "lens.zmx")},
+    f"{HERE}.system.spot_diagram": {"reference": "centroid"},
+    f"{HERE}.system.point_spread_function": {"samples": 16},
+    f"{HERE}.system.tolerance": {
+        "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
+        "samples": 3,
+    },
+    f"{HERE}.system.zernike_fit": {"found": Build(lambda _: wavefront(_lens(), count=4)), "terms": 6},
+    f"{HERE}.system.surface": {"radius": 51.5, "coefficients": [0.0, 1e-6], "semi_diameter": 8.0, "tilt": [0.0, 1.0]},
+    f"{HERE}.system.surface.vary": {"name": "curvature"},
+    f"{HERE}.system.trace": {"until": 1},
+    f"{HERE}.system.optical_system": {"image": Build(lambda _: surface(-50.0)), "fields": [0.0, 2.0]},
+}
+POSITIVE = {
+    HERE: {"colors", "count", "samples", "terms", "iterations", "numerical_aperture"},
+    f"{HERE}.system": {"aperture", "size", "semi_diameter", "wavelengths"},
+}
+SIDES = {HERE: {"no", "number_of_meshes"}, f"{HERE}.system.exit_field": {"size"}}
+FREE_TEXT = {HERE: {"source"}}
+NO_USE = "kept so that older calls work, counts nowhere"
+START = "only the direction counts: the result starts where the normal does"
+ALLOWED = {
+    (f"{HERE}.bring_plane_to_origin", "plane", "*"): NO_USE,
+    (f"{HERE}.bring_plane_to_origin", "shape", "*"): NO_USE,
+    (f"{HERE}.intersect_w_sphere", "learning_rate", "*"): NO_USE,
+    (f"{HERE}.intersect_w_sphere", "number_of_steps", "*"): NO_USE,
+    (f"{HERE}.intersect_w_sphere", "error_threshold", "*"): NO_USE,
+    (f"{HERE}.refract", "error", "*"): NO_USE,
+    (f"{HERE}.refract", "vector", "* inside"): START,
+    (f"{HERE}.reflect", "input_ray", "* inside"): START,
+    (f"{HERE}.fresnel_coefficients", "ray", "* inside"): "only directions count",
+    (f"{HERE}.fresnel_coefficients", "normal", "* inside"): "only directions count",
+    (f"{HERE}.fresnel_coefficients", "n2", "a complex number"): "the index of what absorbs",
+    (f"{HERE}.create_ray_from_*_w_luminous_angle", "*", "in double precision"): "other precisions draw other numbers",
+    (f"{HERE}.is_it_on_triangle*", "*", "* inside"): "what is not finite lies nowhere: False, as documented",
+    (f"{HERE}.planar_mesh.mirror", "rays", "* inside"): "rays that miss are left out, as documented",
+    (f"{HERE}.intersect_parametric", "parametric_surface", "*"): "handed on to the caller's functions, which judge it",
+    (f"{HERE}.system.exit_field", "wavelength", "zero"): "the number of one of the system's wavelengths",
+    (f"{HERE}.system.exit_field", "wavelength", "a negative number"): "counted from the last of the wavelengths",
+    (f"{HERE}.system.surface", "material", "a number"): "an index that holds for all wavelengths, as documented",
+}

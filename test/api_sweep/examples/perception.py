@@ -1,0 +1,185 @@
+"""Valid arguments of odak.learn.perception."""
+
+import importlib.util
+
+import torch
+from api_sweep.build import Build, tensor
+
+from odak.learn.perception import (
+    FrequencySteerablePyramid,
+    MetamericLoss,
+    MetamericLossUniform,
+    SpatialSteerablePyramid,
+    get_steerable_pyramid_filters,
+)
+
+PICTURE, OTHER = tensor(1, 3, 32, 32), tensor(1, 3, 32, 32, seed=9)
+SMALL, SMALL_OTHER = tensor(1, 3, 16, 16), tensor(1, 3, 16, 16, seed=9)
+COLUMNS = "# a title\n400 0.1 0.3\n500 0.5 0.2\n600 0.9 0.1\n"
+HERE = "odak.learn.perception"
+
+
+def _spectra(folder):
+    path = folder / "spectra.txt"
+    path.write_text(COLUMNS)
+    return path
+
+
+def _statistics(seed):
+    return Build(lambda _: MetamericLoss(n_pyramid_levels=2).calc_statsmaps(tensor(1, 3, 32, 32, seed=seed)))
+
+
+def _uniform_statistics(seed):
+    return Build(lambda _: MetamericLossUniform(n_pyramid_levels=2).calc_statsmaps(tensor(1, 3, 32, 32, seed=seed), 8))
+
+
+PAIR = {"predictions": PICTURE, "targets": OTHER}
+BY_NAME = {
+    HERE: {
+        "image": PICTURE,
+        "target": OTHER,
+        "input_image": SMALL,
+        "target_image": SMALL_OTHER,
+        "simulated_image": OTHER,
+        "ground_truth": SMALL_OTHER,
+        "gaze": [0.5, 0.4],
+        "predictions": PICTURE,
+        "targets": OTHER,
+        "n_pyramid_levels": 2,
+        "n_levels": 2,
+        "n_orientations": 2,
+        "device": torch.device("cpu"),
+        "gaze_location": [0.5, 0.4],
+        "gaze_angles": [0.5, 0.4],
+        "image_pixel_size": [16, 16],
+        "size": [16, 16],
+        "signal": SMALL,
+        "light": SMALL,
+        "luminance": SMALL,
+        "values": SMALL,
+        "peak_luminance": 1000.0,
+        "black_luminance": 0.1,
+        "roi_high": [0, 8, 0, 8],
+        "roi_low": [8, 16, 8, 16],
+        "wavelengths": [450.0, 500.0, 550.0],
+        "pooling_size": 8.0,
+        "seed": 3,
+        "centre": [0.5, 0.4],
+        "frequency": 4.0,
+        "first": 100 * SMALL,
+        "second": 100 * SMALL_OTHER,
+        "lms_image": SMALL,
+        "lms_color_tensor": SMALL,
+        "primaries": SMALL,
+        "rgb": SMALL,
+        "lms": SMALL,
+        "l_response": tensor(301, seed=1),
+        "m_response": tensor(301, seed=2),
+        "s_response": tensor(301, seed=3),
+        "cone_spectrum": tensor(301, seed=1),
+        "light_spectrum": tensor(301, seed=2),
+        "wavelength": 500.0,
+        "function": tensor(301).tolist(),
+        "dataset": torch.stack((torch.linspace(400, 700, 31), tensor(31)), -1),
+        "dtype": torch.float64,
+        "loss_name": "TestLoss",
+        "epsilon": 1e-3,
+        "visualise_loss": True,
+    },
+}
+for _path in (
+    "change_primaries", "hsv_to_rgb", "lab_to_srgb", "linear_rgb_to_rgb", "linear_rgb_to_xyz", "rgb_2_ycrcb",
+    "rgb_to_hsv", "rgb_to_linear_rgb", "srgb_to_lab", "xyz_to_linear_rgb", "ycrcb_2_rgb",
+    "simulate_color_vision_deficiency", "extract_local_patches", "weber_contrast", "michelson_contrast",
+):  # fmt: skip
+    BY_NAME[f"{HERE}.{_path}"] = {"image": SMALL}
+BY_CALL = {
+    f"{HERE}.rgb_to_gray": {"image": tensor(3, 16, 16)},
+    f"{HERE}.change_primaries": {"source": "BT.709", "target": "BT.2020"},
+    f"{HERE}.rgb_to_xyz_matrix": {
+        "primaries": [[0.64, 0.33], [0.3, 0.6], [0.15, 0.06]],
+        "white": [0.95, 1.0, 1.09],
+    },
+    f"{HERE}.blur_gaussian": {"field": tensor(1, 1, 16, 16), "kernel_length": [5, 5], "nsigma": [1.0, 1.0]},
+    f"{HERE}.compute_local_contrast_similarity": {"patch_x": tensor(4, 5), "patch_y": tensor(4, 5, seed=9)},
+    f"{HERE}.content_aware_contrast_ratio": {"image": tensor(2, 16, 16), "window_size": 5},
+    f"{HERE}.weber_contrast": {"image": tensor(3, 16, 16)},
+    f"{HERE}.michelson_contrast": {"image": tensor(3, 16, 16)},
+    f"{HERE}.contrast_sensitivity": {"luminance": 100.0, "size": 60.0},
+    f"{HERE}.castle_contrast_sensitivity": {"luminance": 100.0},
+    f"{HERE}.pupil_diameter": {"luminance": 100.0, "size": 60.0},
+    f"{HERE}.CSFLoss": {"peak_luminance": 100.0},
+    f"{HERE}.crop_steerable_pyramid_filters": {
+        "filters": Build(lambda _: get_steerable_pyramid_filters(9, 2, "full")),
+        "size": 5,
+    },
+    f"{HERE}.get_steerable_pyramid_filters": {"size": 5, "filter_type": "cropped"},
+    f"{HERE}.display_color_hvs": {"primaries_spectrum": tensor(3, 301)},
+    f"{HERE}.read_spectra": {"path": Build(_spectra)},
+    f"{HERE}.spectrum_to_xyz": {"spectrum": tensor(2, 3)},
+    f"{HERE}.slice_rgbd_targets": {
+        "target": tensor(3, 8, 8),
+        "depth": tensor(8, 8, seed=9),
+        "depth_plane_positions": [0.0, 0.5, 1.0],
+    },
+    f"{HERE}.MSSSIM.forward": {"predictions": tensor(1, 1, 176, 176), "targets": tensor(1, 1, 176, 176, seed=9)},
+    f"{HERE}.multi_scale_structural_similarity": {
+        "predictions": tensor(1, 1, 176, 176),
+        "targets": tensor(1, 1, 176, 176, seed=9),
+    },
+    f"{HERE}.eccentricity_report": {"edges": [0.0, 5.0, 10.0]},
+    f"{HERE}.ring_masks": {"edges": [0.0, 5.0, 10.0]},
+    f"{HERE}.SpatialSteerablePyramid": {"n_channels": 3},
+    f"{HERE}.SpatialSteerablePyramid.reconstruct_from_pyramid": {
+        "pyramid": Build(
+            lambda _: SpatialSteerablePyramid(n_channels=3, n_orientations=2).construct_pyramid(PICTURE, 3)
+        ),
+    },
+    f"{HERE}.SpatialSteerablePyramid.construct_pyramid": {"n_levels": 3},
+    f"{HERE}.FrequencySteerablePyramid": {"n_levels": 3},
+    f"{HERE}.FrequencySteerablePyramid.reconstruct_from_pyramid": {
+        "pyramid": Build(lambda _: FrequencySteerablePyramid(3, 2).construct_pyramid(PICTURE)),
+    },
+    f"{HERE}.MetamericLoss.metameric_loss_stats": {"statsmap_a": _statistics(3), "statsmap_b": _statistics(9)},
+    f"{HERE}.MetamericLossUniform.metameric_loss_stats": {
+        "statsmap_a": _uniform_statistics(3),
+        "statsmap_b": _uniform_statistics(9),
+    },
+    f"{HERE}.util.check_values": {"peak": 1.0},
+    f"{HERE}.RadiallyVaryingBlur.sampler": {
+        "alpha": 0.2,
+        "real_image_width": 0.2,
+        "real_viewing_distance": 0.7,
+        "mode": "linear",
+        "equi": False,
+    },
+}
+POSITIVE = {
+    HERE: {
+        "peak_value", "data_range", "pooling_size", "epsilon", "window_size", "step", "max_iter", "peak_luminance",
+        "frequency", "n_orientations", "n_channels", "patch_size", "stride", "kernel_size", "peak",
+    },
+    f"{HERE}.pupil_diameter": {"size", "luminance"},
+    f"{HERE}.contrast_sensitivity": {"size", "luminance"},
+}  # fmt: skip
+SIDES = {HERE: {"image_pixel_size", "n_channels"}, f"{HERE}.make_radial_map": {"size"}, f"{HERE}.ring_masks": {"size"}}
+FREE_TEXT = {HERE: {"loss_name", "image_colorspace", "read_spectrum"}}
+NOT_CALLED = {
+    f"{HERE}.*.visualise_loss_map": "needs a loss that has compared two pictures: `forward` runs it",
+}
+if importlib.util.find_spec("pycvvdp") is None:
+    NOT_CALLED[f"{HERE}.castle_contrast_sensitivity"] = "needs the tables of the package cvvdp"
+ALLOWED = {
+    (f"{HERE}.display_color_hvs", "resolution", "*"): "kept for the caller, counts nowhere",
+    (f"{HERE}.display_color_hvs", "distance_from_screen", "*"): "kept for the caller, counts nowhere",
+    (f"{HERE}.display_color_hvs", "pixel_pitch", "*"): "kept for the caller, counts nowhere",
+    (f"{HERE}.display_color_hvs", "read_spectrum", "*"): "kept for the caller, counts nowhere",
+    (f"{HERE}.display_color_hvs.forward", "gaze", "*"): "accepted, counts nowhere",
+    (f"{HERE}.display_color_hvs", "primaries_spectrum", "a text"): "a text is the name of a file, which is not there",
+    (f"{HERE}.rgb_to_linear_rgb", "threshold", "*"): "the standard's counts whatever is given, as documented",
+    (f"{HERE}.pq_*code", "*", "infinity inside"): "values beyond the range count as its end, as documented",
+    (f"{HERE}.pu21_*code", "*", "infinity inside"): "values beyond the range count as its end, as documented",
+    (f"{HERE}.content_aware_contrast_ratio", "image", "infinity inside"): "pictures are held to 0 … 1, as documented",
+    (f"{HERE}.slice_rgbd_targets", "depth", "* inside"): "a pixel without a depth is in no slice, as documented",
+    (f"{HERE}.blur_gaussian", "padding", "a number"): "so many zeros around the picture, as documented",
+}

@@ -1,0 +1,198 @@
+"""What test_faults.py runs in a process of its own, forking a child for each that is to be killed."""
+
+import contextlib
+import os
+import random
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from odak import tools
+from odak.learn.models import save_weights, train
+from odak.learn.raytracing.system import load_system, save_system, write_zmx
+from odak.learn.tools import save_torch_tensor
+from odak.learn.tools._checkpoints import write_checkpoint
+from odak.learn.wave import training
+from odak.tools import _atomic, asset
+
+STAGES = ("before the first byte", "half-way", "before the move", "after the move")
+
+
+def _layer(version):
+    layer = nn.Linear(50, 20)
+    with torch.no_grad():
+        layer.weight.fill_(version)
+        layer.bias.fill_(version)
+    return layer
+
+
+def _lens(version):
+    lens = load_system("singlet")
+    lens.name = f"lens {version}"
+    return lens
+
+
+WRITERS = {
+    "image.png": lambda path, version: tools.save_image(path, np.full((64, 64), 60.0 * version)),
+    "deep.png": lambda path, version: tools.save_image(path, np.full((9, 9, 3), 60.0 * version), color_depth=16),
+    "image.tiff": lambda path, version: tools.save_image(path, np.full((64, 64), 60.0 * version)),
+    "image.jpg": lambda path, version: tools.save_image(path, np.full((64, 64), 60.0 * version)),
+    "mesh.ply": lambda path, version: asset.write_PLY(np.full((99, 3, 3), version), path),
+    "settings.json": lambda path, version: tools.save_dictionary({"v": [version] * 999}, path),
+    "text.txt": lambda path, version: tools.write_to_text_file([version] * 999, path),
+    "tensor.pt": lambda path, version: save_torch_tensor(path, torch.full((999,), version)),
+    "weights.pt": lambda path, version: save_weights(_layer(version), path),
+    "run.pt": lambda path, version: write_checkpoint(path, {"about": {}, "x": torch.full((99,), version)}),
+    "lens.json": lambda path, version: save_system(_lens(version), path),
+    "lens.zmx": lambda path, version: write_zmx(_lens(version), path),
+}
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def die_at(stage):
+    """Let the next file that is written kill this process."""
+    written, moved = _atomic._File.write, os.replace
+
+    def write(self, data):
+        if stage == "before the first byte":
+            die()
+        if stage == "half-way":
+            written(self, bytes(memoryview(data).cast("B")[: max(1, memoryview(data).nbytes // 2)]))
+            die()
+        return written(self, data)
+
+    def replace(*names):
+        if stage == "before the move":
+            die()
+        moved(*names)
+        die()
+
+    _atomic._File.write = write
+    if "move" in stage:
+        os.replace = replace
+
+
+def in_a_child(work):
+    """Do something in a fork of this process; return whether it was killed."""
+    child = os.fork()
+    if child == 0:
+        with contextlib.suppress(BaseException):
+            work()
+        os._exit(0)
+    _, status = os.waitpid(child, 0)
+    return os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
+
+
+def kill_writers(folder):
+    """Kill every writer at every stage, with an older file and without, each in a folder of its own."""
+    for name, write in WRITERS.items():
+        for number, stage in enumerate(STAGES):
+            for older in (False, True):
+                place = folder / name / f"{number}{older:d}"
+                place.mkdir(parents=True)
+                path = str(place / name)
+                if older:
+                    write(path, 1)
+
+                def killed(path=path, write=write, stage=stage):
+                    die_at(stage)
+                    write(path, 2)
+
+                if not in_a_child(killed):
+                    (place / "survived").touch()
+
+
+def network():
+    with torch.random.fork_rng():
+        torch.manual_seed(4)
+        return nn.Sequential(nn.Linear(3, 8), nn.BatchNorm1d(8), nn.ReLU(), nn.Dropout(0.2), nn.Linear(8, 1))
+
+
+def trained(checkpoint=None, pause=0.0, epochs=12, **options):
+    """Train a network whose loss draws random numbers; return its weights."""
+    model = network()
+    batches = [torch.randn(6, 3, generator=torch.Generator().manual_seed(i)) for i in range(3)]
+
+    def loss(model, batch):
+        time.sleep(pause)
+        return (model(batch) - torch.rand(6, 1)).square().mean()
+
+    train(model, loss, batches, epochs, seed=3, checkpoint=checkpoint, progress=False, **options)
+    return list(model.state_dict().values())
+
+
+def descended(checkpoint=None, pause=0.0, solver="adam", iterations=30, **options):
+    """Descend a bowl whose centre shakes; return the place."""
+    place = torch.linspace(-1, 1, 999, dtype=torch.float64).requires_grad_()
+
+    def gradient(iteration):
+        time.sleep(pause)
+        loss = (place - torch.rand(999, dtype=torch.float64)).square().mean()
+        loss.backward()
+        return loss.detach()
+
+    options = training.Options(progress=False, checkpoint=checkpoint, checkpoint_every=1, seed=5, **options)
+    training.minimise({"x": place}, gradient, iterations, training.constant(0.1), options, solver=solver)
+    return [place.detach()]
+
+
+def hologram(checkpoint=None, pause=0.0):
+    """Optimize a small hologram of two colours on two planes; return its phases."""
+    from odak.learn.wave import multi_color_hologram_optimizer, propagator
+
+    size = (24, 32)
+    chance = torch.Generator().manual_seed(1)
+    display = propagator(
+        list(size), [515e-9, 639e-9], 8e-6, number_of_frames=2, number_of_depth_layers=2, volume_depth=2e-3,
+        image_location_offset=5e-3, propagation_type="Bandlimited Angular Spectrum", propagator_type="forward",
+    )  # fmt: skip
+    optimizer = multi_color_hologram_optimizer(
+        [515e-9, 639e-9], list(size), torch.rand(2, 2, *size, generator=chance), display, number_of_frames=2,
+        number_of_depth_layers=2, learning_rate=0.05, progress=False, seed=2, checkpoint=checkpoint, checkpoint_every=1,
+        callback=lambda *_: time.sleep(pause),
+    )  # fmt: skip
+    return [torch.as_tensor(optimizer.optimize(12)[1])]
+
+
+RUNS = {"adam": descended, "lbfgs": lambda *a, **k: descended(*a, solver="lbfgs", **k), "network": trained}
+RUNS["hologram"] = hologram
+
+
+def kill_again_and_again(run, path, chance):
+    """Run in children that are killed at random, ever later times until one comes to its end; return how many were."""
+
+    def timed():
+        delay = chance.uniform(0.01, 0.1) * (1 + kills / 5)
+        threading.Thread(target=lambda: (time.sleep(delay), die()), daemon=True).start()
+        run(path, pause=0.004)
+
+    kills = 0
+    while in_a_child(timed):
+        kills += 1
+        chance.random()
+    return kills
+
+
+def kill_runs(folder):
+    """Kill runs with checkpoints, and say of each how often and whether it ended as an unbroken one."""
+    for name, run in RUNS.items():
+        whole = run()
+        path = str(folder / f"{name}.pt")
+        kills = kill_again_and_again(run, path, random.Random(1))
+        resumed = run(path)
+        same = all(torch.equal(one, other) for one, other in zip(whole, resumed, strict=True))
+        sys.stdout.write(f"{name} {kills} {same}\n")
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    {"writers": kill_writers, "runs": kill_runs}[sys.argv[1]](Path(sys.argv[2]))

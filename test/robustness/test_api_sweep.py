@@ -1,0 +1,78 @@
+"""Wrong and unusual arguments to everything public: a correct result, or an error that names the argument.
+
+The walk finds the calls by itself. A new one needs valid arguments in `test/api_sweep/examples`, unless the names of
+its arguments are known there already.
+"""
+
+import inspect
+
+import pytest
+from api_sweep import contract, hostile, samples, walk
+
+CALLABLES = walk.public_callables()
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    return tmp_path_factory.mktemp("sweep")
+
+
+class Call:
+    """A public call with its valid arguments; a method belongs to an object made from its class's arguments."""
+
+    def __init__(self, path, root):
+        self.path, self.root = path, root
+        self.declared = CALLABLES[path]
+        self.owner_path = path.rpartition(".")[0]
+        self.owner = CALLABLES.get(self.owner_path)
+
+    def function(self):
+        if not inspect.isclass(self.owner):
+            return self.declared
+        made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder()))
+        return getattr(made, self.declared.__name__)
+
+    def arguments(self):
+        return samples.arguments(self.path, self.declared, self.folder())
+
+    def folder(self):
+        return contract.fresh_folder(self.root)
+
+    def result(self):
+        """Return what the valid arguments give, or None where that differs from call to call."""
+        first = contract.call(self.function(), self.arguments())
+        again = contract.call(self.function(), self.arguments())
+        return first if contract.same(first, again, 1e-6) else None
+
+    def complaints(self):
+        expected = self.result()
+        for name, valid in self.arguments().items():
+            strict = {
+                "positive": samples.is_positive(self.path, name),
+                "side": samples.is_side(self.path, name),
+                "free_text": samples.is_free_text(self.path, name),
+            }
+            for what, wrong, verdict in hostile.wrong_values(valid, **strict):
+                yield name, what, contract.judge(self.function(), self.arguments, name, wrong, verdict)
+            for what, form, tolerance in hostile.other_forms(valid):
+                yield name, what, contract.compare(self.function(), self.arguments, name, form, expected, tolerance)
+
+
+@pytest.mark.parametrize("path", [path for path in CALLABLES if samples.is_called(path)])
+def test_each_argument_is_checked(path, root):
+    complaints = [
+        f"{name} = {what}: {complaint}"
+        for name, what, complaint in Call(path, root).complaints()
+        if complaint and not samples.is_allowed(path, name, what)
+    ]
+    assert not complaints, "\n" + "\n".join(complaints)
+
+
+def test_no_default_argument_can_be_changed():
+    changeable = [
+        f"{path}({parameter.name}={parameter.default!r})"
+        for path, function in CALLABLES.items()
+        for parameter in samples.parameters_of(function)
+        if isinstance(parameter.default, (list, dict, set, bytearray))
+    ]
+    assert not changeable

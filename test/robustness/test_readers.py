@@ -1,0 +1,300 @@
+"""Files from elsewhere, broken and hostile: read, or refused by name, within a time, a memory and a folder."""
+
+import io
+import os
+import pickle
+import random
+import struct
+import subprocess
+import sys
+import time
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+pytest.importorskip("resource", reason="memory and time are watched by Unix means")
+if not os.path.exists("/proc/self/clear_refs"):
+    pytest.skip("the peak of memory is read from Linux' /proc", allow_module_level=True)
+
+from fuzz import guard, mutations, seed_files  # noqa: E402
+from fuzz.readers import READERS  # noqa: E402
+from odak import tools  # noqa: E402
+from odak.learn.tools import save_torch_tensor, torch_load  # noqa: E402
+from odak.tools.asset import read_PLY_point_cloud  # noqa: E402
+
+CORPUS = Path(__file__).parent / "corpus"
+FILES = sorted(path.relative_to(CORPUS) for path in CORPUS.glob("*/*"))
+CASES = 25
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Small work on several threads waits for them more than it computes."""
+    count = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(count)
+
+
+def judged(name, folder, extension, content):
+    """Return what a reader did to a file that it must not do, or None, and whether it read it."""
+    path = folder / f"case{extension}"
+    path.write_bytes(content)
+    reader = READERS[name]
+    names = (path.name, "case.") if reader.named else ()
+    return guard.breach(lambda: reader.call(str(path)), str(folder), names, reader.megabytes)
+
+
+def test_the_corpus_is_small_and_has_every_reader():
+    assert {path.parts[0] for path in FILES} == set(READERS)
+    sizes = [(CORPUS / path).stat().st_size for path in FILES]
+    assert max(sizes) < 20_000 and sum(sizes) < 300_000
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_files_found_once_are_read_or_refused_by_name(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    held = [path for path in FILES if path.parts[0] == name]
+    read = 0
+    # The first call imports what it needs, which takes memory and writes where Python keeps compiled files.
+    judged(name, tmp_path, held[0].suffix, (CORPUS / held[0]).read_bytes())
+    for path in held:
+        found, was_read = judged(name, tmp_path, path.suffix, (CORPUS / path).read_bytes())
+        assert found is None, f"{path}: {found}"
+        read += was_read
+    assert read > 0 and not (tmp_path / "pwned").exists()
+
+
+@pytest.mark.parametrize("name", [name for name in READERS if name not in ("line", "scene")])
+def test_random_files_are_read_or_refused_by_name(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    reader, chance = READERS[name], random.Random(7)
+    seeds = [(path.suffix, (CORPUS / path).read_bytes()) for path in FILES if path.parts[0] == name]
+    contents = [content for _, content in seeds]
+    judged(name, tmp_path, *seeds[0])
+    for number in range(CASES):
+        extension, content = chance.choice(seeds)
+        broken = mutations.mutate(content, chance, contents, reader.tokens, reader.structure)
+        found, _ = judged(name, tmp_path, extension, broken)
+        if found is not None:
+            pytest.fail(f"case {number}: {found}; {broken[:200]!r}")
+
+
+def loop_for_ever():
+    while True:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("misdeed", "told"),
+    [
+        (lambda folder: {}["x"], "raised KeyError"),
+        (lambda folder: (folder.parent / "out").write_text(""), "open outside its folder"),
+        (lambda folder: os.system("true"), "started a program"),
+        (lambda folder: bytearray(64 << 20), "MB of memory"),
+        (lambda folder: loop_for_ever(), "processor time"),
+        (lambda folder: int("x"), "without naming the file"),
+        (lambda folder: sys.exit(0), "raised SystemExit"),
+    ],
+)
+def test_the_guard_sees_every_misdeed(misdeed, told, tmp_path):
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    found, _ = guard.breach(lambda: misdeed(folder), str(folder), ("case.",), megabytes=32, seconds=0.2)
+    assert told in found
+
+
+def test_the_guard_lets_pass_what_is_allowed(tmp_path):
+    def call():
+        (tmp_path / "x").write_text("")
+        raise ValueError("case.x is broken")
+
+    assert guard.breach(call, str(tmp_path), ("case.",)) == (None, False)
+
+
+class TestPly:
+    HEADER = "ply\nformat {} 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n"
+    FACES = "element face {}\nproperty list uchar int vertex_indices\n"
+
+    @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+    @pytest.mark.parametrize("counts", [(10**9, 1), (3, 4 * 10**9), (10**30, 1), (-1, 1)])
+    def test_promises_beyond_the_file_are_refused(self, form, counts, tmp_path):
+        text = self.HEADER.format(form, counts[0]) + self.FACES.format(counts[1]) + "end_header\n"
+        found, read = judged("ply", tmp_path, ".ply", text.encode() + bytes(60))
+        assert (found, read) == (None, False)
+        with pytest.raises(ValueError, match=r"case\.ply' cannot be read .* promises at least"):
+            tools.read_PLY(tmp_path / "case.ply")
+
+    def test_an_element_without_properties_takes_no_time(self, tmp_path):
+        text = self.HEADER.format("ascii", 1) + "element nothing 1000000000\nend_header\n1 2 3\n"
+        assert judged("ply", tmp_path, ".ply", text.encode()) == (None, False)
+
+    def test_a_header_without_end(self, tmp_path):
+        (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\n" + "comment x\n" * 10_000)
+        with pytest.raises(ValueError, match="header does not end"):
+            read_PLY_point_cloud(tmp_path / "a.ply")
+
+    @pytest.mark.parametrize("newline", ["\n", "\r", "\r\n"])
+    def test_what_is_promised_to_the_byte_is_read(self, newline, tmp_path):
+        header = self.HEADER.format("binary_little_endian", 2) + "end_header\n"
+        points = np.arange(6, dtype="<f4")
+        (tmp_path / "a.ply").write_bytes(header.replace("\n", newline).encode() + points.tobytes())
+        np.testing.assert_array_equal(read_PLY_point_cloud(tmp_path / "a.ply"), points.reshape(2, 3))
+        (tmp_path / "b.ply").write_bytes(header.replace("\n", newline).encode() + points.tobytes()[:-1])
+        with pytest.raises(ValueError, match=r"b\.ply"):
+            read_PLY_point_cloud(tmp_path / "b.ply")
+
+
+class TestImages:
+    @staticmethod
+    def png(width, height, content=b""):
+        def chunk(kind, content):
+            return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+        header = chunk(b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0))
+        return b"\x89PNG\r\n\x1a\n" + header + chunk(b"IDAT", content) + chunk(b"IEND", b"")
+
+    @pytest.mark.parametrize("size", [(13_000, 13_000), (5000, 4000), (100_000, 100_000), (2**31 - 1, 2**31 - 1)])
+    def test_bombs_are_refused_before_memory_is_taken(self, size, tmp_path):
+        (tmp_path / "case.png").write_bytes(self.png(*size, zlib.compress(bytes(1000))))
+        found, read = guard.breach(lambda: tools.load_image(tmp_path / "case.png"), str(tmp_path), ("case.png",), 32)
+        assert (found, read) == (None, False)
+
+    def test_a_webp_of_one_colour_is_refused(self, tmp_path):
+        stream = io.BytesIO()
+        Image.new("RGB", (6000, 5000)).save(stream, "WEBP", lossless=True)
+        (tmp_path / "case.webp").write_bytes(stream.getvalue())
+        with pytest.raises(ValueError, match=r"case\.webp': 6000 x 5000 pixels in \d+ bytes are not believed"):
+            tools.load_image(tmp_path / "case.webp")
+
+    def test_large_pictures_in_large_files_are_believed(self, tmp_path, monkeypatch):
+        from odak.tools import _images
+
+        monkeypatch.setattr(_images, "FREE_PIXELS", 100)
+        tools.save_image(tmp_path / "a.png", np.full((200, 200), 7.0))
+        assert (tools.load_image(tmp_path / "a.png") == 7).all()
+
+    def test_an_inset_starts_no_program(self, tmp_path):
+        from odak.visualize.plotly import fields
+
+        path = tmp_path / "case.png"
+        path.write_bytes(b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n%%EndComments\nshowpage\n%%EOF\n")
+        assert guard.breach(lambda: fields._inset(path), str(tmp_path), ("case.png",)) == (None, False)
+        deep = np.arange(12.0).reshape(3, 4) * 5000
+        tools.save_image(path, deep, 0, 65535, color_depth=16)
+        assert fields._inset(path).startswith("data:image/png;base64,")
+
+
+class TestTorchFiles:
+    @staticmethod
+    def archive(path, records, compression=zipfile.ZIP_STORED):
+        with zipfile.ZipFile(path, "w", compression) as archive:
+            for name, content in records:
+                archive.writestr(name, content)
+
+    @staticmethod
+    def records(path):
+        with zipfile.ZipFile(path) as archive:
+            return [(name, archive.read(name)) for name in archive.namelist()]
+
+    @pytest.mark.parametrize("order", [b"little", b"big"])
+    def test_a_tensor_longer_than_its_bytes_is_refused(self, order, tmp_path):
+        path = tmp_path / "a.pt"
+        torch.save(torch.arange(4.0), path)
+        # BININT1 4, the number of elements and then the size, become BININT 40 000 000.
+        large = b"J" + struct.pack("<i", 40_000_000)
+        longer = [
+            (name, content.replace(b"K\x04", large) if name.endswith("data.pkl") else content)
+            for name, content in self.records(path)
+        ]
+        self.archive(path, [(name, order if name.endswith("byteorder") else content) for name, content in longer])
+        with pytest.raises(ValueError, match=r"Failed to load .*a\.pt'"):
+            torch_load(path)
+
+    def test_compressed_archives_are_refused(self, tmp_path):
+        path = tmp_path / "a.pt"
+        torch.save(torch.zeros(10_000_000), path)
+        self.archive(path, self.records(path), zipfile.ZIP_DEFLATED)
+        assert path.stat().st_size < 100_000
+        with pytest.raises(ValueError, match=r"a\.pt': its records are compressed"):
+            torch_load(path)
+
+    @pytest.mark.parametrize("legacy", [False, True])
+    def test_numbers_do_not_become_bytes(self, legacy, tmp_path):
+        held = pickle.dumps(seed_files.Payload(bytearray, 10**9), 2)
+        if legacy:
+            (tmp_path / "case.pt").write_bytes(held)
+        else:
+            self.archive(tmp_path / "case.pt", [("a/data.pkl", held), ("a/version", b"3\n")])
+        found, read = guard.breach(lambda: torch_load(tmp_path / "case.pt"), str(tmp_path), ("case.pt",), 64)
+        assert (found, read) == (None, False)
+
+    def test_code_is_named_and_not_run(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        torch.save(seed_files.Payload(os.system, "touch pwned"), "a.pt")
+        with pytest.raises(ValueError, match=r"a\.pt': it calls for posix\.system") as caught:
+            torch_load("a.pt")
+        assert isinstance(caught.value, pickle.UnpicklingError)
+        assert os.listdir() == ["a.pt"]
+
+    @pytest.mark.parametrize("legacy", [False, True])
+    def test_tensors_do_not_hang_on_the_file(self, legacy, tmp_path):
+        path, shared = tmp_path / "a.pt", torch.arange(5.0)
+        held = {"a": shared, "b": shared[1:], "c": torch.ones(2, dtype=torch.complex64), "d": torch.empty(0)}
+        torch.save(held, path, _use_new_zipfile_serialization=not legacy)
+        for device in (None, "cpu"):
+            found = torch_load(path, map_location=device)
+            assert all(torch.equal(found[name], value) for name, value in held.items())
+            found["a"][1] = 9
+            assert found["b"][0] == 9
+        found = torch_load(path)
+        path.write_bytes(bytes(path.stat().st_size))
+        assert all(torch.equal(found[name], value) for name, value in held.items())
+        save_torch_tensor(path, found)
+        assert torch.equal(torch_load(path)["b"], shared[1:])
+
+
+def test_a_scene_takes_no_arrays_of_another(tmp_path):
+    from odak.visualize.blender import scene
+
+    for name, side in (("a", 1.0), ("b", 2.0)):
+        made = scene()
+        made.add_mesh(np.eye(3) * side, [[0, 1, 2]])
+        made.save(tmp_path / f"{name}.json")
+    assert scene.load(tmp_path / "a.json").objects[0].vertices.max() == 1
+    (tmp_path / "b.npz").replace(tmp_path / "a.npz")
+    with pytest.raises(ValueError, match=r"a\.json' cannot be read as a scene: 'a\.npz' holds the arrays of another"):
+        scene.load(tmp_path / "a.json")
+
+
+@pytest.mark.parametrize("name", ["../../x", "a\0b", "$(touch pwned)", "`touch pwned`", "|touch pwned", "http://x/y"])
+def test_names_of_files_are_no_commands(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    readers = {
+        ".png": tools.load_image, ".ply": tools.read_PLY, ".json": tools.load_dictionary, ".pt": torch_load,
+        ".txt": tools.read_text_file,
+    }  # fmt: skip
+    for extension, read in readers.items():
+        found, was_read = guard.breach(
+            lambda read=read, end=extension: read(name + end), str(tmp_path), (name, repr(name)[1:-1])
+        )
+        assert (found, was_read) == (None, False), extension
+    assert not list(tmp_path.rglob("*"))
+
+
+@pytest.mark.slow
+def test_the_command(tmp_path):
+    command = [sys.executable, str(ROOT / "fuzz"), "text", "json", "--minutes", "0.03", "--finds", str(tmp_path)]
+    started = time.monotonic()
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count(" 0 deaths, 0 kinds of finds") == 2 and time.monotonic() - started < 100
+    done = subprocess.run([*command, "nonsense"], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 2 and "no such reader: nonsense" in done.stderr

@@ -1,0 +1,233 @@
+"""What torch offers works with odak: compilation, transforms, lower precision, copies, processes."""
+
+import copy
+import functools
+import io
+import pickle
+import warnings
+
+import pytest
+import representatives
+import torch
+from representatives import ALL, representative
+from torch import nn
+from torch.utils.data import DataLoader, Dataset
+
+import odak
+from odak.learn import perception, raytracing, wave
+
+SPHERE = "intersect_w_sphere, refract"
+NAMES = list(ALL)
+QUICK = ["Bandlimited Angular Spectrum", "srgb_to_lab"]
+WHOLE_GRAPHS = ["lens_phase", "BlurLoss", "CSFLoss", "PSNR", "SSIM", *representatives.FAMILIES["colour"]]
+WHOLE_GRAPHS = [name for name in WHOLE_GRAPHS if name != "simulate_color_vision_deficiency"]
+WHOLE_GRAPHS += list(representatives.FAMILIES["networks"])
+# What torch itself says of its own workings.
+TORCHS_OWN = [r".*torch\.jit\.script.*", r".*autograd\.function\.Function.*should not be instantiated.*"]
+
+
+@functools.cache
+def case(name):
+    """Return a function, an example, its value, and weights that make a number of it."""
+    function, example = representative(name)
+    value = function(example).detach()
+    weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(3), dtype=value.dtype)
+    return function, example, value, weights
+
+
+def number(function, weights):
+    return lambda x: (function(x) * weights).sum()
+
+
+def slope(function, example, weights):
+    held = example.detach().clone().requires_grad_()
+    return torch.autograd.grad(number(function, weights)(held), held)[0]
+
+
+def distance(value, expected):
+    value, expected = value.detach().double(), expected.detach().double()
+    return float((value - expected).norm() / expected.norm().clamp_min(1e-12))
+
+
+def close(value, expected, bound=2e-6):
+    assert distance(value, expected) < bound
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if name != SPHERE])
+def test_vmap(name):
+    function, example, *_ = case(name)
+    two = torch.stack([example, 0.97 * example])
+    close(torch.func.vmap(function)(two), torch.stack([function(one) for one in two]))
+
+
+def test_vmap_where_the_size_of_the_result_depends_on_the_values():
+    function, example, *_ = case(SPHERE)
+    with pytest.raises(RuntimeError, match="dynamic shape"):
+        torch.func.vmap(function)(torch.stack([example, 0.97 * example]))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_grad_jacrev_and_forward_mode(name):
+    function, example, value, weights = case(name)
+    expected = slope(function, example, weights)
+    close(torch.func.grad(number(function, weights))(example), expected, 2e-5)
+
+    def part(x):
+        return (function(x) * weights).reshape(-1)[: min(2, value.numel())]
+
+    held = example.detach().clone().requires_grad_()
+    rows = [torch.autograd.grad(one, held, retain_graph=True)[0] for one in part(held)]
+    close(torch.func.jacrev(part)(example), torch.stack(rows), 2e-5)
+    along = torch.randn(example.shape, generator=torch.Generator().manual_seed(4), dtype=example.dtype)
+    with warnings.catch_warnings():
+        for message in TORCHS_OWN:
+            warnings.filterwarnings("ignore", message)
+        _, forward = torch.func.jvp(number(function, weights), (example,), (along,))
+    assert abs(forward - (expected * along).sum()) < 2e-5 * (expected * along).abs().sum()
+
+
+def compiled(function, backend, **options):
+    torch._dynamo.reset()
+    return torch.compile(function, backend=backend, **options)
+
+
+@pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES])
+def test_compile_is_right_and_silent(name):
+    function, example, value, weights = case(name)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("default")
+        run = compiled(function, "aot_eager")
+        close(run(example), value)
+        close(slope(run, example, weights), slope(function, example, weights), 2e-5)
+    assert not [str(one.message) for one in said if not issubclass(one.category, DeprecationWarning)]
+
+
+@pytest.mark.parametrize(
+    "name", [n if n in ("SSIM",) else pytest.param(n, marks=pytest.mark.slow) for n in WHOLE_GRAPHS]
+)
+def test_compile_without_a_break(name):
+    function, example, value, _ = case(name)
+    with warnings.catch_warnings():
+        for message in TORCHS_OWN:
+            warnings.filterwarnings("ignore", message)
+        close(compiled(function, "eager", fullgraph=True)(example), value)
+
+
+NETWORKS = list(representatives.FAMILIES["networks"])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_autocast(name):
+    """Physics, colour and losses keep their precision under autocast; networks have that of bfloat16."""
+    function, example, value, weights = case(name)
+    held = example.detach().clone().requires_grad_()
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        result = function(held)
+    gradient = torch.autograd.grad((result * weights).sum(), held)[0]
+    if name in NETWORKS:
+        close(result, value, 2e-2)
+    else:
+        assert result.dtype == value.dtype
+        close(result, value, 1e-5)
+        close(gradient, slope(function, example, weights), 1e-4)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inference_mode_leaves_nothing_behind(name):
+    _, example, value, weights = case(name)
+    odak.wave.clear_kernel_cache()
+    function, _ = representative(name)
+    with torch.inference_mode():
+        close(function(example.clone()), value)
+    with torch.no_grad():
+        assert not function(example).requires_grad
+    close(slope(function, example, weights), slope(case(name)[0], example, weights))
+
+
+MODULES = [name for name in NAMES if isinstance(case(name)[0], nn.Module)]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_copies_pickles_and_state_dicts_after_use(name):
+    function, example, value, _ = case(name)
+    fresh, _ = representative(name)
+    fresh.load_state_dict(function.state_dict())
+    stream = io.BytesIO()
+    torch.save({"state": function.state_dict(), "result": function(example)}, stream)
+    stream.seek(0)
+    stored = torch.load(stream, weights_only=True)
+    assert torch.equal(stored["result"].detach(), value)
+    for other in (copy.deepcopy(function), pickle.loads(pickle.dumps(function)), fresh):
+        assert torch.equal(other(example).detach(), value)
+        assert all(torch.equal(v, stored["state"][k]) for k, v in other.state_dict().items())
+
+
+class Holograms(Dataset):
+    """Phase patterns and what they show: propagation, colour, a loss and rays inside the worker."""
+
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        field = torch.polar(torch.ones(16, 16), representatives.pattern(16, 16, seed=index))
+        light = wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9).abs()
+        picture = perception.rgb_2_ycrcb(light.expand(1, 3, 16, 16).clone())
+        loss = perception.SSIM()(picture, picture.flip(-1))
+        return light, loss, representatives.sphere(torch.tensor([0.1 * index, 0.0, 0.0]))
+
+
+def _used_before():
+    """Fill the caches and start the threads that a forked child inherits."""
+    for item in range(2):
+        Holograms()[item]
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    large = torch.ones(1024, 1024, dtype=torch.complex64)
+    wave.propagate_beam(large, None, 1e-3, 8e-6, 532e-9)
+    case("rms_spot")[0](case("rms_spot")[1])
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["fork", "spawn", "forkserver"])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_workers_of_a_data_loader(start):
+    _used_before()
+    found = list(DataLoader(Holograms(), 2, num_workers=2, multiprocessing_context=start, timeout=120))
+    here = list(DataLoader(Holograms(), 2))
+    for batch, expected in zip(found, here, strict=True):
+        for value, own in zip(batch, expected, strict=True):
+            close(value, own)
+
+
+def _everything():
+    """Return values of functions that keep threads, kernels or both."""
+    torch.set_num_threads(1)
+    large = torch.ones(1024, 1024, dtype=torch.complex64)
+    light = wave.propagate_beam(large, None, 1e-3, 8e-6, 532e-9)[::64, ::64].abs()
+    system = raytracing.system.load_system("cooke_triplet")
+    return light, raytracing.system.rms_spot(system, "rings", 3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start", ["fork", "spawn"])
+@pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+def test_processes_started_after_use(start):
+    _used_before()
+    with torch.multiprocessing.get_context(start).Pool(1) as pool:
+        found = pool.apply_async(_everything).get(timeout=120)
+    threads = torch.get_num_threads()
+    for value, own in zip(found, _everything(), strict=True):
+        close(value, own)
+    torch.set_num_threads(threads)
+
+
+def test_a_fork_while_the_kernels_are_being_looked_up():
+    """The child of a process whose other thread held the lock of the kernels does not wait for it for ever."""
+    from odak.wave.kernel_cache import kernels
+
+    held = kernels._lock
+    with held:
+        kernels._after_fork()
+        assert kernels._lock is not held
+        assert kernels.get("anything", lambda: torch.zeros(1)).shape == (1,)
