@@ -63,8 +63,9 @@ def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength:
         Resolution (Born and Wolf 1999, section 8.6.2).
     """
     wavelength, diameter = _positive("wavelength", wavelength), _positive("diameter", diameter)
-    focal = 1.0 if focal is None else np.asarray(focal) if isinstance(focal, (list, tuple)) else focal
-    _validate.fitting(wavelength=wavelength, diameter=diameter, focal=_validate.real("focal", focal))
+    focal = 1.0 if focal is None else _validate.real("focal", focal)
+    focal = np.asarray(focal) if isinstance(focal, (list, tuple)) else focal
+    _validate.fitting(wavelength=wavelength, diameter=diameter, focal=focal)
     return 1.22 * wavelength / diameter * focal
 
 

@@ -247,3 +247,17 @@ def test_what_is_no_index_and_no_circle_is_refused():
     for broken in (circle[:2], [*circle, 1.0], "abc", 3.0):
         with pytest.raises((TypeError, ValueError), match="circle"):
             rt.intersect_w_circle(ray, broken)
+
+
+def test_batches_of_one_give_one_ray(random):
+    rays, triangle, point = random.normal(size=(1, 2, 3)), random.normal(size=(1, 3, 3)), random.normal(size=(1, 3))
+    cylinder = rt.define_cylinder([0, 0, 0], 2)
+    for one, batch in (
+        (rt.reflect(rays[0], rays[0]), rt.reflect(rays, rays)),
+        (rt.refract(rays[0], rays[0], 1.0, 1.5), rt.refract(rays, rays, 1.0, 1.5)),
+        (rt.get_triangle_normal(triangle[0]), rt.get_triangle_normal(triangle)),
+        (rt.get_sphere_normal(point[0], [0, 0, 0, 2]), rt.get_sphere_normal(point, [0, 0, 0, 2])),
+        (rt.get_cylinder_normal(point[0], cylinder), rt.get_cylinder_normal(point, cylinder)),
+    ):
+        assert batch.shape == (2, 3)
+        np.testing.assert_array_equal(batch, one)

@@ -3,6 +3,7 @@
 Zheng, Zhan, Shi, Cakmakci and Akşit 2024 (SIGGRAPH Asia Technical Communications).
 """
 
+from typing import Any
 import itertools
 from collections.abc import Sequence
 
@@ -57,7 +58,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
         self.depth = _validate.integer("depth", depth, minimum=1)
         self.input_channels = _validate.integer("input_channels", input_channels, minimum=2)
         width, size = channels("dimensions", dimensions), kernel(kernel_size, odd=True)
-        options = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
         # Channels of the picture after each pair of convolutions on the way down, and after its pools.
         coded = [width * 2**i for i in range(depth)] + [width * 2 ** (depth - 1)]
         pooled = [width, *coded[:-1]]
@@ -73,7 +74,7 @@ class spatially_varying_kernel_generation_model(nn.Module):
                 features + 1 + sum(pooled[:i]), 4 * width, width * 2**i * size**2, size, bias, activation
             )
             self.spatially_varying_feature.append(nn.ModuleList([*pools, block]))
-        bottom = {**options, "activation": nn.LeakyReLU(0.2)}
+        bottom: dict[str, Any] = {**options, "activation": nn.LeakyReLU(0.2)}
         self.decoder = nn.ModuleList([global_feature_module(coded[-1], coded[-1], coded[-1], **bottom)])
         for before, joined, after in zip(risen, reversed(coded[:-1]), risen[1:], strict=False):
             rise = upsample_convtranspose2d_layer(before, joined, bias=bias)
@@ -108,7 +109,8 @@ class spatially_varying_kernel_generation_model(nn.Module):
         risen = self.decoder[0](pooled[-1], coded[-1])
         kernels = [self._kernels(0, risen, focal_surface, pooled)]
         for level in range(1, self.depth + 1):
-            rise, convolution = self.decoder[level]
+            stage: Any = self.decoder[level]
+            rise, convolution = stage
             risen = convolution(rise(risen, coded[-1 - level]))
             kernels.append(self._kernels(level, risen, focal_surface, pooled))
         return kernels
@@ -180,8 +182,8 @@ class spatially_adaptive_unet(nn.Module):
         size = kernel(kernel_size, odd=True)
         widths = [channels("dimensions", dimensions) * 2**i for i in range(depth + 2)]
         activation_module(activation)
-        options = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
-        adaptive = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
+        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        adaptive: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
         self.inc = convolution_layer(input_channels, widths[0], **options)
         self.encoder = nn.ModuleList(
             nn.ModuleList(
@@ -242,7 +244,7 @@ class spatially_adaptive_unet(nn.Module):
             raise TypeError(f"sv_kernel must be a sequence of tensors, got {type(sv_kernel).__name__}")
         if len(sv_kernel) != self.depth + 1:
             raise ValueError(f"sv_kernel must hold {self.depth + 1} tensors, got {len(sv_kernel)}")
-        first = self.inc.model[0]
+        first: Any = self.inc.model[0]
         field = pictures("field", field, first.in_channels, first.weight, smallest=2 ** (self.depth + 1))
         for level, factors in zip(range(self.depth + 1, 0, -1), sv_kernel, strict=True):
             wanted = [n // 2**level for n in field.shape[-2:]]
@@ -253,12 +255,15 @@ class spatially_adaptive_unet(nn.Module):
                 )
         x = self.inc(field)
         joined = []
-        for (pool, convolution, adaptive), factors in zip(self.encoder, reversed(sv_kernel), strict=True):
+        encoder: Any = self.encoder
+        for (pool, convolution, adaptive), factors in zip(encoder, reversed(sv_kernel), strict=True):
             joined.append(x)
             pooled = pool(x)
             x = adaptive(pooled + convolution(pooled), factors)
-        convolution, transform = self.global_feature_module[0]
+        middle: Any = self.global_feature_module[0]
+        convolution, transform = middle
         x = transform(x, convolution(x))
-        for rise, join in self.decoder:
+        decoder: Any = self.decoder
+        for rise, join in decoder:
             x = join(rise(x, joined.pop()))
         return x

@@ -1,5 +1,6 @@
 """Attention over pixels, over channels and over space, and a gate between two pictures."""
 
+from typing import Any
 import functools
 from collections.abc import Sequence
 
@@ -51,7 +52,7 @@ class residual_attention_layer(nn.Module):
         if channels("output_channels", output_channels) not in (1, channels("input_channels", input_channels)):
             raise ValueError(f"output_channels must be 1 or input_channels ({input_channels}), got {output_channels}")
         size = kernel(kernel_size, odd=True)
-        options = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
+        options: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
         self.activation = activation_module(activation)
         self.convolution0, self.convolution1 = (
             nn.Sequential(nn.Conv2d(input_channels, output_channels, **options), nn.BatchNorm2d(output_channels))
@@ -73,7 +74,7 @@ class residual_attention_layer(nn.Module):
         torch.Tensor
             ``[B, input_channels, H, W]``.
         """
-        convolution = self.convolution0[0]
+        convolution: Any = self.convolution0[0]
         x0, x1 = (
             pictures(name, x, convolution.in_channels, convolution.weight) for name, x in (("x0", x0), ("x1", x1))
         )
@@ -105,12 +106,13 @@ class non_local_layer(nn.Module):
     ):
         super().__init__()
         size = kernel(kernel_size, odd=True)
-        options = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
+        options: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": _validate.flag("bias", bias)}
         outer = channels("input_channels", input_channels)
         inner = channels("bottleneck_channels", bottleneck_channels)
         self.g = nn.Conv2d(outer, inner, **options)
         self.W_z = nn.Sequential(nn.Conv2d(inner, outer, **options), nn.BatchNorm2d(outer))
-        nn.init.zeros_(self.W_z[1].weight)
+        last: Any = self.W_z[1]
+        nn.init.zeros_(last.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the picture plus its weighted mean, ``[B, input_channels, H, W]``."""
@@ -172,9 +174,10 @@ class channel_gate(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the pictures ``[B, C, H, W]`` with each channel times its weight between 0 and 1."""
-        x = pictures("x", x, self.mlp[1].in_features, self.mlp[1].weight)
-        pools = {"avg": torch.mean, "max": torch.amax}
-        scores = sum(self.mlp(pools[name](x, dim=(2, 3))) for name in self.pool_types)
+        first: Any = self.mlp[1]
+        x = pictures("x", x, first.in_features, first.weight)
+        pools: dict[str, Any] = {"avg": torch.mean, "max": torch.amax}
+        scores: Any = sum(self.mlp(pools[name](x, dim=(2, 3))) for name in self.pool_types)
         return x * torch.sigmoid(scores)[:, :, None, None]
 
 

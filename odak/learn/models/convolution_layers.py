@@ -3,6 +3,7 @@
 Convolutions are padded by ``kernel_size // 2``: odd kernels keep the size of the picture, even ones grow it by one.
 """
 
+from typing import Any
 import torch
 from torch import nn
 
@@ -43,10 +44,10 @@ class convolution_layer(nn.Module):
     ):
         super().__init__()
         if stride is None or isinstance(stride, nn.Module):
-            stride, activation = 1, stride
+            activation, stride = stride, 1
         normalization, activation = with_older_form(normalization, activation)
         size = kernel(kernel_size)
-        layers = [
+        layers: list[nn.Module] = [
             nn.Conv2d(
                 channels("input_channels", input_channels),
                 channels("output_channels", output_channels),
@@ -64,7 +65,8 @@ class convolution_layer(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the layer's output ``[B, output_channels, H', W']`` for pictures ``[B, input_channels, H, W]``."""
-        convolution, *rest = self.model
+        first, *rest = self.model
+        convolution: Any = first
         normalized = bool(rest) and isinstance(rest[0], nn.BatchNorm2d)
         axes = (4,) if normalized else (3, 4)
         return self.model(pictures("x", x, convolution.in_channels, convolution.weight, axes=axes))
@@ -103,7 +105,7 @@ class double_convolution(nn.Module):
         normalization, activation = with_older_form(normalization, activation)
         middle = channels("output_channels", output_channels)
         middle = middle if mid_channels is None else channels("mid_channels", mid_channels)
-        options = {
+        options: dict[str, Any] = {
             "kernel_size": kernel_size,
             "bias": bias,
             "normalization": normalization,
@@ -274,7 +276,7 @@ class upsample_layer(nn.Module):
         half = _validate.integer("input_channels", input_channels, minimum=2) // 2
         channels("output_channels", output_channels)
         if _validate.flag("bilinear", bilinear):
-            self.up = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
+            self.up: Any = nn.Upsample(scale_factor=2, mode="bilinear", align_corners=True)
         else:
             self.up = nn.ConvTranspose2d(input_channels, half, kernel_size=2, stride=2)
         self.conv = double_convolution(
@@ -302,7 +304,8 @@ class upsample_layer(nn.Module):
         torch.Tensor
             ``[B, output_channels, H, W]``.
         """
-        convolution = self.conv.model[0].model[0]
+        double: Any = self.conv.model[0]
+        convolution = double.model[0]
         transposed = isinstance(self.up, nn.ConvTranspose2d)
         x1 = pictures("x1", x1, self.up.in_channels if transposed else None, convolution.weight)
         small = self.up.out_channels if transposed else x1.shape[1]

@@ -1,5 +1,6 @@
 """A density in space as a mean of Gaussians, and its fit to samples."""
 
+from typing import Any
 import itertools
 import os
 from collections.abc import Mapping
@@ -65,6 +66,11 @@ class gaussian_3d_volume(nn.Module):
     >>> gaussian_3d_volume(10)(torch.zeros(5, 3)).shape
     torch.Size([5])
     """
+
+    centers: nn.Parameter
+    scales: nn.Parameter
+    angles: nn.Parameter
+    alphas: nn.Parameter
 
     def __init__(
         self,
@@ -143,7 +149,7 @@ class gaussian_3d_volume(nn.Module):
             if len(points) <= at_once:
                 return self._density(points)
             parts = points.split(at_once)
-            options = {"use_reentrant": False, "preserve_rng_state": False}
+            options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
             return torch.cat([checkpoint(self._density, part, **options) for part in parts])
 
     def _density(self, points):

@@ -51,6 +51,11 @@ class gaussian_2d(nn.Module):
     torch.Size([5, 4])
     """
 
+    widths: nn.Parameter
+    offsets: nn.Parameter
+    rotations: nn.Parameter
+    alphas: nn.Parameter
+
     def __init__(self, number_of_elements: int = 10):
         super().__init__()
         self.number_of_elements = whole_number("number_of_elements", number_of_elements)

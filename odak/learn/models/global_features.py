@@ -1,5 +1,6 @@
 """Scale and offset of whole channels, learned from what another picture holds on the whole (Huang et al. 2018)."""
 
+from typing import Any
 import torch
 from torch import nn
 
@@ -42,7 +43,8 @@ class global_transformations(nn.Module):
         torch.Tensor
             ``[B, output_channels, H, W]``.
         """
-        first, second = self.global_feature_1[0], self.global_feature_2[0]
+        first: Any = self.global_feature_1[0]
+        second: Any = self.global_feature_2[0]
         x1 = pictures("x1", x1, second.in_features, second.weight)
         x2 = pictures("x2", x2, first.in_features, first.weight)
         same_batch(x1=x1, x2=x2)
@@ -92,7 +94,7 @@ class global_feature_module(nn.Module):
                 f"output_channels must be input_channels ({input_channels}), for one follows the other twice; "
                 f"got {output_channels}"
             )
-        options = {
+        options: dict[str, Any] = {
             "mid_channels": mid_channels,
             "kernel_size": kernel_size,
             "bias": bias,

@@ -1,5 +1,6 @@
 """Fully connected networks of coordinates or features."""
 
+from typing import Any
 import copy
 import itertools
 import math
@@ -98,7 +99,8 @@ class multi_layer_perceptron(nn.Module):
         torch.Tensor
             ``[..., dimensions[-1]]``.
         """
-        x = features("x", x, self.dimensions[0], self.model[0].weight)
+        first: Any = self.model[0]
+        x = features("x", x, self.dimensions[0], first.weight)
         return self.model(x if self.input_multiplier is None else self.input_multiplier * x)
 
     def _activation(self, features, activation):

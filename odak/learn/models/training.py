@@ -185,6 +185,11 @@ def train(
 class _Run:
     """One training: the model, where it is, and the best it has been."""
 
+    epochs: int
+    patience: int | None
+    max_norm: float | None
+    callback: Callable | None
+
     def __init__(self, model, loss, batches, validation, device, mixed_precision):
         self.model, self.loss, self.batches, self.validation = model, loss, batches, validation
         self.device = device
@@ -329,7 +334,7 @@ class _Run:
 
     def _generators(self) -> list[torch.Generator]:
         """Return the generators that the batches draw from besides torch's own."""
-        found = []
+        found: list[torch.Generator] = []
         for batches in (self.batches, self.validation):
             sampler = getattr(batches, "sampler", None)
             holders = (batches, sampler, getattr(getattr(batches, "batch_sampler", None), "sampler", None))

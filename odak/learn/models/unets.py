@@ -1,5 +1,6 @@
 """U-Net: a picture down some scales and up again, joined at each scale with what went down."""
 
+from typing import Any
 import torch
 from torch import nn
 
@@ -56,7 +57,7 @@ class unet(nn.Module):
         self.depth = _validate.integer("depth", depth, minimum=1)
         width = channels("dimensions", dimensions)
         size = kernel(kernel_size)
-        options = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
         self.inc = double_convolution(input_channels, mid_channels=width, output_channels=width, **options)
         self.downsampling_layers = nn.ModuleList(
             downsample_layer(width * 2**i, width * 2 ** (i + 1), **options) for i in range(depth)
@@ -87,7 +88,8 @@ class unet(nn.Module):
         ValueError
             If the pictures are too small for that many steps.
         """
-        first = self.inc.model[0].model[0]
+        double: Any = self.inc.model[0]
+        first = double.model[0]
         x = pictures("x", x, first.in_channels, first.weight)
         if min(x.shape[-2:]) < 2**self.depth:
             raise ValueError(

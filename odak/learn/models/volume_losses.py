@@ -1,5 +1,6 @@
 """The loss of a density of Gaussians: how far it is from the samples, and how far its parameters are from good ones."""
 
+from collections.abc import Callable
 from collections.abc import Mapping
 from types import MappingProxyType
 
@@ -49,7 +50,7 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
     """
     weights = complete_weights(weights)
     content, use = weights["content"], weights["utilization"]
-    terms = [
+    terms: list[tuple[float, Callable[..., torch.Tensor]]] = [
         (content["l2"], lambda: model.l2_loss(estimate, ground_truth)),
         (content["l1"], lambda: model.l1_loss(estimate, ground_truth)),
         (weights["angle"], lambda: _outside(model.angles)),

@@ -46,6 +46,8 @@ class BlurLoss(nn.Module):
     A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye only cannot tell.
     """
 
+    _place: torch.Tensor
+
     def __init__(
         self,
         device: torch.device | str = "cpu",

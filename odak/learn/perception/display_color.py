@@ -68,6 +68,13 @@ class display_color_hvs(nn.Module):
     ((1, 3, 2, 2), 0.0)
     """
 
+    primaries_spectrum: torch.Tensor
+    l_normalized: torch.Tensor
+    m_normalized: torch.Tensor
+    s_normalized: torch.Tensor
+    lms_tensor: torch.Tensor
+    primaries_tensor: torch.Tensor
+
     def __init__(
         self,
         resolution: Sequence[int] = (1920, 1080),
@@ -142,7 +149,7 @@ class display_color_hvs(nn.Module):
                 f"got {tuple(input_image.shape)} and {tuple(ground_truth.shape)}"
             )
         stages = [self.second_to_third_stage(self.primaries_to_lms(picture)) for picture in (input_image, ground_truth)]
-        return nn.functional.mse_loss(*stages)
+        return nn.functional.mse_loss(stages[0], stages[1])
 
     def initialize_cones_normalized(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Return the sensitivities of the L, M and S cones, ``[S]`` each, their largest sample 1.

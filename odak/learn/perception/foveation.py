@@ -4,6 +4,7 @@ A flat screen stands upright in front of the eye, its centre on the axis. Width 
 it is. The gaze is (x, y) from the top-left corner, 0 to 1 across the picture; it may lie beside it. Angles are radians.
 """
 
+from typing import Any
 import math
 from collections.abc import Sequence
 
@@ -149,7 +150,7 @@ def make_pooling_size_map_pixels(
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     width, distance = _geometry(real_image_width, real_viewing_distance)
-    options = {"dtype": torch.float64, "device": device}
+    options: dict[str, Any] = {"dtype": torch.float64, "device": device}
     size = (rows, columns)
     angle, far = make_eccentricity_distance_maps(gaze_location, size, width, distance, **options)
     from_axis, _ = make_eccentricity_distance_maps((0.5, 0.5), size, width, distance, **options)

@@ -77,6 +77,8 @@ class MetamericLoss(nn.Module):
     0.0
     """
 
+    _place: torch.Tensor
+
     def __init__(
         self,
         device: torch.device | str = "cpu",

@@ -71,6 +71,8 @@ class MetamericLossUniform(nn.Module):
     See :class:`odak.learn.perception.MetamericLoss`; statistics of the target are kept in the same way.
     """
 
+    _place: torch.Tensor
+
     def __init__(
         self,
         device: torch.device | str = "cpu",

@@ -1,5 +1,6 @@
 """A blur that grows away from the gaze: trilinear sampling of a MIP pyramid."""
 
+from typing import Any
 from collections.abc import Sequence
 
 import torch
@@ -170,7 +171,7 @@ def level_map(
         ``[H, W]``.
     """
     mode = _validate.one_of("mode", mode, MODES)
-    options = {"dtype": dtype, "device": device}
+    options: dict[str, Any] = {"dtype": dtype, "device": device}
     if equi:
         return make_equi_pooling_size_map_lod(centre, size, alpha, mode, **options)
     return make_pooling_size_map_lod(centre, size, alpha, real_image_width, real_viewing_distance, mode, **options)

@@ -1,5 +1,6 @@
 """A steerable pyramid by small convolutions: bands by scale and orientation, and the picture back from them."""
 
+from typing import Any
 import functools
 
 import numpy as np
@@ -93,6 +94,13 @@ class SpatialSteerablePyramid(nn.Module):
     >>> bool((maker.reconstruct_from_pyramid(pyramid) - picture).abs().max() < 0.01)
     True
     """
+
+    filt_h0: torch.Tensor
+    filt_l0: torch.Tensor
+    filt_l: torch.Tensor
+    _bands: torch.Tensor
+    _mixing: torch.Tensor
+    _parts: torch.Tensor
 
     def __init__(
         self,
@@ -208,7 +216,7 @@ class SpatialSteerablePyramid(nn.Module):
         return self._filter(image, self.filt_l0) + self._filter(pyramid[0]["h"], self.filt_h0)
 
     def _build(self, dtype, device) -> None:
-        options = {"dtype": dtype, "device": device}
+        options: dict[str, Any] = {"dtype": dtype, "device": device}
         arguments = (self.filter_size, self.n_orientations, self.filter_type)
         filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
         # Whatever mode the caller is in, the filters must serve gradients later.

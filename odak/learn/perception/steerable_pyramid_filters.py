@@ -1,5 +1,6 @@
 """The filters of a spatial steerable pyramid as tensors: designed by the code, cropped, or derivative-like."""
 
+from typing import Any
 import numpy as np
 import torch
 
@@ -72,7 +73,7 @@ def get_steerable_pyramid_filters(
     bands = bank["b"]
     if kind == "trained":
         bands = _trained(size, count)
-    options = {"dtype": checked_dtype("dtype", dtype), "device": checked_device("device", device)}
+    options: dict[str, Any] = {"dtype": checked_dtype("dtype", dtype), "device": checked_device("device", device)}
     filters = {name: torch.tensor(bank[name], **options)[None, None] for name in ("l", "l0", "h0")}
     return {**filters, "b": [torch.tensor(band, **options)[None, None] for band in bands]}
 

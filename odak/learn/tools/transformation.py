@@ -111,8 +111,11 @@ def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_ord
     tensor([-1., -1.,  1.])
     """
     if isinstance(tilt_angles, (list, tuple)):
-        tilt_angles = _validate.several("tilt_angles", tilt_angles, 3)
-        tilt_angles = torch.stack([floating("tilt_angles", angle).reshape(()) for angle in tilt_angles])
+        if len(tilt_angles) != 3:
+            raise ValueError(f"tilt_angles must be three angles, got {len(tilt_angles)}")
+        # A tensor is not read: what is not a number spreads to the matrix.
+        angles = (v if isinstance(v, torch.Tensor) else _validate.real("tilt_angles", v) for v in tilt_angles)
+        tilt_angles = torch.stack([floating("tilt_angles", angle).reshape(()) for angle in angles])
     angles = floating("tilt_angles", tilt_angles)
     if angles.numel() != 3:
         raise ValueError(f"tilt_angles must be three angles, got {tuple(angles.shape)}")
