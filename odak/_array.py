@@ -5,10 +5,12 @@ from types import ModuleType
 from typing import Any
 
 import array_api_compat
-import array_api_compat.numpy as numpy_namespace
+import array_api_compat.numpy
 
 # In signatures: an array of any library, or what becomes one. Which it is shows at run time alone.
 Array = Any
+# It takes over what NumPy has at run time, unseen by a type checker.
+numpy_namespace: Any = array_api_compat.numpy
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
 
 

@@ -5,6 +5,7 @@ import itertools
 import math
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Number, Real
+from typing import Any
 
 import numpy
 
@@ -76,7 +77,7 @@ def numbers(value) -> list[float]:
     return [float(value)]
 
 
-def integer(name: str, value, *, minimum: int = 0) -> int:
+def integer(name: str, value, *, minimum: float = 0) -> int:
     """Return `value` as an int after checking that it is a whole number of at least `minimum`."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
@@ -114,14 +115,15 @@ def side(name: str, value) -> int:
     return count
 
 
-def whole(name: str, value, *, minimum: int = 0) -> int:
+def whole(name: str, value, *, minimum: float = 0) -> int:
     """Return `value` as :func:`integer` does; floats and tensors of one whole number count too."""
     if is_array(value) and math.prod(value.shape) == 1 and _holds_numbers(value):
         value = numbers(value)[0]
     if isinstance(value, Real) and not isinstance(value, (bool, Integral)):
-        if not math.isfinite(value) or value != int(value):
+        given: Any = value
+        if not math.isfinite(given) or given != int(given):
             raise ValueError(f"{name} must be a whole number, got {value!r}")
-        value = int(value)
+        value = int(given)
     return integer(name, value, minimum=minimum)
 
 
@@ -249,7 +251,7 @@ def place_in(name: str, value, count: int) -> int:
     """Return the place of one of `count` things, 0 to count − 1, of a place or of one counted from the end."""
     if isinstance(value, bool) or not isinstance(value, Integral):
         raise TypeError(f"{name} must be an integer, got {type(value).__name__}")
-    if not -count <= value < count:
+    if not -count <= int(value) < count:
         raise ValueError(f"{name} must be {-count} to {count - 1}, got {value}")
     return int(value) % count
 

@@ -68,7 +68,7 @@ class thin_diffuser:
         _validate.real("diffusion_angle", diffusion_angle)
         if not 0 <= diffusion_angle < 180:
             raise ValueError(f"diffusion_angle must be within 0 … 180 degrees, 180 not included; got {diffusion_angle}")
-        self.settings = {
+        self.settings: dict[str, Any] = {
             "name": _validate.text("name", name),
             "center": three("center", center),
             "angles": three("angles", angles),

@@ -5,6 +5,7 @@ import math
 import sys
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 from odak import _validate
 from odak.catalog.dispersion import FORMULAS, LINE_D, MEDIA, Material
@@ -74,7 +75,7 @@ def _material(where: str, name: str, entry) -> Material:
 
 def _coefficients(where: str, formula: str, entry) -> dict:
     kind = FORMULAS[formula]
-    found = {}
+    found: dict[str, Any] = {}
     for key in kind.lists:
         value = entry.get(key)
         if not isinstance(value, list) or not value or not all(map(_is_number, value)):
@@ -103,7 +104,8 @@ def _optional(where: str, key: str, entry) -> float | None:
 
 def _is_number(value) -> bool:
     # An integer beyond the range of floats is a number to JSON and to Python.
-    return isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    largest: Any = sys.float_info.max
+    return isinstance(value, Real) and not isinstance(value, bool) and abs(value) <= largest
 
 
 def _check_against_published(where: str, made: Material) -> None:

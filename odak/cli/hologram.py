@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -72,7 +72,7 @@ def reconstruct(job: Job, hologram: torch.Tensor, wavelength: float, propagation
     )
 
 
-def half_band(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
+def half_band(shape: Sequence[int], device: torch.device) -> torch.Tensor:
     """Return the centred Fourier filter of a 4f relay that passes the inner half of the band along each axis.
 
     Parameters

@@ -153,7 +153,7 @@ class Job:
     def _set_initial_phase(self) -> None:
         chosen = self.initial_phase
         if chosen is None:
-            chosen = DEFAULT_INITIAL_PHASE[self.method]
+            chosen = DEFAULT_INITIAL_PHASE[str(self.method)]
         self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
 
     def _check_wavelengths(self) -> None:

@@ -96,10 +96,10 @@ def fit(
         picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp(0, 1)
     elif size != tuple(picture.shape[-2:]):
         picture = torch.nn.functional.interpolate(picture[None], size, mode=mode)[0]
-    window = tuple(slice((f - s) // 2, (f - s) // 2 + s) for f, s in zip(resolution, size, strict=True))
+    rows, columns = (slice((f - s) // 2, (f - s) // 2 + s) for f, s in zip(resolution, size, strict=True))
     frame = torch.zeros(len(picture), *resolution)
-    frame[:, window[0], window[1]] = picture
-    return frame, window
+    frame[:, rows, columns] = picture
+    return frame, (rows, columns)
 
 
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:

@@ -186,7 +186,7 @@ def _plane_quality(wanted, mask, image) -> dict:
 
 
 def _focal_stack(planes: list[dict], wanted: torch.Tensor, images: torch.Tensor):
-    rows = [[], []]
+    rows: list[list] = [[], []]
     for plane, target, image in zip(planes, wanted, images, strict=True):
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
         quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"

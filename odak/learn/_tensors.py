@@ -1,6 +1,7 @@
 """Argument checks that need torch: each names the argument, what came and what is accepted."""
 
 import functools
+from typing import overload
 
 import torch
 
@@ -42,6 +43,14 @@ def trainable(value: torch.Tensor) -> torch.Tensor:
         return value
     copied = torch.is_grad_enabled() and not torch.is_inference_mode_enabled() and value.is_inference()
     return value.clone() if copied else value
+
+
+@overload
+def checked_device(name: str, value: torch.device | str | int) -> torch.device: ...
+
+
+@overload
+def checked_device(name: str, value: None) -> None: ...
 
 
 def checked_device(name: str, value) -> torch.device | None:

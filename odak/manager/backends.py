@@ -95,7 +95,7 @@ class Serial:
         """Take groups of tasks."""
         self._started += groups
 
-    def wait(self) -> list[tuple[Group, list[tasks.Outcome]]]:
+    def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
         """Do what was started, one group a call."""
         group, jobs = self._started.popleft()
         return [(group, [tasks.attempt(lambda job=job: self._compute(*job[0], **job[1])) for job in jobs])]
@@ -132,7 +132,7 @@ class Cluster:
         timeout: float | None,
     ) -> None:
         self._compute, self._cluster, self._depends, self._serves = compute, cluster, depends, server
-        self._share = {"workers": workers, "threads": threads}
+        self._share: dict[str, Any] = {"workers": workers, "threads": threads}
         self._resources = {GPU: 1} if gpu else None
         self._direct = cluster == "local" if direct is None else direct
         self._security, self._timeout = security, timeout
@@ -164,7 +164,8 @@ class Cluster:
     def _reach(self) -> None:
         import distributed
 
-        target, limit = self._cluster, {"timeout": _EVER if self._timeout is None else self._timeout}
+        target = self._cluster
+        limit: dict[str, Any] = {"timeout": _EVER if self._timeout is None else self._timeout}
         if self._cluster == "local":
             host, port = (_ANY_HOST, 8786) if self._serves else (LOOPBACK, 0)
             self._server = start_server(host=host, port=port, security=self._security, **self._share, **limit)
@@ -231,7 +232,7 @@ class Cluster:
             sent.append(group)
         if not keys:
             return
-        options = {"resources": self._resources} if self._resources else {}
+        options: dict[str, Any] = {"resources": self._resources} if self._resources else {}
         options["threads"] = self._share["threads"]
         futures = self._map(tasks.run_packed, packed, keys, code=self._code, **options)
         for future, group in zip(futures, sent, strict=True):

@@ -168,7 +168,8 @@ async def _work(address, parts, security, ready, until_closed, joined) -> bool:
     started = asyncio.gather(*nannies)
     asked = asyncio.create_task(stop.wait())
     try:
-        await asyncio.wait([started, asked], return_when=asyncio.FIRST_COMPLETED)
+        first: list[asyncio.Future] = [started, asked]
+        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         if started.done():
             await _joined(started, address)
             if ready:
@@ -177,7 +178,8 @@ async def _work(address, parts, security, ready, until_closed, joined) -> bool:
             if joined:
                 joined(parts)
             gone = asyncio.gather(*(nanny.finished() for nanny in nannies))
-            await asyncio.wait([gone, asked], return_when=asyncio.FIRST_COMPLETED)
+            last: list[asyncio.Future] = [gone, asked]
+            await asyncio.wait(last, return_when=asyncio.FIRST_COMPLETED)
         return stop.is_set()
     finally:
         await _close(nannies)
@@ -187,7 +189,7 @@ async def _joined(started, address) -> None:
     try:
         await started
     except Exception as error:
-        reason = error
+        reason: BaseException = error
         while reason.__cause__ is not None and not isinstance(reason, OSError):
             reason = reason.__cause__
         raise OSError(f"Workers cannot join {address}: {reason}") from error

@@ -46,7 +46,9 @@ class Rounds:
         self._backend, self._jobs, self._records = backend, jobs, records
         self._tries, self._in_flight, self._looked = retries + 1, in_flight or 1, -math.inf
         self._given = in_flight
-        self._waiting = deque(range(start, min(start + chunk, len(jobs))) for start in range(0, len(jobs), chunk))
+        self._waiting: deque[Sequence[int]] = deque(
+            range(start, min(start + chunk, len(jobs))) for start in range(0, len(jobs), chunk)
+        )
         self._attempts: Counter[int] = Counter()
         self._flying = 0
         self._cancelled = threading.Event()

@@ -171,8 +171,9 @@ class _Workers:
             env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
         )
         # The pipe stays open: its end tells the program that this process is gone, however it ended.
-        self._program.stdin.write(pickle.dumps(settings))
-        self._program.stdin.flush()
+        stdin: Any = self._program.stdin
+        stdin.write(pickle.dumps(settings))
+        stdin.flush()
 
     @property
     def _mark(self) -> str:
@@ -195,9 +196,10 @@ class _Workers:
             time.sleep(0.02)
 
     def close(self) -> None:
-        if self._program.stdin.closed:
+        stdin: Any = self._program.stdin
+        if stdin.closed:
             return
-        self._program.stdin.close()
+        stdin.close()
         try:
             self._program.wait(_PATIENCE)
         except subprocess.TimeoutExpired:

@@ -51,7 +51,7 @@ class Outcome:
         return bool(self.trace)
 
 
-def attempt(work: Callable[[], Any]) -> Outcome:
+def attempt(work: Callable[..., Any]) -> Outcome:
     """Call a function without arguments and return what became of it.
 
     Parameters

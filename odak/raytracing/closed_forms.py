@@ -57,6 +57,11 @@ def disc(start, direction, point, normal, centre, radius) -> Meeting:
     return _limited(flat, flat.hit & (vec.dot(arm, arm) <= radius * radius))
 
 
+def _met(distance, place, normal, hit, followed) -> Meeting:
+    distance, place, normal = (vec.hidden(value, hit, followed) for value in (distance, place, normal))
+    return Meeting(distance, place, normal, hit)
+
+
 def _limited(flat: Meeting, inside) -> Meeting:
     return Meeting(vec.hidden(flat.distance, inside, True), vec.hidden(flat.point, inside, True), flat.normal, inside)
 
@@ -70,7 +75,7 @@ def sphere(start, direction, centre, radius) -> Meeting:
     distance, hit = nearest_ahead(xp, squared, arm, direction, radius, kept & (squared > 0), noise, followed)
     place = vec.along(start, distance, direction)
     normal = vec.unit(vec.minus(place, centre), followed)
-    return Meeting(*(vec.hidden(value, hit, followed) for value in (distance, place, normal)), hit)
+    return _met(distance, place, normal, hit, followed)
 
 
 def cylinder(start, direction, centre, radius, axis) -> Meeting:
@@ -84,7 +89,7 @@ def cylinder(start, direction, centre, radius, axis) -> Meeting:
     distance, hit = nearest_ahead(xp, squared, arm, across, radius, moving, noise, followed)
     place = vec.along(start, distance, direction)
     normal = vec.unit(vec.without(vec.minus(place, centre), axis), followed)
-    return Meeting(*(vec.hidden(value, hit, followed) for value in (distance, place, normal)), hit)
+    return _met(distance, place, normal, hit, followed)
 
 
 def nearest_ahead(xp, squared, arm, direction, radius, moving, noise, followed: bool):
@@ -173,7 +178,7 @@ def _choose(line, candidates, curvature, k, aperture, ahead) -> tuple[Meeting, A
     place = vec.along(start, distance, direction)
     x, y, z = place
     normal = vec.unit((-curvature * x, -curvature * y, 1 - (k * curvature) * z), followed)
-    return Meeting(*(vec.hidden(value, hit, followed) for value in (distance, place, normal)), hit), sheet
+    return _met(distance, place, normal, hit, followed), sheet
 
 
 def _leaves(start, curvature, k, aperture):

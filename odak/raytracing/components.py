@@ -5,7 +5,7 @@ arithmetic and marks the rays that are lost at no cost.
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,10 @@ Vector = tuple
 class Lines(NamedTuple):
     """Rays in components: namespace, start, direction, which rays are finite, and whether a graph follows."""
 
-    xp: object
+    xp: Any
     start: Vector
     direction: Vector
-    kept: object
+    kept: Any
     followed: bool
 
 

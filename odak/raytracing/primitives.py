@@ -127,7 +127,7 @@ def define_circle(center: Array, radius: float, angles: Sequence[float]) -> list
     return [define_plane(center, angles), center, radius]
 
 
-def define_sphere(center: Sequence[float], radius: float) -> np.ndarray:
+def define_sphere(center: Sequence[float] | Array, radius: float) -> np.ndarray:
     """Return a sphere as ``[c_x, c_y, c_z, r]``.
 
     Parameters

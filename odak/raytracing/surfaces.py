@@ -34,11 +34,11 @@ class Conic:
         """Return height and slopes at x, y; see :mod:`odak.raytracing.sag`."""
         return sag.conic_sag(x, y, *self.parameters())
 
-    def base(self) -> tuple:
+    def base(self: Any) -> tuple:
         """Return curvature and conic constant of the conic nearest to the surface."""
         return self.curvature, self.conic
 
-    def parameters(self) -> tuple:
+    def parameters(self: Any) -> tuple:
         """Return the parameters in the order of the constructor."""
         return tuple(getattr(self, field.name) for field in fields(self))
 
@@ -256,7 +256,8 @@ def meet_sag(start, direction, surface: Surface, aperture=None, ahead: bool = Tr
     def meet(start, direction, aperture, *parameters):
         held = kind(*parameters)
         if kind.closed_form:
-            return intersections.conic(start, direction, *held.base(), aperture, ahead)
+            curvature, constant = held.base()
+            return intersections.conic(start, direction, curvature, constant, aperture, ahead)
         return hit_on_sag(start, direction, *_solve(start, direction, held, aperture, ahead), held)
 
     return in_pieces(meet, (1, 1, 0, *ranks(kind)), start, direction, aperture, *surface.parameters())
@@ -274,12 +275,13 @@ def solve_sag(start, direction, surface: Surface, aperture=None, ahead: bool = T
 
 def _solve(start, direction, surface: Surface, aperture, ahead: bool):
     xp = namespace(start, direction)
+    curvature, constant = surface.base()
     if surface.closed_form:
-        hit = intersections.conic(start, direction, *surface.base(), aperture, ahead)
+        hit = intersections.conic(start, direction, curvature, constant, aperture, ahead)
         return hit.distance, hit.status
     start, direction, kept = finite_rays(start, direction)
     kept = kept & (dot(direction, direction) > 0)
-    seed = intersections.conic(start, direction, *surface.base(), None, ahead)
+    seed = intersections.conic(start, direction, curvature, constant, None, ahead)
     flat = intersections.conic(start, direction, 0 * start[..., 0], 0.0, None, False)
     guess = xp.where(seed.hit, seed.distance, xp.where(flat.hit, flat.distance, 0.0))
     distance, found, crossed = newton(start, direction, surface, guess)

@@ -7,7 +7,7 @@ twice, once for each byte, keeps them both, with Pillow's own decoders, limits a
 import struct
 import sys
 import zlib
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from PIL import Image
@@ -18,7 +18,7 @@ _HALVES = {"RGB": ("RGB;16B", "RGB;16L"), "RGBA": ("RGBA;16B", "RGBA;16L")}
 _BITS_PER_SAMPLE = 258
 
 
-def is_deep(image: Image.Image) -> bool:
+def is_deep(image: Any) -> bool:
     """Say whether a picture just opened has channels of more than 8 bits that Pillow would cut.
 
     Parameters
@@ -89,7 +89,7 @@ def write_png(stream: BinaryIO, levels: np.ndarray) -> None:
     rows[:, 1:] = levels.astype(">u2").reshape(height, -1).view(np.uint8)
     header = struct.pack(">IIBBBBB", width, height, 16, _COLOUR_TYPES[channels], 0, 0, 0)
     stream.write(_SIGNATURE)
-    for kind, content in ((b"IHDR", header), (b"IDAT", zlib.compress(rows)), (b"IEND", b"")):
+    for kind, content in ((b"IHDR", header), (b"IDAT", zlib.compress(rows.data)), (b"IEND", b"")):
         stream.write(struct.pack(">I", len(content)) + kind + content)
         stream.write(struct.pack(">I", zlib.crc32(kind + content)))
 

@@ -75,9 +75,9 @@ def random_sample_point_cloud(
 
 def sphere_sample(
     no: Sequence[int] = (10, 10),
-    radius: float = 1.0,
-    center: Sequence[float] = _ORIGIN,
-    k: Sequence[float] = (1, 2),
+    radius: float | Array = 1.0,
+    center: Sequence[float] | Array = _ORIGIN,
+    k: Sequence[float] | Array = (1, 2),
 ) -> Array:
     """Return points of a sphere on a grid of polar and azimuthal angles.
 
@@ -109,9 +109,9 @@ def sphere_sample(
 
 def sphere_sample_uniform(
     no: Sequence[int] = (10, 10),
-    radius: float = 1.0,
-    center: Sequence[float] = _ORIGIN,
-    k: Sequence[float] = (1, 2),
+    radius: float | Array = 1.0,
+    center: Sequence[float] | Array = _ORIGIN,
+    k: Sequence[float] | Array = (1, 2),
 ) -> Array:
     """Return the points of :func:`sphere_sample` in a sheared order of the two angles. They are not uniform in area.
 
@@ -141,9 +141,9 @@ def sphere_sample_uniform(
 
 def box_volume_sample(
     no: Sequence[int] = (10, 10, 10),
-    size: Sequence[float] = (100.0, 100.0, 100.0),
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
+    size: Sequence[float] | Array = (100.0, 100.0, 100.0),
+    center: Sequence[float] | Array = _ORIGIN,
+    angles: Sequence[float] | Array = _ORIGIN,
 ) -> Array:
     """Return the centres of the cells that a box is cut into.
 
@@ -184,9 +184,9 @@ def box_volume_sample(
 
 def circular_sample(
     no: Sequence[int] = (10, 10),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
+    radius: float | Array = 10.0,
+    center: Sequence[float] | Array = _ORIGIN,
+    angles: Sequence[float] | Array = _ORIGIN,
 ) -> Array:
     """Return points of a disc on a polar grid, equally far apart in radius and angle, without the centre.
 
@@ -218,9 +218,9 @@ def circular_sample(
 
 def circular_uniform_random_sample(
     no: Sequence[int] = (10, 50),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
+    radius: float | Array = 10.0,
+    center: Sequence[float] | Array = _ORIGIN,
+    angles: Sequence[float] | Array = _ORIGIN,
     *,
     seed: int | np.random.Generator | None = None,
 ) -> Array:
@@ -252,9 +252,9 @@ def circular_uniform_random_sample(
 
 def circular_uniform_sample(
     no: Sequence[int] = (10, 50),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
+    radius: float | Array = 10.0,
+    center: Sequence[float] | Array = _ORIGIN,
+    angles: Sequence[float] | Array = _ORIGIN,
 ) -> Array:
     """Return points of a disc on rings whose number of points grows with their radius.
 
@@ -285,9 +285,9 @@ def circular_uniform_sample(
 
 def grid_sample(
     no: Sequence[int] = (10, 10),
-    size: Sequence[float] = (100.0, 100.0),
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
+    size: Sequence[float] | Array = (100.0, 100.0),
+    center: Sequence[float] | Array = _ORIGIN,
+    angles: Sequence[float] | Array = _ORIGIN,
 ) -> Array:
     """Return points of a rectangle on a regular grid, its edges included.
 

@@ -59,7 +59,7 @@ def rotation_matrix(angles, mode: str = "XYZ"):
     ValueError
         If `mode` is not one of the six orders.
     """
-    first, second, third = _validate.one_of("mode", mode, ROTATION_MODES)
+    first, second, third = tuple(_validate.one_of("mode", mode, ROTATION_MODES))
     turn = {axis: axis_rotation(axis, angles[..., i]) for i, axis in enumerate("XYZ")}
     return turn[third] @ turn[second] @ turn[first]
 
@@ -108,11 +108,11 @@ def rotmatz(angle: float) -> np.ndarray:
 
 
 def rotate_point(
-    point: Sequence[float],
-    angles: Sequence[float] = (0, 0, 0),
+    point: Sequence[float] | Array,
+    angles: Sequence[float] | Array = (0, 0, 0),
     mode: str = "XYZ",
-    origin: Sequence[float] = (0, 0, 0),
-    offset: Sequence[float] = (0, 0, 0),
+    origin: Sequence[float] | Array = (0, 0, 0),
+    offset: Sequence[float] | Array = (0, 0, 0),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rotate one point: R·(point − origin) + origin + offset.
 
@@ -153,10 +153,10 @@ def rotate_point(
 
 def rotate_points(
     points: Array,
-    angles: Sequence[float] = (0, 0, 0),
+    angles: Sequence[float] | Array = (0, 0, 0),
     mode: str = "XYZ",
-    origin: Sequence[float] = (0, 0, 0),
-    offset: Sequence[float] = (0, 0, 0),
+    origin: Sequence[float] | Array = (0, 0, 0),
+    offset: Sequence[float] | Array = (0, 0, 0),
 ) -> np.ndarray:
     """Rotate points: R·(point − origin) + origin + offset.
 

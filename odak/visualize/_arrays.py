@@ -66,7 +66,8 @@ def pairs(names: tuple[str, str], first, second) -> tuple[np.ndarray, np.ndarray
     a, b = points(names[0], first), points(names[1], second)
     if len(a) != len(b) and 1 not in (len(a), len(b)):
         raise ValueError(f"{names[0]} and {names[1]} must be as many, or one of them one; got {len(a)} and {len(b)}")
-    return tuple(np.broadcast_arrays(a, b))
+    a, b = np.broadcast_arrays(a, b)
+    return a, b
 
 
 def triangles(name: str, value) -> np.ndarray:

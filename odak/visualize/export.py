@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import plyfile
@@ -234,7 +235,8 @@ class PLY_object:
             places, faces["vertex_indices"], vertex_colors=_vertex_colors(vertices, faces), process=False
         )
         with replacing(path) as stream:
-            stream.write(mesh.export(file_type="glb"))
+            content: Any = mesh.export(file_type="glb")
+            stream.write(content)
 
     def _draw_prisms(self, starts, ends, k, color, perpendicular) -> None:
         side = float(_validate.real("k", k, positive=True))

@@ -14,7 +14,7 @@ def zernike_phase(
     ny: int,
     coefficients: Mapping,
     radius: float | None = None,
-    dx: float | Sequence[float] = 1.0,
+    dx: float | Sequence[float] | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: Any = None,
@@ -116,7 +116,7 @@ def zernike_basis(
 def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
     """Yield the polynomials, formed from ρ²ᵏ and (x + iy)^m: no angle, no square root, smooth at the centre."""
     shape = _validate.size("nx, ny", (nx, ny))
-    is_pair = isinstance(dx, Iterable) and getattr(dx, "ndim", 1)
+    is_pair = isinstance(dx, Iterable) and getattr(dx, "ndim", 1) != 0
     pitches = _validate.several("dx", dx if is_pair else (dx, dx), 2, positive=True)
     offset = _validate.several("offset", offset, 2)
     if radius is None:

@@ -37,9 +37,9 @@ __all__ = [
 
 def propagate_beam(
     field: Array,
-    k: float | None,
+    k: float | Array | None,
     distance: float | Array,
-    dx: float,
+    dx: float | Array,
     wavelength: float | Array,
     propagation_type: str = "IR Fresnel",
     kernel: Array = None,

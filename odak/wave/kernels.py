@@ -75,7 +75,7 @@ def make_grid(
     scale = _validate.integer("scale", scale, minimum=1)
     xp = _validate.library("xp", xp)
     request = Request(dx, wavelength, distance, scale=scale, samples=sample_counts(samples))
-    return request.grid(tuple(scale * n for n in size), xp, device, _complex_dtype(dtype, xp))
+    return request.grid((scale * size[0], scale * size[1]), xp, device, _complex_dtype(dtype, xp))
 
 
 def _complex_dtype(dtype, xp):

@@ -4,6 +4,7 @@ import difflib
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 from odak import _array, _validate
 from odak.wave import far_field, stretched
@@ -260,7 +261,7 @@ def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Met
     if not reports:
         raise ValueError("propagation_type 'auto' needs a distance, dx and wavelength that are plain numbers")
     names = {report.recommended for report in reports}
-    method = find_method(names.pop() if len(names) == 1 else "Bandlimited Angular Spectrum")
+    method: Any = find_method(names.pop() if len(names) == 1 else "Bandlimited Angular Spectrum")
     _log.debug("propagation_type 'auto' chose %s: %s", method.name, reports[0].reason)
     return method
 

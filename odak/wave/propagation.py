@@ -21,7 +21,7 @@ def propagate(
     propagation_type: str,
     *,
     kernel=None,
-    zero_padding: Sequence[bool] = (False, False, False),
+    zero_padding: bool | Sequence[bool] = (False, False, False),
     aperture=1.0,
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
@@ -83,9 +83,10 @@ def _shape(value) -> tuple[int, ...]:
 
 
 def _check_aperture(aperture) -> None:
+    plain = isinstance(aperture, Number)
     if _array.is_array(aperture):
         _validate.array("aperture", aperture)
-    elif not isinstance(aperture, Number):
+    elif not plain:
         raise TypeError(f"aperture must be a number or an array, got {type(aperture).__name__}")
     elif not abs(aperture) < math.inf:
         raise ValueError(f"aperture must be finite, got {aperture!r}")
@@ -112,7 +113,8 @@ def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
     flags = tuple(zero_padding) if listed else (False, zero_padding, False)
     if len(flags) != 3:
         raise ValueError(f"zero_padding must be three booleans [pad, pad spectrum, crop], got {zero_padding!r}")
-    return tuple(_validate.flag("zero_padding", flag) for flag in flags)
+    pad, fine, crop = (_validate.flag("zero_padding", flag) for flag in flags)
+    return pad, fine, crop
 
 
 def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
@@ -121,4 +123,5 @@ def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
     counts = tuple(samples) if listed else (samples,)
     if len(counts) != 4:
         raise ValueError(f"{name} must be four counts [source rows, columns, target rows, columns], got {samples!r}")
-    return tuple(_validate.whole(name, count, minimum=1) for count in counts)
+    a, b, c, d = (_validate.whole(name, count, minimum=1) for count in counts)
+    return a, b, c, d

@@ -107,7 +107,7 @@ class Rays:
                 f"window_shape, window_dx and guard ask for {counts[0]} x {counts[1]} frequencies, more than "
                 f"{MAXIMUM_FREQUENCIES}; take a smaller window, a smaller guard or a field of larger pitch"
             )
-        return tuple(lines)
+        return lines[0], lines[1]
 
     def _line(self, axis: int, frequency, period: int) -> Line:
         """Return the line from the lowest to the highest frequency of the whole batch."""

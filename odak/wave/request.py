@@ -36,8 +36,10 @@ class Request:
 
     def grid(self, shape: tuple[int, int], xp, device, dtype) -> Grid:
         """Return the grid of `shape` for this geometry."""
-        values = (_column(value, xp, device) for value in (self.dx, self.wavelength, self.distance))
-        return Grid(shape, *values, xp, device, dtype, self.scale, self.samples, self._may_be_evanescent())
+        dx, wavelength, distance = (_column(value, xp, device) for value in (self.dx, self.wavelength, self.distance))
+        return Grid(
+            shape, dx, wavelength, distance, xp, device, dtype, self.scale, self.samples, self._may_be_evanescent()
+        )
 
     def _may_be_evanescent(self) -> bool:
         if not self.is_plain():

@@ -53,7 +53,7 @@ class SamplingReport:
     response_distance: float
     band_limit: tuple[float, float]
     kept_band: tuple[float, float]
-    fresnel_number: tuple[float, float]
+    fresnel_number: tuple[float, ...]
     fraunhofer_distance: float
     paraxial_error: float
     recommended: str

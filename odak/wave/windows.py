@@ -90,7 +90,8 @@ def propagate_to_window(
     request = Request(dx, wavelength, distance)
     shape, xp, device = tuple(field.shape[-2:]), _array.namespace(field), _array.device_of(field)
     grid = request.grid(shape, xp, device, field.dtype)
-    lines = [line.held() for line in Rays.between(grid, window).lines()]
+    down, across = Rays.between(grid, window).lines()
+    lines = (down.held(), across.held())
     if 1 in (line.count for line in lines):
         _log.warning("the window lies beyond the light that a field of pitch %s m can send: it is dark", dx)
     spectrum = to_line(to_line(field, lines[1]), lines[0])

@@ -205,13 +205,14 @@ def test_the_rim_belongs_to_the_circle(face):
     np.testing.assert_allclose(distance.reshape(-1), [5, 5, 0, 0], atol=1e-12)
 
 
-def test_one_ray_gives_one_normal_and_a_batch_of_one_a_batch():
-    circle = rt.define_circle([0, 0, 5], 2.0, [0, 0, 0])
-    ray = np.stack([0 * Z, Z])
-    one, _ = rt.intersect_w_circle(ray, circle)
+@FACES
+def test_one_ray_gives_one_normal_and_a_batch_of_one_a_batch(face):
+    circle = face.define_circle(of(face, [0, 0, 5]), 2.0, [0.0, 0.0, 0.0])
+    ray = of(face, [0 * Z, Z])
+    one, _ = face.intersect_w_circle(ray, circle)
     assert one.shape == (2, 3)
     np.testing.assert_allclose(one, [[0, 0, 5], [0, 0, 1]], atol=1e-12)
-    assert rt.intersect_w_circle(ray[None], circle)[0].shape == (1, 2, 3)
+    assert face.intersect_w_circle(ray[None], circle)[0].shape == (1, 2, 3)
 
 
 def test_distances_to_triangles_have_no_sign():
@@ -226,10 +227,11 @@ def test_rays_go_on_from_where_the_normal_stands(random):
     np.testing.assert_array_equal(rt.refract(rays, normals, 1.0, 1.5)[:, 0], normals[:, 0])
 
 
-def test_normals_of_triangles_stand_at_their_centres(random):
-    triangles = random.normal(size=(4, 3, 3))
-    np.testing.assert_allclose(rt.get_triangle_normal(triangles)[:, 0], triangles.mean(axis=1), rtol=1e-12)
-    np.testing.assert_array_equal(rt.get_triangle_normal(triangles[0], [1, 2, 3])[0], [1, 2, 3])
+@FACES
+def test_normals_of_triangles_stand_at_their_centres(face, random):
+    triangles = of(face, random.normal(size=(4, 3, 3)))
+    np.testing.assert_allclose(face.get_triangle_normal(triangles)[:, 0], triangles.mean(axis=1), rtol=1e-12)
+    np.testing.assert_array_equal(face.get_triangle_normal(triangles[0], of(face, [1, 2, 3]))[0], [1, 2, 3])
 
 
 def test_normals_of_cylinders_stand_on_their_axes():
@@ -243,10 +245,43 @@ def test_what_is_no_index_and_no_circle_is_refused():
     for index in (np.nan, np.inf, complex(1.5, np.inf)):
         with pytest.raises(ValueError, match="n2 must"):
             rt.fresnel_coefficients(ray, ray, 1.0, index)
-    circle = rt.define_circle([0, 0, 5], 2.0, [0, 0, 0])
-    for broken in (circle[:2], [*circle, 1.0], "abc", 3.0):
-        with pytest.raises((TypeError, ValueError), match="circle"):
-            rt.intersect_w_circle(ray, broken)
+    for index in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="n2 must"):
+            learn.fresnel_coefficients(of(learn, ray), of(learn, ray), 1.0, index)
+    for face in (rt, learn):
+        with pytest.raises(TypeError, match="n1 must"):
+            face.fresnel_coefficients(of(face, ray), of(face, ray), 1j, 1.5)
+        circle = face.define_circle(of(face, [0, 0, 5]), 2.0, [0.0, 0.0, 0.0])
+        for broken in (circle[:2], [*circle, 1.0], "abc", 3.0):
+            with pytest.raises((TypeError, ValueError), match="circle"):
+                face.intersect_w_circle(of(face, ray), broken)
+
+
+def test_metals_are_the_same_on_both_faces(random):
+    rays, normals = random.normal(size=(2, 4, 2, 3))
+    n1, n2 = np.linspace(1.0, 1.3, 4), 0.2 + 3.4j + np.arange(4)
+    for first, second in ((1.0, 0.2 + 3.4j), (n1.tolist(), 1.5), (n1, n2)):
+        expected = rt.fresnel_coefficients(rays, normals, first, second)
+        tensors = (torch.as_tensor(value) if isinstance(value, np.ndarray) else value for value in (first, second))
+        found = learn.fresnel_coefficients(of(learn, rays), of(learn, normals), *tensors)
+        for one, other in zip(found, expected, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-14)
+
+
+def test_normals_of_spheres_point_to_their_centre():
+    normal = learn.get_sphere_normal_torch(
+        torch.tensor([[4.0, 2.0, 3.0], [1.0, 2.0, 0.0]]), torch.tensor([1.0, 2, 3, 3])
+    )
+    np.testing.assert_allclose(normal, [[[4, 2, 3], [-1, 0, 0]], [[1, 2, 0], [0, 0, 1]]])
+
+
+def test_one_ray_meets_many_spheres():
+    spheres = torch.tensor([[0.0, 0, 5, 1], [0, 0, 9, 2], [0, 4, 9, 1]])
+    rays, normals, distance, check = learn.intersect_w_sphere(torch.tensor([[[0.0, 0, 0], [0, 0, 1]]]), spheres)
+    np.testing.assert_allclose(distance, [4, 7, np.nan])
+    assert check.tolist() == [True, True, False]
+    np.testing.assert_allclose(rays[:, 0], [[0, 0, 4], [0, 0, 7]])
+    np.testing.assert_allclose(normals[:, 0], [[0, 0, 5], [0, 0, 9]])
 
 
 def test_batches_of_one_give_one_ray(random):
@@ -261,3 +296,17 @@ def test_batches_of_one_give_one_ray(random):
     ):
         assert batch.shape == (2, 3)
         np.testing.assert_array_equal(batch, one)
+
+
+def test_triangles_are_met_alike_on_both_faces(random):
+    starts, triangle = random.normal(size=(30, 3)), np.asarray([[-2.0, -1, 5], [2, -1, 6], [0, 2, 5]])
+    rays = rt.create_ray_from_two_points(starts, random.normal([0, 0, 5], size=(30, 3)))
+    plane, length = rt.intersect_w_surface(rays, triangle)
+    inside = np.isfinite(rt.intersect_w_triangle(rays, triangle)[0][:, 1, 0])
+    assert 5 < inside.sum() < 25
+    normal, distance, hits, normals, check = learn.intersect_w_triangle(of(learn, rays), of(learn, triangle))
+    np.testing.assert_allclose(normal, plane, atol=1e-12)
+    np.testing.assert_allclose(abs(distance[:, 0]), length, atol=1e-12)
+    np.testing.assert_array_equal(check[0], inside)
+    np.testing.assert_array_equal(hits, rays[inside])
+    np.testing.assert_allclose(normals, plane[inside], atol=1e-12)

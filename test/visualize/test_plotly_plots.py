@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak.visualize.plotly import plotshow, surfaceshow
+from odak.visualize.plotly import plot2dshow, plotshow, rayshow, surfaceshow
 
 
 def test_surface_is_what_was_given_and_laid_out_before_saving(tmp_path):
@@ -91,3 +91,35 @@ def test_origins_and_places_that_do_not_exist_are_named():
         with pytest.raises(ValueError, match=message):
             picture.add_plot([0.0, 1.0], **place)
     assert not picture.fig.data
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: surfaceshow(title=["Sag"]), "title must be a string, got list"),
+        (lambda: surfaceshow(labels="xyz"), "labels must be a sequence of strings"),
+        (lambda: surfaceshow(labels=["x", "y"]), "labels must hold 3 strings, got 2"),
+        (lambda: surfaceshow(margin=[0, 0, -1, 0]), "margin must be at least 0"),
+        (lambda: plot2dshow(color_scale="no such scale"), "color_scale must be a colour scale of Plotly"),
+        (lambda: plot2dshow(font_settings=48), "font_settings must be a dictionary, got int"),
+        (lambda: plot2dshow(horizontal_spacing=1.01), "horizontal_spacing must be from 0 to 1"),
+        (lambda: plot2dshow(vertical_spacing=-0.01), "vertical_spacing must be from 0 to 1"),
+        (lambda: rayshow(line_width=-1), "line_width must be at least 0"),
+        (lambda: rayshow(opacity=2), "opacity must be from 0 to 1"),
+        (lambda: rayshow().add_triangle(np.eye(3), color=["red", "green"]), "color must be one colour or 1 of them"),
+    ],
+)
+def test_arguments_are_named_before_plotly_sees_them(build, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        build()
+
+
+def test_triangles_take_a_colour_a_value_or_none():
+    picture, corners = rayshow(), np.arange(18.0).reshape(2, 3, 3) ** 2
+    picture.add_triangle(corners, color=["red", "blue"])
+    picture.add_triangle(corners, color=[0.25, 0.75])
+    picture.add_triangle(corners, color="green")
+    named, valued, one = picture.fig.data
+    assert list(named.facecolor) == ["red", "blue"] and named.intensity is None
+    assert list(valued.intensity) == [0.25, 0.75] and valued.intensitymode == "cell"
+    assert one.color == "green" and one.intensity is None

@@ -3,9 +3,9 @@
 Zheng, Zhan, Shi, Cakmakci and Akşit 2024 (SIGGRAPH Asia Technical Communications).
 """
 
-from typing import Any
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -58,7 +58,12 @@ class spatially_varying_kernel_generation_model(nn.Module):
         self.depth = _validate.integer("depth", depth, minimum=1)
         self.input_channels = _validate.integer("input_channels", input_channels, minimum=2)
         width, size = channels("dimensions", dimensions), kernel(kernel_size, odd=True)
-        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        options: dict[str, Any] = {
+            "kernel_size": size,
+            "bias": bias,
+            "normalization": normalization,
+            "activation": activation,
+        }
         # Channels of the picture after each pair of convolutions on the way down, and after its pools.
         coded = [width * 2**i for i in range(depth)] + [width * 2 ** (depth - 1)]
         pooled = [width, *coded[:-1]]
@@ -182,7 +187,12 @@ class spatially_adaptive_unet(nn.Module):
         size = kernel(kernel_size, odd=True)
         widths = [channels("dimensions", dimensions) * 2**i for i in range(depth + 2)]
         activation_module(activation)
-        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        options: dict[str, Any] = {
+            "kernel_size": size,
+            "bias": bias,
+            "normalization": normalization,
+            "activation": activation,
+        }
         adaptive: dict[str, Any] = {"kernel_size": size, "padding": size // 2, "bias": bias, "activation": activation}
         self.inc = convolution_layer(input_channels, widths[0], **options)
         self.encoder = nn.ModuleList(

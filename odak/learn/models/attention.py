@@ -1,8 +1,8 @@
 """Attention over pixels, over channels and over space, and a gate between two pictures."""
 
-from typing import Any
 import functools
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn

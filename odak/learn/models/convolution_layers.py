@@ -4,6 +4,7 @@ Convolutions are padded by ``kernel_size // 2``: odd kernels keep the size of th
 """
 
 from typing import Any
+
 import torch
 from torch import nn
 

@@ -1,10 +1,10 @@
 """A density in space as a mean of Gaussians, and its fit to samples."""
 
-from typing import Any
 import itertools
 import os
 from collections.abc import Mapping
 from numbers import Integral
+from typing import Any
 
 import torch
 from torch import nn

@@ -1,6 +1,7 @@
 """Scale and offset of whole channels, learned from what another picture holds on the whole (Huang et al. 2018)."""
 
 from typing import Any
+
 import torch
 from torch import nn
 

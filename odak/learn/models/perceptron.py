@@ -1,10 +1,10 @@
 """Fully connected networks of coordinates or features."""
 
-from typing import Any
 import copy
 import itertools
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn

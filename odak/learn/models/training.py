@@ -57,7 +57,7 @@ class TrainingHistory:
 
 def train(
     model: nn.Module,
-    loss: Callable[[nn.Module, Any], torch.Tensor],
+    loss: Callable[[Any, Any], torch.Tensor],
     batches: Iterable,
     epochs: int = 100,
     *,

@@ -1,6 +1,7 @@
 """U-Net: a picture down some scales and up again, joined at each scale with what went down."""
 
 from typing import Any
+
 import torch
 from torch import nn
 
@@ -57,7 +58,12 @@ class unet(nn.Module):
         self.depth = _validate.integer("depth", depth, minimum=1)
         width = channels("dimensions", dimensions)
         size = kernel(kernel_size)
-        options: dict[str, Any] = {"kernel_size": size, "bias": bias, "normalization": normalization, "activation": activation}
+        options: dict[str, Any] = {
+            "kernel_size": size,
+            "bias": bias,
+            "normalization": normalization,
+            "activation": activation,
+        }
         self.inc = double_convolution(input_channels, mid_channels=width, output_channels=width, **options)
         self.downsampling_layers = nn.ModuleList(
             downsample_layer(width * 2**i, width * 2 ** (i + 1), **options) for i in range(depth)

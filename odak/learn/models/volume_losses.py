@@ -1,7 +1,6 @@
 """The loss of a density of Gaussians: how far it is from the samples, and how far its parameters are from good ones."""
 
-from collections.abc import Callable
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import torch

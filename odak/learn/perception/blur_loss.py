@@ -1,6 +1,7 @@
 """A loss for the periphery: distance from a picture that is blurred away from the gaze."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -103,7 +104,8 @@ class BlurLoss(nn.Module):
         """
         check_loss_inputs("BlurLoss", image, target)
         as_pictures("image", image, None), as_pictures("target", target, None)
-        check_values(**{"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target})
+        pictures: dict[str, Any] = {"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target}
+        check_values(**pictures)
         self.target = target.detach()
         if self.blur_source:
             image = self.blur_image(image, gaze)

@@ -155,7 +155,7 @@ class CVDLoss(nn.Module):
             as_pictures(name, picture)
             if picture.ndim != 4:
                 raise ValueError(f"{name} must be [B, 3, H, W], got {tuple(picture.shape)}")
-            check_values(**{name: picture})
+            check_values(1.0, **{name: picture})
         if target is not None and target.shape != image.shape:
             raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
         seen = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)

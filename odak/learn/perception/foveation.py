@@ -4,9 +4,9 @@ A flat screen stands upright in front of the eye, its centre on the axis. Width 
 it is. The gaze is (x, y) from the top-left corner, 0 to 1 across the picture; it may lie beside it. Angles are radians.
 """
 
-from typing import Any
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 

@@ -124,7 +124,8 @@ class FrequencySteerablePyramid(nn.Module):
             raise ValueError(
                 f"image must have sides of at least {smallest} for {self.n_levels} levels, got {tuple(image.shape)}"
             )
-        return tuple(image.shape[-2:])
+        rows, columns = image.shape[-2:]
+        return rows, columns
 
     def _prepare(self, size, dtype, device):
         """Return the high-pass mask and, of each level with bands, its size, band masks ``[K, H, W]`` and low-pass."""

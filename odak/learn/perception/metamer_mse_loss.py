@@ -1,6 +1,7 @@
 """A baseline to the metameric loss: distance from one fixed metamer of the target."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -62,7 +63,9 @@ class MetamerMSELoss(nn.Module):
         self.real_image_width, self.real_viewing_distance = real_image_width, real_viewing_distance
         self.n_pyramid_levels, self.n_orientations = n_pyramid_levels, n_orientations
         self.loss_func = nn.MSELoss()
-        self.target = self.target_metamer = self.noise = None
+        self.target: Any = None
+        self.target_metamer: Any = None
+        self.noise: Any = None
         self._kept = statistics.TargetCache()
 
     @property
@@ -100,7 +103,8 @@ class MetamerMSELoss(nn.Module):
         inner = self.metameric_loss
         statistics.checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
         padded, stats, _ = inner._described(image, _point("gaze", gaze), "RGB")
-        metamer = statistics.matched_noise(padded, stats, inner.pyramid_maker, inner.n_pyramid_levels, seed)
+        maker: Any = inner.pyramid_maker
+        metamer = statistics.matched_noise(padded, stats, maker, inner.n_pyramid_levels, seed)
         return statistics.as_picture(metamer, image.shape)
 
     def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:

@@ -1,6 +1,7 @@
 """A loss that asks only for what the eye can tell apart: pooled statistics away from the gaze, the picture at it."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -111,7 +112,9 @@ class MetamericLoss(nn.Module):
         self.equi = _validate.flag("equi", equi)
         self.pyramid_maker: SpatialSteerablePyramid | None = None
         self.blurs: nn.ModuleList | None = None
-        self.target_stats = self.fovea_mask = self.periphery_mask = self.loss_map = None
+        self.target_stats: Any = None
+        self.fovea_mask = self.periphery_mask = None
+        self.loss_map: torch.Tensor | None = None
         self._kept = statistics.TargetCache()
         self._masks: tuple | None = None
 

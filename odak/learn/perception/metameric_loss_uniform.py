@@ -1,5 +1,7 @@
 """The metameric loss without a gaze: statistics pooled over regions of one size, for pictures seen from anywhere."""
 
+from typing import Any
+
 import torch
 from torch import nn
 from torch.nn import functional
@@ -86,7 +88,9 @@ class MetamericLossUniform(nn.Module):
         self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
         self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
         self.pyramid_maker: SpatialSteerablePyramid | None = None
-        self.target = self.target_stats = self.loss_map = None
+        self.target_stats: Any = None
+        self.target: torch.Tensor | None = None
+        self.loss_map: torch.Tensor | None = None
         self._kept = statistics.TargetCache()
 
     @property

@@ -1,6 +1,7 @@
 """What the metameric losses share: checks, pooled statistics of pyramids, pictures made to have them, and a cache."""
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 import torch
 from torch.nn import functional
@@ -44,12 +45,13 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
             f"{name} ERROR: image and target are too small: sides must be at least 2 and fill {n_levels} pyramid "
             f"levels, got {tuple(image.shape)}"
         )
-    check_values(**{f"{name} ERROR: image": image, f"{name} ERROR: target": target})
+    pictures: dict[str, Any] = {f"{name} ERROR: image": image, f"{name} ERROR: target": target}
+    check_values(**pictures)
 
 
 def checked_maps(name: str, value: Sequence[torch.Tensor]) -> list[torch.Tensor]:
     """Return statistics as a list after checking that they are tensors ``[B, C, H, W]``."""
-    maps = list(value) if isinstance(value, (list, tuple)) else [None]
+    maps: list[Any] = list(value) if isinstance(value, (list, tuple)) else [None]
     if not maps or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in maps):
         raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
     return maps
@@ -222,6 +224,10 @@ class TargetCache:
     A target is the same if it is the same memory, laid out in the same way, and torch counted no change to it. It is
     held, so that its memory cannot become another's. Writing to it behind torch's back (`.data`, NumPy) goes unseen.
     """
+
+    _target: torch.Tensor | None
+    _key: Any
+    _value: Any
 
     def __init__(self) -> None:
         self.clear()

@@ -1,7 +1,7 @@
 """A blur that grows away from the gaze: trilinear sampling of a MIP pyramid."""
 
-from typing import Any
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -34,7 +34,7 @@ class RadiallyVaryingBlur(nn.Module):
         for name in ("lod_map", "lod_fraction"):
             self.register_buffer(name, None, persistent=False)
         self._key: tuple | None = None
-        self._sampler: MipSampler | None = None
+        self._sampler: Any = None
         self.equi: bool | None = None
 
     def forward(

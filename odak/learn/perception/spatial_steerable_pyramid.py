@@ -1,7 +1,7 @@
 """A steerable pyramid by small convolutions: bands by scale and orientation, and the picture back from them."""
 
-from typing import Any
 import functools
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +15,8 @@ from odak.learn.perception.pyramid_filter_design import orientations, steering
 from odak.learn.perception.small_filters import correlate
 from odak.learn.perception.steerable_pyramid_filters import get_steerable_pyramid_filters
 
-Pyramid = list[dict[str, torch.Tensor | list[torch.Tensor]]]
+# Tensors, and under "b" lists of them.
+Pyramid = list[dict[str, Any]]
 
 
 def pad_image_for_pyramid(image: torch.Tensor, n_pyramid_levels: int) -> torch.Tensor:
@@ -153,7 +154,7 @@ class SpatialSteerablePyramid(nn.Module):
         """
         multiple_highpass = _validate.flag("multiple_highpass", multiple_highpass)
         groups, low = self.stacked_bands(image, n_levels)
-        pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
+        pyramid: Pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
         for bands, level in zip(groups[2:], low[1:], strict=False):
             pyramid.append({"l": level, "b": list(bands.unbind(2))})
             if multiple_highpass:

@@ -1,6 +1,7 @@
 """The filters of a spatial steerable pyramid as tensors: designed by the code, cropped, or derivative-like."""
 
 from typing import Any
+
 import numpy as np
 import torch
 
@@ -26,7 +27,7 @@ def get_steerable_pyramid_filters(
     bilinear: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
-) -> dict[str, torch.Tensor | list[torch.Tensor]]:
+) -> dict[str, Any]:
     """Return the filters of a steerable pyramid.
 
     Parameters
@@ -78,9 +79,7 @@ def get_steerable_pyramid_filters(
     return {**filters, "b": [torch.tensor(band, **options)[None, None] for band in bands]}
 
 
-def crop_steerable_pyramid_filters(
-    filters: dict[str, torch.Tensor | list[torch.Tensor]], size: int
-) -> dict[str, torch.Tensor | list[torch.Tensor]]:
+def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[str, Any]:
     """Return the middles of a bank's filters.
 
     Parameters

@@ -125,7 +125,7 @@ def fresnel_coefficients(
     """
     ray, normal = arguments.tensors(ray=ray, normal=normal)
     ray, normal = arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :]
-    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (_index("n1", n1), _index("n2", n2)))
+    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (_index("n1", n1, ray), _index("n2", n2, ray)))
     indices = {name: value for name, value in (("n1", n1), ("n2", n2)) if torch.is_tensor(value)}
     _validate.fitting(ray=ray[..., 0], normal=normal[..., 0], **indices)
     return interfaces.fresnel(ray, normal, n1, n2)
@@ -383,13 +383,13 @@ def _refracted(ray, normal, n1, n2):
     return vec.join(vec.split(normal[..., 0, :]), direction)
 
 
-def _index(name: str, value):
-    """Return a refractive index after checking it; the one behind a surface may be complex."""
+def _index(name: str, value, ray: torch.Tensor):
+    """Return a refractive index after checking it, a list as precise as the rays; the one behind may be complex."""
     is_complex = isinstance(value, complex) or (torch.is_tensor(value) and value.is_complex())
     if is_complex and name == "n2":
         return value
     value = _validate.real(name, value)
-    return value if isinstance(value, (Real, torch.Tensor)) else arguments.tensors(**{name: value})[0]
+    return value if isinstance(value, (Real, torch.Tensor)) else arguments.tensors(ray=ray, **{name: value})[1]
 
 
 def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:

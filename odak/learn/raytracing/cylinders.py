@@ -1,5 +1,6 @@
 """Cylinders as tensors, and rays that meet them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -16,7 +17,7 @@ __all__ = ["cylinder_function", "define_cylinder", "get_cylinder_normal", "inter
 
 
 def define_cylinder(
-    center: torch.Tensor, radius: torch.Tensor, rotation: torch.Tensor = (0.0, 0.0, 0.0)
+    center: torch.Tensor, radius: torch.Tensor, rotation: torch.Tensor | Sequence[float] = (0.0, 0.0, 0.0)
 ) -> torch.Tensor:
     """Return infinite cylinders as ``[m, 7]``: c, r and q, a point of the axis one unit from c.
 

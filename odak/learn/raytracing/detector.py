@@ -168,4 +168,4 @@ class detector:
 
 
 # The class hides the module of its name in the package; it answers for it.
-detector.detector = detector
+detector.detector = detector  # type: ignore[attr-defined]

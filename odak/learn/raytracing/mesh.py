@@ -83,8 +83,8 @@ class planar_mesh:
             if value.numel() != count:
                 raise ValueError(f"{name} must be {count} numbers, got {tuple(value.shape)}")
         self.size, self.angles, self.offset = (v.reshape(-1).to(self.device) for v in (size, angles, offset))
-        self.ray_indices = None
-        self._mesh = None
+        self.ray_indices: torch.Tensor | None = None
+        self._mesh: triangle_mesh | None = None
         self.init_heights(heights)
 
     def init_heights(self, heights: Any = None) -> None:

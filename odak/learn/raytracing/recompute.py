@@ -1,6 +1,7 @@
 """Large batches of rays with gradients: nothing is kept of the way to a result, it is computed again piece by piece."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -24,7 +25,7 @@ def in_pieces(function: Callable, ranks: Sequence[int], *tensors: torch.Tensor):
         return batches.in_pieces(function, ranks, *tensors)
     if batches.is_transformed(*tensors) or batches.pieces(tensors, ranks) is None:
         return function(*tensors)
-    kinds = []
+    kinds: list[type] = []
     result = _Recomputed.apply(function, ranks, kinds, *tensors)
     (kind,) = kinds
     return result[0] if not issubclass(kind, tuple) else kind(*result) if hasattr(kind, "_fields") else result
@@ -75,7 +76,7 @@ def _pull(function, tensors, needed, gradients, create_graph: bool) -> list:
 
 def _pull_pieces(function, ranks, tensors, needed, gradients) -> list:
     """Return the same piece by piece, without a graph."""
-    plan = batches.pieces(tensors, ranks)
+    plan: Any = batches.pieces(tensors, ranks)
     makers = [torch.empty_like if cut else torch.zeros_like for cut in plan.cut]
     total = [make(t) if need else None for make, t, need in zip(makers, tensors, needed, strict=True)]
     for place in plan.places():

@@ -122,8 +122,11 @@ def evaluate(
         normal = geometry.triangle_normal(corners.permute(2, 1, 0)).gather(1, back)
     else:
         normal = _interpolated(weights, normals[chosen], hit)
+    distance, point, normal = (geometry.masked(value, hit) for value in (distance, point, normal))
     return MeshHit(
-        *(geometry.masked(value, hit) for value in (distance, point, normal)),
+        distance,
+        point,
+        normal,
         torch.where(hit, face, -1),
         geometry.masked(weights, hit),
         intersections.status_array(hit),

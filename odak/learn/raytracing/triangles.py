@@ -87,7 +87,9 @@ class triangle_mesh:
             raise ImportError(embree.HINT)
         self.memory_budget = _validate.integer("memory_budget", memory_budget, minimum=2**16)
         self.normals = _checked_normals(normals, self.vertices)
-        self._leaves, self._trees, self._scene = None, {}, None
+        self._leaves: torch.Tensor | None = None
+        self._trees: dict = {}
+        self._scene: Any = None
 
     def moved(self, vertices: Any) -> "triangle_mesh":
         """Return the same mesh with its vertices elsewhere; the hierarchy is refitted, not built again.

@@ -1,6 +1,7 @@
 """Pictures as sums of cubic B-splines and as layers of ever smoother ones, as differentiable tensors."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -196,7 +197,8 @@ def compose_bspline_2d(
             f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these control_coefficients "
             f"and this resolution, got {list(basis_matrix.shape)}"
         )
-    factors = (basis_matrix.rows, basis_matrix.columns) if separable else (basis_matrix,)
+    held = basis_matrix
+    factors: Sequence[Any] = (held.rows, held.columns) if isinstance(held, SeparableBasis) else (held,)
     dtype = torch.promote_types(control_coefficients.dtype, factors[0].dtype)
     coefficients, *factors = (value.to(dtype) for value in (control_coefficients.reshape(-1), *factors))
     if separable:

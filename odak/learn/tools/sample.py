@@ -118,7 +118,8 @@ def sphere_sample(
     k: Sequence[float] = (1, 2),
 ) -> torch.Tensor:
     """Return points of a sphere as a tensor; see :func:`odak.tools.sphere_sample`."""
-    return sample.sphere_sample(no, *_tensors(radius=radius, center=center), k)
+    radius, center = _tensors(radius=radius, center=center)
+    return sample.sphere_sample(no, radius, center, k)
 
 
 def sphere_sample_uniform(
@@ -128,7 +129,8 @@ def sphere_sample_uniform(
     k: Sequence[float] = (1, 2),
 ) -> torch.Tensor:
     """Return points of a sphere in a sheared order as a tensor; see :func:`odak.tools.sphere_sample_uniform`."""
-    return sample.sphere_sample_uniform(no, *_tensors(radius=radius, center=center), k)
+    radius, center = _tensors(radius=radius, center=center)
+    return sample.sphere_sample_uniform(no, radius, center, k)
 
 
 def _tensors(**values) -> list[torch.Tensor]:

@@ -79,6 +79,9 @@ class simulated_camera(torch.nn.Module):
     (torch.Size([16, 16]), True, True)
     """
 
+    aberration: torch.Tensor
+    illumination: torch.Tensor
+
     def __init__(
         self,
         wavelength: float,

@@ -60,6 +60,13 @@ class complex_2d_gaussians(nn.Module):
     5
     """
 
+    means_2d: nn.Parameter
+    pre_act_scales: nn.Parameter
+    pre_act_rotation: nn.Parameter
+    colours: nn.Parameter
+    pre_act_phase: nn.Parameter
+    pre_act_opacities: nn.Parameter
+
     def __init__(
         self,
         num_points: int,

@@ -75,6 +75,14 @@ class complex_3d_gaussians(nn.Module):
     64
     """
 
+    means: nn.Parameter
+    pre_act_quats: nn.Parameter
+    pre_act_scales: nn.Parameter
+    colours: nn.Parameter
+    pre_act_phase: nn.Parameter
+    pre_act_opacities: nn.Parameter
+    pre_act_plane_assignment: nn.Parameter
+
     NEAR_PLANE = 1.0
     FAR_PLANE = 1000.0
 
@@ -119,7 +127,8 @@ class complex_3d_gaussians(nn.Module):
             first = random_cloud(_validate.integer("num_points", num_points, minimum=1), planes, draw)
         else:
             (outdoor,) = gaussian_files.settings(args_prop, ("is_outdoor",))
-            first = point_cloud(*_points(pointcloud_data), planes, copies, scatter, bool(outdoor), draw)
+            positions, colors = _points(pointcloud_data)
+            first = point_cloud(positions, colors, planes, copies, scatter, bool(outdoor), draw)
         for name in NAMES:
             self.register_parameter(name, nn.Parameter(first[name].to(self.device), requires_grad=False))
         logger.debug("%d complex Gaussians on %d planes, from %s", len(self), planes, init_type)

@@ -144,7 +144,7 @@ def _devices(devices, home: torch.device) -> list[torch.device]:
         return [torch.device("cuda", index) for index in range(torch.cuda.device_count())] or [home]
     if isinstance(devices, str) or not isinstance(devices, Iterable):
         raise TypeError(f"devices must be a sequence of devices, got {devices!r:.80}")
-    found = [checked_device("devices", device) for device in devices]
+    found: list[torch.device] = [checked_device("devices", device) for device in devices]
     if not found:
         raise ValueError("devices must name at least one device")
     return found
@@ -154,13 +154,13 @@ def _to(value: Any, device: torch.device) -> Any:
     return value.to(device, non_blocking=True) if isinstance(value, torch.Tensor) else value
 
 
-def _join(results: list[Tensors], join: Callable[[list[torch.Tensor]], torch.Tensor]) -> Tensors:
+def _join(results: list[Any], join: Callable[[list[torch.Tensor]], torch.Tensor]) -> Tensors:
     if isinstance(results[0], torch.Tensor):
         return join(results)
     return tuple(join(list(pieces)) for pieces in zip(*results, strict=True))
 
 
-def _call(function, arguments, options, prepare: Callable[[torch.Tensor], torch.Tensor]) -> Tensors:
+def _call(function, arguments, options, prepare: Callable[..., torch.Tensor]) -> Tensors:
     """Call a function, or a module with its parameters and buffers prepared."""
     if not isinstance(function, torch.nn.Module):
         return function(*arguments, **options)

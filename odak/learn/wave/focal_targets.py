@@ -100,6 +100,11 @@ class FocalTargets(nn.Module):
     Arguments are those of :class:`odak.learn.wave.loss.multiplane_loss`.
     """
 
+    target_image: torch.Tensor
+    target_depth: torch.Tensor
+    masks: torch.Tensor
+    targets: torch.Tensor
+
     def __init__(
         self, image, depth, blur_ratio, blur_size, number_of_planes, multiplier, scheme, reduction, device, generator
     ):

@@ -186,7 +186,8 @@ class Scene:
         wavelengths = self._checked_wavelengths(wavelengths, plane_probs, colours, phase)
         planes = plane_probs.shape[-1]
         rays = _rays(_checked(camera), means_3D)
-        covariance = self._project(*rays[:3], quats, scales, (width, height), camera)
+        points, fx, fy = rays[:3]
+        covariance = self._project(points, fx, fy, quats, scales, (width, height), camera)
         means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
         self.mean_2D_for_planeprob = means.detach()
         shown = (z_vals, means, conics, colours, phase, opacities, plane_probs)
@@ -273,11 +274,13 @@ class Scene:
         cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
         covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
         means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
-        shown = (
+        tiling = Tiling(sizes[1], sizes[0], sizes[1], sizes[0], plane_probs.shape[-1])
+        shown: list[Any] = [
             *(z_vals[some], means - means.new_tensor(corner), self.gaussians.invert_cov_2D(covariance)),
             *(value[some] for value in (colours, phase, opacities, plane_probs)),
-        )
-        return _plane_fields(*shown, Tiling(sizes[1], sizes[0], sizes[1], sizes[0], plane_probs.shape[-1]))
+            tiling,
+        ]
+        return _plane_fields(*shown)
 
     def render(
         self,
@@ -315,7 +318,7 @@ class Scene:
         order = self.get_idxs_to_filter_and_sort(depths.detach())
         seen = order[self.gaussians._in_range(depths[order])]
         held = self.gaussians
-        quats, scales, phase, opacities, planes = held.apply_activations(
+        activated: Any = held.apply_activations(
             held.pre_act_quats[seen],
             held.pre_act_scales[seen],
             held.pre_act_phase[seen],
@@ -324,6 +327,7 @@ class Scene:
             step,
             max_step,
         )
+        quats, scales, phase, opacities, planes = activated
         shown = (held.means[seen], depths[seen], quats, scales, held.colours[seen], phase, opacities, planes)
         return self.splat(camera, *shown, self.wavelengths, (width, height), tile_size)
 
@@ -370,7 +374,8 @@ def _tile_size(size, name="tile_size") -> tuple[int, int]:
     """Return a width and a height, which need not be positive."""
     if isinstance(size, str) or not isinstance(size, Iterable) or len(size := tuple(size)) != 2:
         raise ValueError(f"{name} must be two integers (width, height), got {size!r:.80}")
-    return tuple(_validate.whole(name, n, minimum=-_validate.LONGEST_SIDE) for n in size)
+    width, height = (_validate.whole(name, n, minimum=-_validate.LONGEST_SIDE) for n in size)
+    return width, height
 
 
 def _numbers_of(gaussian_indices, count, device) -> torch.Tensor:

@@ -135,7 +135,7 @@ def choose_tiling(means: torch.Tensor, half: torch.Tensor, height: int, width: i
             costs = {tiling: costs[tiling]}
         if side >= max(height, width):
             break
-    return min(costs, key=costs.get)
+    return min(costs, key=costs.__getitem__)
 
 
 def finer_tiling(tiling: Tiling, means: torch.Tensor, conics: torch.Tensor) -> Tiling:
@@ -237,7 +237,7 @@ class TiledGaussians:
         torch.addcmul(-((b * down) ** 2)[:, :, None], result, result, value=-1, out=result)
         # Exponentials that underflow take ten times as long as others.
         result.clamp_(min=2 * math.log(self.lowest)).exp_()
-        torch.nn.functional.threshold_(result, self.lowest, 0.0)
+        torch.nn.functional.threshold(result, self.lowest, 0.0, inplace=True)
         return out
 
     def moments(self, blocks: torch.Tensor, density: torch.Tensor) -> torch.Tensor:

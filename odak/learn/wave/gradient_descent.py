@@ -122,10 +122,8 @@ def stochastic_gradient_descent(
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     phase = _starting_phase(target, initial_phase, seed).requires_grad_()
     modulate = unit_phasor if slm is None else slm
-    if getattr(slm, "samples_per_pixel", 1) != 1:
-        raise ValueError(
-            f"slm must have one sample per pixel here, got {slm.samples_per_pixel}; a propagator takes more"
-        )
+    if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
+        raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
     reconstruct = functools.partial(
         propagate_beam,
         k=None,

@@ -121,7 +121,10 @@ class holographic_display(display_volume):
         """Compute the transfer functions of all planes and colours now rather than on first use."""
         self.transfer(slice(None))
 
-    def forward(self, input_field: torch.Tensor, wavelength_id: int, depth_id: int) -> torch.Tensor:
+    # Without the padding that the volume takes, and with the colour by another name, as callers have it.
+    def forward(  # type: ignore[override]
+        self, input_field: torch.Tensor, wavelength_id: int, depth_id: int
+    ) -> torch.Tensor:
         """Return a field propagated to one plane in one colour.
 
         Parameters

@@ -20,9 +20,9 @@ def _on_torch(*arguments, device, dtype):
 def get_propagation_kernel(
     nu: int,
     nv: int,
-    dx: float = 8e-6,
-    wavelength: float = 515e-9,
-    distance: float = 0.0,
+    dx: float | torch.Tensor = 8e-6,
+    wavelength: float | torch.Tensor = 515e-9,
+    distance: float | torch.Tensor = 0.0,
     device: torch.device = _CPU,
     propagation_type: str = "Bandlimited Angular Spectrum",
     scale: int = 1,

@@ -1,6 +1,8 @@
 """Transfer functions from a modulator to the planes of a volume, for every plane and colour."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
@@ -38,7 +40,7 @@ class LightPath:
     scale: int
     samples: tuple[int, int, int, int]
 
-    def kernel(self, shape: tuple[int, int], wavelength, distance, device, dtype) -> torch.Tensor:
+    def kernel(self, shape: Sequence[int], wavelength, distance, device, dtype) -> torch.Tensor:
         """Return the transfer function of one plane and colour in FFT order.
 
         Parameters
@@ -55,7 +57,9 @@ class LightPath:
         torch.Tensor
             Complex ``[rows, columns]``.
         """
-        build = find_method(self.propagation_type).kernel
+        method = find_method(self.propagation_type)
+        # The name comes from suited_method: neither "auto" nor a method without a transfer function.
+        build: Any = method and method.kernel
         if self.relay is None:
             return build(self._grid(shape, wavelength, distance, device, dtype))
         # One phase in float64 for the way there and back: two of 10⁶ rad each would cancel only after rounding.
@@ -115,7 +119,7 @@ def suited_method(propagation_type: str, shape, pitch: float, wavelengths, dista
     ValueError
         If the name is not known, or its method has no transfer function.
     """
-    method = find_method(propagation_type)
+    method: Any = find_method(propagation_type)
     request = Request(pitch, wavelengths, distances)
     if method is None:
         method = choose_method(shape, request, padded=True)

@@ -1,6 +1,7 @@
 """Losses of holograms: smooth phase, low speckle, and images right on every plane."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -43,6 +44,8 @@ class phase_gradient(nn.Module):
     >>> round(phase_gradient()(phase).item(), 6)
     0.045
     """
+
+    kernel: torch.Tensor
 
     def __init__(
         self,
@@ -258,7 +261,8 @@ class multiplane_loss(FocalTargets):
         """
         pairs = self.pairs(image, target, plane_id, inject_noise, noise_ratio)
         terms = (nn.functional.mse_loss(*pair, reduction=self.reduction) for pair in pairs)
-        return sum(weight * term for weight, term in zip(self.weights, terms, strict=False))
+        total: Any = sum(weight * term for weight, term in zip(self.weights, terms, strict=False))
+        return total
 
 
 def _checked_loss(loss):

@@ -1,9 +1,11 @@
 """Masks of the Fourier plane."""
 
+from collections.abc import Sequence
+
 import torch
 
 
-def disc(shape: tuple[int, int], radius: float, offset: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
+def disc(shape: Sequence[int], radius: float, offset: Sequence[float] = (0.0, 0.0)) -> torch.Tensor:
     """Return ones closer than `radius` to a point, zeros elsewhere, float32 ``[rows, columns]``.
 
     Parameters

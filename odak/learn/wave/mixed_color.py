@@ -112,13 +112,14 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         """Return the intensities ``[F, D, C, ms, ns]`` of phases ``[F, m, n]``."""
         return self.propagator.reconstruct(hologram_phases)
 
-    def gradient_descent(
+    # Fewer options than with one colour per frame, and one result less.
+    def gradient_descent(  # type: ignore[override]
         self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 0.0, 0.0)
     ) -> torch.Tensor:
         """Return the optimized phases ``[F, m, n]``; weights of the image, the light and the phase losses."""
         return super().gradient_descent(number_of_iterations, weights)
 
-    def optimize(
+    def optimize(  # type: ignore[override]
         self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 1.0)
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:
         """Optimize, and return the hologram.

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import torch
 from torch import nn
@@ -251,7 +252,7 @@ class focal_surface_light_propagation(nn.Module):
         bias, input_channels = _validate.flag("bias", bias), channels("input_channels", input_channels)
         self.depth = depth
         self.device = checked_device("device", device)
-        common = {"depth": depth, "dimensions": dimensions, "kernel_size": kernel_size, "bias": bias}
+        common: dict[str, Any] = {"depth": depth, "dimensions": dimensions, "kernel_size": kernel_size, "bias": bias}
         common |= {"normalization": False, "activation": activation}
         self.sv_kernel_generation = spatially_varying_kernel_generation_model(
             input_channels=input_channels + 1, **common

@@ -74,7 +74,8 @@ def gaussian_spectrum(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return wavelengths and weights, float64, of a Gaussian line; see :func:`odak.wave.gaussian_spectrum`."""
     device = checked_device("device", device)
-    return tuple(torch.from_numpy(v).to(device) for v in partial_coherence.gaussian_spectrum(wavelength, width, count))
+    wavelengths, weights = partial_coherence.gaussian_spectrum(wavelength, width, count)
+    return torch.from_numpy(wavelengths).to(device), torch.from_numpy(weights).to(device)
 
 
 def disk_source(
@@ -86,4 +87,5 @@ def disk_source(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return directions and weights, float64, of a bright disk; see :func:`odak.wave.disk_source`."""
     device = checked_device("device", device)
-    return tuple(torch.from_numpy(v).to(device) for v in partial_coherence.disk_source(radius, rings, spokes, center))
+    directions, weights = partial_coherence.disk_source(radius, rings, spokes, center)
+    return torch.from_numpy(directions).to(device), torch.from_numpy(weights).to(device)

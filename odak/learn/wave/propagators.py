@@ -104,6 +104,9 @@ class propagator(display_volume):
     torch.Size([3, 2, 3, 16, 24])
     """
 
+    phase_scale: torch.Tensor
+    channel_power: torch.Tensor
+
     def __init__(
         self,
         resolution: Sequence[int] = (1920, 1080),
@@ -370,10 +373,8 @@ class propagator(display_volume):
             holograms = self.holograms(hologram_phases, amplitude)
             powers = self.get_laser_powers().to(holograms.real.dtype)
             powers = (powers if get_complex else powers.square())[:, None, :, None, None]
-            result, shape = (
-                None,
-                (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape),
-            )
+            result: Any = None
+            shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
             for planes in self.plane_chunks():
                 kernels = self.transfer(planes, holograms.dtype)
                 for frames in self._frame_chunks():

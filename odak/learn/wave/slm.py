@@ -65,6 +65,9 @@ class spatial_light_modulator(torch.nn.Module):
     torch.complex64
     """
 
+    amplitude: torch.Tensor | None
+    bits: int | None
+
     def __init__(
         self,
         *,
@@ -161,7 +164,7 @@ class spatial_light_modulator(torch.nn.Module):
         # Whole numbers cannot say that there was none to round.
         _validate.real("phase", phase)
         if self._even:
-            return even_levels(phase, 2**self.bits).to(torch.int32)
+            return even_levels(phase, 2 ** (self.bits or 0)).to(torch.int32)
         return nearest_levels(phase, _like(self.lut, phase, self.lut.dtype)).to(torch.int32)
 
     def _quantised(self, phase):

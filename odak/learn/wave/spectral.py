@@ -128,7 +128,7 @@ def _members(array, batch) -> list[torch.Tensor]:
 
 def _grouped(triples, which: int):
     """Return lists of the triples that share their field (0) or their result (2)."""
-    groups = {}
+    groups: dict[int, list] = {}
     for triple in triples:
         groups.setdefault(triple[which].data_ptr(), []).append(triple)
     return groups.values()

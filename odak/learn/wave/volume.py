@@ -49,6 +49,9 @@ class display_volume(torch.nn.Module):
         Bytes above which transfer functions are built anew for each use instead of kept.
     """
 
+    aperture: torch.Tensor
+    _transfer: torch.Tensor | None
+
     def __init__(
         self,
         resolution: Sequence[int],

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,11 @@ GAP = 1e-4
 
 class Lenses:
     """The part of a scene that draws lenses."""
+
+    # What the scene has that this is a part of.
+    metres: float
+    _add: Any
+    add_lines: Any
 
     def add_lens(
         self,

@@ -1,5 +1,7 @@
 """Rays, lines and points in a scene."""
 
+from typing import Any
+
 import numpy as np
 
 from odak import _validate
@@ -14,6 +16,9 @@ THIN = 1 / 400
 
 class Lines:
     """The part of a scene that draws rays, lines and points."""
+
+    # What the scene has that this is a part of.
+    _add: Any
 
     def add_rays(
         self, rays, distance=1.0, *, radius: float | None = None, color="red", material=None, name: str = "rays"
@@ -149,10 +154,11 @@ class Lines:
         ball = sphere_mesh(positive("radius", radius), 16)
         count = len(ball.vertices)
         offsets = np.arange(len(places), dtype=np.int32)[:, None, None] * count
+        normals: Any = ball.normals
         mesh = Mesh(
             (places[:, None] + ball.vertices).reshape(-1, 3),
             (ball.faces + offsets).reshape(-1, 3),
-            np.tile(ball.normals, (len(places), 1)),
+            np.tile(normals, (len(places), 1)),
         )
         item = self._add(name, mesh, material, one, emission(), smooth=True)
         if many is not None:

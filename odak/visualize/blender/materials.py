@@ -136,7 +136,7 @@ def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Mat
     return Material("metal", linear_color(color), roughness=_share("roughness", roughness))
 
 
-def chosen(material, color, default: Material, wavelength: float, unit: str) -> Material:
+def chosen(material, color, default: Any, wavelength: float, unit: str) -> Material:
     """Return the material that a drawing call asks for by its arguments `material` and `color`.
 
     Parameters
@@ -178,7 +178,8 @@ def linear_color(color) -> tuple[float, float, float]:
     values = np.asarray(_validate.numbers(_validate.real("color", listed(color))), dtype=np.float64)
     if values.shape not in ((3,), (4,)) or (values < 0).any() or (values > 1).any():
         raise ValueError(f"color must be red, green, blue from 0 to 1, got {listed(color)!r}")
-    return tuple(float(value) for value in linear_light(values[:3]))
+    red, green, blue = (float(value) for value in linear_light(values[:3]))
+    return red, green, blue
 
 
 def linear_light(coded: np.ndarray) -> np.ndarray:

@@ -74,7 +74,7 @@ def _run(document: dict, folder: str, extension: str, blender, timeout, verbose:
 
 def _follow(process, timeout, verbose: bool, samples: int) -> list[collections.deque]:
     """Wait for a process, log what it writes and show its progress; return the last lines of its output and errors."""
-    tails = [collections.deque(maxlen=TAIL) for _ in range(2)]
+    tails: list[collections.deque] = [collections.deque(maxlen=TAIL) for _ in range(2)]
     with tqdm(total=samples, desc="Blender", unit="sample", disable=not verbose, leave=False) as bar:
         readers = [
             threading.Thread(target=_read, args=(stream, tail, bar), daemon=True)

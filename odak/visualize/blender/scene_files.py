@@ -10,6 +10,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -49,7 +50,7 @@ def write(path: str, document: dict) -> str:
     str
         The path.
     """
-    arrays: dict[str, np.ndarray] = {}
+    arrays: dict[str, Any] = {}
     entries = [_entry(i, item, arrays) for i, item in enumerate(document["objects"])]
     store = os.path.splitext(path)[0] + ".npz"
     packed = io.BytesIO()

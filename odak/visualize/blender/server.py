@@ -36,7 +36,7 @@ def parse_function_call_safely(cmd_str: str, expected_func_name: str) -> tuple[s
     tuple
         Name, positional and named arguments; (None, [], {}) for any other text.
     """
-    refused = (None, [], {})
+    refused: tuple = (None, [], {})
     if not isinstance(cmd_str, str) or len(cmd_str) > LONGEST:
         return refused
     try:

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,9 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 class Shapes:
     """The part of a scene that draws meshes, surfaces and balls."""
+
+    # What the scene has that this is a part of.
+    _add: Any
 
     def add_mesh(
         self,
@@ -138,7 +142,8 @@ class Shapes:
             if not (y is z is size is None):
                 raise ValueError("y, z and size must be left out where surface is a function")
             spans = [_validate.numbers(_validate.several(name, span, 2)) for name, span in (("u", u), ("v", v))]
-            across, along = np.meshgrid(np.linspace(*spans[0], columns), np.linspace(*spans[1], rows))
+            (left, right), (low, high) = spans
+            across, along = np.meshgrid(np.linspace(left, right, columns), np.linspace(low, high, rows))
             points = _grid(surface(across, along), (rows, columns))
         elif y is None and z is None:
             heights = _arrays.image("surface", surface)

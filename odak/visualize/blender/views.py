@@ -18,6 +18,14 @@ LIT = 0.75
 class Views:
     """The part of a scene that adds cameras and lights."""
 
+    # What the scene has that this is a part of.
+    metres: float
+    resolution: tuple[int, int]
+    camera: Camera | None
+    lights: list[Light]
+    objects: list
+    background: dict | None
+
     def add_camera(
         self,
         location: Sequence[float] | None = None,

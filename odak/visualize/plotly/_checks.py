@@ -2,12 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from numbers import Real
+from typing import Any
 
 from odak import _validate
 from odak.visualize.plotly._library import graph
 
 
-def text(name: str, value) -> str | None:
+def text(name: str, value) -> Any:
     """Return a title or a label: a string or a number as it is, or None."""
     if value is None or isinstance(value, str) or (isinstance(value, Real) and not isinstance(value, bool)):
         return value

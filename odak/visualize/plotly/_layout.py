@@ -40,7 +40,8 @@ def apply(figure, settings: dict) -> None:
 
 def axis_names(trace) -> tuple[str, str]:
     """Return the names that the layout gives the axes of a trace: ``"xaxis2"``, ``"yaxis2"``."""
-    return tuple(f"{kind}axis{(getattr(trace, f'{kind}axis') or kind)[1:]}" for kind in "xy")
+    x, y = (f"{kind}axis{(getattr(trace, f'{kind}axis') or kind)[1:]}" for kind in "xy")
+    return x, y
 
 
 def name_axes(figure, trace, labels: tuple[str, str]) -> None:
@@ -87,7 +88,7 @@ def place_titles(figure, titles: list[str], row_titles: list[str], cols: int) ->
 
 def spacing(rows: int, cols: int, shape, margin) -> dict:
     """Return the room between subplots, as parts of the plot, that the texts between them need."""
-    side = margins(margin)
+    side: Any = margins(margin)
     width, height = max(shape[0] - side["l"] - side["r"], 50), max(shape[1] - side["t"] - side["b"], 50)
     gaps = {"horizontal_spacing": (cols, COLUMN_GAP / width), "vertical_spacing": (rows, ROW_GAP / height)}
     return {name: min(gap, 0.4 / (count - 1)) for name, (count, gap) in gaps.items() if count > 1}
@@ -117,7 +118,7 @@ def place_bars(figure, at_first: dict, share: float = 1.0) -> None:
     for trace in bars:
         x, y = (figure.layout[name] for name in axis_names(trace))
         frame = y.linewidth or 0.0
-        left, right, low, high = *x.domain, *(y.domain or (0.0, 1.0))
+        (left, right), (low, high) = x.domain, y.domain or (0.0, 1.0)
         across, up = (right - left) * width, (high - low) * height
         if y.scaleanchor:
             wide, tall = _extent(trace)

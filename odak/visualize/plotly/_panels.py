@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -52,7 +52,7 @@ class Quantity(NamedTuple):
         What becomes of samples that are drawn as one.
     """
 
-    panel: Callable[[np.ndarray, Any, Any, int], Panel]
+    panel: Callable[..., Panel]
     bar: str
     cyclic: bool = False
     limits: tuple = (None, None)

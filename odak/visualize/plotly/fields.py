@@ -4,6 +4,7 @@ import base64
 import io
 import os
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -177,15 +178,14 @@ class plot2dshow(_Images):
             If the field is not one real image, or the inset cannot be read.
         """
         place = _checks.cell(self._cells, row, col)
+        row, col = place.values()
         label = _checks.text("label", label)
         inset = _checks.mapping("zoomed_inset_settings", zoomed_inset_settings, {})
         values = image("field", field)
         if values.dtype.kind == "c":
             raise TypeError("field must be real, got a complex one; draw its amplitude or phase, or use detectorshow")
         picture = None if zoomed_inset is None else _inset(zoomed_inset)
-        self._add(
-            values, _PLAIN, self.settings["color scale"], *place.values(), showscale, dx=dx, bar=label, origin=origin
-        )
+        self._add(values, _PLAIN, self.settings["color scale"], row, col, showscale, dx=dx, bar=label, origin=origin)
         if picture:
             inset = {"x": 0, "y": 150, "sizex": 150, "sizey": 150} | inset
             # The same rows are covered wherever row 0 is.
@@ -318,7 +318,7 @@ class detectorshow(_Images):
         for i, name in enumerate(self._quantities):
             scale = self.settings["phase color scale" if QUANTITIES[name].cyclic else "color scale"]
             place = row, (col - 1) * count + 1 + i
-            options = {"dx": dx, "wavelength": wavelength, "origin": origin}
+            options: dict[str, Any] = {"dx": dx, "wavelength": wavelength, "origin": origin}
             self._add(values, QUANTITIES[name], scale, *place, showscale, **options)
 
     def _titles(self, given: list, wanted, rows: int, cols: int) -> list:

@@ -259,8 +259,8 @@ class plotshow(Picture):
         origin : {"upper", "lower"}
             Where row 0 is.
         """
-        place = _checks.cell(self._cells, row, col).values()
-        add_image(self, image, *place, showscale, origin, _checks.text("label", label))
+        row, col = _checks.cell(self._cells, row, col).values()
+        add_image(self, image, row, col, showscale, origin, _checks.text("label", label))
 
     def update_layout(self) -> None:
         """Bring the figure in line with its settings; showing and saving do this first."""

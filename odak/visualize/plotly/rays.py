@@ -109,8 +109,8 @@ class rayshow(Picture):
 
     def set_axis_limits(
         self,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         x_limits: Any = (-1.0, 1.0),
         y_limits: Any = (-1.0, 1.0),
         z_limits: Any = (-1.0, 1.0),
@@ -122,8 +122,8 @@ class rayshow(Picture):
 
     def set_camera(
         self,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         x: float = 0.0,
         y: float = 0.0,
         z: float = 1.0,
@@ -220,8 +220,8 @@ class rayshow(Picture):
     def add_path(
         self,
         points: Array,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         dash: Array = None,
         color: Any = "red",
         show_legend: bool = False,
@@ -260,8 +260,8 @@ class rayshow(Picture):
         self,
         rays: Array,
         distance: float | Array = 1.0,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         dash: Array = None,
         color: Any = "red",
         show_legend: bool = False,
@@ -284,8 +284,8 @@ class rayshow(Picture):
     def add_triangle(
         self,
         triangle: Array,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         dash: Array = None,
         color: Any = "red",
         show_legend: bool = False,
@@ -344,8 +344,8 @@ class rayshow(Picture):
     def add_sphere(
         self,
         sphere: Array,
-        row: float | Array = 1,
-        column: float | Array = 1,
+        row: int = 1,
+        column: int = 1,
         dash: Array = None,
         color: Any = "red",
         show_legend: bool = False,

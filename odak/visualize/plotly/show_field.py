@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Sequence
+from typing import Any
 
 from odak import _validate
 from odak._array import Array
@@ -85,13 +86,14 @@ def field_show(
     chosen = [_validate.one_of("quantities", name, QUANTITIES) for name in names]
     stack = values.reshape(-1, *values.shape[-2:])
     rows, columns = stack.shape[1:]
+    shown: dict[str, Any] = {f"show_{name}": name in chosen for name in QUANTITIES}
     picture = detectorshow(
         row_titles=labels or ([f"Field {i + 1}" for i in range(len(stack))] if len(stack) > 1 else [""]),
         title=_description(rows, columns, dx, wavelength) if title is None else title,
         rows=len(stack),
         shape=_fitting(len(stack), len(chosen), rows, columns, size),
         margin=MARGIN,
-        **{f"show_{name}": name in chosen for name in QUANTITIES},
+        **shown,
     )
     picture.settings["color scale"] = _checks.scale("color_scale", color_scale)
     for i, one in enumerate(stack):

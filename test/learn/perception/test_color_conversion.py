@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odak.learn import perception as p
-from odak.learn.perception.color_matrices import BT709_PRIMARIES, IEC_WHITE, PRIMARIES, XYZ_WHITE
+from odak.learn.perception.color_matrices import BT709_PRIMARIES, IEC_WHITE, PRIMARIES, XYZ_WHITE, constant, mix
 
 PAIRS = {
     "sRGB": (p.rgb_to_linear_rgb, p.linear_rgb_to_rgb, 1e-13),
@@ -145,6 +145,13 @@ def test_hsv_of_known_colours():
     assert listed(p.hsv_to_rgb(colour(2 * math.pi + third, 1, 1))) == pytest.approx([0, 1, 0], abs=1e-12)
 
 
+def test_offset_of_dark_saturations():
+    for options, eps in (({}, 1e-8), ({"eps": 0.2}, 0.2)):
+        assert listed(p.rgb_to_hsv(colour(eps, 0, 0), **options)) == pytest.approx([0, 0.5, eps], rel=1e-9)
+    with pytest.raises(ValueError, match="eps must"):
+        p.rgb_to_hsv(colour(1, 0, 0), eps=-1e-9)
+
+
 def test_ycrcb_of_known_colours():
     assert listed(p.rgb_2_ycrcb(colour(0.4, 0.4, 0.4))) == pytest.approx([0.4, 0.5, 0.5])
     assert listed(p.rgb_2_ycrcb(colour(1, 0, 0))) == pytest.approx([0.299, 0.5 + 0.713 * 0.701, 0.5 - 0.564 * 0.299])
@@ -184,6 +191,45 @@ def test_change_primaries():
         assert listed(p.change_primaries(colour(1, 1, 1), source, "BT.709")) == pytest.approx([1, 1, 1], abs=1e-13)
 
 
+def test_matrices_of_wide_gamuts():
+    # Exact fractions of the chromaticities, as CSS Color 4, section 18, has them.
+    wide = {
+        "Display P3": [
+            [608311 / 1250200, 189793 / 714400, 198249 / 1000160],
+            [35783 / 156275, 247089 / 357200, 198249 / 2500400],
+            [0, 32229 / 714400, 5220557 / 5000800],
+        ],
+        "BT.2020": [
+            [63426534 / 99577255, 20160776 / 139408157, 47086771 / 278816314],
+            [26158966 / 99577255, 472592308 / 697040785, 8267143 / 139408157],
+            [0, 19567812 / 697040785, 295819943 / 278816314],
+        ],
+    }
+    for name, expected in wide.items():
+        found = p.rgb_to_xyz_matrix(PRIMARIES[name])
+        assert torch.allclose(found, torch.tensor(expected, dtype=torch.float64), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("batch", [(2,), (2, 3)])
+def test_a_matrix_learns(batch):
+    generator = torch.Generator().manual_seed(8)
+    image = torch.rand(*batch, 3, 2, 5, dtype=torch.float64, generator=generator, requires_grad=True)
+    matrix = torch.rand(4, 3, dtype=torch.float64, generator=generator, requires_grad=True)
+    expected = torch.einsum("ij,...jkl->...ikl", matrix, image)
+    assert torch.allclose(mix(matrix, image), expected, rtol=0, atol=1e-14)
+    assert torch.allclose(mix(matrix.detach(), image), expected, rtol=0, atol=1e-14)
+    assert torch.autograd.gradcheck(mix, (matrix, image), fast_mode=True)
+
+
+def test_constants_are_made_once_and_fit_for_gradients():
+    entries = ((0.25, 0.5), (0.75, 1.0))
+    with torch.inference_mode():
+        made = constant(entries, torch.float64, torch.device("cpu"))
+    assert constant(entries, torch.float64, torch.device("cpu")) is made
+    assert not made.is_inference()
+    assert made.tolist() == [[0.25, 0.5], [0.75, 1.0]]
+
+
 def test_color_map_gives_the_colours_of_the_target():
     generator = torch.Generator().manual_seed(5)
     source, target = (torch.rand(3, *size, dtype=torch.float64, generator=generator) for size in ((9, 7), (6, 11)))
@@ -199,6 +245,21 @@ def test_color_map_gives_the_colours_of_the_target():
     assert torch.isfinite(flat.grad).all()
     with pytest.raises(ValueError, match="model must be one of 'Lab Stats'"):
         p.color_map(source, target, "Histogram")
+    for few in (source[:, :2, :1], source[:, :1, :2]):
+        assert torch.allclose(p.color_map(few, few), few, atol=1e-12)
+    for pictures, name in (((source[:, :1, :1], target), "input_image"), ((source, target[:, :1, :1]), "target_image")):
+        with pytest.raises(ValueError, match=f"{name} must have two pixels or more"):
+            p.color_map(*pictures)
+
+
+def test_color_map_raises_weak_contrast_but_not_rounding():
+    generator = torch.Generator().manual_seed(7)
+    target, noise = torch.rand(3, 6, 11, generator=generator), torch.randn(3, 9, 7, generator=generator)
+    wanted = p.srgb_to_lab(target).std((-2, -1))
+    weak = p.srgb_to_lab(p.color_map(0.3 + 1e-5 * noise, target)).std((-2, -1))
+    assert torch.allclose(weak, wanted, rtol=1e-3)
+    rounded = p.srgb_to_lab(p.color_map(0.3 + 3e-8 * noise, target)).std((-2, -1))
+    assert rounded.max() < 1e-4
 
 
 def test_rgb_to_gray():
@@ -210,6 +271,9 @@ def test_rgb_to_gray():
     for shape in ((1, 3, 4, 4), (4, 4), (4, 4, 4)):
         with pytest.raises(ValueError, match="image must be"):
             p.rgb_to_gray(torch.zeros(shape))
+    for value in ([1.0], torch.zeros(3, 2, 2, dtype=torch.uint8)):
+        with pytest.raises(TypeError, match="image must be a tensor of real floats"):
+            p.rgb_to_gray(value)
 
 
 @pytest.mark.parametrize(
@@ -224,11 +288,33 @@ def test_refused(function):
             function(value)
 
 
+def test_saturation_of_negative_colours():
+    for rgb, saturation in (((-0.5, -0.25, -0.4), -1.0), ((0.5, -0.25, 0.0), 1.5)):
+        hsv = p.rgb_to_hsv(colour(*rgb))
+        assert listed(hsv)[1:] == pytest.approx([saturation, max(rgb)], rel=1e-7)
+        assert listed(p.hsv_to_rgb(hsv)) == pytest.approx(rgb, rel=1e-7, abs=1e-7)
+
+
+def test_thresholds_refused():
+    for threshold in (0.0, -0.1):
+        with pytest.raises(ValueError, match="threshold must be"):
+            p.linear_rgb_to_rgb(colour(1, 1, 1), threshold)
+
+
 def test_spaces_refused():
     with pytest.raises(ValueError, match="primaries must be three pairs"):
         p.rgb_to_xyz_matrix(BT709_PRIMARIES[:2])
     with pytest.raises(ValueError, match="white must be three numbers"):
         p.rgb_to_xyz_matrix(white=(1, 1))
+    for pair in ((0.3, 0.6, 0.1), (0.3, 0.0), (0.3, -0.1), (0.3,)):
+        with pytest.raises(ValueError, match="primaries must be three pairs"):
+            p.rgb_to_xyz_matrix((pair, *BT709_PRIMARIES[1:]))
+    for primaries in (0.3, "RGB"):
+        with pytest.raises(TypeError, match="primaries must be three pairs"):
+            p.rgb_to_xyz_matrix(primaries)
+    for white in ((0.95, 1.0, 0.0), (0.95, 1.0, -1.09)):
+        with pytest.raises(ValueError, match="white must be positive"):
+            p.rgb_to_xyz_matrix(white=white)
     with pytest.raises(ValueError, match="target must be one of"):
         p.change_primaries(torch.zeros(3, 1, 1), target="NTSC")
 

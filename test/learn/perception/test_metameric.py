@@ -194,6 +194,20 @@ def test_options():
     assert float(MetamericLoss(**SHALLOW)(picture, picture)) == 0
 
 
+def test_where_a_uniform_loss_differs():
+    target = noise(1, 3, 32, 48)
+    image = target.clone()
+    image[..., :8, :8] += 0.3 * noise(1, 3, 8, 8, seed=1)
+    loss = MetamericLossUniform(pooling_size=4, n_pyramid_levels=2)
+    with pytest.raises(ValueError, match="call the loss first"):
+        loss.visualise_loss_map([])
+    seen = loss(image, target, visualise_loss=True)
+    assert loss.loss_map.shape == (32, 48)
+    assert float(loss.loss_map[:8, :8].min()) > 100 * float(loss.loss_map[20:, 20:].max())
+    # The way with a map and the one without compute the same.
+    assert float(seen) == pytest.approx(float(loss(image, target)), rel=1e-9)
+
+
 def test_uniform_blur():
     picture = noise(1, 2, 16, 24)
     blurred = uniform_blur(picture, 8)
@@ -205,6 +219,9 @@ def test_uniform_blur():
     torch.testing.assert_close(whole, picture.mean((2, 3), keepdim=True).expand_as(picture))
     with pytest.raises(ValueError, match="pooling_size must be positive"):
         uniform_blur(picture, 0)
+    for broken in (picture[0], picture[:0]):
+        with pytest.raises(ValueError, match=r"image must be \[B, C, H, W\], none empty|image must have"):
+            uniform_blur(broken, 8)
 
 
 def psnr(one, two):

@@ -103,6 +103,40 @@ def test_recomputed_gradients_are_the_graphs(name, random, monkeypatch):
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9)
 
 
+def surfaces_of_each(random):
+    """Return calls in which each ray has a surface of its own, or meets each of many."""
+    rays, normals = (torch.from_numpy(random_rays(random)) for _ in range(2))
+    corners = torch.from_numpy(CORNERS + random.normal(size=(50, 3, 3)) / 4)
+    middle, radius = corners.mean(1), torch.linspace(0.5, 3, 50, dtype=F64)
+    spheres, index = torch.cat((middle, radius[:, None]), 1), torch.linspace(1, 1.6, 50, dtype=F64)
+    return {
+        "plane": (rt.intersect_w_surface, (rays, corners)),
+        "circle": (lambda r, p, c, s: rt.intersect_w_circle(r, [p, c, s]), (rays, corners, middle, radius)),
+        "sphere": (lambda r, s: rt.intersect_w_sphere(r, s)[2:], (rays, spheres)),
+        "refract": (lambda r, n, i, k: (rt.refract(r, n, i, k),), (rays, normals, index, 2 - index / 2)),
+        "planes": (lambda r, p: [part.swapaxes(0, 1) for part in rt.intersect_w_surface_batch(r, p)], (rays, corners)),
+        "triangles": (
+            lambda r, t: [rt.intersect_w_triangle_batch(r, t)[i].swapaxes(0, 1) for i in (0, 4)],
+            (rays, corners),
+        ),
+    }
+
+
+@pytest.mark.parametrize("name", surfaces_of_each(np.random.default_rng(0)))
+def test_pieces_of_many_surfaces(name, random, monkeypatch):
+    function, arguments = surfaces_of_each(random)[name]
+    expected = function(*arguments)
+    crossed = name in ("planes", "triangles")
+    alone = [function(arguments[0][i], *(a if crossed else a[i] for a in arguments[1:])) for i in range(50)]
+    monkeypatch.setattr(batches, "piece_size", lambda arrays: 16)
+    for cut, whole, *each in zip(function(*arguments), expected, *alone, strict=True):
+        np.testing.assert_array_equal(cut, whole)
+        each = torch.stack([one.reshape(whole.shape[1:]) for one in each])
+        np.testing.assert_allclose(each, whole, rtol=1e-12, atol=1e-12)
+    decided = expected[-1]
+    assert name == "refract" or decided.any()
+
+
 def test_an_argument_made_from_another_counts_once(random, monkeypatch):
     monkeypatch.setattr(batches, "piece_size", lambda arrays: 8)
     rays = torch.from_numpy(random_rays(random, 12)).requires_grad_()

@@ -43,7 +43,7 @@ class Numbers(NamedTuple):
     conic: torch.Tensor
     distance: torch.Tensor
     coefficients: torch.Tensor
-    index: torch.Tensor
+    index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
 
 
 class Element(NamedTuple):

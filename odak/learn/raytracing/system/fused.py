@@ -43,7 +43,7 @@ def plain_trace(layout: Layout, numbers: Numbers, rays: tuple) -> State:
     status = torch.where(torch.isfinite(sum(rays)), RayStatus.HIT.value, RayStatus.MISS.value).to(torch.int8)
     rays = [torch.where(status == RayStatus.HIT, value, 0.0) for value in rays]
     rays[5] = torch.where(status == RayStatus.HIT, rays[5], 1.0)
-    state = State(*rays, torch.zeros_like(rays[0]), status)
+    state = State(*(*rays, torch.zeros_like(rays[0]), status))
     for element in elements(layout, numbers, rays[0].dtype):
         state = advance(state, element)
     return state

@@ -122,17 +122,20 @@ class optical_system(torch.nn.Module):
             The system's by default.
         """
         wavelengths = self.wavelengths if wavelengths is None else _wavelengths(wavelengths)
-        items = list(self.surfaces)
+        items: list[Any] = list(self.surfaces)
         longest = max(item.coefficients.numel() for item in items)
         coefficients = [
             torch.nn.functional.pad(item.coefficients.double(), (0, longest - item.coefficients.numel()))
             for item in items
         ]
+        curvature, conic, thickness = (
+            torch.stack([getattr(item, name).double().reshape(()) for item in items])
+            for name in ("curvature", "conic", "thickness")
+        )
         return Prescription(
-            *(
-                torch.stack([getattr(item, name).double().reshape(()) for item in items])
-                for name in ("curvature", "conic", "thickness")
-            ),
+            curvature,
+            conic,
+            thickness,
             torch.stack(coefficients),
             self._indices(wavelengths),
             _optional([item.shift for item in items]),
@@ -154,15 +157,17 @@ class optical_system(torch.nn.Module):
         >>> len(load_system("cooke_triplet").vary(curvature=[0, 1], thickness=-1))
         3
         """
+        surfaces: Any = self.surfaces
         return [
-            self.surfaces[_validate.place_in(name, place, len(self.surfaces))].vary(name)
+            surfaces[_validate.place_in(name, place, len(surfaces))].vary(name)
             for name, places in which.items()
             for place in (places if isinstance(places, Iterable) else [places])
         ]
 
     def _indices(self, wavelengths) -> torch.Tensor:
         """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
-        one = torch.ones(len(wavelengths), dtype=torch.float64, device=self.surfaces[0].thickness.device)
+        first: Any = self.surfaces[0]
+        one = torch.ones(len(wavelengths), dtype=torch.float64, device=first.thickness.device)
         values = torch.tensor(wavelengths, dtype=torch.float64)
         columns = [one]
         for item in self.surfaces:
@@ -173,7 +178,8 @@ class optical_system(torch.nn.Module):
             elif item.material == "air":
                 columns.append(one)
             else:
-                columns.append(refractive_index(item.material, values, self.unit, medium="air").to(one))
+                index: Any = refractive_index(item.material, values, self.unit, medium="air")
+                columns.append(index.to(one))
         return torch.stack(columns, -1)
 
 

@@ -107,16 +107,16 @@ def system_to_dict(system: optical_system) -> dict:
     }
 
 
-def _shape(item: surface) -> dict:
+def _shape(item: Any) -> dict:
     """Return what shapes a surface, without what it does not have."""
     radius = float(item.radius.detach())
-    entry = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
+    entry: dict[str, Any] = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
     entry |= {"coefficients": item.coefficients.tolist(), "semi_diameter": item.semi_diameter}
     entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
     return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
 
 
-def _medium(item: surface) -> dict:
+def _medium(item: Any) -> dict:
     medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
     return {"thickness": float(item.thickness.detach()), "material": medium}
 

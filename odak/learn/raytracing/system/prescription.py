@@ -27,7 +27,7 @@ class Prescription(NamedTuple):
     conic: torch.Tensor
     thickness: torch.Tensor
     coefficients: torch.Tensor
-    index: torch.Tensor
+    index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
     shift: torch.Tensor | None = None
     tilt: torch.Tensor | None = None
 

@@ -1,6 +1,6 @@
 """The map from the pupil of a system to a plane behind it: where rays meet the plane, by which path, how spread."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 
@@ -68,8 +68,9 @@ class RayMap:
         self.numbers = numbers._replace(index=numbers.index[..., place : place + 1, :])
         self.pupil = entrance_pupil(system, prescription=prescription)
         self.through = starter(system, field.reshape(1, 1, 2), self.pupil)
-        self.origin = self.axes = None
-        self.chief = 0.0
+        self.origin: Any = None
+        self.axes: Any = None
+        self.chief: Any = 0.0
         chief = self._traced(torch.zeros(1, 2, dtype=torch.float64, device=field.device), False)
         height = distance - numbers.thickness[..., -1]
         self._place(chief, height, across)
@@ -163,7 +164,7 @@ class RayMap:
             kept = met.status == RayStatus.HIT
             return [torch.where(kept, a - b, 0.0) for a, b in zip(met[:2], target.unbind(-1), strict=True)]
 
-        return torch.stack(solve_pairs(missed, *guess.unbind(-1), torch.full_like(guess[..., 0], STEP)), -1)
+        return torch.stack(solve_pairs(missed, guess[..., 0], guess[..., 1], torch.full_like(guess[..., 0], STEP)), -1)
 
     def guess(self, places: torch.Tensor, met: Met, target: torch.Tensor) -> torch.Tensor:
         """Return about where the rays through `target` start, by polynomials through the samples."""

@@ -88,8 +88,8 @@ def spot_diagram(
     # NaN where nothing arrived: 0/0 above, which the root must not hide.
     rms = torch.where(number > 0, safe_sqrt(mean), torch.nan)
     largest = torch.where(number > 0, safe_sqrt(squared.amax((-3, -1))), torch.nan)
-    lost = [torch.where(kept, value, torch.nan) for value in around]
-    return Spots(*lost, torch.stack([cx, cy], -1), rms, largest, traced.status)
+    x, y = (torch.where(kept, value, torch.nan) for value in around)
+    return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status)
 
 
 def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:

@@ -57,6 +57,15 @@ class surface(torch.nn.Module):
     51.5
     """
 
+    radius_value: torch.Tensor
+    curvature_value: torch.Tensor
+    conic: torch.Tensor
+    coefficients: torch.Tensor
+    thickness: torch.Tensor
+    shift: torch.Tensor
+    tilt: torch.Tensor
+    index: torch.Tensor
+
     def __init__(
         self,
         radius: float = math.inf,
@@ -142,13 +151,13 @@ class surface(torch.nn.Module):
         else:
             value = getattr(self, name).detach()
         if name in self._parameters:
-            return self._parameters[name]
+            return getattr(self, name)
         if value.numel() == 0:
             raise ValueError(f"{name} of this surface is empty; give it zeros to vary")
         if name in self._buffers:
             delattr(self, name)
         self.register_parameter(name, torch.nn.Parameter(value.clone()))
-        return self._parameters[name]
+        return getattr(self, name)
 
     def _has(self, name: str) -> bool:
         return name in self._parameters or name in self._buffers

@@ -5,6 +5,7 @@ more, with a graph that lives no longer than the block.
 """
 
 import math
+from typing import Any
 
 import torch
 
@@ -43,20 +44,21 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> tuple:
         x, then about y.
     """
     rays, numbers, (shift, tilt) = tensors[:6], Numbers(*tensors[6:-2]), tensors[-2:]
-    finite = torch.isfinite(sum(rays))
+    total: Any = sum(rays)
+    finite = torch.isfinite(total)
     status = torch.where(finite, RayStatus.HIT.value, RayStatus.MISS.value).to(torch.int8)
     rays = [torch.where(finite, value, float(i == 5)) for i, value in enumerate(rays)]
-    state = State(*rays, torch.zeros_like(rays[0]), status)
+    state = State(*(*rays, torch.zeros_like(rays[0]), status))
     dtype = rays[0].dtype
     for i, element in enumerate(elements(layout, numbers, dtype)):
         matrix = _matrix(tilt[:, i].to(dtype))
         move = [shift[:, i, axis, None].to(dtype) for axis in range(2)]
         points = (state.x - move[0], state.y - move[1], state.z - element.h)
         points, directions = _turned(matrix, points), _turned(matrix, state[3:6])
-        local = advance(State(*points, *directions, *state[6:]), element._replace(h=0.0))
+        local = advance(State(*(*points, *directions, *state[6:])), element._replace(h=0.0))
         back = [[matrix[b][a] for b in range(3)] for a in range(3)]
         x, y, z = _turned(back, local[:3])
-        state = State(x + move[0], y + move[1], z, *_turned(back, local[3:6]), *local[6:])
+        state = State(*(x + move[0], y + move[1], z, *_turned(back, local[3:6]), *local[6:]))
     lost = state.status != RayStatus.HIT
     return (*(torch.where(lost, torch.nan, value) for value in state[:7]), state.status)
 

@@ -109,9 +109,9 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         ]
         image = _image(len(surfaces) - 1, surfaces[-1], scale, ignored)
         distance = _of(surfaces[0], "DISZ", math.inf) * scale
-        settings = _general(general, head, surfaces, scale, math.isinf(distance), notes)
+        settings: dict[str, Any] = _general(general, head, surfaces, scale, math.isinf(distance), notes)
         name = " ".join(head["NAME"].words) if "NAME" in head else path.stem
-        names = {"unit": "mm", "name": name, "source": path.name}
+        names: dict[str, Any] = {"unit": "mm", "name": name, "source": path.name}
         system = optical_system(built, object_distance=distance, image=image, **names, **settings)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error

@@ -64,7 +64,8 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
         raise ValueError(f"path must be a file, got {str(path)!r}")
     if path.stat().st_size > MAXIMUM_BYTES:
         raise ValueError(f"{path.name}: larger than {MAXIMUM_BYTES} bytes")
-    general, surfaces = [], []
+    general: list[Line] = []
+    surfaces: list[list[Line]] = []
     for number, text in enumerate(_decoded(path.read_bytes(), path.name).splitlines(), start=1):
         words = text.split()
         if not words:
