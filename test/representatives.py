@@ -2,6 +2,7 @@
 
 import torch
 from torch import nn
+from torch.utils.data import Dataset
 
 from odak.learn import jones, lensless, models, perception, raytracing, wave
 from odak.learn.raytracing import system
@@ -171,3 +172,26 @@ def representative(name, dtype=torch.float32):
     if name == "rms_spot":
         return function, function.triplet.prescription().curvature
     return function, pattern(*shape, dtype=dtype)
+
+
+class Holograms(Dataset):
+    """Phase patterns and what they show: propagation, colour, a loss and rays inside the worker."""
+
+    def __len__(self):
+        return 4
+
+    def __getitem__(self, index):
+        field = torch.polar(torch.ones(16, 16), pattern(16, 16, seed=index))
+        light = wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9).abs()
+        picture = perception.rgb_2_ycrcb(light.expand(1, 3, 16, 16).clone())
+        loss = perception.SSIM()(picture, picture.flip(-1))
+        return light, loss, sphere(torch.tensor([0.1 * index, 0.0, 0.0]))
+
+
+def light_and_spot():
+    """Return values of functions that keep threads, kernels or both."""
+    torch.set_num_threads(1)
+    large = torch.ones(1024, 1024, dtype=torch.complex64)
+    light = wave.propagate_beam(large, None, 1e-3, 8e-6, 532e-9)[::64, ::64].abs()
+    lens_system = system.load_system("cooke_triplet")
+    return light, system.rms_spot(lens_system, "rings", 3)

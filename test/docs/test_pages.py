@@ -6,7 +6,14 @@ from pathlib import Path
 import pytest
 from documentation import agrees, script
 
-SLOW: set[str] = set()
+SLOW = {
+    "guides/design_a_display.md",
+    "guides/design_a_lens.md",
+    "guides/distributed_computing.md",
+    "guides/learned_models.md",
+    "guides/multiplane_and_colour.md",
+    "notes/accuracy.md",
+}
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}
 make_pictures = script("make_pictures")

@@ -39,7 +39,7 @@ def test_thousands_of_geometries_stay_within_the_bound_of_the_kernels():
 
 
 def test_many_targets_and_gazes():
-    growth = in_a_fresh_process(tasks.many_targets, 1000)
+    growth = in_a_fresh_process(tasks.many_targets, 300)
     assert growth["rss"] < 5 * MB and growth["objects"] < 100
 
 

@@ -9,12 +9,12 @@ import warnings
 import pytest
 import representatives
 import torch
-from representatives import ALL, representative
+from representatives import ALL, Holograms, light_and_spot, representative
 from torch import nn
-from torch.utils.data import DataLoader, Dataset
+from torch.utils.data import DataLoader
 
 import odak
-from odak.learn import perception, raytracing, wave
+from odak.learn import wave
 
 SPHERE = "intersect_w_sphere, refract"
 NAMES = list(ALL)
@@ -162,20 +162,6 @@ def test_copies_pickles_and_state_dicts_after_use(name):
         assert all(torch.equal(v, stored["state"][k]) for k, v in other.state_dict().items())
 
 
-class Holograms(Dataset):
-    """Phase patterns and what they show: propagation, colour, a loss and rays inside the worker."""
-
-    def __len__(self):
-        return 4
-
-    def __getitem__(self, index):
-        field = torch.polar(torch.ones(16, 16), representatives.pattern(16, 16, seed=index))
-        light = wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9).abs()
-        picture = perception.rgb_2_ycrcb(light.expand(1, 3, 16, 16).clone())
-        loss = perception.SSIM()(picture, picture.flip(-1))
-        return light, loss, representatives.sphere(torch.tensor([0.1 * index, 0.0, 0.0]))
-
-
 def _used_before():
     """Fill the caches and start the threads that a forked child inherits."""
     for item in range(2):
@@ -200,24 +186,15 @@ def test_workers_of_a_data_loader(start):
             close(value, own)
 
 
-def _everything():
-    """Return values of functions that keep threads, kernels or both."""
-    torch.set_num_threads(1)
-    large = torch.ones(1024, 1024, dtype=torch.complex64)
-    light = wave.propagate_beam(large, None, 1e-3, 8e-6, 532e-9)[::64, ::64].abs()
-    system = raytracing.system.load_system("cooke_triplet")
-    return light, raytracing.system.rms_spot(system, "rings", 3)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("start", ["fork", "spawn"])
 @pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 def test_processes_started_after_use(start):
     _used_before()
     with torch.multiprocessing.get_context(start).Pool(1) as pool:
-        found = pool.apply_async(_everything).get(timeout=120)
+        found = pool.apply_async(light_and_spot).get(timeout=120)
     threads = torch.get_num_threads()
-    for value, own in zip(found, _everything(), strict=True):
+    for value, own in zip(found, light_and_spot(), strict=True):
         close(value, own)
     torch.set_num_threads(threads)
 

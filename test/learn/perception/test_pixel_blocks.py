@@ -76,3 +76,43 @@ def test_shapes_and_rows():
     assert by_values(torch.sqrt, torch.empty(0, 3)).shape == (0, 3)
     assert by_values(torch.sqrt, torch.tensor(4.0)).item() == 2
     assert by_pixels(torch.neg, torch.empty(0, 3, 4, 4)).shape == (0, 3, 4, 4)
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
+def test_blocks_are_as_large_as_told(monkeypatch):
+    seen = []
+
+    def doubled(values):
+        seen.append(values.shape[-1])
+        return 2 * values
+
+    def sizes(call):
+        seen.clear()
+        call()
+        return list(seen)
+
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
+    monkeypatch.setattr(pixel_blocks, "BLOCK", 12)
+    assert sizes(lambda: by_pixels(doubled, noise(2, 3, 5, 7))) == 2 * ([4] * 8 + [3])
+    assert sizes(lambda: by_values(doubled, noise(5, 6))) == [12, 12, 6]
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    assert sizes(lambda: by_pixels(doubled, noise(1, 3, 5, 7))) == [8] * 4 + [3]
+    monkeypatch.setattr(pixel_blocks, "BLOCK", 1)
+    assert sizes(lambda: by_pixels(doubled, noise(1, 3, 1, 4))) == [1] * 4
+    # Transforms follow one operation on the whole picture, whatever its axes.
+    picture, along = noise(2, 2, 3, 5, 7), noise(2, 2, 3, 5, 7, seed=1)
+    assert sizes(lambda: torch.func.jvp(lambda v: by_pixels(doubled, v), (picture,), (along,))) == [35]
+    value, slope = torch.func.jvp(p.linear_rgb_to_xyz, (picture,), (along,))
+    torch.testing.assert_close(value, p.linear_rgb_to_xyz(picture))
+    torch.testing.assert_close(slope, p.linear_rgb_to_xyz(along))
+
+
+@pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
+@pytest.mark.parametrize("function", [p.srgb_to_lab, p.rgb_to_linear_rgb, p.rgb_2_ycrcb], ids=lambda f: f.__name__)
+def test_forward_mode_without_transforms(function):
+    picture, along = noise(1, 3, 2, 5), noise(1, 3, 2, 5, seed=1)
+    _, expected = torch.func.jvp(function, (picture,), (along,))
+    with torch.autograd.forward_ad.dual_level():
+        dual = function(torch.autograd.forward_ad.make_dual(picture, along))
+        found = torch.autograd.forward_ad.unpack_dual(dual).tangent
+    torch.testing.assert_close(found, expected)

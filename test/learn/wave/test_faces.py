@@ -98,3 +98,23 @@ def test_field_functions_agree(random):
         odak.learn.wave.set_amplitude(tensor, 2.0).numpy(), odak.wave.set_amplitude(field, 2.0), rtol=1e-10
     )
     assert odak.learn.wave.generate_complex_field(1.0, 0.5).dtype == torch.complex64
+
+
+def test_kernels_of_one_method_are_those_of_the_general_function():
+    geometry = (10, 13, 8e-6, 515e-9, 0.003)
+    for name, method in (
+        ("get_angular_spectrum_kernel", "Angular Spectrum"),
+        ("get_band_limited_angular_spectrum_kernel", "Bandlimited Angular Spectrum"),
+        ("get_incoherent_angular_spectrum_kernel", "Incoherent Angular Spectrum"),
+        ("get_transfer_function_fresnel_kernel", "Transfer Function Fresnel"),
+    ):
+        found = getattr(odak.learn.wave, name)(*geometry, dtype=torch.complex128)
+        expected = odak.learn.wave.get_propagation_kernel(*geometry, propagation_type=method, dtype=torch.complex128)
+        assert torch.equal(found, expected) and found.dtype == torch.complex128
+    found = odak.learn.wave.get_impulse_response_fresnel_kernel(*geometry, scale=2, aperture_samples=(3, 2, 2, 1))
+    expected = odak.learn.wave.get_propagation_kernel(
+        *geometry, propagation_type="Impulse Response Fresnel", scale=2, samples=(3, 2, 2, 1)
+    )
+    assert torch.equal(found, expected) and found.shape == (20, 26)
+    with pytest.raises(ValueError, match="distance must not be zero"):
+        odak.learn.wave.get_seperable_impulse_response_fresnel_kernel(8, 8, distance=0)

@@ -347,3 +347,30 @@ def test_exposures_in_a_workspace_have_one_backward_pass(phases):
     torch.testing.assert_close(*gradients, rtol=1e-4, atol=1e-4)
     with pytest.raises(RuntimeError, match="one backward pass"):
         images.sum().backward()
+
+
+def test_planes_may_be_moved(phases):
+    field = wave.unit_phasor(phases[0])
+    show, other = (holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 2, place) for place in (5e-3, 7e-3))
+    show.generate_kernels()
+    before = show(field, 0, 1)
+    show.image_location_offset = 7e-3
+    show.init_distances()
+    assert torch.equal(show.distances, other.distances)
+    torch.testing.assert_close(show(field, 0, 1), other(field, 0, 1))
+    assert not torch.allclose(show(field, 0, 1), before)
+    volume = display(image_location_offset=5e-3, aperture=torch.ones(48, 64))
+    volume(field, 0, 0)
+    volume.init_distances([1e-3, 2e-3, 4e-3])
+    assert volume.number_of_depth_layers == 3 and volume.distances.tolist() == pytest.approx([1e-3, 2e-3, 4e-3])
+    torch.testing.assert_close(
+        volume(field, 1, 2), wave.propagate_beam(field, None, 4e-3, PITCH, COLOURS[1]), rtol=1e-4, atol=1e-5
+    )
+
+
+def test_options_of_displays_are_named():
+    for pad in ("no", True, [True], [True, False, True]):
+        with pytest.raises(ValueError, match="pad must be two booleans"):
+            holographic_display(COLOURS, PITCH, [24, 32], pad=pad)
+    with pytest.raises(TypeError, match="hologram_phases must be a real tensor"):
+        holographic_display(COLOURS, PITCH, [24, 32]).reconstruct(torch.ones(1, 24, 32) + 1j, torch.ones(1, 3))

@@ -142,6 +142,29 @@ def test_levenberg_and_marquardt_find_the_conic_of_a_perfect_lens():
     assert list(result.history) == sorted(result.history, reverse=True) and result.loss < 1e-18
 
 
+def test_levenberg_and_marquardt_stay_where_nothing_is_better():
+    q = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
+    result = levenberg_marquardt(lambda: torch.cat((q - 3, 2 + 0 * q)), [q])
+    assert result.converged and result.history == (2.0,) and q.item() == 3.0
+
+
+def test_what_of_a_surface_can_be_varied():
+    glass = surface(20.0, thickness=3.0, material="N-BK7")
+    text = repr(glass)
+    assert "radius=20, thickness=3" in text and "N-BK7" in text and "stop=False" in text
+    assert "index 1.5" in repr(surface(20.0, material=1.5))
+    curvature = glass.vary("curvature")
+    assert glass.vary("curvature") is curvature and curvature.requires_grad
+    assert float(glass.radius.detach()) == pytest.approx(20.0, rel=1e-15)
+    for name, message in (("index", "cannot be varied: its material is"), ("coefficients", "is empty; give it zeros")):
+        with pytest.raises(ValueError, match=message):
+            glass.vary(name)
+    given = torch.nn.Parameter(torch.tensor(0.05, dtype=F64))
+    assert surface(thickness=given).thickness is given
+    with pytest.raises(TypeError, match="thickness must be a number, a tensor without graph"):
+        surface(thickness=given * 2)
+
+
 def test_levenberg_and_marquardt_with_fewer_residuals_than_parameters():
     p = torch.tensor([1.0, 2.0, -1.0], dtype=F64, requires_grad=True)
     result = levenberg_marquardt(lambda: (p.sum() - 5).reshape(1), [p])
