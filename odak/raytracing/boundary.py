@@ -93,7 +93,7 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
     """
     ray, normal = _batches(("vector", vector), ("normvector", normvector))
     n1, n2 = arguments.index("n1", n1), arguments.index("n2", n2)
-    _validate.fitting(vector=ray[..., 0, 0], n1=n1, n2=n2)
+    _validate.fitting(vector=ray.shape[:-2], n1=n1, n2=n2)
     direction, _ = interfaces.refract_directions(ray[..., 1, :], normal[..., 1, :], n1, n2)
     dtype = np.result_type(ray, normal)
     return arguments.single(arguments.as_rays(normal[..., 0, :], direction).astype(dtype))
@@ -132,7 +132,7 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     n1, n2 = arguments.index("n1", n1), np.asarray(_validate.array("n2", n2))
     if not n2.ndim and not np.isfinite(n2):
         raise ValueError(f"n2 must be finite, got {n2}")
-    _validate.fitting(ray=ray[..., 0, 0], n1=n1, n2=n2)
+    _validate.fitting(ray=ray.shape[:-2], n1=n1, n2=n2)
     return interfaces.fresnel(ray[..., 1, :], normal[..., 1, :], n1, n2)
 
 
@@ -161,7 +161,7 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarr
     """
     ray = arguments.batch(arguments.rays("ray", ray), 2)
     points = arguments.triangles("points", points)
-    _validate.fitting(ray=ray[..., 0, 0], points=points[..., 0, 0])
+    _validate.fitting(ray=ray.shape[:-2], points=points.shape[:-2])
     hit = _meet_plane(ray, points)
     return arguments.single(arguments.as_rays(hit.point, hit.normal)), np.abs(hit.distance)
 
@@ -244,7 +244,7 @@ def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     triangle = arguments.triangles("triangle", triangle)
-    _validate.fitting(ray=rays[..., 0, 0], triangle=triangle[..., 0, 0])
+    _validate.fitting(ray=rays.shape[:-2], triangle=triangle.shape[:-2])
     hit = _meet_plane(rays, triangle)
     place = np.where(hit.hit[..., None], hit.point, 0.0)
     inside = hit.hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
@@ -337,7 +337,7 @@ def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     sphere = arguments.numbers("sphere", sphere, 4)
-    _validate.fitting(ray=rays[..., 0, 0], sphere=sphere[..., 0])
+    _validate.fitting(ray=rays.shape[:-2], sphere=sphere.shape[:-1])
     hit = intersections.sphere(rays[..., 0, :], rays[..., 1, :], sphere[..., :3], sphere[..., 3])
     return _curved(hit.point, 0.0 - hit.normal, hit)
 
@@ -366,7 +366,7 @@ def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
     """
     rays = arguments.batch(arguments.rays("ray", ray), 2)
     center, radius, axis = split_cylinder(cylinder)
-    _validate.fitting(ray=rays[..., 0, 0], cylinder=radius)
+    _validate.fitting(ray=rays.shape[:-2], cylinder=radius)
     hit = intersections.cylinder(rays[..., 0, :], rays[..., 1, :], center, radius, axis)
     return _curved(hit.point - radius[..., None] * hit.normal, hit.normal, hit)
 

@@ -151,7 +151,7 @@ def propagate_a_ray(ray: Array, distance: float | Array) -> np.ndarray:
     """
     ray = arguments.batch(arguments.rays("ray", ray), 2)
     distance = np.atleast_1d(arguments.floats("distance", distance)).astype(ray.dtype)
-    _validate.fitting(ray=ray[..., 0, 0], distance=distance)
+    _validate.fitting(ray=ray.shape[:-2], distance=distance)
     moved = ray[..., 0, :] + distance[..., None] * ray[..., 1, :]
     return arguments.single(arguments.as_rays(moved, ray[..., 1, :]))
 

@@ -278,3 +278,29 @@ def test_directions_without_length_miss():
     ray = [[[0, 0, -5], [0, 0, 0]], [[0, 0, -5], [0, 0, 2]], [[0, 0, np.nan], [0, 0, 1]]]
     np.testing.assert_allclose(rt.intersect_w_sphere(ray, [0, 0, 0, 1])[1], [np.nan, 2, np.nan])
     np.testing.assert_allclose(rt.intersect_w_surface(ray, rt.define_plane([0, 0, 0]))[1], [np.nan, 2.5, np.nan])
+
+
+RAYS = np.array([Z_AXIS] * 3, dtype=float)
+TRIANGLES = np.array([[[-1, -1, 5], [1, -1, 5], [0, 1, 5]]] * 3, dtype=float)
+SPHERES = np.array([[0, 0, 5, 1]] * 3, dtype=float)
+CYLINDERS = np.stack([rt.define_cylinder([0, 0, 5], 1, [0, 90, 0])] * 3)
+INDICES = np.full(3, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("function", "names", "arguments"),
+    [
+        (rt.refract, ("vector", "n2"), (RAYS, Z_AXIS, 1.0, INDICES)),
+        (rt.fresnel_coefficients, ("ray", "n2"), (RAYS, Z_AXIS, 1.0, INDICES)),
+        (rt.intersect_w_surface, ("ray", "points"), (RAYS, TRIANGLES)),
+        (rt.intersect_w_triangle, ("ray", "triangle"), (RAYS, TRIANGLES)),
+        (rt.intersect_w_sphere, ("ray", "sphere"), (RAYS, SPHERES)),
+        (rt.intersect_w_cylinder, ("ray", "cylinder"), (RAYS, CYLINDERS)),
+    ],
+)
+def test_batches_of_one_length_meet_and_others_are_named(function, names, arguments):
+    result = function(*arguments)
+    assert len(result if isinstance(result, np.ndarray) else result[0]) == 3
+    first, last = names
+    with pytest.raises(ValueError, match=rf"do not fit together: {first} \[2\].*{last} \[3\]"):
+        function(arguments[0][:2], *arguments[1:])

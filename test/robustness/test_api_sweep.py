@@ -7,7 +7,10 @@ its arguments are known there already.
 import inspect
 
 import pytest
+import torch
 from api_sweep import contract, hostile, samples, walk
+
+from odak.wave.kernel_cache import kernels
 
 CALLABLES = walk.public_callables()
 
@@ -15,6 +18,15 @@ CALLABLES = walk.public_callables()
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
     return tmp_path_factory.mktemp("sweep")
+
+
+@pytest.fixture(autouse=True)
+def settings_stay():
+    """Put back what a call may set for the whole process."""
+    size, threads = kernels.maximum_bytes, torch.get_num_threads()
+    yield
+    kernels.resize(size)
+    torch.set_num_threads(threads)
 
 
 class Call:

@@ -71,7 +71,7 @@ def refract(
     ray, normal, n1, n2 = arguments.tensors(vector=vector, normvector=normvector, n1=n1, n2=n2)
     ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
     n1, n2 = n1.reshape(-1), n2.reshape(-1)
-    _validate.fitting(vector=ray[..., 0, 0], normvector=normal[..., 0, 0], n1=n1, n2=n2)
+    _validate.fitting(vector=ray.shape[:-2], normvector=normal.shape[:-2], n1=n1, n2=n2)
     return in_pieces(_refracted, (2, 2, 0, 0), ray, normal, n1, n2)
 
 
@@ -127,7 +127,7 @@ def fresnel_coefficients(
     ray, normal = arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :]
     n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (_index("n1", n1, ray), _index("n2", n2, ray)))
     indices = {name: value for name, value in (("n1", n1), ("n2", n2)) if torch.is_tensor(value)}
-    _validate.fitting(ray=ray[..., 0], normal=normal[..., 0], **indices)
+    _validate.fitting(ray=ray.shape[:-1], normal=normal.shape[:-1], **indices)
     return interfaces.fresnel(ray, normal, n1, n2)
 
 
@@ -286,7 +286,7 @@ def get_triangle_normal(triangle: torch.Tensor, triangle_center: torch.Tensor | 
     triangle, *center = arguments.tensors(triangle=triangle, **center)
     triangle = arguments.triangles("triangle", triangle)
     start = arguments.points("triangle_center", center[0]) if center else triangle.mean(dim=-2)
-    _validate.fitting(triangle=triangle[..., 0], triangle_center=start)
+    _validate.fitting(triangle=triangle.shape[:-1], triangle_center=start)
     normal = arguments.as_rays(start, geometry.triangle_normal(triangle))
     return normal[0] if len(normal) == 1 else normal
 
@@ -308,7 +308,7 @@ def get_sphere_normal_torch(point: torch.Tensor, sphere: torch.Tensor) -> torch.
     """
     point, sphere = arguments.tensors(point=point, sphere=sphere)
     point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
-    _validate.fitting(point=point[..., 0], sphere=sphere[..., 0])
+    _validate.fitting(point=point.shape[:-1], sphere=sphere.shape[:-1])
     return arguments.as_rays(point, geometry.unit(sphere[..., :3] - point))
 
 

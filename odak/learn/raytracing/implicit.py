@@ -78,7 +78,7 @@ def intersect_w_sag(
         raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
     ahead = _validate.flag("ahead", ahead)
     if "aperture" in extra:
-        _validate.fitting(ray=ray[..., 0, 0], aperture=extra["aperture"])
+        _validate.fitting(ray=ray.shape[:-2], aperture=extra["aperture"])
     matrix = rotation_matrix(arguments.vector("angles", extra["angles"])) if "angles" in extra else None
     center = extra.get("center")
     if center is not None:

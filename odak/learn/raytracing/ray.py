@@ -246,7 +246,7 @@ def propagate_ray(ray: torch.Tensor, distance: float | torch.Tensor) -> torch.Te
     ray, distance = arguments.tensors(ray=ray, distance=distance)
     ray = arguments.rays("ray", ray)
     distance = distance.reshape(-1, 1) if ray.ndim == 3 else distance[..., None]
-    _validate.fitting(ray=ray[..., 0, 0], distance=distance[..., 0])
+    _validate.fitting(ray=ray.shape[:-2], distance=distance.shape[:-1])
     return arguments.as_rays(ray[..., 0, :] + distance * ray[..., 1, :], ray[..., 1, :])
 
 
