@@ -42,7 +42,6 @@ def agree_on_threads(compute, bound):
 def test_threads_do_not_change_a_propagation(method):
     field = torch.polar(torch.ones(120, 150), 6 * pattern(120, 150))
     field = pattern(120, 150) if method == "Incoherent Angular Spectrum" else field
-    odak.wave.clear_kernel_cache()
 
     def run():
         odak.wave.clear_kernel_cache()
