@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from fuzz import mutations, seed_files
+from fuzz import archive_seeds, mutations, seed_files
 
 IMAGE_MEGABYTES = 1800
 
@@ -147,7 +147,7 @@ def _tensor(path):
 def _weights(path):
     from odak.learn.models import load_weights
 
-    load_weights(seed_files.net(), path)
+    load_weights(archive_seeds.net(), path)
 
 
 def _gaussians(path):
@@ -160,7 +160,7 @@ def _gaussians(path):
 
 def _checkpoint(path):
     # A run that takes up a file writes it anew: what came is put back, for the other kinds of run.
-    before = seed_files.content(path)
+    before = archive_seeds.content(path)
 
     def renewed(run):
         def call(path):
@@ -170,7 +170,7 @@ def _checkpoint(path):
 
         return call
 
-    every(*map(renewed, seed_files.RUNS.values()))(path)
+    every(*map(renewed, archive_seeds.RUNS.values()))(path)
 
 
 def _text(path):
@@ -198,7 +198,7 @@ def _in_scene(data, chance):
 def _scene(path):
     from odak.visualize.blender import scene
 
-    text, _, arrays = seed_files.content(path).partition(seed_files.MARK)
+    text, _, arrays = archive_seeds.content(path).partition(seed_files.MARK)
     target = path.removesuffix(".scene") + ".json"
     for name, content in ((target, text), (os.path.join(os.path.dirname(path), "seed.npz"), arrays)):
         with open(name, "wb") as stream:
@@ -213,7 +213,7 @@ def _command(path):
     from odak.tools import large_language_model
     from odak.visualize.blender import server
 
-    content = seed_files.content(path)
+    content = archive_seeds.content(path)
     text = content.decode("utf-8", "surrogateescape")
     for name in server.COMMANDS:
         server.parse_function_call_safely(text, name)
@@ -230,7 +230,7 @@ _SMALL = {
 def _line(path):
     from odak.cli import main
 
-    arguments = seed_files.content(path).decode("utf-8", "surrogateescape").split("\n")
+    arguments = archive_seeds.content(path).decode("utf-8", "surrogateescape").split("\n")
     folder = os.path.join(os.path.dirname(path), "out")
     if arguments[0] == "worker" or "--cluster" in arguments or (arguments[0] == "metamer" and "photo" in arguments):
         # A worker waits for its scheduler by design, and a metamer of a photograph takes its time.
@@ -286,12 +286,12 @@ READERS = {
     ),
     "zmx": Reader(seed_files.zmx_seeds, _zmx, seed_files.ZMX_WORDS),
     "tensor": Reader(
-        seed_files.tensor_seeds,
+        archive_seeds.tensor_seeds,
         every(_tensor, _weights, _gaussians),
         (b"cos\nsystem\n", b"c__builtin__\neval\n", b"R", b"Q."),
         mutations.in_archive,
     ),
-    "checkpoint": Reader(seed_files.checkpoint_seeds, _checkpoint, (), mutations.in_archive),
+    "checkpoint": Reader(archive_seeds.checkpoint_seeds, _checkpoint, (), mutations.in_archive),
     "text": Reader(seed_files.text_seeds, _text, (rb"\begin{equation}", rb"\end{figure}", b"```", b"|", b"\t")),
     "spectra": Reader(seed_files.spectra_seeds, _spectra, (b'"', b";", b",,", b"\t", b"\x00", b"400,1\n")),
     "scene": Reader(

@@ -79,6 +79,27 @@ def triangles(name: str, value) -> np.ndarray:
     return found.astype(np.result_type(found, np.float32), copy=False)
 
 
+def faces(name: str, value, count: int) -> np.ndarray:
+    """Return the corners of triangles, numbers ``[t, 3]`` of `count` points."""
+    found = real_array(name, value)
+    if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
+        raise ValueError(f"{name} must be integers [t, 3], got {found.dtype} {list(found.shape)}")
+    if found.size and not 0 <= found.min() <= found.max() < count:
+        raise ValueError(f"{name} must name vertices 0 to {count - 1}, got {found.min()} to {found.max()}")
+    return found
+
+
+def sphere(name: str, value, samples: int) -> list[np.ndarray]:
+    """Return x, y and z ``[samples, samples]`` on a sphere ``[4]`` or ``[1, 4]``, its centre and radius."""
+    found = real_array(name, value).reshape(-1)
+    if found.shape != (4,):
+        raise ValueError(f"{name} must be [4] or [1, 4]: centre and radius; got {list(np.shape(value))}")
+    theta, phi = np.linspace(0, 2 * np.pi, samples), np.linspace(0, np.pi, samples)
+    axes = (np.outer(np.cos(theta), np.sin(phi)), np.outer(np.sin(theta), np.sin(phi)))
+    axes = (*axes, np.outer(np.ones_like(theta), np.cos(phi)))
+    return [centre + found[3] * axis for centre, axis in zip(found, axes, strict=False)]
+
+
 def reach(rays, distance) -> tuple[np.ndarray, np.ndarray]:
     """Return where rays ``[2, 3]`` or ``[m, 2, 3]`` start and where they are after a distance, each ``[m, 3]``.
 

@@ -23,7 +23,7 @@ pytest.importorskip("resource", reason="memory and time are watched by Unix mean
 if not os.path.exists("/proc/self/clear_refs"):
     pytest.skip("the peak of memory is read from Linux' /proc", allow_module_level=True)
 
-from fuzz import guard, mutations, seed_files  # noqa: E402
+from fuzz import archive_seeds, guard, mutations  # noqa: E402
 from fuzz.readers import READERS  # noqa: E402
 from odak import tools  # noqa: E402
 from odak.learn.tools import save_torch_tensor, torch_load  # noqa: E402
@@ -228,7 +228,7 @@ class TestTorchFiles:
 
     @pytest.mark.parametrize("legacy", [False, True])
     def test_numbers_do_not_become_bytes(self, legacy, tmp_path):
-        held = pickle.dumps(seed_files.Payload(bytearray, 10**9), 2)
+        held = pickle.dumps(archive_seeds.Payload(bytearray, 10**9), 2)
         if legacy:
             (tmp_path / "case.pt").write_bytes(held)
         else:
@@ -238,7 +238,7 @@ class TestTorchFiles:
 
     def test_code_is_named_and_not_run(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
-        torch.save(seed_files.Payload(os.system, "touch pwned"), "a.pt")
+        torch.save(archive_seeds.Payload(os.system, "touch pwned"), "a.pt")
         with pytest.raises(ValueError, match=r"a\.pt': it calls for posix\.system") as caught:
             torch_load("a.pt")
         assert isinstance(caught.value, pickle.UnpicklingError)

@@ -1,18 +1,17 @@
 """Gaussians in space, seen by a camera, as fields on planes and as the hologram of these."""
 
-from collections.abc import Iterable
 from functools import lru_cache
 from typing import Any
 
 import torch
 
 from odak import _validate
-from odak._array import is_readable
 from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.camera import PerspectiveCamera
 from odak.learn.wave import gaussian_files
 from odak.learn.wave.complex_gaussians_3d import complex_3d_gaussians
 from odak.learn.wave.gaussian_tiles import Tiling, finer_tiling
+from odak.learn.wave.gaussian_views import camera_rays, checked_camera, chosen, two_sizes
 from odak.learn.wave.masks import disc
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.splatting import FAINTEST, composite_gaussians
@@ -100,12 +99,12 @@ class Scene:
 
     def compute_depth_values(self, camera: PerspectiveCamera) -> torch.Tensor:
         """Return the depths z of the Gaussians in the axes of the camera ``[N]``."""
-        return _checked(camera).transform_world_to_camera_space(self.gaussians.means)[:, 2]
+        return checked_camera(camera).transform_world_to_camera_space(self.gaussians.means)[:, 2]
 
     def calculate_gaussian_directions(self, means_3D: torch.Tensor, camera: PerspectiveCamera) -> torch.Tensor:
         """Return unit vectors from the camera to points ``[N, 3]``."""
         means_3D = shaped("means_3D", means_3D, "N", 3)
-        return torch.nn.functional.normalize(means_3D - _checked(camera).get_camera_center(), dim=-1)
+        return torch.nn.functional.normalize(means_3D - checked_camera(camera).get_camera_center(), dim=-1)
 
     def get_idxs_to_filter_and_sort(self, z_vals: torch.Tensor) -> torch.Tensor:
         """Return the numbers of depths from 0 on, in ascending order of depth."""
@@ -171,7 +170,7 @@ class Scene:
         width, height = gaussian_files.picture_size("img_size", img_size)
         if (height, width) != self.pad_size:
             raise ValueError(f"img_size must be (width, height) of pad_size {list(self.pad_size)}, got {img_size}")
-        tile_size = _tile_size(tile_size)
+        tile_size = two_sizes(tile_size)
         across, down = (min(n if n > 0 else _TILE, size) for n, size in zip(tile_size, (width, height), strict=True))
         means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = rows_of(
             means_3D=(means_3D, 3),
@@ -185,7 +184,7 @@ class Scene:
         )
         wavelengths = self._checked_wavelengths(wavelengths, plane_probs, colours, phase)
         planes = plane_probs.shape[-1]
-        rays = _rays(_checked(camera), means_3D)
+        rays = camera_rays(checked_camera(camera), means_3D)
         points, fx, fy = rays[:3]
         covariance = self._project(points, fx, fy, quats, scales, (width, height), camera)
         means, conics = self.gaussians.compute_means_2D(*rays), self.gaussians.invert_cov_2D(covariance)
@@ -249,7 +248,7 @@ class Scene:
         ValueError
             If the tile is outside the picture.
         """
-        tile_size, img_size = _tile_size(tile_size), gaussian_files.picture_size("img_size", img_size)
+        tile_size, img_size = two_sizes(tile_size), gaussian_files.picture_size("img_size", img_size)
         tile_x, tile_y = _validate.whole("tile_x", tile_x), _validate.whole("tile_y", tile_y)
         for name, number in (("px", px), ("py", py)):
             _validate.real(name, number)
@@ -270,7 +269,7 @@ class Scene:
         sizes = [min(n if n > 0 else _TILE, size - at) for n, size, at in zip(tile_size, img_size, corner, strict=True)]
         if min(*corner) < 0 or min(*sizes) < 1:
             raise ValueError(f"tile_x and tile_y must be a tile of a picture of {img_size}, got {(tile_x, tile_y)}")
-        some = _numbers_of(gaussian_indices, len(cam_means_3D), cam_means_3D.device)
+        some = chosen(gaussian_indices, len(cam_means_3D), cam_means_3D.device)
         cam_means_3D, quats, scales = cam_means_3D[some], quats[some], scales[some]
         covariance = self.gaussians.compute_cov_2D(cam_means_3D, quats, scales, fx, fy, R, img_size)
         means = self.gaussians.compute_means_2D(cam_means_3D, fx, fy, px, py)
@@ -311,7 +310,7 @@ class Scene:
         tuple of torch.Tensor
             As from :meth:`splat`.
         """
-        width, height = _tile_size(img_size, "img_size")
+        width, height = two_sizes(img_size, "img_size")
         if width <= 0 and height <= 0:
             height, width = self.pad_size
         depths = self.compute_depth_values(camera)
@@ -360,46 +359,6 @@ class Scene:
 def _aperture(shape, radius, device):
     with torch.inference_mode(False):
         return disc(tuple(2 * n for n in shape), radius).to(device)
-
-
-def _checked(camera):
-    """Return a camera; raise TypeError for anything that cannot be one."""
-    for name in ("R", "focal_length", "principal_point", "transform_world_to_camera_space"):
-        if not hasattr(camera, name):
-            raise TypeError(f"camera must be a PerspectiveCamera, got {camera!r:.80}, which has no {name}")
-    return camera
-
-
-def _tile_size(size, name="tile_size") -> tuple[int, int]:
-    """Return a width and a height, which need not be positive."""
-    if isinstance(size, str) or not isinstance(size, Iterable) or len(size := tuple(size)) != 2:
-        raise ValueError(f"{name} must be two integers (width, height), got {size!r:.80}")
-    width, height = (_validate.whole(name, n, minimum=-_validate.LONGEST_SIDE) for n in size)
-    return width, height
-
-
-def _numbers_of(gaussian_indices, count, device) -> torch.Tensor:
-    """Return the numbers, or the choice by truth values, of some of `count` Gaussians."""
-    some = tensor("gaussian_indices", gaussian_indices, device=device)
-    if some.ndim != 1 or (some.dtype == torch.bool and len(some) != count):
-        raise ValueError(f"gaussian_indices must be [n] numbers or {count} truth values, got {list(some.shape)}")
-    if some.dtype == torch.bool:
-        return some
-    some = some.long()
-    if is_readable(some) and bool(((some < -count) | (some >= count)).any()):
-        raise ValueError(f"gaussian_indices must be below {count}, got {some.min().item()} to {some.max().item()}")
-    return some
-
-
-def _rays(camera, means_3D):
-    """Return points in the axes of the camera, its focal lengths fx, fy and its principal point px, py."""
-    pairs = []
-    for name in ("focal_length", "principal_point"):
-        values = getattr(camera, name).reshape(-1)
-        if len(values) not in (1, 2):
-            raise ValueError(f"camera.{name} must be one number or two, got {tuple(values.shape)}")
-        pairs.extend(values.expand(2))
-    return camera.transform_world_to_camera_space(means_3D), *pairs
 
 
 def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs, tiling):

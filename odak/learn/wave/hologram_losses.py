@@ -1,13 +1,14 @@
 """What hologram optimizers aim at: targets, the weights of losses, and how a given loss is called."""
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import torch
 
 from odak import _validate
 from odak.learn._tensors import floating
 from odak.learn.tools.file import torch_load
+from odak.learn.wave.masks import disc
 from odak.tools._paths import validate_path
 
 WEIGHTS = {"image": 1.0, "light": 1.0, "eyebox": 1.0, "phase": 0.0}
@@ -121,6 +122,31 @@ def checked_eyebox(eyebox: dict | None) -> dict:
     if unknown := set(map(str, eyebox or {})) - set(usual):
         raise ValueError(f"eyebox must hold offset and diameter, got {', '.join(sorted(unknown))}")
     return usual | (eyebox or {})
+
+
+def eyebox_mask(shape: Sequence[int], offset: float | Sequence[float], diameter: float) -> torch.Tensor:
+    """Return a disc of the spectrum, ``[rows, columns]`` in FFT order, 1 inside.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    offset : float or sequence of float
+        Distance of its centre from zero frequency in samples, of both axes or of each.
+    diameter : float
+        Its diameter in samples.
+
+    Raises
+    ------
+    ValueError
+        If there is no sample in it.
+    """
+    alone = not isinstance(offset, Iterable) or getattr(offset, "ndim", 1) == 0
+    shift = _validate.numbers(_validate.several("offset", (offset, offset) if alone else offset, 2))
+    mask = disc(shape, _validate.real("diameter", diameter, positive=True) / 2, shift)
+    if not bool(mask.any()):
+        raise ValueError(f"the eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}")
+    return torch.fft.ifftshift(mask)
 
 
 def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:

@@ -7,16 +7,17 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import checked_device, floating, tensor
+from odak.learn._tensors import checked_device, floating
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.light_path import PROPAGATOR_TYPES, plane_distances
+from odak.learn.wave.shown_patterns import checked_amplitude, checked_phases
+from odak.learn.wave.source_powers import check_shape, checked_powers, is_diagonal, power_method
 from odak.learn.wave.spectral import convolve
 from odak.learn.wave.volume import checked_slice, display_volume
 from odak.learn.wave.workspace import Workspace
 
 __all__ = ["propagator"]
 
-METHODS = ("conventional", "multi-color", "full complex conventional", "full complex multi-color")
 # A complex64 field, the transforms of its rows, its intensity, and the slopes of field and intensity.
 _BYTES_PER_SAMPLE = 40
 
@@ -205,17 +206,10 @@ class propagator(display_volume):
         self._set_powers(laser_power, "laser_power")
 
     def _set_powers(self, power, name):
-        power = floating(name, power)
-        expected = (self.number_of_frames, self.number_of_channels)
-        if tuple(power.shape) != expected:
-            raise ValueError(f"{name} must be [frames, wavelengths] = {expected}, got {tuple(power.shape)}")
-        if not bool(power.isfinite().all()):
-            raise ValueError(f"{name} must be finite, got NaN or infinite values")
         amplitudes = not self.method.endswith("multi-color")
-        if amplitudes and bool((power < 0).any()):
-            raise ValueError(f"{name} must not be negative, got {power.min().item()}")
+        power = checked_powers(name, power, (self.number_of_frames, self.number_of_channels), amplitudes)
         self.channel_power = power.to(self.device)
-        self._one_source_per_frame = amplitudes and not power.requires_grad and _is_diagonal(power)
+        self._one_source_per_frame = amplitudes and not power.requires_grad and is_diagonal(power)
 
     def holograms(self, hologram_phases: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
         """Return the fields that leave the modulator, of unit source power.
@@ -230,7 +224,8 @@ class propagator(display_volume):
         torch.Tensor
             Complex ``[F, 1, C, ms, ns]``, or ``[F, 1, 1, ms, ns]`` where all colours leave alike.
         """
-        phases = self._checked_phases(hologram_phases)[:, None, None]
+        phases = checked_phases(hologram_phases, (self.number_of_frames, *self.resolution))
+        phases = phases.to(self.device)[:, None, None]
         alike = self.phase_scale.device.type == "cpu" and bool((self.phase_scale == 1).all())
         if self.slm is not None:
             field = self.slm(phases, 1.0 if alike else self.phase_scale[:, None, None])
@@ -238,25 +233,8 @@ class propagator(display_volume):
             field = unit_phasor(phases if alike else phases * self.phase_scale[:, None, None])
         if amplitude is None:
             return self._on_grid(field)
-        amplitude = _validate.image("amplitude", tensor("amplitude", amplitude))
-        if amplitude.ndim > 2 and amplitude.shape[-3] not in (1, self.number_of_channels):
-            raise ValueError(f"amplitude must have {self.number_of_channels} colours, got {tuple(amplitude.shape)}")
-        if amplitude.ndim > 5 or any(n != 1 for n in amplitude.shape[-4:-3]):
-            raise ValueError(
-                f"amplitude must be [rows, columns] or [colours, rows, columns], got {tuple(amplitude.shape)}"
-            )
+        amplitude = checked_amplitude(amplitude, self.number_of_channels)
         return self._on_grid(amplitude.to(self.device), "amplitude") * self._on_grid(field)
-
-    def _checked_phases(self, phases) -> torch.Tensor:
-        if not isinstance(phases, torch.Tensor) or phases.is_complex():
-            kind = getattr(phases, "dtype", type(phases).__name__)
-            raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
-        expected = (self.number_of_frames, *self.resolution)
-        shape = tuple(phases.shape)
-        if shape not in (expected, (1, *expected)) and not (self.number_of_frames == 1 and shape == expected[1:]):
-            raise ValueError(f"hologram_phases must be [frames, rows, columns] = {expected}, got {shape}")
-        phases = phases if phases.is_floating_point() else phases.float()
-        return phases.reshape(expected).to(self.device)
 
     def fields(
         self, holograms: torch.Tensor, frames: slice, kernels: torch.Tensor, workspace: Any = None
@@ -327,9 +305,7 @@ class propagator(display_volume):
         """
         self._check_holograms(holograms)
         powers = self.get_laser_powers() if powers is None else floating("powers", powers)
-        if tuple(powers.shape) != (self.number_of_frames, self.number_of_channels):
-            expected = (self.number_of_frames, self.number_of_channels)
-            raise ValueError(f"powers must be [frames, colours] = {expected}, got {tuple(powers.shape)}")
+        check_shape("powers", powers, "[frames, wavelengths]", (self.number_of_frames, self.number_of_channels))
         fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
         powers = powers.to(fields.real.dtype)
         if not self._one_source_per_frame:
@@ -410,17 +386,6 @@ class propagator(display_volume):
         return min(pairs, self.memory_budget // (samples * _BYTES_PER_SAMPLE))
 
 
-def power_method(method: str) -> str:
-    """Return the full name of what channel powers mean, given with spaces or underscores."""
-    if not isinstance(method, str):
-        raise TypeError(f"method must be a string, got {type(method).__name__}")
-    return _validate.one_of("method", method.replace("_", " "), METHODS)
-
-
 def _parts(count: int, at_once: int) -> list[slice]:
     step = max(1, at_once)
     return [slice(start, min(start + step, count)) for start in range(0, count, step)]
-
-
-def _is_diagonal(power: torch.Tensor) -> bool:
-    return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())

@@ -278,11 +278,8 @@ class rayshow(ScenePicture):
         label : str, optional
             Name there.
         """
-        places, corners = _arrays.points("vertices", vertices), _arrays.real_array("faces", faces)
-        if corners.ndim != 2 or corners.shape[1] != 3 or corners.dtype.kind not in "iu":
-            raise ValueError(f"faces must be integers [t, 3], got {corners.dtype} {list(corners.shape)}")
-        if corners.size and not 0 <= corners.min() <= corners.max() < len(places):
-            raise ValueError(f"faces must name vertices 0 to {len(places) - 1}")
+        places = _arrays.points("vertices", vertices)
+        corners = _arrays.faces("faces", faces, len(places))
         style = face_colors(color, len(corners), self.settings)
         trace = graph.Mesh3d(
             **dict(zip(AXES, places.T, strict=True)),
@@ -306,16 +303,9 @@ class rayshow(ScenePicture):
         show_legend: bool = False,
     ) -> None:
         """Add a sphere, ``[4]`` or ``[1, 4]``: centre and radius; `dash` has no effect."""
-        values = _arrays.real_array("sphere", sphere).reshape(-1)
-        if values.shape != (4,):
-            raise ValueError(f"sphere must be [4] or [1, 4]: centre and radius; got {list(np.shape(sphere))}")
-        theta = np.linspace(0, 2 * np.pi, SPHERE_SAMPLES)
-        phi = np.linspace(0, np.pi, SPHERE_SAMPLES)
-        *centre, radius = values
-        parts = (np.outer(np.cos(theta), np.sin(phi)), np.outer(np.sin(theta), np.sin(phi)))
-        parts = (*parts, np.outer(np.ones_like(theta), np.cos(phi)))
+        grid = _arrays.sphere("sphere", sphere, SPHERE_SAMPLES)
         trace = graph.Surface(
-            **{axis: radius * part + c for axis, part, c in zip(AXES, parts, centre, strict=True)},
+            **dict(zip(AXES, grid, strict=True)),
             colorscale=[[0, _checks.colour("color", color)], [1, color]],
             showscale=False,
             opacity=float(self.settings["opacity"]),
