@@ -65,10 +65,13 @@ def read_mesh(filename: str) -> tuple[np.ndarray, np.ndarray]:
     except (*_BROKEN, StopIteration) as error:
         raise ValueError(f"{filename!r} cannot be read as a PLY file of a mesh: {error}") from error
     vertices = vertices.astype(np.float64 if vertices.dtype == np.float64 else np.float32)
+    if sides[name].ndim == 1 and sides[name].dtype != object:
+        raise ValueError(f"{filename!r} has faces of one vertex: {name} is not a list")
     faces = _fans(sides[name])
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
-        raise ValueError(f"{filename!r} has a face that names a vertex beyond its {len(vertices)}")
-    return vertices, faces
+    # Some programs write these numbers as floats; a NaN is not within any bounds.
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices) and np.array_equal(faces, faces // 1)):
+        raise ValueError(f"{filename!r} has a face that names a vertex other than 0 to {len(vertices) - 1}")
+    return vertices, faces.astype(np.int64)
 
 
 def read_points(filename: str) -> np.ndarray:
@@ -123,7 +126,7 @@ def _fans(polygons: np.ndarray) -> np.ndarray:
     first, fans = np.cumsum(counts) - counts, np.maximum(counts - 2, 0)
     start = np.repeat(first, fans)
     step = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans)
-    return np.stack((corners[start], corners[start + step + 1], corners[start + step + 2]), axis=-1).astype(np.int64)
+    return np.stack((corners[start], corners[start + step + 1], corners[start + step + 2]), axis=-1)
 
 
 def _check_name(filename: str) -> None:

@@ -55,6 +55,29 @@ def test_files_of_others(tmp_path):
     assert read_PLY_point_cloud(name)[2].tolist() == [1, 1, 0]
 
 
+@pytest.mark.parametrize(
+    ("kind", "face", "complaint"),
+    [
+        ("list uchar int", "3 2 1 0", None),
+        ("list uchar float", "3 2.0 1 0", None),
+        ("list uchar float", "3 1.5 1 0", "other than 0 to 2"),
+        ("list uchar float", "3 nan 1 0", "other than 0 to 2"),
+        ("list uchar int", "3 3 1 0", "other than 0 to 2"),
+        ("list uchar int", "3 -1 1 0", "other than 0 to 2"),
+        ("int", "2", "is not a list"),
+    ],
+)
+def test_numbers_of_vertices(tmp_path, kind, face, complaint):
+    coordinates = "".join(f"property float {axis}\n" for axis in "xyz")
+    header = f"ply\nformat ascii 1.0\nelement vertex 3\n{coordinates}element face 1\nproperty {kind} vertex_indices\n"
+    (tmp_path / "a.ply").write_text(f"{header}end_header\n0 0 0\n1 0 0\n0 1 0\n{face}\n")
+    if complaint:
+        with pytest.raises(ValueError, match=complaint):
+            read_PLY(tmp_path / "a.ply")
+    else:
+        assert read_PLY(tmp_path / "a.ply").tolist() == [[[0, 1, 0], [1, 0, 0], [0, 0, 0]]]
+
+
 def test_refused(tmp_path):
     with pytest.raises(FileNotFoundError):
         read_PLY(tmp_path / "none.ply")
