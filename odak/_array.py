@@ -45,8 +45,8 @@ def is_torch(value) -> bool:
 
 
 def is_readable(value) -> bool:
-    """Say whether the numbers in `value` can be read: without a host sync, outside torch.func and torch.compile."""
-    return not is_torch(value) or not (value.is_cuda or _is_transformed(value))
+    """Say whether the numbers in `value` are there to be read: without a host sync, torch.func and torch.compile."""
+    return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_transformed(value))
 
 
 def is_traced(value) -> bool:

@@ -168,6 +168,7 @@ def given(name: str, value):
 
 def fitting(**arrays) -> tuple[int, ...]:
     """Return the shape that arrays, shapes and numbers broadcast to; raise ValueError that names them if none fits."""
+    one_device(**arrays)
     shapes = {
         name: value if isinstance(value, tuple) else tuple(getattr(value, "shape", ()))
         for name, value in arrays.items()
@@ -179,6 +180,28 @@ def fitting(**arrays) -> tuple[int, ...]:
         told = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
         raise ValueError(f"these shapes do not fit together: {told}")
     return tuple(column[0] if column else 1 for column in reversed(sides))
+
+
+def one_device(**arrays) -> None:
+    """Raise ValueError that names torch's tensors if they live on several devices; numbers on the CPU go with any."""
+    places = {name: value.device for name, value in arrays.items() if is_torch(value) and not _is_cpu_number(value)}
+    first, *others = places.values() or [None]
+    if any(place != first for place in others):
+        told = ", ".join(f"{name} {device}" for name, device in places.items())
+        raise ValueError(f"these must be on one device: {told}")
+
+
+def alike(**arrays) -> None:
+    """Raise ValueError that names arrays unless all have one shape, and tensors one device."""
+    shapes = {name: tuple(value.shape) for name, value in arrays.items()}
+    first, *others = shapes.values()
+    if any(shape != first for shape in others):
+        raise ValueError(f"{' and '.join(shapes)} must have one shape, got {' and '.join(map(str, shapes.values()))}")
+    one_device(**arrays)
+
+
+def _is_cpu_number(tensor) -> bool:
+    return tensor.ndim == 0 and tensor.device.type == "cpu"
 
 
 def flag(name: str, value) -> bool:

@@ -5,6 +5,8 @@ from typing import overload
 
 import torch
 
+from odak import _validate
+
 
 def tensor(name: str, value, dtype: torch.dtype | None = None, device: torch.device | None = None) -> torch.Tensor:
     """Return `value` as a tensor; numbers, lists of them and NumPy's arrays are converted.
@@ -105,5 +107,6 @@ def rows_of(**given: tuple) -> list[torch.Tensor]:
     if len({len(value) for value in values}) > 1:
         told = ", ".join(f"{name} {len(value)}" for name, value in zip(given, values, strict=True))
         raise ValueError(f"these must have as many rows as each other: {told}")
+    _validate.one_device(**dict(zip(given, values, strict=True)))
     dtype = functools.reduce(torch.promote_types, (value.dtype for value in values), torch.float32)
     return [value.resolve_neg().to(dtype) for value in values]

@@ -61,6 +61,24 @@ def compare(function: Callable, build: Callable[[], dict], name: str, form: Any,
     return None
 
 
+def judge_elsewhere(function: Callable, build: Callable[[], dict], name: str) -> str | None:
+    """Call a function with one tensor on another device than the others; return the complaint, if there is one.
+
+    The device "meta" stands for a GPU. It holds no numbers, so that reading them or moving them to the CPU, which a GPU
+    allows, ends there: only what torch says of operands on two devices tells that nobody looked.
+    """
+    arguments = build()
+    try:
+        call(function, arguments | {name: arguments[name].to("meta")})
+    except (ValueError, TypeError) as error:
+        return None if names(error, name) else f"{type(error).__name__} that does not name {name}: {first_line(error)}"
+    except (RuntimeError, NotImplementedError) as error:
+        text = str(error)
+        apart = "not on the expected device" in text or "on the same device" in text
+        return f"{type(error).__name__}: {first_line(error)}" if apart else None
+    return None
+
+
 def names(error: Exception, name: str) -> bool:
     """Say whether an error's message names an argument; a file's name counts as a path."""
     name = f"{name}|path" if name in ("fn", "filename", "savefn", "directory") else re.escape(name)

@@ -236,6 +236,25 @@ class TestTorchFiles:
         found, read = guard.breach(lambda: torch_load(tmp_path / "case.pt"), str(tmp_path), ("case.pt",), 64)
         assert (found, read) == (None, False)
 
+    def test_indices_stay_within_a_sparse_tensor(self, tmp_path):
+        path, values = tmp_path / "a.pt", torch.tensor([1.0, 2.0])
+        torch.save(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), values, (3,), is_coalesced=True), path)
+        assert torch_load(path).to_dense().tolist() == [1, 0, 2]
+        torch.save([torch.sparse_coo_tensor(torch.tensor([[0, 5]]), values, (3,), check_invariants=False)], path)
+        with pytest.raises(ValueError, match=r"a\.pt': .*index 5"):
+            torch_load(path)
+
+    @pytest.mark.filterwarnings("ignore:.*(nested tensors|quantize_per_tensor|TypedStorage).*:UserWarning")
+    def test_tensors_that_torch_does_not_check_are_refused(self, tmp_path):
+        nested = torch.nested.nested_tensor([torch.ones(2), torch.ones(3)])
+        quantized = torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.quint8)
+        for odd in (nested, quantized):
+            torch.save({"a": [odd]}, tmp_path / "a.pt")
+            with pytest.raises(ValueError, match=r"a\.pt': it holds a nested or a quantized tensor"):
+                torch_load(tmp_path / "a.pt")
+        with pytest.raises(ValueError, match=r"find04\.pt': it holds a tensor of shape \[-2147483648, 0\]"):
+            torch_load(CORPUS / "tensor" / "find04.pt")
+
     def test_code_is_named_and_not_run(self, tmp_path, monkeypatch):
         monkeypatch.chdir(tmp_path)
         torch.save(archive_seeds.Payload(os.system, "touch pwned"), "a.pt")

@@ -78,6 +78,9 @@ def features(
     wanted = getattr(parameter, "dtype", value.dtype)
     if value.dtype != wanted and not torch.is_autocast_enabled(value.device.type):
         raise TypeError(f"{name} must have the precision of the layer, {wanted}; got {value.dtype}")
+    place = getattr(parameter, "device", value.device)
+    if value.device != place:
+        raise ValueError(f"{name} must be on the layer's device, {place}; got {value.device}")
     if count is not None and (value.ndim == 0 or value.shape[-1] != count):
         raise ValueError(f"{name} must be [..., {count}], got {list(value.shape)}")
     return trainable(value)

@@ -318,3 +318,4 @@ def _same_samples(name, samples, ground_truth):
             f"{name} and ground_truth must hold as many samples, got {list(samples.shape)} and "
             f"{list(ground_truth.shape)}"
         )
+    _validate.one_device(**{name: samples, "ground_truth": ground_truth})

@@ -41,10 +41,7 @@ def weighed_errors(
     for name, value in (("input_data", input_data), ("ground_truth", ground_truth)):
         if not isinstance(value, torch.Tensor):
             raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
-    if input_data.shape != ground_truth.shape:
-        raise ValueError(
-            f"input_data must have ground_truth's shape {list(ground_truth.shape)}, got {list(input_data.shape)}"
-        )
+    _validate.alike(input_data=input_data, ground_truth=ground_truth)
     if not hasattr(weights, "__len__") or len(weights) != 2:
         raise ValueError(f"weights must be two numbers, squared error first; got {weights!r:.80}")
     weights = _validate.several("weights", weights, 2)

@@ -293,6 +293,7 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
     """
     _validate.one_of("model", model, ("Lab Stats",))
     source, target = (_single(*named) for named in (("input_image", input_image), ("target_image", target_image)))
+    _validate.one_device(input_image=source, target_image=target)
     source, target = srgb_to_lab(source), srgb_to_lab(target)
     for name, picture in (("input_image", source), ("target_image", target)):
         if picture.shape[-2:].numel() < 2:

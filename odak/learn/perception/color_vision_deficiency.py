@@ -158,6 +158,7 @@ class CVDLoss(nn.Module):
             check_values(1.0, **{name: picture})
         if target is not None and target.shape != image.shape:
             raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
+        _validate.one_device(image=image, target=target)
         seen = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)
         return cvd_loss(image if target is None else target, seen, self.alpha, self.beta)[0]
 

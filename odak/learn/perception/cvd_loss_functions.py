@@ -77,6 +77,7 @@ def compute_local_contrast_similarity(
         raise ValueError(
             f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
         )
+    _validate.one_device(patch_x=patch_x, patch_y=patch_y)
     _validate.number("epsilon", epsilon, positive=True)
     return _similarity(patch_x, patch_y, 0, epsilon)
 
@@ -233,5 +234,6 @@ def _checked_pair(image, simulated_image):
             f"image and simulated_image must have one shape, sides at least {_SMALLEST}; "
             f"got {tuple(image.shape)} and {tuple(simulated_image.shape)}"
         )
+    _validate.one_device(image=image, simulated_image=simulated_image)
     dtype = torch.promote_types(image.dtype, simulated_image.dtype)
     return image.to(dtype), simulated_image.to(dtype)

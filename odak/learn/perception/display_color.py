@@ -143,11 +143,7 @@ class display_color_hvs(nn.Module):
         """
         as_pictures("input_image", input_image, len(self.lms_tensor))
         as_pictures("ground_truth", ground_truth, len(self.lms_tensor))
-        if input_image.shape != ground_truth.shape:
-            raise ValueError(
-                f"input_image and ground_truth must have one shape, "
-                f"got {tuple(input_image.shape)} and {tuple(ground_truth.shape)}"
-            )
+        _validate.alike(input_image=input_image, ground_truth=ground_truth)
         stages = [self.second_to_third_stage(self.primaries_to_lms(picture)) for picture in (input_image, ground_truth)]
         return nn.functional.mse_loss(stages[0], stages[1])
 

@@ -41,6 +41,7 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
         raise ValueError(f"{loss_name} ERROR: image and target must have four axes [B, C, H, W], {shapes}")
     if image.shape[1] not in (1, 3):
         raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
+    _validate.one_device(image=image, target=target)
 
 
 def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
@@ -95,10 +96,7 @@ def checked_pair(
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             kind = getattr(value, "dtype", type(value).__name__)
             raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
-    if predictions.shape != targets.shape:
-        raise ValueError(
-            f"predictions and targets must have one shape, got {tuple(predictions.shape)} and {tuple(targets.shape)}"
-        )
+    _validate.alike(predictions=predictions, targets=targets)
     check_values(peak, predictions=predictions, targets=targets)
     dtype = torch.promote_types(predictions.dtype, targets.dtype)
     return predictions.to(dtype), targets.to(dtype)
@@ -145,6 +143,7 @@ def slice_rgbd_targets(
         raise ValueError(
             f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"
         )
+    _validate.one_device(target=target, depth=depth)
     target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
     edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype, depth.device)
     if edges.ndim != 1 or len(edges) < 2 or not (edges[1:] > edges[:-1]).all():

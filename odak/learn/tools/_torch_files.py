@@ -42,8 +42,10 @@ def read_torch_file(path: str | os.PathLike, device: torch.device | str | None =
         if _check(name):
             # Mapped memory cannot grow: a tensor that claims more than there is, is refused before anything is read.
             torch.load(name, map_location=_where_it_is, weights_only=True, mmap=True)
-        found = torch.load(name, map_location=device, weights_only=True)
-        _refuse_hooks(found)
+        # Indices beyond a sparse tensor's size would be followed into other memory when it is used.
+        with torch.sparse.check_sparse_tensor_invariants():
+            found = torch.load(name, map_location=device, weights_only=True)
+        _refuse_odd_tensors(found)
         return found
     except (FileNotFoundError, IsADirectoryError, PermissionError):
         raise
@@ -62,14 +64,18 @@ def _reason(error: Exception) -> str:
     return (str(error) or type(error).__name__).splitlines()[0]
 
 
-def _refuse_hooks(value) -> None:
-    """Raise ValueError for a tensor that brings what is to be called when its gradient is computed."""
+def _refuse_odd_tensors(value) -> None:
+    """Raise ValueError for a tensor that brings code to call with its gradient, or shapes that torch did not check."""
     if isinstance(value, torch.Tensor):
         if value._backward_hooks is not None and value._backward_hooks != {}:
             raise ValueError("it holds a tensor with hooks")
+        if value.is_nested or value.is_quantized:
+            raise ValueError("it holds a nested or a quantized tensor; store plain ones")
+        if any(n < 0 for n in value.shape):
+            raise ValueError(f"it holds a tensor of shape {list(value.shape)}")
     elif isinstance(value, (dict, list, tuple)):
         for inner in value.values() if isinstance(value, dict) else value:
-            _refuse_hooks(inner)
+            _refuse_odd_tensors(inner)
 
 
 def _where_it_is(storage, location):

@@ -107,6 +107,7 @@ class multi_layer_perceptron(torch.nn.Module):
         self.optimizer = torch.optim.Adam(self.parameters(), lr=rate)
         self.loss_function = torch.nn.MSELoss()
         loss = None
+        _validate.one_device(x_values=x_values, y_values=y_values)
         y_values = trainable(floating("y_values", y_values, self.layer_final.weight.dtype))
         for _ in tqdm(
             range(_validate.integer("epochs", epochs)), disable=not _validate.flag("progress", progress), leave=False

@@ -147,6 +147,7 @@ def histogram_loss(
     low, high = _checked_limits(limits)
     soft = _validate.flag("soft", soft)
     frame, ground_truth = _as_batch("frame", frame), _as_batch("ground_truth", ground_truth)
+    _validate.one_device(frame=frame, ground_truth=ground_truth)
     if frame.shape[1] != ground_truth.shape[1]:
         raise ValueError(
             f"frame and ground_truth must have as many channels, got {frame.shape[1]} and {ground_truth.shape[1]}"
@@ -268,10 +269,7 @@ def _same_shape(name, value, other_name, other):
     for key, tensor in ((name, value), (other_name, other)):
         if not isinstance(tensor, torch.Tensor) or tensor.is_complex():
             raise TypeError(f"{key} must be a real tensor, got {getattr(tensor, 'dtype', type(tensor).__name__)}")
-    if value.shape != other.shape:
-        raise ValueError(
-            f"{name} and {other_name} must have one shape, got {tuple(value.shape)} and {tuple(other.shape)}"
-        )
+    _validate.alike(**{name: value, other_name: other})
 
 
 def _histogram(batch, bins, low, high, soft):

@@ -71,6 +71,7 @@ def exposure(
     power = tensor("power", power).to(field.real.dtype)
     if tuple(power.shape) != (field.shape[0], field.shape[2]):
         raise ValueError(f"power must be [{field.shape[0]}, {field.shape[2]}] like field, got {list(power.shape)}")
+    _validate.one_device(field=field, power=power)
     if workspace is not None and not isinstance(workspace, Workspace):
         raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
     return _Exposure.apply(trainable(field.resolve_conj()), trainable(power), one_each, workspace)

@@ -206,14 +206,14 @@ def _checked_picture(image, depth):
         raise ValueError(
             f"target_image must be [C, m, n] and target_depth [m, n], got {tuple(image.shape)} and {tuple(depth.shape)}"
         )
+    _validate.one_device(target_image=image, target_depth=depth)
     if not bool(((depth >= 0) & (depth <= 1)).all()):
         raise ValueError(f"target_depth must be between 0 and 1, got {depth.min().item()} to {depth.max().item()}")
     return image.detach(), depth.detach()
 
 
 def _without_leading_ones(image, target):
-    if image.shape != target.shape:
-        raise ValueError(f"image and target must have one shape, got {tuple(image.shape)} and {tuple(target.shape)}")
+    _validate.alike(image=image, target=target)
     while image.ndim > 2 and len(image) == 1:
         image, target = image[0], target[0]
     return image, target

@@ -188,6 +188,7 @@ class holographic_display(display_volume):
         expected = (len(hologram_phases), self.number_of_channels)
         if tuple(laser_powers.shape) != expected:
             raise ValueError(f"laser_powers must be [frames, colours] = {expected}, got {tuple(laser_powers.shape)}")
+        hologram_phases = hologram_phases.to(self.device)
         field = self._on_grid(_array.cast(self.amplitude, hologram_phases) * unit_phasor(hologram_phases))
         light = intensity(self._propagated(field[:, None, None], self.transfer(slice(None), field.dtype)))
         return light * _array.cast(laser_powers, light).square()[:, None, :, None, None]

@@ -107,11 +107,9 @@ def check_pair(input_image, target_image) -> None:
     for name, image in (("input_image", input_image), ("target_image", target_image)):
         if not isinstance(image, torch.Tensor) or image.is_complex():
             raise TypeError(f"{name} must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
-    if not input_image.ndim or input_image.shape != target_image.shape:
-        raise ValueError(
-            "input_image and target_image must have one shape [colours, rows, columns], got "
-            f"{list(input_image.shape)} and {list(target_image.shape)}"
-        )
+    if not input_image.ndim:
+        raise ValueError("input_image must be [colours, rows, columns], got a number")
+    _validate.alike(input_image=input_image, target_image=target_image)
 
 
 def checked_eyebox(eyebox: dict | None) -> dict:

@@ -179,6 +179,7 @@ class multiplane_hologram_optimizer:
             if not isinstance(image, torch.Tensor) or image.shape[-2:] != self.mask.shape:
                 got = list(image.shape) if isinstance(image, torch.Tensor) else type(image).__name__
                 raise ValueError(f"{name} must be a tensor [..., {', '.join(map(str, self.mask.shape))}], got {got}")
+        _validate.one_device(input_image=input_image, target_image=target_image, mask=self.mask)
         pair = input_image * self.mask, target_image * self.mask
         return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
 

@@ -265,6 +265,7 @@ class propagator(display_volume):
             raise ValueError(f"kernels must be a tensor [planes, colours, rows, columns], got {got}")
         if workspace is not None and not isinstance(workspace, Workspace):
             raise TypeError(f"workspace must be a Workspace or None, got {type(workspace).__name__}")
+        _validate.one_device(holograms=holograms, kernels=kernels)
         if not self._one_source_per_frame:
             return convolve(holograms[frames], kernels, workspace)
         lit = range(self._lit_frames())[frames]
@@ -306,6 +307,7 @@ class propagator(display_volume):
         self._check_holograms(holograms)
         powers = self.get_laser_powers() if powers is None else floating("powers", powers)
         check_shape("powers", powers, "[frames, wavelengths]", (self.number_of_frames, self.number_of_channels))
+        _validate.one_device(holograms=holograms, powers=powers, aperture=self.aperture)
         fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
         powers = powers.to(fields.real.dtype)
         if not self._one_source_per_frame:

@@ -265,12 +265,15 @@ class display_volume(torch.nn.Module):
         if tuple(H.shape[-2:]) != self.padded_shape:
             raise ValueError(f"H must be [..., {self.padded_shape[0]}, {self.padded_shape[1]}], got {tuple(H.shape)}")
         field = self._on_grid(field, "field")
+        _validate.one_device(field=field, H=H)
         _validate.fitting(field=field[..., 0, 0], H=H[..., 0, 0])
         return convolve(field, torch.fft.ifftshift((H * self.aperture).to(field.dtype), dim=(-2, -1)))
 
     def _on_grid(self, field, name: str = "input_field") -> torch.Tensor:
         """Return a complex field on the grid of the fields, zeros between its samples if it has one per pixel."""
         field = _array.to_complex(_validate.image(name, field))
+        if field.device != self.device:
+            raise ValueError(f"{name} must be on the display's device, {self.device}; got {field.device}")
         shape = tuple(field.shape[-2:])
         if shape == self.field_shape:
             return field
