@@ -6,12 +6,12 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import rows_of, shaped, tensor
+from odak.learn._tensors import shaped, tensor
 from odak.learn.tools.camera import PerspectiveCamera
 from odak.learn.wave import gaussian_files
 from odak.learn.wave.complex_gaussians_3d import complex_3d_gaussians
 from odak.learn.wave.gaussian_tiles import Tiling, finer_tiling
-from odak.learn.wave.gaussian_views import camera_rays, checked_camera, chosen, two_sizes
+from odak.learn.wave.gaussian_views import camera_rays, checked_camera, chosen, gaussians_to_draw, two_sizes
 from odak.learn.wave.masks import disc
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.splatting import FAINTEST, composite_gaussians
@@ -172,15 +172,9 @@ class Scene:
             raise ValueError(f"img_size must be (width, height) of pad_size {list(self.pad_size)}, got {img_size}")
         tile_size = two_sizes(tile_size)
         across, down = (min(n if n > 0 else _TILE, size) for n, size in zip(tile_size, (width, height), strict=True))
-        means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = rows_of(
-            means_3D=(means_3D, 3),
-            z_vals=(z_vals,),
-            quats=(quats, 4),
-            scales=(scales, 3),
-            colours=(colours, "C"),
-            phase=(phase, "C"),
-            opacities=(opacities,),
-            plane_probs=(plane_probs, "P"),
+        given = (z_vals, quats, scales, colours, phase, opacities, plane_probs)
+        means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = gaussians_to_draw(
+            "means_3D", means_3D, *given
         )
         wavelengths = self._checked_wavelengths(wavelengths, plane_probs, colours, phase)
         planes = plane_probs.shape[-1]
@@ -252,15 +246,9 @@ class Scene:
         tile_x, tile_y = _validate.whole("tile_x", tile_x), _validate.whole("tile_y", tile_y)
         for name, number in (("px", px), ("py", py)):
             _validate.real(name, number)
-        cam_means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = rows_of(
-            cam_means_3D=(cam_means_3D, 3),
-            z_vals=(z_vals,),
-            quats=(quats, 4),
-            scales=(scales, 3),
-            colours=(colours, "C"),
-            phase=(phase, "C"),
-            opacities=(opacities,),
-            plane_probs=(plane_probs, "P"),
+        given = (z_vals, quats, scales, colours, phase, opacities, plane_probs)
+        cam_means_3D, z_vals, quats, scales, colours, phase, opacities, plane_probs = gaussians_to_draw(
+            "cam_means_3D", cam_means_3D, *given
         )
         _validate.fitting(colours=colours, phase=phase)
         if not plane_probs.shape[1]:

@@ -6,7 +6,7 @@ import torch
 
 from odak import _validate
 from odak._array import is_readable
-from odak.learn._tensors import tensor
+from odak.learn._tensors import rows_of, tensor
 
 
 def checked_camera(camera):
@@ -36,6 +36,30 @@ def chosen(gaussian_indices, count, device) -> torch.Tensor:
     if is_readable(some) and bool(((some < -count) | (some >= count)).any()):
         raise ValueError(f"gaussian_indices must be below {count}, got {some.min().item()} to {some.max().item()}")
     return some
+
+
+def gaussians_to_draw(
+    name: str, means, z_vals, quats, scales, colours, phase, opacities, plane_probs
+) -> list[torch.Tensor]:
+    """Return what Gaussians are drawn from, in one precision, after checking that there is a row for each.
+
+    Parameters
+    ----------
+    name : str
+        What the centres are called.
+    means, z_vals, quats, scales, colours, phase, opacities, plane_probs : torch.Tensor
+        ``[N, 3]``, ``[N]``, ``[N, 4]``, ``[N, 3]``, ``[N, C]``, ``[N, C]``, ``[N]``, ``[N, P]``.
+    """
+    return rows_of(
+        **{name: (means, 3)},
+        z_vals=(z_vals,),
+        quats=(quats, 4),
+        scales=(scales, 3),
+        colours=(colours, "C"),
+        phase=(phase, "C"),
+        opacities=(opacities,),
+        plane_probs=(plane_probs, "P"),
+    )
 
 
 def camera_rays(camera, means_3D):
