@@ -1,6 +1,7 @@
 """Refractive indices of glasses, crystals, plastics, water and air; sources in ``odak/catalog/data/materials.json``."""
 
 import difflib
+import math
 from pathlib import Path
 from typing import Any
 
@@ -124,7 +125,7 @@ def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
     _validate.real("nd", nd, positive=True)
     _validate.real("vd", vd, positive=True)
     apart = {
-        found.name: ((found.nd - nd) / 0.01) ** 2 + (found.vd - vd) ** 2
+        found.name: math.hypot((found.nd - nd) / 0.01, found.vd - vd)
         for found in _catalogue().values()
         if found.nd is not None and found.vd is not None
     }

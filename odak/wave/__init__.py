@@ -51,6 +51,7 @@ __getattr__, __dir__, __all__ = attach(
             "calculate_intensity",
             "calculate_phase",
             "generate_complex_field",
+            "normalize_phase",
             "produce_phase_only_slm_pattern",
             "rayleigh_resolution",
             "rotationspeed",

@@ -37,7 +37,7 @@ def get_propagation_kernel(
     propagation_type : str
         A method that has a transfer function.
     scale : int
-        Samples per pixel, for the impulse-response methods.
+        Samples per pixel, for the impulse-response methods; 1 for the others.
     samples : sequence of int
         Aperture samples of the impulse-response methods, see :func:`odak.wave.propagate_beam`.
     xp, device, dtype : optional
@@ -62,6 +62,7 @@ def get_propagation_kernel(
     _validate.real("distance", distance)
     if method.name in DISTANCE_NEEDED and 0 in _validate.numbers(distance):
         raise ValueError(f"distance must not be zero for {method.name!r}")
+    scale = _validate.integer("scale", scale, minimum=1) if "Impulse Response" in method.name else 1
     grid = make_grid(nu, nv, dx, wavelength, distance, scale, samples, xp=xp, device=device, dtype=dtype)
     return grid.xp.fft.fftshift(method.kernel(grid), axes=(-2, -1))
 

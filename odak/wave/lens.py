@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from odak import _validate
-from odak._array import Array, namespace, phasor, phasor_of_cycles
+from odak._array import Array, is_array, namespace, phasor, phasor_of_cycles
 
 
 def lens_phase(
@@ -109,7 +109,7 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> np.nd
     Parameters
     ----------
     nx, ny : int
-        Columns and rows.
+        Rows and columns.
     k : float
         Wave number in rad/m.
     r : float
@@ -120,12 +120,12 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> np.nd
     Returns
     -------
     numpy.ndarray
-        complex128 ``[ny, nx]``.
+        complex128 ``[nx, ny]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
     _validate.real("r", r, nonzero=True)
-    return phasor(k * squared_radius(nx, ny, dx) / r).T
+    return phasor(k * squared_radius(nx, ny, dx) / r)
 
 
 def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x") -> np.ndarray:
@@ -134,7 +134,7 @@ def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0
     Parameters
     ----------
     nx, ny : int
-        Columns and rows.
+        Rows and columns.
     k : float
         Wave number in rad/m.
     angle : float
@@ -142,21 +142,21 @@ def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0
     dx : float
         Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
     axis : str
-        "x" (along columns) or "y" (along rows).
+        "x" (the phase runs from column to column) or "y" (from row to row).
 
     Returns
     -------
     numpy.ndarray
-        complex128 ``[ny, nx]``.
+        complex128 ``[nx, ny]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
     _validate.real("angle", angle)
     _validate.real("dx", dx, positive=True)
     axis = _validate.one_of("axis", axis, ("x", "y"))
-    x = np.linspace(-nx * dx / 2, nx * dx / 2, nx)[None, :]
-    y = np.linspace(-ny * dx / 2, ny * dx / 2, ny)[:, None]
-    position = np.broadcast_to(x if axis == "x" else y, (ny, nx))
+    x = np.linspace(-ny * dx / 2, ny * dx / 2, ny)[None, :]
+    y = np.linspace(-nx * dx / 2, nx * dx / 2, nx)[:, None]
+    position = np.broadcast_to(x if axis == "x" else y, (nx, ny))
     return phasor(-k * math.sin(math.radians(angle)) * position)
 
 
@@ -200,7 +200,8 @@ def prism_grating(
     _validate.real("k", k)
     _validate.real("dx", dx, positive=True)
     _validate.real("phase_offset", phase_offset)
-    phase = k * math.sin(math.radians(_validate.real("angle", angle))) * line * dx + math.radians(phase_offset)
+    sine = _of_degrees("angle", angle, math.sin)
+    phase = k * sine * line * dx + phase_offset * (math.pi / 180)
     return xp.broadcast_to(phasor(-phase), shape) + 0
 
 
@@ -224,7 +225,7 @@ def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: An
         complex128 ``[nx, ny]``.
     """
     xp = _validate.library("xp", xp)
-    levels = max(2, _validate.integer("levels", levels, minimum=0))
+    levels = max(2, _validate.whole("levels", levels, minimum=-_validate.LONGEST_SIDE))
     line, shape = _line_along(nx, ny, axis, xp)
     falling = max(line.shape) - line
     return xp.broadcast_to(phasor_of_cycles((falling % levels) / levels), shape) + 0
@@ -269,8 +270,16 @@ def linear_grating(
         turned = ((rows + columns) % every + 1) % 2
         return phasor(add * xp.astype(turned, xp.float64), xp.complex64)
     lit = xp.broadcast_to(rows if axis == "x" else columns, (nx, ny)) % every == 0
-    phase = xp.full((nx, ny), float(add), dtype=xp.float64)
+    phase = add * xp.ones((nx, ny), dtype=xp.float64)
     return xp.where(lit, phasor(phase, xp.complex64), xp.zeros((nx, ny), dtype=xp.complex64))
+
+
+def _of_degrees(name, angle, function):
+    """Return a trigonometric function of degrees, with the graph of a tensor."""
+    angle = _validate.real(name, angle)
+    if is_array(angle):
+        return getattr(namespace(angle), function.__name__)(angle * (math.pi / 180))
+    return function(math.radians(angle))
 
 
 def _line_along(nx, ny, axis, xp):

@@ -106,8 +106,6 @@ def _filter_intensity(field, request: Request):
 
 def _sum_rayleigh_sommerfeld(field, request: Request):
     """Return the linear convolution with the sampled kernel, on twice the field's grid."""
-    if isinstance(request.distance, (int, float)) and request.distance == 0:
-        return field
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.kernel_for(field, tf.rayleigh_sommerfeld, size)
     return convolve(field, _masked(kernel, request.aperture, field))
@@ -137,7 +135,7 @@ def _not_far(report: SamplingReport) -> str | None:
 
 def _too_near(report: SamplingReport, limit: float, why: str) -> str | None:
     z = abs(report.distance)
-    return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if z < limit else None
+    return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if 0 < z < limit else None
 
 
 def _not_paraxial(report: SamplingReport) -> str | None:

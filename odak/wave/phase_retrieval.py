@@ -9,6 +9,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._random import uniform
 from odak.wave.propagation import propagate
 from odak.wave.utils import calculate_amplitude, calculate_phase, generate_complex_field
 
@@ -49,8 +50,8 @@ def gerchberg_saxton(
         Propagation type, see :func:`odak.wave.propagate_beam`.
     initial_phase : numpy.ndarray, optional
         Phase ``[rows, columns]`` to start the hologram from; uniform between 0 and π by default.
-    seed : int or numpy.random.Generator, optional
-        Makes the random start reproducible.
+    seed : int or generator, optional
+        Makes the random start reproducible; a generator is NumPy's, or torch's for a tensor.
 
     Returns
     -------
@@ -116,10 +117,10 @@ def _limit(phase, slm_range):
 
 def _starting_phase(target, initial_phase, seed):
     shape = tuple(target.shape)
-    seed = _validate.seed("seed", seed)
+    _validate.seed("seed", seed)
     if initial_phase is None:
-        initial_phase = np.random.default_rng(seed).random(shape) * math.pi
-    elif tuple(_validate.image("initial_phase", initial_phase).shape) != shape:
+        return _array.cast(uniform(shape, seed, target) * math.pi, target)
+    if tuple(_validate.image("initial_phase", initial_phase).shape) != shape:
         raise ValueError(
             f"initial_phase must have the field's shape (each of fields), {shape}, got {tuple(initial_phase.shape)}"
         )

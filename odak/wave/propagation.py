@@ -70,8 +70,12 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] = ()) -> 
     _validate.real("k", k)
     if not (_array.is_readable(k) and _array.is_readable(wavelength)):
         return
-    for number, length in zip(_validate.numbers(k), _validate.numbers(wavelength), strict=False):
-        expected = 2 * _array.numpy_namespace.pi / length
+    numbers, lengths = _validate.numbers(k), _validate.numbers(wavelength)
+    if len(numbers) != len(lengths) and 1 not in (len(numbers), len(lengths)):
+        raise ValueError(f"k must be one number or one for each of {len(lengths)} wavelengths, got {len(numbers)}")
+    count = max(len(numbers), len(lengths))
+    for number, length in zip(*(v * count if len(v) == 1 else v for v in (numbers, lengths)), strict=True):
+        expected = 2 * math.pi / length
         if not abs(number - expected) <= 1e-6 * expected:
             raise ValueError(
                 f"k must be 2π/wavelength = {expected:.9g} for wavelength {length!r}, or None; got {number!r}"
@@ -101,9 +105,11 @@ def _check_method(method, request: Request) -> None:
         raise ValueError(
             f"aperture needs a method with a transfer function on the field's grid, got it with {method.name!r}"
         )
-    several = not isinstance(request.distance, (int, float))
-    needed = method.name in DISTANCE_NEEDED or (method.name == "Rayleigh-Sommerfeld" and several)
-    if needed and _array.is_readable(request.distance) and 0 in _validate.numbers(request.distance):
+    if (
+        method.name in DISTANCE_NEEDED
+        and _array.is_readable(request.distance)
+        and 0 in _validate.numbers(request.distance)
+    ):
         raise ValueError(f"distance must not be zero for {method.name!r}")
 
 

@@ -4,10 +4,9 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from odak import _array, _validate
 from odak._array import Array
+from odak._random import uniform
 from odak.wave.utils import calculate_amplitude
 
 
@@ -52,7 +51,7 @@ def spot_hologram(
         Iterations after which the phases of the spots stay as they are; two thirds of them by default. The weights
         then settle fast: 100 spots after 30 iterations are even to 0.996 instead of 0.95 (Kim et al., Opt. Lett. 44,
         3178 (2019)).
-    seed : int or numpy.random.Generator, optional
+    seed : int or generator, optional
         Makes the random start reproducible.
 
     Returns
@@ -127,7 +126,7 @@ def weighted_gerchberg_saxton(
         Phase of the far field to start from in radians; uniform between 0 and 2π by default.
     fixed_phase_after : int, optional
         Iterations after which the phase of the far field stays as it is, see :func:`spot_hologram`.
-    seed : int or numpy.random.Generator, optional
+    seed : int or generator, optional
         Makes the random start reproducible.
 
     Returns
@@ -262,7 +261,7 @@ def _unit(field):
 
 
 def _starting_phasor(initial_phase, seed, target):
-    seed = _validate.seed("seed", seed)
+    _validate.seed("seed", seed)
     if initial_phase is None:
         return _random_phasor(tuple(target.shape), seed, target)
     if tuple(_validate.image("initial_phase", initial_phase).shape) != tuple(target.shape):
@@ -274,10 +273,7 @@ def _starting_phasor(initial_phase, seed, target):
 
 
 def _random_phasor(shape, seed, like):
-    cycles = np.random.default_rng(_validate.seed("seed", seed)).random(shape)
-    return _array.phasor_of_cycles(
-        _array.cast(cycles, like, _array.namespace(like).float64), _array.complex_dtype(like)
-    )
+    return _array.phasor_of_cycles(uniform(shape, seed, like), _array.complex_dtype(like))
 
 
 def _shares(intensities, wanted):

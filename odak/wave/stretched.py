@@ -7,7 +7,7 @@ goes from one to the other, exactly and without interpolation.
 """
 
 from odak import _array
-from odak.wave.chirp_z import fourier_sum
+from odak.wave.chirp_z import chirp, spread_by_chirp
 from odak.wave.grid import Grid
 from odak.wave.request import Request
 from odak.wave.transfer_functions import plane_wave_transfer
@@ -28,14 +28,20 @@ def _propagate(field, request: Request, oversampling: int):
     rows, columns = field.shape[-2:]
     counts = (oversampling * rows, oversampling * columns)
     grid = request.grid(counts, xp, _array.device_of(field), field.dtype)
-    steps = [_frequency_step(grid, count) for count in counts]
-    spectrum = fourier_sum(field, steps[1] * grid.dx, columns * oversampling, -1, axis=-1)
-    spectrum = fourier_sum(spectrum, steps[0] * grid.dx, rows * oversampling, -1, axis=-2)
-    spectrum = spectrum * _transfer(grid, steps)
-    result = fourier_sum(spectrum, steps[0] * grid.dx, rows, +1, axis=-2)
-    result = fourier_sum(result, steps[1] * grid.dx, columns, +1, axis=-1)
-    area = steps[0] * steps[1] * grid.dx**2
-    return xp.astype(result * xp.astype(area, field.dtype), field.dtype, copy=False)
+    steps = [step * grid.dx for step in _frequency_steps(grid)]
+    into = chirp(field, -steps[0], rows, -2) * chirp(field, -steps[1], columns, -1)
+    spectrum = spread_by_chirp(field * into, -steps[1], counts[1], axis=-1)
+    spectrum = spread_by_chirp(spectrum, -steps[0], counts[0], axis=-2)
+    # The chirps behind the transform to frequencies and before the one back are each other's inverse.
+    spectrum = spectrum * request.kernel_for(field, _transfer, counts)
+    result = spread_by_chirp(spectrum, steps[0], rows, axis=-2)
+    result = spread_by_chirp(result, steps[1], columns, axis=-1)
+    out = xp.conj(into) * xp.astype(steps[0] * steps[1], field.dtype)
+    return xp.astype(result * out, field.dtype, copy=False)
+
+
+def _frequency_steps(grid: Grid):
+    return [_frequency_step(grid, count) for count in grid.shape]
 
 
 def _frequency_step(grid: Grid, count: int):
@@ -48,10 +54,10 @@ def _frequency_step(grid: Grid, count: int):
     return 1 / (count * grid.dx * xp.sqrt(stretch))
 
 
-def _transfer(grid: Grid, steps):
-    """Return the angular-spectrum kernel, centred, at frequencies of pitch `steps`."""
+def _transfer(grid: Grid):
+    """Return the angular-spectrum kernel, centred, at the stretched frequencies."""
     frequencies = []
-    for axis, (count, step) in enumerate(zip(grid.shape, steps, strict=True)):
+    for axis, (count, step) in enumerate(zip(grid.shape, _frequency_steps(grid), strict=True)):
         indices = grid.xp.arange(count, dtype=grid.xp.float64, device=grid.device) - count // 2
         frequencies.append(grid.xp.reshape(indices, (-1, 1) if axis == 0 else (1, -1)) * step)
     return plane_wave_transfer(grid, *frequencies)

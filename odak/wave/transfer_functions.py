@@ -92,10 +92,9 @@ def impulse_response_factors(grid: Grid):
     constant = phasor_of_cycles(axial_cycles(grid) - 0.25, double) / xp.astype(grid.wavelength * grid.distance, double)
     factors = []
     for axis, position in zip((-2, -1), grid.positions(), strict=True):
-        source = _points(grid, grid.samples[2 + axis], grid.dx)
-        target = _points(grid, grid.samples[4 + axis], grid.dx / grid.scale)
+        source, target = _points(grid, grid.samples[2 + axis]), _points(grid, grid.samples[4 + axis]) / grid.scale
         rank = max(position.ndim, grid.wavelength.ndim, grid.distance.ndim)
-        offsets = xp.reshape(target[:, None] - source[None, :], (-1,) + (1,) * rank)
+        offsets = xp.reshape(target[:, None] - source[None, :], (-1,) + (1,) * rank) * grid.dx
         cycles = (position + offsets) ** 2 / (2 * grid.wavelength * grid.distance)
         # Even by symmetry of the two apertures, so the non-negative half says it all.
         mean = xp.sum(phasor_of_cycles(cycles, double), axis=0) / offsets.shape[0]
@@ -103,12 +102,11 @@ def impulse_response_factors(grid: Grid):
     return constant, *factors
 
 
-def _points(grid: Grid, count: int, width):
-    """Return `count` points across an aperture of `width`, its centre alone when there is one."""
+def _points(grid: Grid, count: int):
+    """Return `count` points across an aperture of width one, its centre alone when there is one."""
     if count == 1:
         return grid.xp.zeros(1, dtype=grid.xp.float64, device=grid.device)
-    line = grid.xp.linspace(-0.5, 0.5, count, dtype=grid.xp.float64, device=grid.device)
-    return line * grid.xp.reshape(width, (-1,))[0]
+    return grid.xp.linspace(-0.5, 0.5, count, dtype=grid.xp.float64, device=grid.device)
 
 
 def impulse_response_fresnel(grid: Grid):
@@ -123,15 +121,18 @@ def impulse_response_fresnel(grid: Grid):
 def rayleigh_sommerfeld(grid: Grid):
     """Return the transform of the sampled first Rayleigh–Sommerfeld kernel z·exp(ikr)/(iλr²), times the pixel's area.
 
-    Shen and Wang, Appl. Opt. 45, 1102 (2006). For z < 0 the kernel is the conjugate of the one of |z|.
+    Shen and Wang, Appl. Opt. 45, 1102 (2006). For z < 0 the kernel is the conjugate of the one of |z|; at z = 0 every
+    frequency passes.
     """
     xp = grid.xp
     y, x = grid.positions()
-    r_squared = x**2 + y**2 + grid.distance**2
+    here = grid.distance == 0
+    r_squared = x**2 + y**2 + xp.where(here, grid.dx, grid.distance) ** 2
     cycles = xp.sign(grid.distance) * (xp.sqrt(r_squared) / grid.wavelength - 0.25)
     weight = xp.abs(grid.distance) * grid.dx**2 / (grid.wavelength * r_squared)
     kernel = phasor_of_cycles(cycles, xp.complex128) * xp.astype(weight, xp.complex128)
-    return xp.astype(xp.fft.fftn(grid.unfold(kernel), axes=(-2, -1)), grid.dtype)
+    transfer = xp.astype(xp.fft.fftn(grid.unfold(kernel), axes=(-2, -1)), grid.dtype)
+    return xp.where(here, xp.ones_like(transfer), transfer)
 
 
 def incoherent_angular_spectrum(grid: Grid):

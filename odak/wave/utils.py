@@ -7,6 +7,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._random import uniform
 
 
 def wavenumber(wavelength: float | Array) -> float | Array:
@@ -179,8 +180,8 @@ def add_random_phase(field: Array, seed: Any = None) -> Array:
     ----------
     field : array
         Complex field.
-    seed : int or numpy.random.Generator, optional
-        Makes the result reproducible.
+    seed : int or generator, optional
+        Makes the result reproducible; a generator is NumPy's, or torch's for a tensor.
 
     Returns
     -------
@@ -188,8 +189,7 @@ def add_random_phase(field: Array, seed: Any = None) -> Array:
         Complex field.
     """
     field = _array.to_complex(_validate.array("field", field))
-    phase = np.random.default_rng(_validate.seed("seed", seed)).random(tuple(field.shape)) * math.pi
-    return add_phase(field, _array.cast(phase, field, _array.real_dtype(field)))
+    return add_phase(field, uniform(tuple(field.shape), seed, field) * math.pi)
 
 
 def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, native_wavelength: float) -> float:
@@ -214,6 +214,40 @@ def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, 
         native_range=native_range, working_wavelength=working_wavelength, native_wavelength=native_wavelength
     )
     return native_range / working_wavelength * native_wavelength
+
+
+def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 * math.pi) -> Array:
+    """Return `phase` stretched linearly so that its extremes are `range_min` and `range_max`.
+
+    Parameters
+    ----------
+    phase : array
+        Real, of any shape.
+    range_min, range_max : float
+        Ends of the range, `range_max` the larger.
+
+    Returns
+    -------
+    array
+        Of the same shape; a constant phase becomes the middle of the range.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the range is empty, or the phase is empty or not real.
+    """
+    phase = _phase("phase", phase, None)
+    if 0 in phase.shape:
+        raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
+    _validate.real("range_min", range_min)
+    _validate.real("range_max", range_max)
+    if not range_max > range_min:
+        raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
+    xp = _array.namespace(phase)
+    low, high = xp.min(phase), xp.max(phase)
+    flat = high == low
+    unit = (phase - low) / xp.where(flat, xp.ones_like(high), high - low)
+    return range_min + (range_max - range_min) * xp.where(flat, xp.full_like(unit, 0.5), unit)
 
 
 def produce_phase_only_slm_pattern(

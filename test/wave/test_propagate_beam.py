@@ -4,11 +4,13 @@ import logging
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from physics import gaussian_beam, relative_error
 
 import odak
+from odak.learn import wave as torch_wave
 from odak.tools.matrix import crop_center, zero_pad
 from odak.wave.methods import METHODS
 
@@ -281,8 +283,48 @@ def test_what_a_method_cannot_do_is_refused(field):
     for method in ("Fraunhofer", "ASAS"):
         with pytest.raises(ValueError, match="aperture needs a method with a transfer function"):
             propagate(field, method, aperture=np.ones((12, 15)))
-    with pytest.raises(ValueError, match="distance must not be zero for 'Rayleigh-Sommerfeld'"):
-        odak.wave.propagate_beam(field, None, np.array([0.0, 1e-3]), DX, WAVELENGTH, "RS")
+    with pytest.raises(ValueError, match="scale is for the impulse-response methods only"):
+        propagate(field, "RS", scale=2)
+
+
+@pytest.mark.parametrize("zero", [0.0, np.float32(0), np.zeros(()), torch.zeros(())])
+def test_no_distance_gives_the_field_back(field, zero, caplog):
+    for method in ("RS", "AS", "BLAS", "TR Fresnel"):
+        result = torch_wave.propagate_beam(
+            torch.from_numpy(field), None, zero, DX, WAVELENGTH, method, zero_padding=[False] * 3
+        )
+        np.testing.assert_allclose(result.numpy(), field, atol=1e-14)
+    assert not caplog.records
+
+
+def test_planes_with_and_without_a_distance(field):
+    pair = np.stack([field, field])
+    result = odak.wave.propagate_beam(pair, None, [0.0, 4e-3], DX, WAVELENGTH, "RS")
+    np.testing.assert_allclose(result[0], field, atol=1e-14)
+    np.testing.assert_allclose(result[1], odak.wave.propagate_beam(field, None, 4e-3, DX, WAVELENGTH, "RS"), atol=1e-14)
+
+
+@pytest.mark.parametrize("method", [name for name in NAMES if name != "auto"])
+def test_a_pitch_for_each_field(field, method):
+    pitches, options = [8e-6, 5e-6], {"samples": [3, 2, 4, 3]} if "Impulse" in method else {}
+    pair = np.stack([field, field[::-1]])
+    together = odak.wave.propagate_beam(pair, None, 0.02, pitches, WAVELENGTH, method, **options)
+    for found, one, pitch in zip(together, pair, pitches, strict=True):
+        alone = odak.wave.propagate_beam(one, None, 0.02, pitch, WAVELENGTH, method, **options)
+        np.testing.assert_allclose(found, alone, atol=1e-12 * np.abs(alone).max())
+
+
+@pytest.mark.parametrize(
+    ("k", "wavelength", "complaint"),
+    [
+        (2 * np.pi / 5e-7, [5e-7, 6e-7], "k must be 2π/wavelength = 10471975.5"),
+        (2 * np.pi / np.array([5e-7, 6e-7]), 5e-7, "k must be 2π/wavelength = 12566370.6"),
+        (2 * np.pi / np.array([5e-7, 6e-7, 7e-7]), [5e-7, 6e-7], "k must be one number or one for each of 2"),
+    ],
+)
+def test_every_wave_number_is_compared(field, k, wavelength, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        odak.wave.propagate_beam(np.stack([field] * 2), k, 1e-3, DX, wavelength, "AS")
 
 
 @pytest.mark.parametrize(

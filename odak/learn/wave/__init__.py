@@ -64,6 +64,7 @@ __getattr__, __dir__, __all__ = attach(
         "windows": ("propagate_to_window",),
         "util": (
             "add_phase",
+            "add_random_phase",
             "adjust_phase_only_slm_range",
             "calculate_amplitude",
             "calculate_intensity",
@@ -73,6 +74,8 @@ __getattr__, __dir__, __all__ = attach(
             "generate_complex_field",
             "normalize_phase",
             "produce_phase_only_slm_pattern",
+            "rayleigh_resolution",
+            "rotationspeed",
             "set_amplitude",
             "wavenumber",
         ),

@@ -196,9 +196,12 @@ class ColorHologramLosses:
         self.peak_amplitude.copy_(own / common.clamp_min(torch.finfo(common.dtype).tiny))
 
     def _image_loss(self, images, planes):
-        # Relative to the brightness sought: were targets scaled by it, darkness would be the best image of all.
-        images = images / self.peak_amplitude if self.optimize_peak_amplitude or self._peak != 1 else images
         targets = self.targets[planes]
+        if self.optimize_peak_amplitude:
+            # Relative to the brightness found: were targets scaled by it, darkness would be the best image of all.
+            images = images / self.peak_amplitude
+        elif self._peak != 1:
+            targets = targets * self._peak
         share = len(images) / self.number_of_depth_layers if self.reduction == "mean" else 1
         if self.loss_function is None:
             return share * self.evaluate(images, targets, **self._noise)

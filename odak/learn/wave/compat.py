@@ -2,7 +2,7 @@
 
 import functools
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import torch
 
@@ -34,7 +34,7 @@ def accepts_older_form(function: Callable) -> Callable:
         if not args and own[0] in options:
             args = [options.pop(own[0])]
         resolution = options.pop("resolution", None)
-        if len(args) > 4 and isinstance(args[4], Sequence) and not isinstance(args[4], str):
+        if len(args) > 4 and hasattr(args[4], "__len__") and not isinstance(args[4], str):
             resolution = args.pop(4)
         for old, new in (("dx", "pixel_pitch"), ("iteration_number", "n_iteration")):
             if old in options and old not in own:

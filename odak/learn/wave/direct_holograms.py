@@ -127,7 +127,9 @@ def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
     amplitude = amplitude / amplitude.amax(dim=(-2, -1), keepdim=True).clamp_min(torch.finfo(amplitude.dtype).tiny)
     phase = field.angle()
     phase = phase - phase.mean(dim=(-2, -1), keepdim=True)
-    offset = torch.arccos(amplitude.clamp(max=1))
+    # The slope of arccos is infinite at one, where the brightest pixel is: it takes none, and spoils no other's.
+    dimmer = amplitude < 1
+    offset = torch.where(dimmer, torch.arccos(torch.where(dimmer, amplitude, 0)), 0)
     rows, columns = (torch.arange(n, device=field.device) for n in field.shape[-2:])
     sign = 1 - 2 * ((rows[:, None] + columns[None, :] + 1) % 2)
     return phase + sign * offset

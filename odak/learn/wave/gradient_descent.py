@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 
 from odak import _validate
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, trainable
 from odak.learn.wave.camera_in_the_loop import captured_by, seen
 from odak.learn.wave.compat import accepts_older_form
 from odak.learn.wave.fields import intensity, unit_phasor
@@ -17,6 +17,7 @@ from odak.learn.wave.training import Options, constant, minimise
 
 
 @accepts_older_form
+@torch.inference_mode(False)
 def stochastic_gradient_descent(
     target: torch.Tensor,
     wavelength: float,
@@ -167,7 +168,7 @@ def _checked_target(target) -> torch.Tensor:
     target = target.detach() if target.dtype in (torch.float32, torch.float64) else target.detach().float()
     if not torch.isfinite(target).all() or (target < 0).any():
         raise ValueError("target must be finite intensities of at least 0, got NaN, infinite or negative values")
-    return target
+    return trainable(target)
 
 
 def _starting_phase(target, initial_phase, seed) -> torch.Tensor:

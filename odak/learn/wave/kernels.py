@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import torch
 from array_api_compat import torch as torch_namespace
 
+from odak import _validate
 from odak.learn._tensors import checked_device
 from odak.wave import kernels
 from odak.wave.propagation import sample_counts
@@ -160,7 +161,10 @@ def get_seperable_impulse_response_fresnel_kernel(
         Transfer function H and impulse response h, ``[nu·scale, nv·scale]``, and the factors h_x ``[nv·scale]`` and
         h_y ``[nu·scale]``, all centred; h = exp(ikz)/(iλz)·h_y·h_x.
     """
-    if distance == 0:
+    for name, value in (("dx", dx), ("wavelength", wavelength), ("distance", distance)):
+        if getattr(value, "ndim", 0) or isinstance(value, (list, tuple)):
+            raise ValueError(f"{name} must be one number, got {value!r:.80}")
+    if 0 in _validate.numbers(_validate.real("distance", distance)):
         raise ValueError("distance must not be zero for 'Seperable Impulse Response Fresnel'")
     samples, device = sample_counts(aperture_samples, "aperture_samples"), checked_device("device", device)
     grid = kernels.make_grid(

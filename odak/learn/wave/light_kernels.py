@@ -50,7 +50,7 @@ def get_light_kernels(
     -------
     tuple of torch.Tensor
         Amplitude, phase (0 … 2π) and complex kernel ``[W, D, P, m·s, n·s]``, and parameters ``[W, D, P, m·s, n·s, 5]``
-        (wavelength, distance, pitch, X, Y).
+        (wavelength, distance, pitch, X, Y). All are differentiable in lengths that are tensors.
     """
     kernel_type = _validate.one_of("kernel_type", kernel_type, ("spatial", "fourier"))
     rows, columns = _validate.size("resolution", resolution)
@@ -58,15 +58,14 @@ def get_light_kernels(
     factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
     factor = factor if method and "Impulse Response" in method.name else 1
     device = checked_device("device", device)
-    wavelengths, distances = _lengths("wavelengths", wavelengths, True), _lengths("distances", distances, False)
-    pitches = _lengths("pixel_pitches", pixel_pitches, True)
+    wavelengths = _lengths("wavelengths", wavelengths, True, device)
+    distances = _lengths("distances", distances, False, device)
+    pitches = _lengths("pixel_pitches", pixel_pitches, True, device)
     shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
     kernels = torch.empty(shape, dtype=torch.complex64, device=device)
-    colours = torch.tensor(wavelengths, dtype=torch.float64, device=device)[:, None]
-    depths = torch.tensor(distances, dtype=torch.float64, device=device)
     for index, pitch in enumerate(pitches):
         kernels[:, :, index] = get_propagation_kernel(
-            rows, columns, pitch, colours, depths, device, propagation_type, factor, samples
+            rows, columns, pitch, wavelengths[:, None], distances, device, propagation_type, factor, samples
         )
     if kernel_type == "spatial":
         axes = (-2, -1)
@@ -76,23 +75,23 @@ def get_light_kernels(
     return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
 
 
-def _lengths(name, values, positive) -> list[float]:
+def _lengths(name, values, positive, device) -> torch.Tensor:
+    """Return lengths, float64 ``[n]``, with the graph of those that are tensors."""
     alone = isinstance(values, Real) or getattr(values, "ndim", 1) == 0
     lengths = _validate.several(name, [values] if alone else values, positive=positive)
     if not lengths:
         raise ValueError(f"{name} must hold at least one length, got none")
-    return _validate.numbers(lengths)
+    return torch.stack([tensor(name, length, torch.float64, device).reshape(()) for length in lengths])
 
 
 def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> torch.Tensor:
     """Return wavelength, distance, pitch, X and Y of every sample, ``[W, D, P, m·s, n·s, 5]``."""
     parameters = torch.empty((*shape, 5), device=device)
     for axis, values in enumerate((wavelengths, distances, pitches)):
-        column = torch.tensor(values, device=device)
-        parameters[..., axis] = column.reshape(-1, *(1,) * (4 - axis))
+        parameters[..., axis] = values.reshape(-1, *(1,) * (4 - axis))
     for index, pitch in enumerate(pitches):
         x, y = (
-            torch.linspace(-(n // 2) * pitch, n // 2 * pitch, count, device=device)
+            pitch * torch.linspace(-(n // 2), n // 2, count, dtype=torch.float64, device=device)
             for n, count in zip(resolution, shape[-2:], strict=True)
         )
         parameters[:, :, index, ..., 3] = x[:, None]

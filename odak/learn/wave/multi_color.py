@@ -54,7 +54,8 @@ class multi_color_hologram_optimizer(ColorHologramLosses):
         Brightness of the targets, in units of what a source of power one gives where light is spread evenly. The light
         loss pulls the sum of all source amplitudes to F times that.
     optimize_peak_amplitude : bool
-        Leave the targets' brightness free: in each iteration it is the one at which the images are closest to them.
+        Leave the targets' brightness free: in each iteration it is the one at which the images are closest to them, and
+        the loss is that of the images divided by it.
     img_loss_thres : float
         Taken for the sake of older callers, and not used.
     reduction : {"sum", "mean"}

@@ -21,7 +21,7 @@ def gerchberg_saxton(
     slm_range: float = 6.28,
     propagation_type: str = "Transfer Function Fresnel",
     initial_phase: torch.Tensor | None = None,
-    seed: int | None = None,
+    seed: int | torch.Generator | None = None,
     progress: bool = False,
     callback: Callable | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -48,8 +48,8 @@ def gerchberg_saxton(
         Propagation type, see :func:`odak.learn.wave.propagate_beam`.
     initial_phase : torch.Tensor, optional
         Phase to start the hologram from; uniform between 0 and π by default.
-    seed : int, optional
-        Makes the random start reproducible.
+    seed : int or torch.Generator, optional
+        Makes the random start reproducible; by default torch's generator draws it.
     progress : bool
         Show a progress bar.
     callback : callable, optional

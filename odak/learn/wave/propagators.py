@@ -139,10 +139,10 @@ class propagator(display_volume):
         layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
         for name, length in (
             *(("back_and_forth_distance", back_and_forth_distance), ("volume_depth", volume_depth)),
-            *(("image_location_offset", image_location_offset), ("vaccination_scale", vaccination_scale)),
+            ("image_location_offset", image_location_offset),
         ):
             _validate.real(name, length)
-        vaccination, device = _validate.flag("vaccination", vaccination), checked_device("device", device)
+        device = checked_device("device", device)
         _validate.function_or_none("slm", slm)
         super().__init__(
             resolution,
@@ -155,7 +155,8 @@ class propagator(display_volume):
             resolution_factor=resolution_factor,
             samples_per_pixel=int(getattr(slm, "samples_per_pixel", 1)),
             aperture_samples=aperture_samples,
-            vaccination=vaccination_scale if vaccination else 0.0,
+            vaccination=vaccination,
+            vaccination_scale=vaccination_scale,
             seed=seed,
             memory_budget=memory_budget,
         )
@@ -193,7 +194,10 @@ class propagator(display_volume):
 
     def get_laser_powers(self) -> torch.Tensor:
         """Return the amplitudes of the sources ``[F, C]``: the channel powers, or |cos| of them for "multi-color"."""
-        return self.channel_power.cos().abs() if self.method.endswith("multi-color") else self.channel_power
+        return self.channel_power.cos().abs() if self._learns_powers() else self.channel_power
+
+    def _learns_powers(self) -> bool:
+        return power_method(self.method).endswith("multi-color")
 
     def set_laser_powers(self, laser_power: torch.Tensor) -> None:
         """Set the channel powers ``[F, C]``, from which :meth:`get_laser_powers` makes the amplitudes of the sources.
@@ -206,7 +210,7 @@ class propagator(display_volume):
         self._set_powers(laser_power, "laser_power")
 
     def _set_powers(self, power, name):
-        amplitudes = not self.method.endswith("multi-color")
+        amplitudes = not self._learns_powers()
         power = checked_powers(name, power, (self.number_of_frames, self.number_of_channels), amplitudes)
         self.channel_power = power.to(self.device)
         self._one_source_per_frame = amplitudes and not power.requires_grad and is_diagonal(power)

@@ -1,25 +1,28 @@
 """Amplitude, phase and patterns of fields as tensors."""
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
 from odak import _array, _validate
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, tensor
 from odak.wave import utils
 from odak.wave.double_phase import compose_double_phase, decompose_double_phase
 from odak.wave.utils import (
     add_phase,
+    add_random_phase,
     adjust_phase_only_slm_range,
     calculate_amplitude,
     calculate_intensity,
     calculate_phase,
-    wavenumber,
+    rayleigh_resolution,
 )
 
 __all__ = [
     "add_phase",
+    "add_random_phase",
     "adjust_phase_only_slm_range",
     "calculate_amplitude",
     "calculate_intensity",
@@ -29,9 +32,33 @@ __all__ = [
     "generate_complex_field",
     "normalize_phase",
     "produce_phase_only_slm_pattern",
+    "rayleigh_resolution",
+    "rotationspeed",
     "set_amplitude",
     "wavenumber",
 ]
+
+
+def wavenumber(wavelength: float | Sequence[float] | torch.Tensor) -> float | torch.Tensor:
+    """Return the wave number 2π/λ of a number, or a tensor of a tensor or a list; see :func:`odak.wave.wavenumber`."""
+    return utils.wavenumber(_tensor_of("wavelength", wavelength))
+
+
+def rotationspeed(
+    wavelength: float | Sequence[float] | torch.Tensor, c: float | torch.Tensor = 3 * 10**11
+) -> float | torch.Tensor:
+    """Return the angular frequency ω = 2πc/λ; see :func:`odak.wave.rotationspeed`."""
+    return utils.rotationspeed(_tensor_of("wavelength", wavelength), c)
+
+
+def _tensor_of(name, value):
+    """Return a list of numbers as a tensor, anything else as it is."""
+    return tensor(name, value, torch.float64) if isinstance(value, (list, tuple)) else value
+
+
+def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: float = 2 * math.pi) -> torch.Tensor:
+    """Return `phase` stretched to a range; see :func:`odak.wave.normalize_phase`. Numbers become a tensor."""
+    return utils.normalize_phase(floating("phase", phase), range_min, range_max)
 
 
 def generate_complex_field(amplitude: float | torch.Tensor, phase: float | torch.Tensor) -> torch.Tensor:
@@ -71,39 +98,6 @@ def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch
     if _array.is_array(amplitude):
         _validate.fitting(field=field, amplitude=amplitude)
     return generate_complex_field(amplitude, calculate_phase(field))
-
-
-def normalize_phase(phase: torch.Tensor, range_min: float = 0.0, range_max: float = 2 * math.pi) -> torch.Tensor:
-    """Return `phase` stretched linearly so that its extremes are `range_min` and `range_max`.
-
-    Parameters
-    ----------
-    phase : torch.Tensor
-        Real, of any shape.
-    range_min, range_max : float
-        Ends of the range, `range_max` the larger.
-
-    Returns
-    -------
-    torch.Tensor
-        Of the same shape; a constant phase becomes the middle of the range.
-
-    Raises
-    ------
-    ValueError
-        If the range is empty.
-    """
-    phase = floating("phase", phase)
-    if not phase.numel():
-        raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
-    _validate.real("range_min", range_min)
-    _validate.real("range_max", range_max)
-    if not range_max > range_min:
-        raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
-    low, high = phase.min(), phase.max()
-    flat = high == low
-    unit = (phase - low) / torch.where(flat, torch.ones_like(high), high - low)
-    return range_min + (range_max - range_min) * torch.where(flat, torch.full_like(unit, 0.5), unit)
 
 
 def produce_phase_only_slm_pattern(

@@ -1,6 +1,8 @@
 """The planes of a volume in front of a modulator, and the light that gets to them."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
 
 import torch
 
@@ -41,8 +43,10 @@ class display_volume(torch.nn.Module):
         Points across source and target apertures of the impulse-response methods.
     padding : int
         Factor from the field's size to that of the grid on which light is propagated.
-    vaccination : float
-        Standard deviation in metres of an error added to the distances, drawn anew on each call.
+    vaccination : bool
+        Add an error to the distances, drawn anew on each call.
+    vaccination_scale : float
+        Its standard deviation in metres.
     seed : int, optional
         Makes those draws reproducible.
     memory_budget : int, optional
@@ -50,7 +54,8 @@ class display_volume(torch.nn.Module):
     """
 
     aperture: torch.Tensor
-    _transfer: torch.Tensor | None
+    _transfer: "_Kept | None"
+    _kernels: torch.Tensor | None
 
     def __init__(
         self,
@@ -66,7 +71,8 @@ class display_volume(torch.nn.Module):
         samples_per_pixel: int = 1,
         aperture_samples: Sequence[int] = (20, 20, 5, 5),
         padding: int = 2,
-        vaccination: float = 0.0,
+        vaccination: bool = False,
+        vaccination_scale: float = 0.0,
         seed: int | None = None,
         memory_budget: int | None = None,
     ):
@@ -78,8 +84,8 @@ class display_volume(torch.nn.Module):
         self.number_of_depth_layers = len(distances)
         self.image_location_offset = offset
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
-        self.vaccination = bool(vaccination)
-        self.vaccination_scale = _validate.real("vaccination_scale", vaccination)
+        self.vaccination = _validate.flag("vaccination", vaccination)
+        self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
         self._generator = None
         if seed is not None:
             self._generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
@@ -103,7 +109,7 @@ class display_volume(torch.nn.Module):
 
     def init_kernels(self) -> None:
         """Forget the transfer functions; they are built again when they are needed."""
-        self._transfer = None
+        self._transfer = self._kernels = None
 
     def _apply(self, function, recurse: bool = True):
         self.init_kernels()
@@ -151,17 +157,26 @@ class display_volume(torch.nn.Module):
 
     @property
     def kernels(self) -> torch.Tensor:
-        """Transfer functions without the aperture, complex64 ``[D, C, 2ms, 2ns]``, centred; computed on each access."""
-        kernels = stack(
-            self._path, self.padded_shape, self.wavelengths, self._net_distances(), self.device, torch.complex64
-        )
-        return torch.fft.fftshift(kernels, dim=(-2, -1))
+        """Transfer functions without the aperture, complex64 ``[D, C, 2ms, 2ns]``, centred.
+
+        They are kept as those of :meth:`transfer` are.
+        """
+        if self._kernels is not None:
+            return self._kernels
+        with nullcontext() if self._is_traced(self._distances) else torch.inference_mode(False):
+            kernels = stack(
+                self._path, self.padded_shape, self.wavelengths, self._net_distances(), self.device, torch.complex64
+            )
+            kernels = torch.fft.fftshift(kernels, dim=(-2, -1))
+        if self._may_keep(torch.complex64) and not self._is_traced(self._distances):
+            self._kernels = kernels
+        return kernels
 
     @property
     def generated_kernels(self) -> torch.Tensor:
         """Whether the transfer function of each plane and colour is at hand, ``[D, C]``."""
-        shape = (self.number_of_depth_layers, self.number_of_channels)
-        return torch.full(shape, self._transfer is not None, device=self.device)
+        built = [False] * self.number_of_depth_layers if self._transfer is None else self._transfer.built
+        return torch.tensor(built, device=self.device)[:, None].repeat(1, self.number_of_channels)
 
     def get_kernels(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return amplitude and phase of the impulse responses: the centred inverse transforms of :attr:`kernels`."""
@@ -192,28 +207,43 @@ class display_volume(torch.nn.Module):
         if self.vaccination:
             error = torch.randn(distances.shape, generator=self._generator, dtype=torch.float64)
             distances = distances + self.vaccination_scale * error
-        traced = any(_array.is_traced(value) for value in (distances, *self.wavelengths))
-        shape, aperture = self.padded_shape, torch.fft.ifftshift(self.aperture)
-        if traced:
-            return aperture * stack(self._path, shape, self.wavelengths, distances[planes], self.device, dtype)
+        if self._is_traced(distances):
+            kernels = stack(self._path, self.padded_shape, self.wavelengths, distances[planes], self.device, dtype)
+            return torch.fft.ifftshift(self.aperture) * kernels
         if self.vaccination or not self._may_keep(dtype):
-            return self._filled(distances[planes], aperture, dtype)
-        if self._transfer is None or self._transfer.dtype != dtype:
-            self._transfer = self._filled(distances, aperture, dtype)
-        return self._transfer[planes]
+            return self._fill(self._empty(len(distances[planes]), dtype), distances[planes])
+        return self._kept(planes, distances, dtype)
+
+    def _is_traced(self, distances) -> bool:
+        return any(_array.is_traced(value) for value in (distances, self.pixel_pitch, *self.wavelengths))
+
+    def _kept(self, planes: slice, distances, dtype) -> torch.Tensor:
+        """Return the transfer functions of some planes, those built that were not yet."""
+        kept = self._transfer
+        if kept is None or kept.kernels.dtype != dtype or kept.aperture is not self.aperture:
+            count = self.number_of_depth_layers
+            kept = self._transfer = _Kept(self.aperture, self._empty(count, dtype), [False] * count)
+        for plane in range(self.number_of_depth_layers)[planes]:
+            if not kept.built[plane]:
+                # Whole, as another thread may be about the same plane.
+                kept.kernels[plane] = self._fill(self._empty(1, dtype), distances[plane : plane + 1])[0]
+                kept.built[plane] = True
+        return kept.kernels[planes]
 
     def _may_keep(self, dtype) -> bool:
         samples = self.number_of_depth_layers * self.number_of_channels * self.padded_shape[0] * self.padded_shape[1]
         return self.memory_budget is None or samples * dtype.itemsize <= self.memory_budget
 
-    def _filled(self, distances, aperture, dtype) -> torch.Tensor:
+    def _empty(self, planes: int, dtype) -> torch.Tensor:
         rows, columns = self.padded_shape
-        with torch.inference_mode(False), torch.no_grad():
+        with torch.inference_mode(False):
             # Column by column, which is the order that the propagation reads them in.
-            kernels = torch.empty(
-                (len(distances), self.number_of_channels, columns, rows), dtype=dtype, device=self.device
-            ).mT
-            return fill(kernels, self._path, *map(_validate.numbers, (self.wavelengths, distances))).mul_(aperture)
+            return torch.empty((planes, self.number_of_channels, columns, rows), dtype=dtype, device=self.device).mT
+
+    def _fill(self, kernels, distances) -> torch.Tensor:
+        with torch.inference_mode(False), torch.no_grad():
+            fill(kernels, self._path, *map(_validate.numbers, (self.wavelengths, distances)))
+            return kernels.mul_(torch.fft.ifftshift(self.aperture))
 
     def forward(
         self,
@@ -280,6 +310,15 @@ class display_volume(torch.nn.Module):
         if tuple(n * self.resolution_factor for n in shape) == self.field_shape:
             return spread(field, self.resolution_factor)
         raise ValueError(f"{name} must be [..., {self.field_shape[0]}, {self.field_shape[1]}], got {shape}")
+
+
+@dataclass
+class _Kept:
+    """Transfer functions ``[D, C, 2ms, 2ns]`` with an aperture, and which planes of them are built."""
+
+    aperture: torch.Tensor
+    kernels: torch.Tensor
+    built: list[bool]
 
 
 def checked_slice(name: str, value) -> slice:

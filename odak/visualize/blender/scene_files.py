@@ -30,7 +30,8 @@ _BROKEN_ARRAYS = (
     SyntaxError,
     EOFError,
     struct.error,
-    NotImplementedError,
+    # Compression that is not known, and encryption.
+    RuntimeError,
 )
 _KEYS = ("unit", "metres", "wavelength", "objects", "lights", "camera", "background", "start_from", "remove", "render")
 

@@ -5,7 +5,9 @@ import logging
 import numpy as np
 import pytest
 import torch
+from array_api_compat import torch as torch_namespace
 
+import odak
 from odak.learn import wave
 from odak.learn.tools import device
 from odak.learn.wave import solvers
@@ -192,6 +194,15 @@ def test_double_phase_gives_back_the_field_it_encodes():
     assert wave.shift_w_double_phase(phase, 1e-3, DX, WAVELENGTH).isfinite().all()
 
 
+def test_slopes_of_the_double_phase():
+    phase = torch.rand(4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(2), requires_grad=True)
+
+    def encoded(phase):
+        return wave.shift_w_double_phase(phase, 1e-3, DX, WAVELENGTH)
+
+    assert torch.autograd.gradcheck(encoded, phase)
+
+
 def test_normalize_phase():
     phase = torch.tensor([[1.0, 3.0], [2.0, 5.0]])
     torch.testing.assert_close(wave.normalize_phase(phase, -1.0, 1.0), torch.tensor([[-1.0, 0.0], [-0.5, 1.0]]))
@@ -216,6 +227,67 @@ def test_light_kernels():
     assert fine.shape == (2, 3, 1, 12, 16)
     with pytest.raises(ValueError, match="kernel_type"):
         wave.get_light_kernels(*arguments, kernel_type="fourrier")
+
+
+def test_light_kernels_have_slopes():
+    lengths = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (8e-6, 500e-9, 2e-2)]
+    pitch, wavelength, distance = lengths
+    *_, kernel, parameters = wave.get_light_kernels([wavelength], [distance], [pitch], [4, 3], kernel_type="fourier")
+    weights = torch.randn(4, 3, dtype=kernel.dtype, generator=torch.Generator().manual_seed(0))
+    expected = wave.get_propagation_kernel(4, 3, *lengths)
+    found, wanted = (torch.autograd.grad((k * weights).sum().abs(), lengths) for k in (kernel, expected))
+    torch.testing.assert_close(found, wanted)
+    assert torch.autograd.grad(parameters.sum(), pitch)[0].item() == pytest.approx(12)
+
+
+@pytest.mark.parametrize("retrieve", ["gerchberg_saxton", "add_random_phase"])
+def test_what_makes_a_random_start(target, retrieve):
+    def start(seed=None):
+        field = torch.complex(target, torch.zeros(64, 72))
+        if retrieve == "add_random_phase":
+            return wave.add_random_phase(field, seed)
+        return wave.gerchberg_saxton(field, 1, DISTANCE, DX, WAVELENGTH, seed=seed, progress=False)[0]
+
+    starts = []
+    for _ in range(2):
+        torch.manual_seed(1)
+        starts.append((start(), start(3), start(torch.Generator().manual_seed(4))))
+    for first, again in zip(*starts, strict=True):
+        torch.testing.assert_close(first, again, rtol=0, atol=0)
+    assert not torch.equal(starts[0][0], starts[0][1]) and not torch.equal(starts[0][1], starts[0][2])
+    with pytest.raises(TypeError, match="seed must be an integer or a numpy"):
+        odak.wave.add_random_phase(np.ones((2, 2)), torch.Generator())
+
+
+def test_gradient_descent_within_inference_mode(target):
+    arguments = (WAVELENGTH, DISTANCE, DX)
+    plain = wave.stochastic_gradient_descent(target, *arguments, n_iteration=3, seed=0, progress=False)[0]
+    with torch.inference_mode():
+        inside = wave.stochastic_gradient_descent(target.clone(), *arguments, n_iteration=3, seed=0, progress=False)[0]
+    torch.testing.assert_close(inside, plain, rtol=0, atol=0)
+    assert not torch.is_inference_mode_enabled()
+
+
+def test_older_form_takes_a_resolution_of_any_kind(target):
+    for resolution in ([64, 72], np.array([64, 72]), torch.Size([64, 72])):
+        hologram, _ = wave.stochastic_gradient_descent(
+            target, WAVELENGTH, DISTANCE, DX, resolution, "TR Fresnel", 1, progress=False
+        )
+        assert hologram.shape == (64, 72)
+
+
+def test_utilities_on_the_face_of_torch():
+    assert isinstance(wave.wavenumber([5e-7, 6e-7]), torch.Tensor)
+    assert wave.rotationspeed([5e-4]).item() == pytest.approx(2 * np.pi * 3e11 / 5e-4)
+    assert wave.rayleigh_resolution(torch.tensor(5.0)).item() == pytest.approx(1.22 * 0.0005 / 5)
+    angle = torch.tensor(0.7, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda a: odak.wave.prism_grating(3, 4, 1e5, a, 8e-6, xp=torch_namespace), angle)
+    assert wave.prism_grating(3, 4, 1e5, angle, 8e-6).requires_grad
+    for name in ("dx", "wavelength", "distance"):
+        with pytest.raises(ValueError, match=f"{name} must be one number"):
+            wave.get_seperable_impulse_response_fresnel_kernel(
+                4, 4, **{"distance": 1e-3, name: torch.tensor([1e-3] * 2)}
+            )
 
 
 def test_separable_kernel_parts_multiply_to_the_response():

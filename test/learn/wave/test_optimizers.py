@@ -1,5 +1,6 @@
 """Hologram optimizers against each other, against plain autograd, and for what they promise."""
 
+import dataclasses
 import math
 
 import pytest
@@ -211,6 +212,23 @@ def test_free_brightness_is_that_of_the_closest_images():
     assert peak == pytest.approx(best.item(), rel=1e-3)
     fixed = optimizer(method="conventional").optimize(30, {"eyebox": 0}, bits=None)[2].sum(0)
     assert psnr(images, made.targets) > psnr(fixed, made.targets) + 0.2
+
+
+def test_images_are_compared_with_targets_of_the_brightness_asked_for():
+    brightest = []
+
+    def loss(image, target):
+        brightest.append(target.max().item())
+        return (image - target).square().sum()
+
+    made, plain = optimizer(peak_amplitude=1.8), optimizer(peak_amplitude=1.8, loss_function=loss)
+    start = made.propagator.exposures(made.propagator.holograms(made.phase), slice(None), made.channel_power.cos())
+    losses = []
+    made.options = dataclasses.replace(made.options, callback=lambda _, value: losses.append(value.item()))
+    made.gradient_descent(1, {"image": 1.0, "light": 0.0})
+    assert losses[0] == pytest.approx((start - 1.8 * made.targets).square().sum().item(), rel=1e-5)
+    plain.gradient_descent(1)
+    assert max(brightest) == pytest.approx(1.8 * plain.targets.max().item())
 
 
 def test_full_complex_beats_phase_only():

@@ -171,16 +171,15 @@ def test_gradients():
     assert not show.reconstruct(phases).requires_grad
 
 
-def test_gradients_of_distances_and_wavelengths():
+def test_gradients_of_distances_wavelengths_and_pitch():
     phase = torch.rand(4, 5, dtype=torch.float64)
 
-    def images(shift, stretch):
-        show = propagator(
-            [4, 5], [515e-9 * stretch, 473e-9], PITCH, distances=1e-4 * shift, propagator_type="forward"
-        )  # fmt: skip
+    def images(shift, stretch, widening):
+        colours, pitch = [515e-9 * stretch, 473e-9], PITCH * widening
+        show = propagator([4, 5], colours, pitch, distances=1e-4 * shift, propagator_type="forward")
         return show.reconstruct(phase, no_grad=False)
 
-    arguments = [torch.tensor(values, dtype=torch.float64, requires_grad=True) for values in ([1.0, 2.0], 1.0)]
+    arguments = [torch.tensor(values, dtype=torch.float64, requires_grad=True) for values in ([1.0, 2.0], 1.0, 1.0)]
     assert torch.autograd.gradcheck(images, arguments, eps=1e-6, atol=1e-5)
 
 
@@ -194,6 +193,14 @@ def test_vaccination_draws_anew_each_time(phases):
         display().reconstruct(phases),
         rtol=1e-3, atol=1e-4,
     )  # fmt: skip
+
+
+def test_vaccination_may_be_turned_on_later(phases):
+    show = display(vaccination_scale=1e-3, seed=3)
+    assert show.vaccination_scale == 1e-3
+    torch.testing.assert_close(show.reconstruct(phases), show.reconstruct(phases), rtol=0, atol=0)
+    show.vaccination = True
+    assert (show.reconstruct(phases) - show.reconstruct(phases)).abs().max() > 0.1
 
 
 def test_distances_of_one_plane_and_of_many():
@@ -228,6 +235,35 @@ def test_kernels_are_centred_and_their_inverse_is_the_impulse_response():
     window = torch.polar(amplitude, phase)[1, 2, 12:36, 16:48]
     torch.testing.assert_close(window, expected, atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(show.propagate(field, kernels[1, 2]), expected, atol=1e-6, rtol=1e-4)
+
+
+def test_kernels_are_built_once_for_the_planes_that_are_asked_for(phases):
+    show, field = display(number_of_depth_layers=3), wave.unit_phasor(phases[0])
+    assert not show.generated_kernels.any()
+    first = show(field, 1, 2)
+    assert show.generated_kernels.tolist() == [[False] * 3, [False] * 3, [True] * 3]
+    assert show.kernels is show.kernels
+    torch.testing.assert_close(show.reconstruct(phases, get_complex=True)[0, 2, 0], show(field, 0, 2))
+    assert show.generated_kernels.all()
+    torch.testing.assert_close(show(field, 1, 2), first, rtol=0, atol=0)
+    show.init_distances([1e-3, 2e-3])
+    assert not show.generated_kernels.any() and show.kernels.shape[0] == 2
+
+
+def test_another_aperture_is_seen(phases):
+    show, other, field = display(), display(aperture_size=10), wave.unit_phasor(phases[0])
+    show(field, 0, 0)
+    show.aperture = other.aperture
+    torch.testing.assert_close(show(field, 0, 0), other(field, 0, 0), rtol=0, atol=0)
+
+
+def test_methods_of_powers_are_checked_when_they_are_set_later():
+    show = display()
+    show.method = "full_complex multi-color"
+    torch.testing.assert_close(show.get_laser_powers(), torch.eye(3).cos().abs())
+    show.method = "nonsense"
+    with pytest.raises(ValueError, match="method must be one of 'conventional'"):
+        show.get_laser_powers()
 
 
 def test_aperture_is_a_disc_about_zero_frequency(phases):
