@@ -30,9 +30,11 @@ __all__ = ["__version__", "pi", "version_info", *_SUBPACKAGES]
 
 
 def __getattr__(name: str):
-    """Load a subpackage on first use (PEP 562)."""
+    """Load a subpackage, or NumPy as `np`, on first use (PEP 562)."""
     if name in _SUBPACKAGES:
         return importlib.import_module(f"{__name__}.{name}")
+    if name == "np":
+        return importlib.import_module("numpy")
     raise AttributeError(
         f"module {__name__!r} has no attribute {name!r}; its subpackages are {', '.join(_SUBPACKAGES)}"
     )

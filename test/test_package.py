@@ -5,6 +5,7 @@ import pathlib
 import subprocess
 import sys
 
+import numpy
 import pytest
 
 import odak
@@ -80,6 +81,10 @@ def test_import_pulls_in_neither_torch_nor_plotly_nor_writes_a_file(tmp_path):
     code = f"import os, sys; os.chdir({str(tmp_path)!r}); import odak; print(sorted({heavy} & set(sys.modules)))"
     assert run(code).strip() == "[]"
     assert not list(tmp_path.iterdir())
+
+
+def test_numpy_under_its_older_name():
+    assert odak.np is numpy
 
 
 def test_subpackages_load_on_use():

@@ -124,13 +124,14 @@ def nearest_on_lines(start0, direction0, start1, direction1):
 def crossing_of_lines(start0, direction0, start1, direction1):
     """Return how far along each of two lines ``[..., 3]`` they cross, and whether they do, all ``[...]``.
 
-    Lines cross unless they are parallel or pass each other by more than 1e-8 of the distances involved, plus 1e-8 (in
-    float32 by what that can tell).
+    Lines cross unless they are parallel, or pass each other by more than 1e-5 of the distance between their starts plus
+    1e-8 (or by what the precision can tell): directions are often given to seven digits.
     """
     xp = namespace(start0, start1)
     t0, t1 = nearest_on_lines(start0, direction0, start1, direction1)
     gap = start0 + t0[..., None] * direction0 - start1 - t1[..., None] * direction1
-    scale = 1 + xp.abs(t0) + xp.abs(t1) + xp.max(xp.abs(start0 - start1), axis=-1)
+    apart = xp.max(xp.abs(start0 - start1), axis=-1)
+    allowed = 1e-8 + 1e-5 * apart + 4 * epsilon(start0) * (1 + xp.abs(t0) + xp.abs(t1) + apart)
     n = cross(direction0, direction1)
     parallel = dot(n, n) <= (4 * epsilon(start0)) ** 2 * dot(direction0, direction0) * dot(direction1, direction1)
-    return t0, t1, ~(parallel | (xp.max(xp.abs(gap), axis=-1) > max(1e-8, 4 * epsilon(start0)) * scale))
+    return t0, t1, ~(parallel | (xp.max(xp.abs(gap), axis=-1) > allowed))

@@ -199,7 +199,7 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.nda
 
     Notes
     -----
-    Lines count as skew where they pass each other by more than 1e-8 of the distances involved, plus 1e-8.
+    Lines count as skew where they pass each other by more than 1e-5 of the distance between their starts, plus 1e-8.
 
     Examples
     --------

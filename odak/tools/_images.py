@@ -13,7 +13,8 @@ from odak.tools import _deep_colour
 from odak.tools._atomic import replacing
 from odak.tools._paths import extension_of, validate_path
 
-MOST_PIXELS = 178_956_970
+# Where Pillow begins to warn.
+MOST_PIXELS = 89_478_485
 # What any file may promise, and beyond that for each of its bytes. Only blank pages, and bombs, hold more.
 FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10_000
 
@@ -91,7 +92,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     Raises
     ------
     ValueError
-        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 178 megapixels, or
+        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels, or
         more than 16 in less than a byte for each 10 000; the message names the file.
     """
     divisor = float(_validate.real("normalizeby", normalizeby))
@@ -128,7 +129,7 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
     try:
         levels = _read(path)
     except Image.DecompressionBombError as error:
-        raise ValueError(f"Failed to load image {path!r}: more than 178 megapixels are refused ({error})") from error
+        raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
     except Exception as error:
         # On broken files Pillow's decoders raise what they stumble on: OSError, SyntaxError, struct.error, KeyError …
         raise ValueError(f"Failed to load image {path!r}: {error or type(error).__name__}") from error

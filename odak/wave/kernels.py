@@ -62,7 +62,8 @@ def get_propagation_kernel(
     _validate.real("distance", distance)
     if method.name in DISTANCE_NEEDED and 0 in _validate.numbers(distance):
         raise ValueError(f"distance must not be zero for {method.name!r}")
-    scale = _validate.integer("scale", scale, minimum=1) if "Impulse Response" in method.name else 1
+    scale = _validate.integer("scale", scale, minimum=1)
+    scale = scale if "Impulse Response" in method.name else 1
     grid = make_grid(nu, nv, dx, wavelength, distance, scale, samples, xp=xp, device=device, dtype=dtype)
     return grid.xp.fft.fftshift(method.kernel(grid), axes=(-2, -1))
 

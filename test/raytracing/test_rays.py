@@ -12,6 +12,16 @@ numbers = st.floats(-10, 10, allow_nan=False)
 vectors = st.tuples(numbers, numbers, numbers)
 
 
+def test_rays_of_seven_digits_cross():
+    ray0, ray1 = [[0, 0, 0], [0.2672612, 0.5345225, 0.8017837]], [[10, 20, 0], [0, 0, 1]]
+    point, distances = rt.calculate_intersection_of_two_rays(ray0, ray1)
+    np.testing.assert_allclose(point, [10, 20, 30], atol=1e-4)
+    np.testing.assert_allclose(distances, [1400**0.5, 30], atol=1e-4)
+    # A thousandth of the distance between the starts aside.
+    point, distances = rt.calculate_intersection_of_two_rays(ray0, [[10.02, 20, 0], [0, 0, 1]])
+    assert point.tolist() == [0, 0, 0] and distances.tolist() == [0, 0]
+
+
 def test_rays_from_angles_and_points():
     np.testing.assert_allclose(rt.create_ray([1, 2, 3], [90, 60, 30])[1], [0, 0.5, 0.8660254], atol=1e-7)
     assert rt.create_ray([[0, 0, 0]] * 4, [90, 60, 30]).shape == (4, 2, 3)

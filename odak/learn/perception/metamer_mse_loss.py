@@ -11,6 +11,13 @@ from odak.learn.perception.foveation import _point
 from odak.learn.perception.metameric_loss import MetamericLoss
 
 
+def _of_the_metameric_loss(name: str) -> Any:
+    """Return a property that is the attribute of the same name of the loss that makes the statistics."""
+    return property(
+        lambda self: getattr(self.metameric_loss, name), lambda self, value: setattr(self.metameric_loss, name, value)
+    )
+
+
 class MetamerMSELoss(nn.Module):
     """Mean squared distance from one metamer of the target.
 
@@ -23,6 +30,8 @@ class MetamerMSELoss(nn.Module):
 
     Attributes
     ----------
+    alpha, real_image_width, real_viewing_distance, mode, n_pyramid_levels, n_orientations, equi
+        As given; a change counts from the next call on.
     target, target_metamer
         Of the last call; None before.
     metameric_loss : MetamericLoss
@@ -35,6 +44,14 @@ class MetamerMSELoss(nn.Module):
     Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. The metamer is
     kept as long as the same unchanged target comes with the same gaze and parameters.
     """
+
+    alpha = _of_the_metameric_loss("alpha")
+    mode = _of_the_metameric_loss("mode")
+    equi = _of_the_metameric_loss("equi")
+    real_image_width = _of_the_metameric_loss("real_image_width")
+    real_viewing_distance = _of_the_metameric_loss("real_viewing_distance")
+    n_pyramid_levels = _of_the_metameric_loss("n_pyramid_levels")
+    n_orientations = _of_the_metameric_loss("n_orientations")
 
     def __init__(
         self,
@@ -59,9 +76,6 @@ class MetamerMSELoss(nn.Module):
             use_l2_foveal_loss=False,
             equi=equi,
         )
-        self.alpha, self.mode, self.equi = alpha, self.metameric_loss.mode, self.metameric_loss.equi
-        self.real_image_width, self.real_viewing_distance = real_image_width, real_viewing_distance
-        self.n_pyramid_levels, self.n_orientations = n_pyramid_levels, n_orientations
         self.loss_func = nn.MSELoss()
         self.target: Any = None
         self.target_metamer: Any = None

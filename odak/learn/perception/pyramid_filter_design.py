@@ -16,10 +16,10 @@ import numpy as np
 KEPT = ("data", "steerable_pyramid_taps.json")
 # Points per axis of the grid of frequencies on which the responses are asked for.
 GRID = 24
-FOOT = 0.3
+FOOT = 0.55
 # How much an ideal response counts beside one of flatness. Less: flatter, but less like the ideal; see the notes.
-PULL, BAND_PULL, SINGLE_PULL = 0.01, 0.1, 0.03
-ALIASING, SUMS, FLOOR = 3.0, 100.0, 0.01
+PULL, BAND_PULL = 0.1, 0.2
+ALIASING, SUMS, FLOOR, SPLIT = 3.0, 100.0, 0.01, 0.3
 STEPS, TOLERANCE, DAMPING = 100, 1e-6, 1e-9
 
 
@@ -76,7 +76,7 @@ def steering(n_orientations: int, angles: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool = False) -> dict[str, np.ndarray]:
+def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
     """Return filters whose pyramid reconstructs a picture nearly perfectly.
 
     Parameters
@@ -85,9 +85,6 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool
         Number K ≥ 1 of orientations.
     sizes : tuple of int
         Odd sizes of the low-pass "l", the first low-pass "l0", the high-pass residual "h0" and the bands.
-
-    bilinear : bool
-        For pyramids that halve by 2 × 2 means and enlarge bilinearly; "l" then is not theirs.
 
     Returns
     -------
@@ -98,18 +95,19 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool
     Notes
     -----
     Starts from the linear least-squares fit to the ideal responses of Portilla and Simoncelli (2000). Minimised
-    together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4), that of the inner sum as the next level sees it,
-    the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the ideal responses.
+    together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4) and of H₀² + L₀², that of the inner sum as the next
+    level sees it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the
+    ideal responses.
     """
-    problem = _Problem(n_orientations, sizes, bilinear)
-    kept = _kept().get(_key(n_orientations, sizes, bilinear))
+    problem = _Problem(n_orientations, sizes)
+    kept = _kept().get(_key(n_orientations, sizes))
     filters = problem.filters(_descend(problem) if kept is None else np.array(kept))
     for value in filters.values():
         value.setflags(write=False)
     return filters
 
 
-def keep(banks: list[tuple[int, tuple[int, int, int, int], bool]], path: Path) -> None:
+def keep(banks: list[tuple[int, tuple[int, int, int, int]]], path: Path) -> None:
     """Write the taps of designs to a file, from which :func:`design` takes them without designing them again.
 
     Parameters
@@ -128,8 +126,8 @@ def _kept():
     return json.loads(resources.files("odak.learn.perception").joinpath(*KEPT).read_text(encoding="utf-8"))
 
 
-def _key(n_orientations, sizes, bilinear):
-    return f"{n_orientations} {' '.join(map(str, sizes))}{' bilinear' if bilinear else ''}"
+def _key(n_orientations, sizes):
+    return f"{n_orientations} {' '.join(map(str, sizes))}"
 
 
 def _descend(problem) -> np.ndarray:
@@ -162,8 +160,8 @@ def orientations(n_orientations: int) -> np.ndarray:
 class _Problem:
     """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
 
-    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool) -> None:
-        self.count, self.bilinear = n_orientations, bilinear
+    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int]) -> None:
+        self.count = n_orientations
         axis = np.linspace(0, math.pi, GRID)
         self.x, self.y = np.meshgrid(axis, axis, indexing="xy")
         self.parts = self._parts(sizes)
@@ -244,31 +242,33 @@ class _Problem:
         for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
             slope[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
         # A coarser level sees what the low-pass leaves at half the frequency.
-        passed, passed_slope = self._passed(taps, self.halved, 0.5)
+        passed, passed_slope = self._passed(taps, self.halved)
         deep = passed * (inner - 1)
         deep_slope = passed[:, None] * inner_slope
         deep_slope[:, self.slices[0]] += (inner - 1)[:, None] * passed_slope
-        aliasing = self._aliasing(taps)
-        rows = [(flat / GRID, slope / GRID), (deep / GRID, deep_slope / GRID), aliasing]
+        # Where small bands hold nothing, at one-pixel stripes, the first low-pass would be free to let them through.
+        split = high0**2 + low0**2 - 1
+        split_slope = np.zeros_like(slope)
+        for gain, index in ((2 * low0, 1), (2 * high0, 2)):
+            split_slope[:, self.slices[index]] = gain[:, None] * self.parts[index][1]
+        scale = SPLIT / GRID
+        rows = [(flat / GRID, slope / GRID), (deep / GRID, deep_slope / GRID), (scale * split, scale * split_slope)]
+        rows.append(self._aliasing(taps))
         return np.concatenate([r for r, _ in rows]), np.concatenate([j for _, j in rows])
 
     def _inner(self, taps):
         """Return Σₖ|Bₖ|² + L²/4 and its slope: what the bands and the low-pass of one level hold together."""
         products, sources = self.products(taps)
         mixed = self.power @ products
-        passed, passed_slope = self._passed(taps, self.parts[0][1], 1.0)
+        passed, passed_slope = self._passed(taps, self.parts[0][1])
         slope = np.zeros((passed.size, self.length))
         slope[:, self.slices[0]] = passed_slope
         for row, (where, response) in zip(mixed, sources, strict=True):
             slope[:, where] += 2 * row[:, None] * response
         return (products * mixed).sum(0) + passed, slope
 
-    def _passed(self, taps, response, scale):
-        """Return L²/4 at the grid's frequencies times a scale, and its slope in the taps of L."""
-        if self.bilinear:
-            # A mean of two pixels passes cos(ω/2), and a bilinear enlargement cos³(ω/2).
-            power = (np.cos(scale * self.x / 2) * np.cos(scale * self.y / 2)) ** 4
-            return power.ravel(), np.zeros_like(response)
+    def _passed(self, taps, response):
+        """Return L²/4 where a response was taken, and its slope in the taps of L."""
         low = response @ taps[self.slices[0]]
         return low**2 / 4, (low / 2)[:, None] * response
 
@@ -294,9 +294,7 @@ class _Problem:
     def _quadratic(self):
         normal, pulled, constant = DAMPING * np.eye(self.length), np.zeros(self.length), 0.0
         sums = [2.0, 1.0, *[0.0] * (len(self.parts) - 2)]
-        # A single band has no tuning to keep.
-        band_pull = BAND_PULL if self.count > 1 else SINGLE_PULL
-        pulls = [PULL, PULL, PULL, *[band_pull] * (len(self.parts) - 3)]
+        pulls = [PULL, PULL, PULL, *[BAND_PULL] * (len(self.parts) - 3)]
         for part, (basis, response, ideal) in enumerate(self.parts):
             where, row = self.slices[part], SUMS * basis.sum((1, 2))
             weighted = (pulls[part] / GRID) ** 2 * (response * self.relevance(part)[:, None]).T

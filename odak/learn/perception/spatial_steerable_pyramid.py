@@ -62,8 +62,8 @@ class SpatialSteerablePyramid(nn.Module):
     Parameters
     ----------
     use_bilinear_downup : bool
-        Halve by 2 × 2 means and enlarge bilinearly: fast, good for smooth pictures, with a bank designed for it; fine
-        detail comes back with aliasing. Otherwise filter and take every second pixel: nearly perfect reconstruction,
+        Halve by 2 × 2 means and enlarge bilinearly: fast, good for smooth pictures; fine detail comes back with
+        aliasing. Otherwise filter and take every second pixel: nearly perfect reconstruction,
         and each level's mean is twice the last one's.
     n_channels : int
         Channels of the pictures.
@@ -219,14 +219,14 @@ class SpatialSteerablePyramid(nn.Module):
     def _build(self, dtype, device) -> None:
         options: dict[str, Any] = {"dtype": dtype, "device": device}
         arguments = (self.filter_size, self.n_orientations, self.filter_type)
-        filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
+        filters = get_steerable_pyramid_filters(*arguments, **options)
         # Whatever mode the caller is in, the filters must serve gradients later.
         with torch.inference_mode(False):
             for name in ("h0", "l0") if self.use_bilinear_downup else ("h0", "l0", "l"):
                 self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
             bands = torch.cat(filters["b"])
             self._set("_bands", bands.repeat(self.n_channels, 1, 1, 1))
-            mixing, parts = _unsteered(*arguments, self.use_bilinear_downup)
+            mixing, parts = _unsteered(*arguments)
             self._set("_mixing", torch.tensor(mixing, **options))
             self._set("_parts", torch.tensor(parts, **options)[None].repeat(self.n_channels, 1, 1, 1).flip(2, 3))
 
@@ -250,11 +250,13 @@ class SpatialSteerablePyramid(nn.Module):
             raise ValueError(
                 f"image must be [B, C, H, W] with C = n_channels = {self.n_channels}, got {tuple(image.shape)}"
             )
-        side = min(image.shape[-2:])
-        reach = max(self._bands.shape[-1], self.filt_h0.shape[-1], self.filt_l0.shape[-1]) // 2
-        widest = 0 if self.use_bilinear_downup else self.filt_l.shape[-1] // 2
-        smallest = (max(reach, widest) + 1) << (n_levels - 2)
-        if side < smallest:
+        # A side has to be longer than a filter reaches, where the filter is used: the first ones at full size, the
+        # others down to the last level that has bands.
+        first, others = [self.filt_h0, self.filt_l0], [self._bands]
+        others += [] if self.use_bilinear_downup else [self.filt_l]
+        needed = [max(taps.shape[-1] // 2 + 1 for taps in some) for some in (first, others)]
+        smallest = max(needed[0], needed[1] << (n_levels - 2))
+        if min(image.shape[-2:]) < smallest:
             raise ValueError(
                 f"image must have sides of at least {smallest} for {n_levels} levels, got {tuple(image.shape[-2:])}"
             )
@@ -301,13 +303,13 @@ class SpatialSteerablePyramid(nn.Module):
 
 
 @functools.lru_cache(maxsize=64)
-def _unsteered(size, count, kind, bilinear):
+def _unsteered(size, count, kind):
     """Return the matrix ``[K, K]`` and the filters ``[K, k, k]`` that turn bands into parts of one symmetry and back.
 
     With filters b = S·m of parts m, Σₖ b̃ₖ∗yₖ = Σᵢ m̃ᵢ∗(Sᵀ·y)ᵢ for any bands y and transposed filters b̃, m̃: the
     matrix is Sᵀ.
     """
-    bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
+    bands = get_steerable_pyramid_filters(size, count, kind, dtype=torch.float64)["b"]
     shares = steering(count, orientations(count))
     parts = np.linalg.solve(shares, torch.cat(bands)[:, 0].numpy().reshape(count, -1))
     return shares.T, parts.reshape(count, *bands[0].shape[-2:])

@@ -24,7 +24,6 @@ def get_steerable_pyramid_filters(
     n_orientations: int,
     filter_type: str,
     *,
-    bilinear: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> dict[str, Any]:
@@ -40,8 +39,6 @@ def get_steerable_pyramid_filters(
         "full": sizes at which the pyramid reconstructs best; "cropped": designed at the smaller sizes that cropping to
         `size` would give, and so an order of magnitude flatter than cut filters; "trained": the cropped bank of size 5
         with two small derivative kernels as bands (K = 2 only).
-    bilinear : bool
-        Design the bank for pyramids that halve by 2 × 2 means and enlarge bilinearly.
     dtype : torch.dtype
         Precision of the taps.
     device : torch.device, optional
@@ -63,14 +60,14 @@ def get_steerable_pyramid_filters(
     Notes
     -----
     Designed by :func:`odak.learn.perception.pyramid_filter_design.design` on first use (under a second) and kept.
-    Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.01 for K = 1, 2, 3, 4, 6.
+    Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.025 for K = 1, 2, 3, 4, 6.
     """
     count = _validate.integer("n_orientations", n_orientations, minimum=1)
     kind = _validate.one_of("filter_type", filter_type, FILTER_TYPES)
     sizes = FULL_SIZES.get(count, OTHER_FULL_SIZES)
     if kind != "full":
         sizes = _cropped_sizes(size, sizes)
-    bank = pyramid_filter_design.design(count, sizes, _validate.flag("bilinear", bilinear))
+    bank = pyramid_filter_design.design(count, sizes)
     bands = bank["b"]
     if kind == "trained":
         bands = _trained(size, count)
@@ -93,7 +90,7 @@ def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[s
     Returns
     -------
     dict
-        New tensors. The low-passes keep their sums, the bands have a mean of zero; "h0" is only cut.
+        New tensors. The low-passes keep their sums; the bands and "h0" have a mean of zero.
 
     Raises
     ------
@@ -109,11 +106,12 @@ def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[s
     if not isinstance(filters, dict) or not {"l", "l0", "h0", "b"} <= set(filters):
         raise TypeError(f"filters must be a dictionary with 'l', 'l0', 'h0' and 'b', got {type(filters).__name__}")
     low = {name: _middle(filters[name], wide) for name, wide in (("l", CROPPED_LOW), ("l0", CROPPED_LOW0))}
-    bands = [_middle(band, size) for band in filters["b"]]
+    high = [_middle(taps, size) for taps in (filters["h0"], *filters["b"])]
+    residual, *bands = [taps - taps.mean() for taps in high]
     return {
         **{name: value * (filters[name].sum() / value.sum()) for name, value in low.items()},
-        "h0": _middle(filters["h0"], size).clone(),
-        "b": [band - band.mean() for band in bands],
+        "h0": residual,
+        "b": bands,
     }
 
 

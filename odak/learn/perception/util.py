@@ -10,8 +10,8 @@ from odak.learn.tools.matrix import blur_gaussian
 
 __all__ = ["blur_gaussian", "check_loss_inputs", "check_values", "checked_pair", "slice_rgbd_targets"]
 
-# Values are meant to be in 0 … 1; an optimizer may stray, 8-bit values may not.
-LOWEST, HIGHEST = -10.0, 11.0
+# Values are meant to be in 0 … 1; an optimizer may stray, and so may speckle; 8-bit values may not.
+FARTHEST = 100.0
 
 
 def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor) -> None:
@@ -57,7 +57,7 @@ def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
     Raises
     ------
     ValueError, TypeError
-        If a value is not finite, or below −10 or above 11 times the peak; or the peak is not positive.
+        If a value is not finite, or beyond ±100 times the peak; or the peak is not positive.
     """
     _validate.number("peak", peak, positive=True)
     for name, picture in pictures.items():
@@ -66,7 +66,7 @@ def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
         if not picture.numel() or not _array.is_readable(picture):
             continue
         low, high = (float(value) for value in torch.aminmax(picture.detach()))
-        if not (low >= LOWEST * peak and high <= HIGHEST * peak):
+        if not (low >= -FARTHEST * peak and high <= FARTHEST * peak):
             raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
 
 

@@ -1,7 +1,5 @@
 """A height map as a mesh of triangles, differentiable in its heights."""
 
-import io
-import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,9 +10,8 @@ from odak.learn._tensors import checked_device, trainable
 from odak.learn.raytracing import arguments
 from odak.learn.raytracing.boundary import reflect
 from odak.learn.raytracing.triangles import triangle_mesh
-from odak.tools import _ply
-from odak.tools._atomic import replacing
-from odak.tools._paths import _text
+from odak.learn.tools.file import save_torch_tensor
+from odak.tools.asset import write_PLY
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 __all__ = ["planar_mesh"]
@@ -151,16 +148,12 @@ class planar_mesh:
         return reflect(rays[self.ray_indices], normals), normals
 
     def save_heights(self, filename: str = "heights.pt") -> None:
-        """Write the heights with torch.save, without their graph; the file appears whole or not at all."""
-        with replacing(os.path.expanduser(_text("filename", filename))) as stream:
-            buffer = io.BytesIO()
-            torch.save(self.heights.detach().clone(), buffer)
-            stream.write(buffer.getvalue())
+        """Write the heights to a ``.pt`` or ``.pth`` file, without their graph; it appears whole or not at all."""
+        save_torch_tensor(filename, self.heights.detach().clone())
 
     def save_heights_as_PLY(self, filename: str = "mesh.ply") -> None:
         """Write the triangles in space as a PLY text file, three vertices each."""
-        corners = self.get_triangles().detach().cpu().reshape(-1, 3)
-        _ply.write_mesh(filename, corners.numpy(), torch.arange(len(corners)).reshape(-1, 3).numpy(), text=True)
+        write_PLY(self.get_triangles().detach().cpu().numpy(), filename)
 
     def _vertices(self) -> torch.Tensor:
         points = self.get_squares().reshape(-1, 3)

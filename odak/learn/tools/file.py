@@ -78,7 +78,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
     Raises
     ------
     ValueError
-        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 178 megapixels.
+        If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels.
     """
     levels = _images.read_levels(fn, torch_style)
     divisor = _images.white_level(levels) if normalizeby is None else float(_validate.real("normalizeby", normalizeby))

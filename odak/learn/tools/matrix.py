@@ -68,7 +68,7 @@ def crop_center(field: torch.Tensor, size: Sequence[int] | None = None) -> torch
     Returns
     -------
     torch.Tensor
-        A view in the same layout; ``[1, C, H, W]`` loses its batch axis.
+        A copy in the same layout; ``[1, C, H, W]`` loses its batch axis.
 
     Raises
     ------
@@ -77,7 +77,9 @@ def crop_center(field: torch.Tensor, size: Sequence[int] | None = None) -> torch
     ValueError
         If the size is larger than the field.
     """
-    return _on_images(lambda planes: matrix.crop_center(planes, size), field)
+    return _on_images(lambda planes: matrix.crop_center(planes, size), field).clone(
+        memory_format=torch.contiguous_format
+    )
 
 
 def smooth_pad(

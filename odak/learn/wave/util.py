@@ -53,6 +53,7 @@ def rotationspeed(
 
 def _tensor_of(name, value):
     """Return a list of numbers as a tensor, anything else as it is."""
+    _validate.given(name, value)
     return tensor(name, value, torch.float64) if isinstance(value, (list, tuple)) else value
 
 

@@ -50,10 +50,12 @@ def test_the_bank_is_flat_does_not_alias_and_keeps_means(count):
     low, low0, high0 = (response(filters[name], x, y) for name in ("l", "l0", "h0"))
     bands = sum(abs(response(band, x, y)) ** 2 for band in filters["b"])
     total = abs(high0) ** 2 + abs(low0) ** 2 * (bands + abs(low) ** 2 / 4)
-    assert abs(total - 1).max() < 0.01
-    assert math.sqrt(((total - 1) ** 2).mean()) < 0.002
+    assert abs(total - 1).max() < 0.025
+    assert math.sqrt(((total - 1) ** 2).mean()) < 0.008
+    split = abs(high0) ** 2 + abs(low0) ** 2
+    assert split.min() > 0.975 and split.max() < 1.075
     for shift in ((math.pi, 0), (math.pi, math.pi)):
-        assert abs(low * response(filters["l"], x + shift[0], y + shift[1]) / 4).max() < 0.008
+        assert abs(low * response(filters["l"], x + shift[0], y + shift[1]) / 4).max() < 0.015
     sums = [float(filters[name].sum()) for name in ("l", "l0", "h0")]
     assert sums == pytest.approx([2, 1, 0], abs=1e-5)
     assert max(abs(float(band.sum())) for band in filters["b"]) < 1e-5
@@ -71,7 +73,7 @@ def test_bands_are_tuned_as_powers_of_the_cosine(count):
         # Odd bands are minus derivatives: −i times a positive gain along their own direction.
         assert gain.real @ ideal > 0
         assert np.corrcoef(abs(gain), abs(ideal))[0, 1] > 0.997
-        assert abs(gain).max() == pytest.approx(band_amplitude(count), rel=0.05)
+        assert abs(gain).max() == pytest.approx(band_amplitude(count), rel=0.06)
         off = (np.degrees(angle[abs(gain).argmax()]) - 180 * k / count + 90) % 180 - 90
         assert abs(off) < 3
 
@@ -95,10 +97,10 @@ def test_ideal_gains_add_up():
 
 
 FLOORS = [
-    ("full", False, 9, 60),
+    ("full", False, 9, 55),
     ("cropped", False, 5, 50),
     ("full", True, 9, 45),
-    ("cropped", True, 5, 45),
+    ("cropped", True, 5, 38),
 ]
 
 
@@ -121,7 +123,7 @@ def test_deep_reconstruction_of_noise_is_as_good_at_the_border(count):
     assert psnr(back, picture) > 50
     border = torch.ones(72, 80, dtype=torch.bool)
     border[3:-3, 3:-3] = False
-    assert psnr(back[..., border], picture[..., border]) > 45
+    assert psnr(back[..., border], picture[..., border]) > 43
 
 
 @pytest.mark.parametrize("bilinear", [True, False])
@@ -179,7 +181,8 @@ def test_cropping():
     torch.testing.assert_close(
         cut["l0"] / cut["l0"].sum(), filters["l0"][..., 2:7, 2:7] / filters["l0"][..., 2:7, 2:7].sum()
     )
-    assert torch.equal(cut["h0"], filters["h0"][..., 2:7, 2:7])
+    middle = filters["h0"][..., 2:7, 2:7]
+    torch.testing.assert_close(cut["h0"], middle - middle.mean())
     band = filters["b"][0][..., 2:7, 2:7]
     torch.testing.assert_close(cut["b"][0], band - band.mean())
     assert all(torch.equal(filters[name], value) for name, value in before.items())
@@ -236,6 +239,37 @@ def test_refused_filters(arguments, message):
         get_steerable_pyramid_filters(*arguments)
 
 
+@pytest.mark.parametrize("count", COUNTS)
+@pytest.mark.parametrize("bilinear", [True, False])
+def test_the_first_level_is_filtered_by_the_bank(bilinear, count):
+    bank = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)
+    picture = noise(1, 1, 40, 48)
+    level = SpatialSteerablePyramid(bilinear, 1, 9, count).construct_pyramid(picture, 2)[0]
+
+    def filtered(image, taps):
+        reach = taps.shape[-1] // 2
+        return torch.nn.functional.conv2d(torch.nn.functional.pad(image, (reach,) * 4, mode="reflect"), taps)
+
+    torch.testing.assert_close(level["h"], filtered(picture, bank["h0"]))
+    torch.testing.assert_close(level["l"], filtered(picture, bank["l0"]))
+    for found, band in zip(level["b"], bank["b"], strict=True):
+        torch.testing.assert_close(found, filtered(filtered(picture, bank["l0"]), band))
+
+
+def test_stripes_of_one_pixel_are_all_in_the_residual():
+    stripes = torch.tensor([0.0, 1.0], dtype=torch.float64).repeat(32).expand(1, 1, 64, 64)
+    for count in (1, 2, 4, 6):
+        level = SpatialSteerablePyramid(False, 1, 9, count).construct_pyramid(stripes, 2)[0]
+        assert level["h"].std() > 0.9 * stripes.std() > 3 * (level["l"] - 0.5).std()
+
+
+def test_each_filter_needs_room_where_it_is_used():
+    picture = noise(1, 1, 48, 48)
+    assert len(SpatialSteerablePyramid(True, 1, 9, 4).construct_pyramid(picture, 5)) == 5
+    with pytest.raises(ValueError, match="sides of at least 72 for 5 levels"):
+        SpatialSteerablePyramid(False, 1, 9, 4).construct_pyramid(picture, 5)
+
+
 def test_refused_pictures():
     maker = SpatialSteerablePyramid(False, 1, 9, 2)
     with pytest.raises(ValueError, match="sides of at least 36 for 4 levels"):
@@ -248,15 +282,15 @@ def test_refused_pictures():
 
 def test_kept_banks_are_what_the_design_gives(tmp_path):
     """The file of taps is data made by this code: made anew, a bank is the same, and none can be much improved."""
-    banks = [(1, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), True)]
+    banks = [(1, (13, 5, 5, 5)), (2, (13, 5, 5, 5))]
     design.keep(banks, tmp_path / "taps.json")
     kept = design._kept()
     for name, taps in json.loads((tmp_path / "taps.json").read_text()).items():
         assert np.allclose(taps, kept[name], rtol=0, atol=1e-6)
-    assert len(kept) == 34
+    assert len(kept) == 17
     for name, taps in kept.items():
-        count, *sizes = (int(part) for part in name.removesuffix(" bilinear").split())
-        problem = design._Problem(count, tuple(sizes), name.endswith("bilinear"))
+        count, *sizes = map(int, name.split())
+        problem = design._Problem(count, tuple(sizes))
         taps = np.array(taps)
         assert taps.shape == (problem.length,)
         residual, jacobian = problem.residual(taps)

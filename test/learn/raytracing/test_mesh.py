@@ -168,6 +168,13 @@ def test_ply_holds_the_triangles(tmp_path):
     assert data.text and [path.name for path in tmp_path.iterdir()] == ["mesh.ply"]
 
 
+def test_files_of_heights_are_where_files_may_be():
+    for write in (bowl().save_heights, bowl().save_heights_as_PLY):
+        for name in ("../out.pt", "../out.ply", "out.exe", "no such folder/a.pt"):
+            with pytest.raises(ValueError, match=r"out|folder"):
+                write(name)
+
+
 @pytest.mark.parametrize(
     ("options", "error", "message"),
     [

@@ -131,3 +131,10 @@ def test_gaussians_refused():
             blur_gaussian(torch.ones(4, 4), **wrong)
     with pytest.raises(TypeError, match="field must be a real floating tensor"):
         blur_gaussian(torch.ones(4, 4, dtype=torch.int32))
+
+
+def test_what_is_cut_out_is_a_copy():
+    field = torch.zeros(4, 4)
+    cut = crop_center(field)
+    cut += 1
+    assert not field.any() and cut.is_contiguous()
