@@ -67,7 +67,10 @@ def tensor_seeds(folder):
     yield ".pt", saved(net().state_dict())
     yield ".pt", saved(net().state_dict(), _use_new_zipfile_serialization=False)
     yield ".pt", saved(torch.arange(6, dtype=torch.uint8), _use_new_zipfile_serialization=False)
-    yield ".pt", saved(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), torch.tensor([1.0, 2.0]), (3,)))
+    yield (
+        ".pt",
+        saved(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), torch.tensor([1.0, 2.0]), (3,), check_invariants=True)),
+    )
     from odak.learn.wave.complex_gaussians_3d import NAMES
 
     shapes = [(2, 4), *[(2, 3)] * 4, (2,), (2, 2)]

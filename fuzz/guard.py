@@ -5,6 +5,7 @@ import resource
 import shlex
 import signal
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable
@@ -25,6 +26,8 @@ _PROGRAMS = {
 _NETWORK = {"socket.connect", "socket.bind", "socket.getaddrinfo", "urllib.Request"}
 _REMOVALS = {"os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.chmod", "os.symlink", "os.link", "os.truncate"}
 
+# It tries the folder of temporary files out by writing there, once.
+tempfile.gettempdir()
 _watched: dict = {"folder": None, "seen": []}
 
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 from numbers import Real
 from pathlib import Path
@@ -36,7 +37,7 @@ def read_materials(path) -> tuple[list[Material], dict[str, str]]:
     FileNotFoundError
         If there is no such file.
     """
-    path = Path(path).expanduser()
+    path = Path(os.path.expanduser(path))
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:

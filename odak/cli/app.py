@@ -3,6 +3,7 @@
 Exit codes: 0 all is well, 1 unexpected failure, 2 the command line or what it names will not do.
 """
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -103,7 +104,7 @@ def hologram(
     images = values.pop("images") or [Job.image]
     spread = {name: values.pop(name) for name in ("cluster", "workers", "retries", "again", "timeout")}
     values["wavelengths"] = tuple(values.pop("wavelength") or ())
-    if cluster is not None or len(images) > 1 or Path(images[0]).expanduser().is_dir():
+    if cluster is not None or len(images) > 1 or os.path.isdir(os.path.expanduser(images[0])):
         raise typer.Exit(_many(images, values, spread))
     try:
         job = Job(**values, image=images[0])
@@ -112,7 +113,7 @@ def hologram(
         report = run(job)
     except InputError as error:
         raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
-    except OSError as error:
+    except (OSError, FloatingPointError) as error:
         raise typer.Exit(_fail(str(error), FAILURE)) from None
     if not quiet:
         _summarise(job, report)

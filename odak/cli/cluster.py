@@ -6,6 +6,7 @@ that a run that was cut short goes on where it ended.
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -175,14 +176,14 @@ def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
         if name in frames:
             raise InputError(f"IMAGE must have different names: {frames[name].job.image!r} and {image!r}")
         depth = _depth_map(values.get("depth_map"), name)
-        output = Path(values["output"]).expanduser().resolve() / name
+        output = Path(os.path.expanduser(values["output"])).resolve() / name
         frames[name] = Frame(name, Job(**{**values, "image": image, "depth_map": depth, "output": output}))
         frames[name].sources()
     return list(frames.values())
 
 
 def _expanded(image: str) -> list[str]:
-    path = Path(image).expanduser()
+    path = Path(os.path.expanduser(image))
     if not path.is_dir():
         return [image]
     found = [entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file()]
@@ -199,7 +200,7 @@ def _natural(name: str) -> list[tuple[int, int, str]]:
 
 
 def _depth_map(given: str | None, name: str) -> str | None:
-    folder = None if given is None else Path(given).expanduser()
+    folder = None if given is None else Path(os.path.expanduser(given))
     if folder is None or not folder.is_dir():
         return given
     for suffix in SUFFIXES:

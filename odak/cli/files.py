@@ -1,6 +1,7 @@
 """The folder of a run, and files in it that are there whole or not at all."""
 
 import json
+import os
 import tempfile
 from pathlib import Path
 
@@ -29,7 +30,7 @@ def writable_folder(folder: Path) -> Path:
     InputError
         If it cannot be made or written to.
     """
-    folder = folder.expanduser().resolve()
+    folder = Path(os.path.expanduser(folder)).resolve()
     try:
         check_directory(str(folder), validate=False)
         with tempfile.TemporaryFile(dir=folder):

@@ -1,6 +1,7 @@
 """What `odak hologram` is asked to do: every parameter, its default and its check."""
 
 import math
+import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 
@@ -218,7 +219,7 @@ def depth_map_path(depth_map: str) -> Path:
 
 
 def _existing(name, value, shipped) -> Path:
-    path = Path(value).expanduser()
+    path = Path(os.path.expanduser(value))
     if value in shipped and not path.is_file():
         return Path(__file__).resolve().parents[1] / "assets" / shipped[value]
     if path.is_dir():

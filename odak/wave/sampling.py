@@ -127,7 +127,7 @@ def _report(shape, dx, wavelength, distance, zero_padding) -> SamplingReport:
         response_distance=response,
         band_limit=limit,
         kept_band=tuple(min(1.0, value / nyquist) for value in limit),
-        fresnel_number=tuple((n * dx / 2) ** 2 / (wavelength * z) if z else math.inf for n in shape),
+        fresnel_number=tuple((n * dx / 2) ** 2 / wavelength / z if z else math.inf for n in shape),
         fraunhofer_distance=2 * (max(shape) * dx) ** 2 / wavelength,
         paraxial_error=_paraxial_error(z, wavelength, [min(nyquist, value) for value in limit]),
         recommended=recommended,

@@ -238,7 +238,7 @@ class TestTorchFiles:
 
     def test_indices_stay_within_a_sparse_tensor(self, tmp_path):
         path, values = tmp_path / "a.pt", torch.tensor([1.0, 2.0])
-        torch.save(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), values, (3,), is_coalesced=True), path)
+        torch.save(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), values, (3,), check_invariants=True), path)
         assert torch_load(path).to_dense().tolist() == [1, 0, 2]
         torch.save([torch.sparse_coo_tensor(torch.tensor([[0, 5]]), values, (3,), check_invariants=False)], path)
         with pytest.raises(ValueError, match=r"a\.pt': .*index 5"):
