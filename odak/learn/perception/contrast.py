@@ -8,6 +8,7 @@ from odak import _validate
 from odak.learn.tools import loss
 
 _ALMOST_BLACK = 1e-12
+_PIXELS_AT_ONCE = 1 << 22
 
 
 def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
@@ -102,7 +103,7 @@ def content_aware_contrast_ratio(
     results = []
     for picture in pictures:
         windows = picture.unfold(0, side, step).unfold(1, side, step)
-        maps = _split(windows.flatten(-2), eps, _validate.integer("max_iter", max_iter, minimum=1))
+        maps = _in_strips(windows, eps, _validate.integer("max_iter", max_iter, minimum=1))
         results.append(
             {name: _at_centres(values, picture, side, step) for name, values in maps.items()}
             | _pooled(maps["contrast_map"].flatten(), pooling_percentile)
@@ -134,15 +135,23 @@ def _lightness(image, channel) -> torch.Tensor:
     return image.reshape(-1, *image.shape[-2:]).clamp(0, 1)
 
 
+def _in_strips(windows, eps, max_iter) -> dict[str, torch.Tensor]:
+    """Return :func:`_split` of windows ``[rows, columns, side, side]``, so many at once as memory should hold."""
+    rows = max(1, _PIXELS_AT_ONCE // windows[0].numel())
+    parts = [_split(strip.flatten(-2), eps, max_iter) for strip in windows.split(rows)]
+    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+
 def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
     """Return contrast, threshold and the means on its two sides of windows ``[rows, columns, pixels]``."""
-    threshold = windows.mean(-1)
+    ordered, threshold = windows.sort(-1).values, windows.mean(-1)
+    sums = torch.nn.functional.pad(ordered.cumsum(-1, dtype=torch.float64), (1, 0))
     for _ in range(max_iter):
-        dark, bright = _sides(windows, threshold)
+        dark, bright = _sides(ordered, sums, threshold)
         moved, threshold = threshold, (dark + bright) / 2
         if bool(((threshold - moved).abs() <= eps).all()):
             break
-    dark, bright = _sides(windows, threshold)
+    dark, bright = _sides(ordered, sums, threshold)
     contrast = torch.where(bright > _ALMOST_BLACK, 1 - dark / bright.clamp_min(_ALMOST_BLACK), 0).clamp_min(0)
     return {
         "contrast_map": contrast,
@@ -152,13 +161,17 @@ def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
     }
 
 
-def _sides(windows, threshold):
-    """Return the means of the pixels below a threshold and of those from it on; the threshold where there are none."""
-    below = windows < threshold[..., None]
+def _sides(ordered, sums, threshold):
+    """Return the means of the pixels below a threshold and of those from it on; the threshold where there are none.
+
+    The pixels of a window come in ascending order, with the sums of the first 0, 1, … of them.
+    """
+    below = torch.searchsorted(ordered, threshold[..., None].detach())
+    dark = sums.gather(-1, below)[..., 0]
     means = []
-    for side in (below, ~below):
-        count = side.sum(-1)
-        means.append(torch.where(count > 0, (windows * side).sum(-1) / count.clamp_min(1), threshold))
+    for count, light in ((below[..., 0], dark), (ordered.shape[-1] - below[..., 0], sums[..., -1] - dark)):
+        mean = (light / count.clamp_min(1)).to(ordered.dtype)
+        means.append(torch.where(count > 0, mean, threshold))
     return means
 
 

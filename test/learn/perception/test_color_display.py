@@ -174,6 +174,16 @@ def test_a_gaussian_line_comes_back(centre, width):
         assert (curve - wanted).abs().max() < 1e-3
 
 
+@pytest.mark.parametrize(("width", "step"), [(15, 5), (15, 10), (12, 10)])
+def test_a_line_comes_back_from_few_samples(width, step):
+    axis = np.arange(380, 781, step)
+    curve = p.display_color_hvs().initialize_random_spectrum_normalized(
+        np.stack([axis, np.exp(-((axis - 612) ** 2) / (2 * width**2))], 1)
+    )
+    expected = np.exp(-((np.arange(400, 701) - 612) ** 2) / (2 * width**2))
+    assert np.abs(curve.numpy() - expected).max() < 0.02
+
+
 def test_three_lines_come_back():
     axis = np.linspace(380, 780, 401)
     lines = ((450, 8, 1.0), (540, 20, 0.6), (620, 14, 0.8))
