@@ -9,8 +9,8 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._random import uniform
 from odak.wave.propagation import propagate
+from odak.wave.random_numbers import uniform
 from odak.wave.utils import calculate_amplitude, calculate_phase, generate_complex_field
 
 _WINDOW = (True, False, True)

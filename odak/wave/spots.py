@@ -6,7 +6,7 @@ from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._random import uniform
+from odak.wave.random_numbers import uniform
 from odak.wave.utils import calculate_amplitude
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._random import uniform
+from odak.wave.random_numbers import uniform
 
 
 def wavenumber(wavelength: float | Array) -> float | Array:

@@ -233,6 +233,7 @@ BY_CALL = {
     "odak.learn.wave.impulse_response_fresnel": {"kernel": None},
     "odak.learn.wave.linear_grating": {"add": math.pi},
     "odak.learn.wave.normalize_phase": {"phase": tensor(4, 4)},
+    "odak.learn.wave.rotationspeed": {"c": 3e11},
     "odak.learn.wave.phase_gradient": {"kernel": tensor(3, 3)},
     "odak.learn.wave.produce_phase_only_slm_pattern": {"illumination": tensor(16, 16)},
     "odak.learn.wave.propagate_partially_coherent": {

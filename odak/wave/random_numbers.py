@@ -1,4 +1,4 @@
-"""Random numbers of both faces."""
+"""Random numbers, from a seed the same for arrays and tensors."""
 
 from typing import Any
 
