@@ -103,7 +103,7 @@ def quadratic_phase_function(
     return phasor(-k * squared_radius(nx, ny, dx, offset) / (2 * focal)).T
 
 
-def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> np.ndarray:
+def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: Any = None) -> Array:
     """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
 
     Parameters
@@ -116,19 +116,23 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> np.nd
         Distance R in metres.
     dx : float
         Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+    xp : optional
+        Array namespace, NumPy by default.
 
     Returns
     -------
-    numpy.ndarray
+    array
         complex128 ``[nx, ny]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
     _validate.real("r", r, nonzero=True)
-    return phasor(k * squared_radius(nx, ny, dx) / r)
+    return phasor(k * squared_radius(nx, ny, dx, xp=xp) / r)
 
 
-def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x") -> np.ndarray:
+def prism_phase_function(
+    nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x", *, xp: Any = None
+) -> Array:
     """Return the transmission of a thin prism, exp(−ik·sin(angle)·x).
 
     Parameters
@@ -143,21 +147,22 @@ def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0
         Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
     axis : str
         "x" (the phase runs from column to column) or "y" (from row to row).
+    xp : optional
+        Array namespace, NumPy by default.
 
     Returns
     -------
-    numpy.ndarray
+    array
         complex128 ``[nx, ny]``.
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
-    _validate.real("angle", angle)
     _validate.real("dx", dx, positive=True)
     axis = _validate.one_of("axis", axis, ("x", "y"))
-    x = np.linspace(-ny * dx / 2, ny * dx / 2, ny)[None, :]
-    y = np.linspace(-nx * dx / 2, nx * dx / 2, nx)[:, None]
-    position = np.broadcast_to(x if axis == "x" else y, (nx, ny))
-    return phasor(-k * math.sin(math.radians(angle)) * position)
+    xp, count = _validate.library("xp", xp), ny if axis == "x" else nx
+    line = xp.linspace(-count * dx / 2, count * dx / 2, count, dtype=xp.float64)
+    position = xp.broadcast_to(line[None, :] if axis == "x" else line[:, None], (nx, ny))
+    return phasor(-k * _of_degrees("angle", angle, math.sin) * position)
 
 
 def prism_grating(

@@ -27,8 +27,10 @@ from odak.wave.classical import (
     fraunhofer,
     fraunhofer_equal_size_adjust,
     fraunhofer_inverse,
+    gerchberg_saxton_3d,
     incoherent_angular_spectrum,
     rayleigh_sommerfeld,
+    rayleigh_sommerfeld_sum,
     transfer_function_fresnel,
 )
 
@@ -42,6 +44,7 @@ __all__ = [
     "fraunhofer_equal_size_adjust",
     "fraunhofer_inverse",
     "gerchberg_saxton",
+    "gerchberg_saxton_3d",
     "get_angular_spectrum_kernel",
     "get_band_limited_angular_spectrum_kernel",
     "get_impulse_response_fresnel_kernel",
@@ -56,6 +59,7 @@ __all__ = [
     "point_wise",
     "propagate_beam",
     "rayleigh_sommerfeld",
+    "rayleigh_sommerfeld_sum",
     "seperable_impulse_response_fresnel",
     "shift_w_double_phase",
     "stochastic_gradient_descent",

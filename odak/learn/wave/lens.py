@@ -53,6 +53,16 @@ def quadratic_phase_function(
     return phasor(-k * squared / (2 * focal), torch.complex64)
 
 
+def double_convergence(nx: int, ny: int, k: float, r: float, dx: float) -> torch.Tensor:
+    """Return the phase factor of a doubly converging beam, complex64; see :func:`odak.wave.double_convergence`."""
+    return lens.double_convergence(nx, ny, k, r, dx, xp=torch_namespace).to(torch.complex64)
+
+
+def prism_phase_function(nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x") -> torch.Tensor:
+    """Return the transmission of a thin prism, complex64; see :func:`odak.wave.prism_phase_function`."""
+    return lens.prism_phase_function(nx, ny, k, angle, dx, axis, xp=torch_namespace).to(torch.complex64)
+
+
 def prism_grating(
     nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x", phase_offset: float = 0.0
 ) -> torch.Tensor:

@@ -234,6 +234,7 @@ BY_CALL = {
     "odak.learn.wave.linear_grating": {"add": math.pi},
     "odak.learn.wave.normalize_phase": {"phase": tensor(4, 4)},
     "odak.learn.wave.rotationspeed": {"c": 3e11},
+    "odak.learn.wave.double_convergence": {"r": 0.3},
     "odak.learn.wave.phase_gradient": {"kernel": tensor(3, 3)},
     "odak.learn.wave.produce_phase_only_slm_pattern": {"illumination": tensor(16, 16)},
     "odak.learn.wave.propagate_partially_coherent": {

@@ -118,3 +118,24 @@ def test_kernels_of_one_method_are_those_of_the_general_function():
     assert torch.equal(found, expected) and found.shape == (20, 26)
     with pytest.raises(ValueError, match="distance must not be zero"):
         odak.learn.wave.get_seperable_impulse_response_fresnel_kernel(8, 8, distance=0)
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [("double_convergence", (6, 4, 1e5, 0.3, 8e-6)), ("prism_phase_function", (6, 4, 1e5, 0.3, 8e-6, "y"))],
+)
+def test_older_phase_elements_agree(name, arguments):
+    ours, theirs = (getattr(face, name)(*arguments) for face in (odak.learn.wave, odak.wave))
+    assert ours.dtype == torch.complex64 and ours.shape == theirs.shape == (6, 4)
+    np.testing.assert_allclose(ours.numpy(), theirs, atol=1e-6)
+
+
+def test_what_both_faces_share(random):
+    fields, options = random.random((2, 9, 8)), {"n_iterations": 2, "distances": [1e-3, 2e-3], "dx": 8e-6, "seed": 1}
+    one = odak.wave.gerchberg_saxton_3d(fields, wavelength=532e-9, **options)
+    two = odak.learn.wave.gerchberg_saxton_3d(torch.from_numpy(fields), wavelength=532e-9, **options)
+    np.testing.assert_allclose(two.numpy(), one, atol=1e-10)
+    places = random.random((3, 3)), random.random((2, 3)) + 2
+    one = odak.wave.propagate_field(*places, np.ones(3), 3.0)
+    two = odak.learn.wave.propagate_field(*map(torch.from_numpy, places), torch.ones(3, dtype=torch.complex128), 3.0)
+    np.testing.assert_allclose(two.numpy(), one, atol=1e-12)
