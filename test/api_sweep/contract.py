@@ -61,6 +61,32 @@ def compare(function: Callable, build: Callable[[], dict], name: str, form: Any,
     return None
 
 
+def slopes(function: Callable, build: Callable[[], dict], name: str) -> str | None:
+    """Follow one tensor by autograd through a function; complain of slopes that are no numbers where the values are."""
+    arguments = build()
+    followed = arguments[name].detach().clone().requires_grad_()
+    found = [value for value in tensors(call(function, arguments | {name: followed})) if value.requires_grad]
+    parts = [torch.view_as_real(value.resolve_conj()) if value.is_complex() else value for value in found]
+    total = sum(part.sum() for part in parts)
+    if not parts or not torch.isfinite(total):
+        return None
+    (slope,) = torch.autograd.grad(total, followed, allow_unused=True)
+    if slope is None or bool(torch.isfinite(torch.view_as_real(slope) if slope.is_complex() else slope).all()):
+        return None
+    return "slopes that are no numbers"
+
+
+def tensors(value: Any) -> list[torch.Tensor]:
+    """Return the tensors in a result."""
+    if isinstance(value, torch.Tensor):
+        return [value]
+    if isinstance(value, dict):
+        value = list(value.values())
+    elif dataclasses.is_dataclass(value) and not isinstance(value, type):
+        value = [getattr(value, field.name) for field in dataclasses.fields(value)]
+    return [found for item in value for found in tensors(item)] if isinstance(value, (list, tuple)) else []
+
+
 def judge_elsewhere(function: Callable, build: Callable[[], dict], name: str) -> str | None:
     """Call a function with one tensor on another device than the others; return the complaint, if there is one.
 

@@ -68,7 +68,9 @@ class Call:
                 yield name, what, contract.judge(self.function(), self.arguments, name, wrong, verdict)
             for what, form, tolerance in hostile.other_forms(valid):
                 yield name, what, contract.compare(self.function(), self.arguments, name, form, expected, tolerance)
-        tensors = [name for name, valid in self.arguments().items() if isinstance(valid, torch.Tensor)]
+        tensors = {name: valid for name, valid in self.arguments().items() if isinstance(valid, torch.Tensor)}
+        for name in [name for name, valid in tensors.items() if valid.is_floating_point() or valid.is_complex()]:
+            yield name, "followed back", contract.slopes(self.function(), self.arguments, name)
         for name in tensors if len(tensors) > 1 else []:
             yield name, "on another device", contract.judge_elsewhere(self.function(), self.arguments, name)
 
