@@ -2,7 +2,9 @@
 
 import contextlib
 import io
+import itertools
 import os
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -232,13 +234,20 @@ def _line(path):
 
     arguments = archive_seeds.content(path).decode("utf-8", "surrogateescape").split("\n")
     folder = os.path.join(os.path.dirname(path), "out")
-    if arguments[0] == "worker" or "--cluster" in arguments or (arguments[0] == "metamer" and "photo" in arguments):
-        # A worker waits for its scheduler by design, and a metamer of a photograph takes its time.
+    many = any(name == "--planes" and len(count) > 2 for name, count in itertools.pairwise(arguments))
+    large = many or (arguments[0] == "metamer" and "photo" in arguments)
+    if arguments[0] == "worker" or "--cluster" in arguments or large:
+        # A worker waits for its scheduler by design; many planes, and a metamer of a photograph, take their time.
         arguments.append("--no-such-option")
     if arguments[0] in _SMALL:
         arguments += [*_SMALL[arguments[0]].split(), "--output", folder]
-    with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-        code = main(arguments)
+    # Several pictures are computed in temporary folders.
+    former, tempfile.tempdir = tempfile.tempdir, os.path.dirname(path)
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            code = main(arguments)
+    finally:
+        tempfile.tempdir = former
     if code not in (0, 1, 2):
         raise AssertionError(f"exit code {code!r}")
 
