@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from odak import _array, _validate
 from odak._array import Array
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
@@ -64,6 +66,7 @@ def zernike_phase(
     """
     if not isinstance(coefficients, Mapping):
         raise TypeError(f"coefficients must map (n, m) to radians, got {type(coefficients).__name__}")
+    coefficients = {mode: float(v) if isinstance(v, np.number) else v for mode, v in coefficients.items()}
     arrays = [value for value in coefficients.values() if _array.is_array(value)]
     xp = _array.namespace(*arrays) if xp is None else _validate.library("xp", xp)
     device = _array.device_of(arrays[0]) if device is None and arrays else device
@@ -128,7 +131,8 @@ def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
     )
     y, x = y[:, None], x[None, :]
     squared = x**2 + y**2
-    inside = xp.astype(squared <= 1, xp.float64)
+    # The first corner of an even window is on the rim of its disc, but for rounding.
+    inside = xp.astype(squared <= 1 + 1e-12, xp.float64)
     argument = 2 * squared - 1
     for n, m in modes:
         n, m = check_mode(n, m)

@@ -258,8 +258,12 @@ def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Met
     reports = _reports(shape, request, padded)
     if not reports:
         raise ValueError("propagation_type 'auto' needs a distance, dx and wavelength that are plain numbers")
-    names = {report.recommended for report in reports}
-    method: Any = find_method(names.pop() if len(names) == 1 else "Bandlimited Angular Spectrum")
+    plain = not _array.is_array(request.aperture) and request.aperture == 1
+    names = [*(report.recommended for report in reports), "Bandlimited Angular Spectrum"]
+    # The last one has no limit, and takes longer.
+    known: list[Any] = [find_method(name) for name in (*names, "Adaptive Sampling Angular Spectrum")]
+    held = [m for m in known if (plain or m.windowed) and all(m.failure(report) is None for report in reports)]
+    method: Any = held[0] if held else find_method("Bandlimited Angular Spectrum")
     _log.debug("propagation_type 'auto' chose %s: %s", method.name, reports[0].reason)
     return method
 

@@ -35,6 +35,8 @@ def propagate(
 
 def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples):
     field = _array.to_complex(_validate.image("field", field))
+    if 0 in field.shape:
+        raise ValueError(f"field must hold at least one field, got the shape {tuple(field.shape)}")
     check_geometry(k, distance, dx, wavelength, tuple(field.shape[:-2]))
     _check_aperture(aperture)
     pad, fine, crop = padding_flags(zero_padding)

@@ -14,6 +14,8 @@ from odak import _array, _validate
 from odak.wave.frequency_box import MAXIMUM_FREQUENCIES, Line, Window, column
 from odak.wave.grid import Grid
 
+# Where the band of a field is looked at, in units of its highest frequency.
+_BAND = np.linspace(-1, 1, 33)
 _FRACTIONS = np.linspace(-0.5, 0.5, 7)
 
 
@@ -100,7 +102,7 @@ class Rays:
             # Waves that graze the window's plane trace without end; ten times is as far as we follow.
             trace = rays.trace(frequency / np.maximum(along, 0.1 / rays.wavelength), unit)
             period = ((trace.max(-1, keepdims=True) + rays.width[axis] + rays.guard) / rays.dx).max()
-            lines.append(rays._line(axis, frequency, scipy.fft.next_fast_len(math.ceil(period))))
+            lines.append(rays._line(axis, frequency, unit, scipy.fft.next_fast_len(math.ceil(period))))
         counts = [line.count for line in lines]
         if math.prod(counts) > MAXIMUM_FREQUENCIES:
             raise ValueError(
@@ -109,15 +111,23 @@ class Rays:
             )
         return lines[0], lines[1]
 
-    def _line(self, axis: int, frequency, period: int) -> Line:
+    def _line(self, axis: int, frequency, unit, period: int) -> Line:
         """Return the line from the lowest to the highest frequency of the whole batch."""
         cycles = frequency * self.dx
-        # Close to the field decaying waves count too, whatever their frequency.
+        # Close to the field every wave counts that it holds, whatever its direction.
         near = np.abs(self.distance) < 10 * self.wavelength
-        low, high = (np.where(near, side, cycles) for side in (-0.5, 0.5))
+        low, high = (np.where(near, side, cycles) for side in self._band(unit))
         # Rounding must not add an index at either end.
         first, last = math.floor(low.min() * period + 1e-9), math.ceil(high.max() * period - 1e-9)
         return Line(axis, first, last + 1 - first, period)
+
+    def _band(self, unit):
+        """Return the lowest and the highest frequency along `unit`, in cycles per sample, of all waves in the field."""
+        nyquist = 1 / (2 * self.dx)
+        fx, fy = (nyquist * v.reshape(1, -1) for v in np.meshgrid(_BAND, _BAND))
+        fz = np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
+        cycles = (unit[0] * fx + unit[1] * fy + unit[2] * fz) * self.dx
+        return cycles.min(-1, keepdims=True), cycles.max(-1, keepdims=True)
 
     def weight(self, guard: float, slopes):
         """Return how much of each plane wave is kept: 1 if its rays lead to the window, 0 if not even nearly.

@@ -5,6 +5,7 @@ from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
+from odak.log import logger
 from odak.wave.frequency_box import GUARD, Window, carry_to_offset, column, make_window, to_window
 from odak.wave.grid import Grid
 from odak.wave.nonuniform import spectrum_at
@@ -12,6 +13,9 @@ from odak.wave.propagation import check_geometry
 from odak.wave.rays import Rays
 from odak.wave.request import Request
 from odak.wave.transfer_functions import plane_wave_transfer
+
+# Cosine of 88 degrees.
+GRAZING = 0.035
 
 
 def propagate_to_tilted_plane(
@@ -60,6 +64,8 @@ def propagate_to_tilted_plane(
     The field turns fast along a tilted plane, sin θ/λ cycles per metre. The samples are right whatever their pitch;
     to show that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
 
+    Beyond 88° light travels along the plane without end and is cut: the field there may be wrong, and that is logged.
+
     Examples
     --------
     >>> import numpy as np
@@ -77,6 +83,8 @@ def propagate_to_tilted_plane(
     rays = Rays.between(grid, window)
     if rays.numbers().axes[2][2].min() < 1e-3:
         raise ValueError(f"angles must turn the plane's normal by less than 90 degrees from the axis, got {angles!r}")
+    if rays.numbers().axes[2][2].min() < GRAZING:
+        logger.warning("angles %r graze the plane: light along it is cut, and the field there may be wrong", angles)
     lines = rays.lines()
     (fy, fx), transfer = _transfer(grid, window, rays, lines)
     return to_window(spectrum_at(field, fy * grid.dx, fx * grid.dx) * transfer, lines, window, grid)

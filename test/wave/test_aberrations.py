@@ -105,3 +105,14 @@ def test_gradient_in_the_coefficients():
 def test_bad_arguments_are_named(arguments, options, error, message):
     with pytest.raises(error, match=message):
         odak.wave.zernike_phase(*arguments, **options)
+
+
+@pytest.mark.parametrize("size", [6, 512])
+def test_the_whole_window_lies_in_its_disc(size):
+    assert (odak.wave.zernike_basis(size, size, [(0, 0)], dx=8e-6) == 1).all()
+
+
+def test_coefficients_of_numpy():
+    for face in (odak.wave, odak.learn.wave):
+        one, two = (face.zernike_phase(4, 4, {(2, 0): kind(0.1)}) for kind in (float, np.float64))
+        np.testing.assert_array_equal(np.asarray(one), np.asarray(two))

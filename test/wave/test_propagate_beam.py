@@ -350,3 +350,20 @@ def test_texts_are_not_taken_letter_by_letter(random):
         arguments = {"k": None, "distance": 1e-3, "dx": 8e-6, "wavelength": 532e-9} | {name: value}
         with pytest.raises((TypeError, ValueError), match=f"^{name} must"):
             odak.wave.propagate_beam(field, propagation_type="Angular Spectrum", **arguments)
+
+
+def test_auto_takes_a_method_that_serves_every_distance(caplog):
+    beam = gaussian_beam((64, 64), DX, 60e-6, 0.0, WAVELENGTH)
+    distances = [1e-3, 0.15]
+    together = odak.wave.propagate_beam(
+        np.stack([beam, beam]), None, distances, DX, WAVELENGTH, "auto", zero_padding=[True, False, True]
+    )
+    assert not [record for record in caplog.records if record.levelno >= logging.WARNING]
+    for found, distance in zip(together, distances, strict=True):
+        alone = odak.wave.propagate_beam(beam, None, distance, DX, WAVELENGTH, "auto", zero_padding=[True, False, True])
+        assert relative_error(found, alone) < 1e-3
+
+
+def test_no_field_at_all():
+    with pytest.raises(ValueError, match="field must hold at least one field"):
+        propagate(np.ones((0, 4, 4)))

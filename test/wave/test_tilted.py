@@ -148,3 +148,22 @@ def test_bad_arguments(change, error, message):
     arguments = {"field": patch(), "wavelength": WAVELENGTH, "distance": 1e-3, "dx": DX, **change}
     with pytest.raises(error, match=message):
         propagate_to_tilted_plane(**arguments)
+
+
+@pytest.mark.parametrize("angle", [3.0, 45.0])
+def test_a_plane_through_the_middle_of_the_field(angle):
+    n, pitch, waist = 96, 8e-6, 60e-6
+    line = (np.arange(n) - n // 2) * pitch
+    field = np.exp(-(line[:, None] ** 2 + line**2) / waist**2).astype(complex)
+    found = propagate_to_tilted_plane(field, 532e-9, 0.0, pitch, (angle, 0.0, 0.0), (64, 48), 3e-6)
+    rows, columns = ((np.arange(size) - size // 2) * 3e-6 for size in (64, 48))
+    tilt, k = np.radians(angle), 2 * np.pi / 532e-9
+    y, z = rows[:, None] * np.cos(tilt), rows[:, None] * np.sin(tilt)
+    q = 1 / (1 + 1j * z * 532e-9 / (np.pi * waist**2))
+    beam = q * np.exp(1j * k * z - (columns**2 + y**2) / waist**2 * q)
+    assert np.abs(found - beam).max() < 1e-7
+
+
+def test_grazing_planes_are_told_of(caplog):
+    propagate_to_tilted_plane(np.ones((8, 8), complex), 532e-9, 0.01, 8e-6, (88.5, 0.0, 0.0), (4, 4))
+    assert "graze the plane" in caplog.text

@@ -13,7 +13,7 @@ from odak.learn.wave.compat import accepts_older_form
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.solvers import SOLVERS
-from odak.learn.wave.training import Options, constant, minimise
+from odak.learn.wave.training import Options, constant, fingerprint, minimise
 
 
 @accepts_older_form
@@ -145,7 +145,12 @@ def stochastic_gradient_descent(
         loss.backward()
         return loss.detach()
 
-    about = {"learning_rate": learning_rate, "optimizer": optimizer}
+    about = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale}
+    if checkpoint is not None:
+        about["target"] = fingerprint(target)
+        lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
+        about |= {name: _validate.numbers(length) for name, length in lengths.items()}
+        about["propagation_type"] = propagation_type
     minimise({"phase": phase}, gradient, n_iteration, constant(learning_rate), options, solver=optimizer, about=about)
     with torch.no_grad():
         hologram = modulate(phase)

@@ -127,7 +127,9 @@ class speckle_contrast(nn.Module):
     @in_own_precision
     def functional_conv2d(self, intensity: torch.Tensor) -> torch.Tensor:
         """Return the contrast of each square ``[B, 1, m', n']``; 0 where the light is even, or there is none."""
-        planes = _planes("intensity", intensity)
+        given = _planes("intensity", intensity)
+        # In single precision the variance of what is dark beside bright light would be rounding alone.
+        planes = given.double()
         if min(planes.shape[-2:]) < self.kernel_size:
             raise ValueError(
                 f"intensity must be at least kernel_size = {self.kernel_size} wide and high, "
@@ -143,7 +145,8 @@ class speckle_contrast(nn.Module):
         # What is not a number is uneven, so that it is seen.
         uneven = ~((variance <= 0) | (mean == 0))
         # Both branches must be finite, else the gradient of the one not taken is not a number.
-        return torch.where(uneven, variance.where(uneven, 1.0).sqrt() / mean.where(uneven, 1.0), 0.0)
+        contrast = torch.where(uneven, variance.where(uneven, 1.0).sqrt() / mean.where(uneven, 1.0), 0.0)
+        return contrast.to(given.dtype)
 
 
 class multiplane_loss(FocalTargets):

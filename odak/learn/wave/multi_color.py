@@ -13,7 +13,7 @@ from odak.learn.wave.phase_levels import TURN, even_levels
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.source_powers import power_method
 from odak.learn.wave.spectral import release_memory
-from odak.learn.wave.training import Options, cosine, minimise
+from odak.learn.wave.training import Options, cosine, fingerprint, minimise
 from odak.learn.wave.workspace import Workspace
 
 
@@ -240,6 +240,8 @@ class multi_color_hologram_optimizer(ColorHologramLosses):
         self.init_optimizer(iterations)
         self._workspace = Workspace()
         about = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
+        if self.options.checkpoint is not None:
+            about |= {"targets": fingerprint(self.targets), "display": self.propagator.fingerprint()}
         minimise(
             self.parameters, self._gradient, iterations, self.learning_rates, self.options,
             description=self._title, about=about,

@@ -11,7 +11,7 @@ from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.hologram_losses import checked_targets
 from odak.learn.wave.phase_constraints import checked_pattern, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
-from odak.learn.wave.training import Options, constant, minimise
+from odak.learn.wave.training import Options, constant, fingerprint, minimise
 
 
 class multiplane_hologram_optimizer:
@@ -209,24 +209,33 @@ class multiplane_hologram_optimizer:
     def gradient_descent(self) -> None:
         """Optimize phase and offset in place."""
         self.init_optimizer()
+        planes = range(self.number_of_planes)
         # A step sees one plane. Which parameters were best is decided by the latest losses of all of them.
-        latest = torch.full((self.number_of_planes,), torch.inf, dtype=self.targets.dtype, device=self.device)
+        with torch.no_grad():
+            latest = torch.stack([self._loss_on(plane).detach().reshape(()) for plane in planes])
 
         def gradient(step):
             plane = step % self.number_of_planes
-            phase = self.double_phase_constrain(self.phase, self.offset)
-            image = intensity(self.propagator(self.amplitude * unit_phasor(phase), 0, plane))
-            loss = self.evaluate(image, self.targets[plane], plane)
+            loss = self._loss_on(plane)
             loss.backward()
             latest[plane] = loss.detach()
             return latest.mean()
 
+        about = {"learning_rate": self.learning_rate, "planes": self.number_of_planes}
+        if self.options.checkpoint is not None:
+            given = fingerprint(self.targets, self.amplitude, self.mask)
+            about |= {"targets, amplitude or mask": given, "display": self.propagator.fingerprint()}
         minimise(
-            self.parameters,
+            self.parameters | {"latest losses": latest},
             gradient,
             self.number_of_iterations * self.number_of_planes,
             constant(self.learning_rate),
             self.options,
             description="multiplane hologram",
-            about={"learning_rate": self.learning_rate, "planes": self.number_of_planes},
+            about=about,
         )
+
+    def _loss_on(self, plane):
+        phase = self.double_phase_constrain(self.phase, self.offset)
+        image = intensity(self.propagator(self.amplitude * unit_phasor(phase), 0, plane))
+        return self.evaluate(image, self.targets[plane], plane)

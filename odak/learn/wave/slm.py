@@ -185,11 +185,12 @@ class spatial_light_modulator(torch.nn.Module):
         """Return the light with the share of each sample that lies in a gap replaced by that of the dead area."""
         s = self.samples_per_pixel
         real = light.real.dtype
-        fill = torch.as_tensor(self.fill_factor, dtype=real, device=light.device)
-        start = torch.arange(s, dtype=real, device=light.device)
-        half = fill.sqrt() * s / 2
-        line = (torch.minimum(start + 1, s / 2 + half) - torch.maximum(start, s / 2 - half)).clamp_min(0)
-        cover = line[:, None, None] * line  # [s, 1, s] against [..., m, s, n, s]
+        fill = torch.as_tensor(self.fill_factor, dtype=real, device=light.device).clamp(0, 1)
+        if s == 1:
+            cover = fill
+        else:
+            line = _covered(fill, s)
+            cover = line[:, None, None] * line  # [s, 1, s] against [..., m, s, n, s]
         *batch, rows, columns = light.shape
         pixels = light.reshape(*batch, rows // s, s, columns // s, s)
         return (pixels * cover + (1 - cover) * self._dead_light(light)).reshape(light.shape)
@@ -339,3 +340,12 @@ def _checked_phase(phase):
         kind = phase.dtype if isinstance(phase, torch.Tensor) else type(phase).__name__
         raise TypeError(f"phase must be a float32 or float64 tensor, got {kind}")
     return _validate.image("phase", phase)
+
+
+def _covered(fill, s):
+    """Return the share of each of the `s` samples across a pixel that its active part of area `fill` covers."""
+    # The root has no slope at zero; where edges meet, the slope is that of the active part's.
+    side = torch.where(fill > 0, fill.where(fill > 0, 1).sqrt(), fill) * s / 2
+    start = torch.arange(s, dtype=fill.dtype, device=fill.device)
+    low, high = s / 2 - side, s / 2 + side
+    return (torch.where(high <= start + 1, high, start + 1) - torch.where(low >= start, low, start)).clamp_min(0)

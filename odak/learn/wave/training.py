@@ -1,5 +1,6 @@
 """The loop that every hologram optimizer runs: steps, progress, the best so far, interruption and checkpoints."""
 
+import hashlib
 import logging
 import math
 import os
@@ -230,6 +231,15 @@ class _Run:
         self.solver.load(state["solver"])
         self.done = _validate.integer("done", state["done"])
         set_randomness(state["randomness"], self.device)
+
+
+def fingerprint(*tensors: torch.Tensor) -> str:
+    """Return a short text that other tensors do not have, for what a checkpoint is of."""
+    digest = hashlib.sha256()
+    for tensor in tensors:
+        array = tensor.detach().resolve_conj().resolve_neg().cpu().contiguous().numpy()
+        digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
+    return digest.hexdigest()[:16]
 
 
 def constant(rate: float) -> Callable[[int], float]:

@@ -11,6 +11,7 @@ from odak.learn._tensors import tensor
 from odak.learn.wave.light_path import LightPath, fill, stack, suited_method
 from odak.learn.wave.masks import disc
 from odak.learn.wave.spectral import convolve
+from odak.learn.wave.training import fingerprint
 from odak.tools.matrix import zero_pad
 from odak.wave.methods import spread
 from odak.wave.propagation import sample_counts
@@ -213,6 +214,13 @@ class display_volume(torch.nn.Module):
         if self.vaccination or not self._may_keep(dtype):
             return self._fill(self._empty(len(distances[planes]), dtype), distances[planes])
         return self._kept(planes, distances, dtype)
+
+    def fingerprint(self) -> str:
+        """Return a short text that a display of other lengths, planes, colours or another aperture does not have."""
+        lengths = [self.wavelengths, self.pixel_pitch, self.distances, self.image_location_offset, self._relay or 0.0]
+        numbers = [number for length in lengths for number in _validate.numbers(length)]
+        name = torch.tensor(list(self.propagation_type.encode()))
+        return fingerprint(torch.tensor(numbers, dtype=torch.float64), name, self.aperture)
 
     def _is_traced(self, distances) -> bool:
         return any(_array.is_traced(value) for value in (distances, self.pixel_pitch, *self.wavelengths))

@@ -311,3 +311,8 @@ def test_a_hologram_is_fitted():
         optimizer.step()
         scheduler.step()
     assert -10 * math.log10(float(loss.detach())) > 30
+
+
+def test_a_choice_may_be_masked():
+    assert STEFunction.apply(torch.tensor([[1.0, float("-inf")]])).tolist() == [[1.0, 0.0]]
+    assert STEFunction.apply(torch.tensor([[1.0, float("nan")]])).isnan().any()

@@ -322,3 +322,9 @@ def test_hologram_optimizers_take_the_losses(loss_type):
 def test_refused(call, kind, message):
     with pytest.raises(kind, match=message):
         call()
+
+
+def test_contrast_of_what_is_dark_beside_bright_light():
+    light = torch.ones(32, 32)
+    light[16:] = 1e-4 * torch.rand(16, 32, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(speckle_contrast(5)(light), speckle_contrast(5)(light.double()).float())

@@ -294,3 +294,26 @@ def test_bad_phases_are_named():
         slm(torch.zeros(4, 4))
     with pytest.raises(ValueError, match="bits must be given"):
         spatial_light_modulator(bits=None).levels(torch.zeros(4, 4))
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+@pytest.mark.parametrize("fill", [0.0, 0.4, 1.0])
+def test_slopes_of_the_fill_factor_at_its_ends(samples, fill):
+    phase = torch.rand(4, 4, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+
+    def loss(share):
+        start = torch.nn.Parameter(torch.full_like(share, 0.5))
+        model = spatial_light_modulator(bits=None, fill_factor=start, samples_per_pixel=samples)
+        # As an optimizer moves it.
+        start.data.copy_(share)
+        return model, (model(phase) - 1j).abs().square().mean()
+
+    share = torch.tensor(fill, dtype=torch.float64)
+    model, value = loss(share)
+    value.backward()
+    found = model.fill_factor.grad
+    assert found.isfinite()
+    if samples == 1 or fill == 0.4:
+        step = 1e-6 if fill < 1 else -1e-6
+        assert found.item() == pytest.approx((loss(share + step)[1] - value).item() / step, rel=1e-4)
+    assert loss(torch.tensor(-0.01))[1].isfinite() and loss(torch.tensor(1.01))[1].isfinite()

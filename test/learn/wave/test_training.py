@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from odak.learn import wave
 from odak.learn.wave import training
 from odak.learn.wave.solvers import LBFGS, Adam
 
@@ -201,3 +202,55 @@ def test_solvers_on_several_parameters():
         assert loss < 1e-6
         torch.testing.assert_close(one, target, atol=1e-3, rtol=0)
         torch.testing.assert_close(two, -target * target, atol=1e-2, rtol=0)
+
+
+def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
+    path, target = tmp_path / "run.pt", torch.rand(12, 16, generator=torch.Generator().manual_seed(0))
+
+    def run(target, wavelength=515e-9, distance=1e-3, pitch=8e-6, **others):
+        return wave.stochastic_gradient_descent(
+            target, wavelength, distance, pitch, n_iteration=2, seed=3, checkpoint=path, progress=False, **others
+        )
+
+    first = run(target)[0]
+    torch.testing.assert_close(run(target)[0], first, rtol=0, atol=0)
+    for other, told in (
+        ({"target": 1 - target}, "its target differ"),
+        ({"target": target, "wavelength": 633e-9}, "its wavelength differ"),
+        ({"target": target, "distance": 2e-3, "pitch": 4e-6}, "its distance, pixel_pitch differ"),
+        ({"target": target, "scale": True}, "its scale differ"),
+        ({"target": target, "propagation_type": "AS"}, "its propagation_type differ"),
+    ):
+        with pytest.raises(ValueError, match=told):
+            run(**other)
+
+
+def test_checkpoints_of_displays_know_their_planes(tmp_path):
+    targets = torch.rand(2, 12, 16, generator=torch.Generator().manual_seed(0))
+
+    def run(targets, wavelength=515e-9, stop=None):
+        def interrupt(step, loss):
+            assert loss.isfinite()
+            if step == stop:
+                raise KeyboardInterrupt
+
+        return wave.multiplane_hologram_optimizer(
+            wavelength, 0.0, 1e-3, 8e-6, [12, 16], targets, number_of_planes=2, number_of_iterations=4,
+            checkpoint=tmp_path / "run.pt", progress=False, seed=5, callback=interrupt,
+        ).optimize()[0]  # fmt: skip
+
+    run(targets, stop=6)
+    resumed = run(targets)
+    for other in ((1 - targets,), (targets, 633e-9)):
+        with pytest.raises(ValueError, match=r"is of another run: its (targets|display)"):
+            run(*other)
+    (tmp_path / "run.pt").unlink()
+    torch.testing.assert_close(resumed, run(targets), rtol=0, atol=0)
+
+
+def test_a_callback_stops_at_the_first_plane():
+    made = wave.multiplane_hologram_optimizer(
+        515e-9, 0.0, 1e-3, 8e-6, [12, 16], torch.rand(3, 12, 16), number_of_planes=3, number_of_iterations=4,
+        progress=False, callback=lambda step, loss: True,
+    )  # fmt: skip
+    assert made.optimize()[0].isfinite().all()
