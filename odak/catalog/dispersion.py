@@ -1,5 +1,6 @@
 """Dispersion formulas, and the record of a material that uses one; wavelengths in micrometres throughout."""
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -45,8 +46,9 @@ class Material:
         return FORMULAS[self.formula].compute(wavelength**2, self.coefficients)
 
     def abbe_number(self) -> float:
-        """Return (n_d − 1)/(n_F − n_C) from the formula."""
-        return (self.index(LINE_D) - 1) / (self.index(LINE_F) - self.index(LINE_C))
+        """Return (n_d − 1)/(n_F − n_C) from the formula; infinite without dispersion."""
+        spread = self.index(LINE_F) - self.index(LINE_C)
+        return (self.index(LINE_D) - 1) / spread if spread else math.inf
 
 
 @dataclass(frozen=True)

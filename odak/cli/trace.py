@@ -100,7 +100,7 @@ def describe(system, rings: int, aim: str) -> dict:
 
     spots = spot_diagram(system, "rings", rings, aim=aim)
     wave = wavefront(system, "rings", rings, aim=aim)
-    spread = point_spread_function(system, 64, 64, aim=aim)
+    spread = point_spread_function(system, 64, 1024, aim=aim)
     bent = distortion(system, aim=aim)
     place = system.reference
     fields = [

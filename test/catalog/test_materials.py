@@ -1,6 +1,7 @@
 """Refractive indices against published values and against formulas of other authors."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -214,3 +215,7 @@ def test_the_abbe_number_uses_the_lines_of_its_definition():
     index = {line: catalog.refractive_index("N-BK7", line, "um") for line in (LINE_C, LINE_D, LINE_F)}
     # Schott's data sheet: n_C 1.51432, n_F 1.52238.
     assert index[LINE_C] == pytest.approx(1.51432, abs=1e-5) and index[LINE_F] == pytest.approx(1.52238, abs=1e-5)
+
+
+def test_nothing_has_no_dispersion():
+    assert catalog.abbe_number("vacuum") == math.inf

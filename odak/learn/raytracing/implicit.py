@@ -71,7 +71,10 @@ def intersect_w_sag(
     names = [field.name for field in fields(surface)]
     extra = {"center": center, "angles": angles, "aperture": aperture}
     extra = {name: value for name, value in extra.items() if value is not None}
-    values = arguments.tensors(ray=ray, **{name: getattr(surface, name) for name in names}, **extra)
+    given = {name: getattr(surface, name) for name in names}
+    # Surfaces without coefficients are right as they are.
+    empty = [name for name, value in given.items() if isinstance(value, (list, tuple)) and not len(value)]
+    values = arguments.tensors(ray=ray, **given | {name: torch.zeros(0) for name in empty}, **extra)
     ray, parameters = values[0], values[1 : 1 + len(names)]
     extra = dict(zip(extra, values[1 + len(names) :], strict=True))
     if ray.shape[-2:] != (2, 3):
@@ -133,7 +136,10 @@ class _Distance(torch.autograd.Function):
         # torch.func's vjp holds the other arguments fixed: the distance's own dependence is not counted twice.
         value, pull = torch.func.vjp(lambda p: _level(ctx.kind, p, *parameters), point)
         (normal,) = pull(torch.ones_like(value))
-        weight = torch.where(hit, -gradient, 0.0) / torch.where(hit, dot(normal, direction), 1.0)
+        # A ray that only touches the surface has no slope: the distance ends there.
+        steep = dot(normal, direction)
+        met = hit & (steep != 0)
+        weight = torch.where(met, -gradient, 0.0) / torch.where(met, steep, 1.0)
         along = weight[..., None] * normal
         shape = (None,) * len(parameters)
         if any(ctx.needs_input_grad[5:]):
@@ -155,7 +161,8 @@ class _Distance(torch.autograd.Function):
         _, push = torch.func.vjp(pull, torch.ones_like(value))
         (change,) = push((moved, *changes))
         (slope,) = push((direction, *map(torch.zeros_like, parameters)))
-        return torch.where(hit, -change / torch.where(hit, slope, 1.0), 0.0), None
+        met = hit & (slope != 0)
+        return torch.where(met, -change / torch.where(met, slope, 1.0), 0.0), None
 
 
 def _dummies(start, direction, distance):

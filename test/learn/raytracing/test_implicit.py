@@ -217,3 +217,19 @@ def test_toroid_contains_the_torus(random):
     z = sag.toroid_sag(x, y, 0.1, 0.25).height
     across = np.hypot(x, 10 - z) - 6
     np.testing.assert_allclose(np.hypot(across, y), 4, rtol=1e-13)
+
+
+def test_surfaces_without_coefficients():
+    ray = torch.tensor([[0.3, 0.2, -5.0], [0.1, -0.05, 1.0]], dtype=F64)
+    for surface in (core.Toroid(0.1, 0.05), core.EvenAsphere(0.1), core.EvenAsphere(0.1, 0.0, [])):
+        found = rt.intersect_w_sag(ray, surface).distance.item()
+        assert found == pytest.approx(float(core.intersect_w_sag(ray.numpy(), surface).distance), rel=1e-12)
+
+
+def test_a_ray_that_touches_spoils_no_other_rays_slope():
+    rays = torch.tensor([[[0, -20.0, 0], [0, 1.0, 0]], [[0, 1.0, -5], [0, 0, 1.0]]], dtype=F64)
+    curvature = torch.tensor(0.1, dtype=F64, requires_grad=True)
+    rt.intersect_w_sag(rays, core.Conic(curvature)).distance[1].backward()
+    together, curvature.grad = curvature.grad, None
+    rt.intersect_w_sag(rays[1], core.Conic(curvature)).distance.backward()
+    assert together.item() == pytest.approx(curvature.grad.item())

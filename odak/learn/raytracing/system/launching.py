@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
+from odak._array import is_readable
 from odak.learn._tensors import checked_dtype
 from odak.learn.raytracing.system.lens import checked_system
 from odak.learn.raytracing.system.paraxial import entrance_pupil
@@ -144,6 +145,8 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
 
 def _far(fields, distance, px, py) -> Rays:
     """Return rays of distant points through points of the plane of the entrance pupil."""
+    if is_readable(fields) and bool((fields.abs() >= 90).any()):
+        raise ValueError(f"fields must be below 90 degrees from the axis, got {fields.abs().max().item():g}")
     tangent = torch.tan(torch.deg2rad(fields))
     tx, ty = tangent[..., 0], tangent[..., 1]
     w = 1 / (1 + tx * tx + ty * ty).sqrt()

@@ -94,6 +94,8 @@ class optical_system(torch.nn.Module):
         self.stop = stops[0] if stops else 0
         self.aperture = float(_validate.number("aperture", aperture, positive=True))
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
+        if self.aperture_type == "NA" and self.aperture >= 1:
+            raise ValueError(f"aperture must be below 1 as a numerical aperture in air, got {aperture}")
         self.unit = _validate.one_of("unit", unit, MICROMETRES)
         default = D_LINE / MICROMETRES[self.unit]
         self.wavelengths = _wavelengths(default if wavelengths is None else wavelengths)
@@ -105,6 +107,8 @@ class optical_system(torch.nn.Module):
         self.object_distance = float(number_or_infinity("object_distance", object_distance))
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
+        if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
+            raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
         self.image = _image(image)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 

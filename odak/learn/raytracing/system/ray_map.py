@@ -109,12 +109,18 @@ class RayMap:
             Let semi-diameters block rays.
         """
         found = self._traced(places, vignetting)
+        # Lost rays are computed with as if they were on the axis, so that nothing that is no number enters a gradient.
+        lost = found.status != RayStatus.HIT
+        alike = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+        held = [torch.where(lost, dummy, value) for dummy, value in zip(alike, found, strict=False)]
+        found = type(found)._make([*held, found.status])
         point, direction = torch.stack(found[:3], -1) - self.origin, torch.stack(found[3:6], -1)
         u, v, cosine = ((direction * axis).sum(-1) for axis in self.axes)
         distance = -(point * self.axes[2]).sum(-1) / cosine
         x, y = ((point * axis).sum(-1) + distance * slope for axis, slope in zip(self.axes, (u, v), strict=False))
         path = found.path + self.numbers.index[..., 0, -1:] * distance - self.chief
-        return Met(x, y, u, v, cosine, path, found.status)
+        met = [torch.where(lost, torch.nan, value) for value in (x, y, u, v, cosine, path)]
+        return Met._make([*met, found.status])
 
     def samples(self, aim: str) -> torch.Tensor:
         """Return places ``[..., P, 2]`` all over the pupil, its rim included."""

@@ -60,7 +60,8 @@ def spot_diagram(
     Returns
     -------
     Spots
-        Differentiable. Where no ray of a field arrives, its size is NaN.
+        Differentiable. Where no ray of a field arrives, its size is NaN. Distances are across the axis: on a tilted or
+        strongly curved image surface they are those of its view along the axis.
 
     Examples
     --------

@@ -81,6 +81,10 @@ def wavefront(
         traced = type(traced)(*(torch.cat([a, b[..., 1:]], -1) for a, b in zip(alone, traced, strict=True)))
     status = traced.status[..., 1:]
     kept = status == 0
+    # Lost rays stand where the chief ray is, so that nothing that is no number enters a gradient.
+    lost = torch.cat([torch.zeros_like(kept[..., :1]), ~kept], -1)
+    held = [torch.where(lost, value[..., :1].detach(), value) for value in traced[:-1]]
+    traced = type(traced)._make([*held, traced.status])
     numbers = system.prescription() if prescription is None else prescription
     index = numbers.index[..., -1][..., None, None]
     total = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
@@ -88,10 +92,12 @@ def wavefront(
     waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=lag.device)[: lag.shape[-3]]
     lag = torch.where(kept, lag, 0.0) / waves[:, None, None]
     number = kept.sum(-1)
-    mean = lag.sum(-1) / number
-    spread = torch.where(kept, lag - mean[..., None], 0.0).square().sum(-1) / number
+    mean = lag.sum(-1) / number.clamp_min(1)
+    spread = torch.where(kept, lag - mean[..., None], 0.0).square().sum(-1) / number.clamp_min(1)
     rms = torch.where(spread > 0, torch.where(spread > 0, spread, 1.0).sqrt(), 0 * spread)
+    rms = torch.where(number > 0, rms, torch.nan)
     cosines = torch.stack([value[..., 1:] - value[..., :1] for value in (traced.u, traced.v)], -1)
+    cosines = torch.where(kept[..., None], cosines, torch.nan)
     return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status)
 
 

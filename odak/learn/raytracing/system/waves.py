@@ -238,7 +238,7 @@ def _light(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: bool,
     share, area = _tube(rays, places, target, aim, grid)
     kept = (met.status == RayStatus.HIT) & (share > 0)
     amplitude = share if apodization is None else share * apodization(places)
-    scale = torch.where(kept, math.pi * area * met.cosine.abs(), 1.0).sqrt()
+    scale = torch.where(kept, math.pi * area * torch.where(kept, met.cosine, 1.0).abs(), 1.0).sqrt()
     status = torch.where(share > 0, met.status, RayStatus.MISS.value).to(torch.int8)
     return torch.where(kept, amplitude, 0.0) / scale, torch.where(kept, met.path, 0.0), status
 

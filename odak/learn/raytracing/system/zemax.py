@@ -13,6 +13,8 @@ from odak.tools._paths import _text
 
 LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 TYPES = ("STANDARD", "EVENASPH")
+# Shapes of apertures that are not read.
+BLOCKING = {"OBSC", "OBDC", "SQAP", "SQOB", "ELAP", "ELOB", "UDAP", "UDOB"}
 # What changes nothing about the light that is traced here.
 SILENT = {
     "VERS",
@@ -108,6 +110,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
             for number, lines in enumerate(surfaces[1:-1], start=1)
         ]
         image = _image(len(surfaces) - 1, surfaces[-1], scale, ignored)
+        _check_object(surfaces[0], ignored)
         distance = _of(surfaces[0], "DISZ", math.inf) * scale
         settings: dict[str, Any] = _general(general, head, surfaces, scale, math.isinf(distance), notes)
         name = " ".join(head["NAME"].words) if "NAME" in head else path.stem
@@ -118,6 +121,15 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     if not any(item.stop for item in built):
         notes.append("no STOP: the first surface is taken as the stop")
     return system, ZmxReport(tuple(ignored), tuple(notes))
+
+
+def _check_object(lines, ignored: list) -> None:
+    """Raise ValueError for an object that is curved or not in air; note the rest."""
+    for line in lines:
+        if line.key == "GLAS" or (line.key in ("CURV", "CONI") and line.words and line.value()):
+            raise ValueError(f"line {line.number}: the object must be flat and in air, got {' '.join(line.words)!r}")
+        if line.key not in {*SILENT, "CURV", "CONI", "DISZ"}:
+            ignored.append(_named(line, 0))
 
 
 def _named(line: Line, surface_number: int | None = None) -> str:
@@ -146,6 +158,8 @@ def _surface(number: int, lines, scale: float, glasses: dict, ignored: list) -> 
             inner, limit = line.value(0), line.value(1) * scale
             if inner:
                 raise ValueError(f"line {line.number}: CLAP with a hole (minimum radius {inner:g}) is not supported")
+        elif line.key in BLOCKING:
+            raise ValueError(f"line {line.number}: {line.key} blocks light and is not supported")
         elif line.key == "FLAP":
             limit = _of(lines, "DIAM", 0.0) * scale
         elif line.key not in SILENT or (line.key == "PARM" and len(line.words) > 1 and line.value(1)):

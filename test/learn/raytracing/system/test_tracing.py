@@ -352,3 +352,14 @@ def test_surface_that_is_not_there(until):
     system = load_system("cooke_triplet")
     with pytest.raises((ValueError, TypeError), match="until must be"):
         trace(system, launch(system, count=1), until=until)
+
+
+def test_apertures_and_fields_beyond_a_right_angle_are_refused():
+    glass = [surface(50.0, thickness=1.0, material=1.5)]
+    with pytest.raises(ValueError, match="aperture must be below 1"):
+        optical_system(glass, aperture=1.5, aperture_type="NA", object_distance=50.0)
+    for angle in (95.0, -90.0):
+        with pytest.raises(ValueError, match="fields must be below 90 degrees"):
+            optical_system(glass, aperture=5.0, fields=[angle])
+    with pytest.raises(ValueError, match="fields must be below 90 degrees"):
+        launch(optical_system(glass, aperture=5.0), "y", 3, fields=[[0.0, 95.0]])

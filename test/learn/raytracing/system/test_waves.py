@@ -12,12 +12,15 @@ from odak.learn.raytracing.system import (
     exit_field,
     first_order,
     launch,
+    load_system,
     modulation_transfer_function,
     optical_system,
     point_spread_function,
     propagated_point_spread_function,
     surface,
     trace,
+    wavefront,
+    zernike_fit,
 )
 from odak.learn.wave import propagate_beam
 
@@ -263,3 +266,55 @@ def test_what_would_be_wrong_is_refused():
     with pytest.raises(ValueError, match="distance must be given: the exit pupil is at infinity"):
         exit_field(telecentric, 64)
     assert bool((exit_field(telecentric, 256, distance=0.0).status == 0).any())
+
+
+@pytest.mark.parametrize("look", ["rms", "spread", "zernike", "transfer"])
+def test_lost_rays_leave_slopes_finite(look):
+    lens = load_system("double_gauss")
+    curvature = lens.vary(curvature=[0])[0]
+
+    def value():
+        if look == "rms":
+            return wavefront(lens).rms.sum()
+        if look == "zernike":
+            return zernike_fit(wavefront(lens))[0].sum()
+        spread = point_spread_function(lens, 32, 64)
+        return (
+            spread.intensity[..., 32, 32].sum() if look == "spread" else modulation_transfer_function(spread)[1].sum()
+        )
+
+    assert bool((wavefront(lens).status != 0).any())
+    value().backward()
+    found, step = curvature.grad.item(), 1e-9
+    with torch.no_grad():
+        curvature += step
+        above = value()
+        curvature -= 2 * step
+        below = value()
+    assert found == pytest.approx(((above - below) / (2 * step)).item(), rel=1e-3)
+
+
+def test_blocked_light_leaves_slopes_of_the_exit_field_finite():
+    pieces = [surface(10.0, semi_diameter=1.0, thickness=30.0, material=1.5, stop=True)]
+    lens = optical_system(pieces, aperture=4.0, wavelengths=50e-3)
+    curvature = lens.vary(curvature=[0])[0]
+    exit_field(lens, 64).field.abs().sum().backward()
+    assert curvature.grad.isfinite().all()
+
+
+def test_waves_are_shorter_in_image_space():
+    index = 1.336
+    shape = surface(10.0, conic=-1 / index**2, thickness=10 * index / (index - 1), material=index, stop=True)
+    eye = optical_system([shape], aperture=1.5, wavelengths=550e-6)
+    spread = point_spread_function(eye, 64, 1024)
+    profile = spread.intensity[0, 0, 512, 512:]
+    ring = int((profile[1:] >= profile[:-1]).nonzero()[0]) * spread.pitch[0, 0, 1].item()
+    assert ring == pytest.approx(0.61 * 550e-6 / first_order(eye).numerical_aperture.item(), rel=0.03)
+
+
+def test_fields_off_both_axes_are_told_of(caplog):
+    ball = [surface(20.0, thickness=20.0, material=1.5), surface(thickness=20.0, material=1.5, stop=True)]
+    ball.append(surface(-20.0, thickness=9.25))
+    for fields, told in (([0.0, (0, 20.0)], False), ([(15.0, 15.0)], True)):
+        point_spread_function(optical_system(ball, aperture=1.0, fields=fields, image=surface(-29.25)), 32, 64)
+        assert ("off both axes" in caplog.text) == told

@@ -119,6 +119,10 @@ def test_lengths_in_inches_become_millimetres(tmp_path):
         ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
         ("PARM 2", "PARM 9", "PARM must be 1 to 8"),
         ("CLAP 0 12.0", "CLAP 3 12.0", "CLAP with a hole"),
+        ("CLAP 0 12.0", "OBSC 0 2.0", "OBSC blocks light"),
+        ("CLAP 0 12.0", "SQAP 3 3", "SQAP blocks light"),
+        ("SURF 0\n", "SURF 0\n  GLAS WATER 0 0 1.33 55\n", "the object must be flat and in air"),
+        ("SURF 0\n", "SURF 0\n  CURV 0.1\n", "the object must be flat and in air"),
     ],
 )
 def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
