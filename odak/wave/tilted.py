@@ -1,11 +1,11 @@
 """Propagation to a tilted plane: the angular spectrum in the plane's own coordinates."""
 
+import logging
 from collections.abc import Sequence
 from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.log import logger
 from odak.wave.frequency_box import GUARD, Window, carry_to_offset, column, make_window, to_window
 from odak.wave.grid import Grid
 from odak.wave.nonuniform import spectrum_at
@@ -14,6 +14,7 @@ from odak.wave.rays import Rays
 from odak.wave.request import Request
 from odak.wave.transfer_functions import plane_wave_transfer
 
+_log = logging.getLogger("odak")
 # Cosine of 88 degrees.
 GRAZING = 0.035
 
@@ -84,7 +85,7 @@ def propagate_to_tilted_plane(
     if rays.numbers().axes[2][2].min() < 1e-3:
         raise ValueError(f"angles must turn the plane's normal by less than 90 degrees from the axis, got {angles!r}")
     if rays.numbers().axes[2][2].min() < GRAZING:
-        logger.warning("angles %r graze the plane: light along it is cut, and the field there may be wrong", angles)
+        _log.warning("angles %r graze the plane: light along it is cut, and the field there may be wrong", angles)
     lines = rays.lines()
     (fy, fx), transfer = _transfer(grid, window, rays, lines)
     return to_window(spectrum_at(field, fy * grid.dx, fx * grid.dx) * transfer, lines, window, grid)

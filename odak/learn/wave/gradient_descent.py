@@ -114,6 +114,8 @@ def stochastic_gradient_descent(
     """
     target = _checked_target(target)
     n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance)
     _validate.real("pixel_pitch", pixel_pitch, positive=True)
     _validate.real("learning_rate", learning_rate, positive=True)
     scale = _validate.flag("scale", scale)

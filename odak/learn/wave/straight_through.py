@@ -29,8 +29,8 @@ class STEFunction(torch.autograd.Function):
         ctx.save_for_backward(input)
         ctx.temperature = temperature
         choice = torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
-        # What was no number to compare is none.
-        return choice.masked_fill_(input.isnan(), torch.nan)
+        # What was no number to compare is none; −∞ masks a choice.
+        return choice.masked_fill_(input.isnan() | input.isposinf(), torch.nan)
 
     @staticmethod
     def backward(ctx: Any, grad_output: torch.Tensor) -> tuple[torch.Tensor, None]:
