@@ -149,10 +149,7 @@ def stochastic_gradient_descent(
 
     about = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale}
     if checkpoint is not None:
-        about["target"] = fingerprint(target)
-        lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
-        about |= {name: _validate.numbers(length) for name, length in lengths.items()}
-        about["propagation_type"] = propagation_type
+        about |= _problem(target, wavelength, distance, pixel_pitch) | {"propagation_type": propagation_type}
     minimise({"phase": phase}, gradient, n_iteration, constant(learning_rate), options, solver=optimizer, about=about)
     with torch.no_grad():
         hologram = modulate(phase)
@@ -164,6 +161,12 @@ def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     axes = (-2, -1)
     norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
     return (image * target).sum(axes, keepdim=True) / norm
+
+
+def _problem(target, wavelength, distance, pixel_pitch) -> dict:
+    """Return what a checkpoint must be of."""
+    lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
+    return {"target": fingerprint(target), **{name: _validate.numbers(length) for name, length in lengths.items()}}
 
 
 def _checked_target(target) -> torch.Tensor:

@@ -41,7 +41,8 @@ class multiplane_hologram_optimizer:
         Phase to start from, 0 … 1 rad at random by default, and amplitude of the light on the modulator, one by
         default; ``[m, n]`` each.
     loss_function : callable, optional
-        ``loss_function(image, target, plane_id)`` on masked images; the mean squared error by default.
+        ``loss_function(image, target, plane_id)`` on masked images; the mean squared error by default. It is called
+        for each plane before the first step too.
     mask_limits : sequence of float
         First and last row, first and last column of the part of the images that counts, as shares of m and n.
     number_of_planes : int
