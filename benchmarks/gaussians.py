@@ -13,8 +13,7 @@ from wave_optics import row
 
 from odak.learn.models import gaussians_2d
 from odak.learn.wave import Scene2D, complex_2d_gaussians
-from odak.learn.wave.gaussian_tiles import Tiling
-from odak.learn.wave.splatting import composite_gaussians
+from odak.learn.wave.gaussians.splatting import Tiling, composite_gaussians
 
 NUMBER, SIDE = 10_000, 512
 # Pixels of one part of the bare formula, few enough that all Gaussians stay in the cache, and the share of all pixels

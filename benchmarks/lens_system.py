@@ -13,7 +13,7 @@ from measure import interleave
 from wave_optics import row
 
 from odak.learn.raytracing.system import Rays, fused, launch, load_system, optical_system, surface, trace
-from odak.learn.raytracing.system.prescription import layout_of
+from odak.learn.raytracing.system.surfaces import layout_of
 
 COUNT = 1_000_000
 DTYPES = (torch.float32, torch.float64)
@@ -88,7 +88,7 @@ def _bare(system, rays):
     layout = layout_of(system.surfaces, numbers)
     flat = tuple(value.reshape(1, -1) for value in rays)
     # Made anew each time: a graph lives for one backward pass.
-    return lambda: fused.plain_trace(layout, system.prescription().numbers(), flat)
+    return lambda: fused.plain(layout, system.prescription().numbers(), flat)
 
 
 def _saved(task) -> float:

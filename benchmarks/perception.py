@@ -16,7 +16,7 @@ from torch.nn import functional
 from wave_optics import row
 
 from odak.learn import perception
-from odak.learn.perception.radially_varying_blur import level_map
+from odak.learn.perception.foveation import level_map
 
 SIDES = (512, 1024)
 LEVELS, ORIENTATIONS = 5, 2
@@ -53,6 +53,8 @@ def kept_target(device: str) -> Iterator[dict]:
     image.requires_grad_()
     # One loss for each task: what one keeps must not be lost to another.
     kept, renewed, moved = (perception.MetamericLoss(device=device) for _ in range(3))
+    trusting, other = perception.MetamericLoss(device=device, trust_target=True), torch.rand_like(target)
+    pair = iter([target, other] * 1000)
     places = iter(range(1000))
 
     def call(loss, target, gaze=(0.5, 0.5)):
@@ -62,13 +64,15 @@ def kept_target(device: str) -> Iterator[dict]:
         {
             "again": lambda: call(kept, target),
             "first": lambda: call(perception.MetamericLoss(device=device), target),
-            "target": lambda: call(renewed, target.clone()),
+            "trusted": lambda: call(trusting, target),
+            "target": lambda: call(renewed, next(pair)),
             "gaze": lambda: call(moved, target, (next(places) / 1000, 0.5)),
         },
         7,
         device,
     )
     again = timings["again"].best
+    yield row("metameric loss, same target again", again, timings["trusted"].best, "trusted target", None)
     yield row("metameric loss, same target again", again, timings["first"].best, "first call", 1 / 1.6)
     yield row("metameric loss, same target again", again, timings["target"].best, "new target", None)
     yield row("metameric loss, same target again", again, timings["gaze"].best, "new gaze", None)

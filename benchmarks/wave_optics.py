@@ -105,7 +105,7 @@ def memory(device: str) -> Iterator[dict]:
     """Yield the peak memory of a hologram above what the process holds after import, in padded complex64 arrays."""
     code = (
         "import json, sys; sys.path.insert(0, 'benchmarks'); import torch; from measure import peak_memory; "
-        "from odak.learn import wave; import odak.learn.wave.classical; "
+        "from odak.learn import wave; import odak.learn.wave.propagation; "
         f"device = {device!r}; target = torch.rand({SHAPE}, device=device); "
         "torch.fft.fft2(torch.zeros(64, 64, dtype=torch.complex64, device=device)); before = peak_memory(device); "
         f"wave.stochastic_gradient_descent(target, {WAVELENGTH}, {DISTANCE}, {PITCH}, n_iteration=5, progress=False); "

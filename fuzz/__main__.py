@@ -150,7 +150,7 @@ def judge(reader, folder: str, case: tuple[str, bytes]) -> tuple[str | None, boo
     with open(os.path.join(os.path.dirname(folder), "alive"), "w", encoding="ascii"):
         pass
     names = (os.path.basename(path), "case.") if reader.named else ()
-    return guard.breach(lambda: reader.call(path), folder, names, reader.megabytes)
+    return guard.breach(lambda: reader.call(path), folder, names, reader.megabytes, reader.seconds)
 
 
 def _kind(text: str) -> str:

@@ -71,7 +71,7 @@ def tensor_seeds(folder):
         ".pt",
         saved(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), torch.tensor([1.0, 2.0]), (3,), check_invariants=True)),
     )
-    from odak.learn.wave.complex_gaussians_3d import NAMES
+    from odak.learn.wave.gaussians.spatial import NAMES
 
     shapes = [(2, 4), *[(2, 3)] * 4, (2,), (2, 2)]
     yield ".pt", saved({name: torch.rand(shape) for name, shape in zip(NAMES, shapes, strict=True)})
@@ -91,7 +91,7 @@ def descend(path, solver):
         loss.backward()
         return loss.detach()
 
-    options = training.Options(progress=False, checkpoint=path, checkpoint_every=1, seed=1)
+    options = training.Options(progress=False, checkpoint=path, checkpoint_every=1)
     training.minimise({"x": x}, gradient, 2, training.constant(0.1), options, solver=solver)
 
 

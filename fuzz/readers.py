@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from fuzz import archive_seeds, mutations, seed_files
+from fuzz import archive_seeds, guard, mutations, seed_files
 
 IMAGE_MEGABYTES = 1800
 
@@ -31,6 +31,8 @@ class Reader:
         Whether a refusal must name the file.
     megabytes : float
         Memory that a case may take.
+    seconds : float
+        Processor time that a case may take.
     """
 
     seeds: Callable
@@ -39,6 +41,7 @@ class Reader:
     structure: Callable | None = None
     named: bool = True
     megabytes: float = 256
+    seconds: float = guard.SECONDS
 
 
 def every(*calls: Callable) -> Callable:
@@ -77,9 +80,9 @@ def _torch_image(path):
 
 
 def _inset(path):
-    from odak.visualize.plotly import fields
+    from odak.visualize.plotly import field_figures
 
-    fields._inset(path)
+    field_figures._inset(path)
 
 
 def _mesh(path):
@@ -155,7 +158,7 @@ def _weights(path):
 def _gaussians(path):
     from argparse import Namespace
 
-    from odak.learn.wave.complex_gaussians import complex_3d_gaussians
+    from odak.learn.wave.gaussians import complex_3d_gaussians
 
     complex_3d_gaussians("gaussians", "cpu", load_path=path, args_prop=Namespace(num_planes=2))
 
@@ -317,5 +320,6 @@ READERS = {
         mutations.in_json,
         named=False,
     ),
-    "line": Reader(seed_files.line_seeds, _line, seed_files.OPTIONS, named=False, megabytes=600),
+    # A line may trace a lens and draw its figures.
+    "line": Reader(seed_files.line_seeds, _line, seed_files.OPTIONS, named=False, megabytes=600, seconds=30),
 }

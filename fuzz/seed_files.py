@@ -69,7 +69,7 @@ def ply_seeds(folder):
     path = os.path.join(folder, "seed.ply")
     asset.write_PLY(triangles, path)
     yield ".ply", content(path)
-    from odak.tools._ply import write_mesh
+    from odak.tools.asset import write_mesh
 
     write_mesh(path, triangles.reshape(-1, 3), np.arange(9).reshape(3, 3))
     yield ".ply", content(path)

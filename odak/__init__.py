@@ -4,41 +4,6 @@
 ``import odak`` itself costs next to nothing.
 """
 
-import importlib
-import math
+from odak._lazy import attach
 
-pi = math.pi
-version_info = (0, 3, 0)
-__version__ = ".".join(str(part) for part in version_info)
-
-_SUBPACKAGES = (
-    "catalog",
-    "cli",
-    "fit",
-    "jones",
-    "learn",
-    "log",
-    "manager",
-    "measurement",
-    "raytracing",
-    "tools",
-    "visualize",
-    "wave",
-)
-
-__all__ = ["__version__", "pi", "version_info", *_SUBPACKAGES]
-
-
-def __getattr__(name: str):
-    """Load a subpackage, or NumPy as `np`, on first use (PEP 562)."""
-    if name in _SUBPACKAGES:
-        return importlib.import_module(f"{__name__}.{name}")
-    if name == "np":
-        return importlib.import_module("numpy")
-    raise AttributeError(
-        f"module {__name__!r} has no attribute {name!r}; its subpackages are {', '.join(_SUBPACKAGES)}"
-    )
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

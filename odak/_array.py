@@ -1,14 +1,57 @@
-"""The array namespace: one set of formulas for NumPy, PyTorch, CuPy and JAX through the Python array API."""
+"""Array namespaces, devices and precisions: formulas written once for NumPy, PyTorch, CuPy and JAX."""
 
 import sys
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
 
 import array_api_compat
 import array_api_compat.numpy
 
-# In signatures: an array of any library, or what becomes one. Which it is shows at run time alone.
-Array = Any
+if TYPE_CHECKING:
+    import torch
+
+
+class Array(Protocol):
+    """An array of NumPy, PyTorch or another library of the Python array API: what all of them have in common."""
+
+    @property
+    def shape(self) -> Any: ...
+    @property
+    def ndim(self) -> int: ...
+    @property
+    def dtype(self) -> Any: ...
+    @property
+    def device(self) -> Any: ...
+    @property
+    def real(self) -> Any: ...
+    @property
+    def imag(self) -> Any: ...
+    def __len__(self) -> int: ...
+    def __getitem__(self, key: Any, /) -> Any: ...
+    def __add__(self, other: Any, /) -> Any: ...
+    def __radd__(self, other: Any, /) -> Any: ...
+    def __sub__(self, other: Any, /) -> Any: ...
+    def __rsub__(self, other: Any, /) -> Any: ...
+    def __mul__(self, other: Any, /) -> Any: ...
+    def __rmul__(self, other: Any, /) -> Any: ...
+    def __truediv__(self, other: Any, /) -> Any: ...
+    def __rtruediv__(self, other: Any, /) -> Any: ...
+    def __pow__(self, other: Any, /) -> Any: ...
+    def __matmul__(self, other: Any, /) -> Any: ...
+    def __and__(self, other: Any, /) -> Any: ...
+    def __or__(self, other: Any, /) -> Any: ...
+    def __xor__(self, other: Any, /) -> Any: ...
+    def __neg__(self) -> Any: ...
+    def __abs__(self) -> Any: ...
+    def __invert__(self) -> Any: ...
+    def __lt__(self, other: Any, /) -> Any: ...
+    def __le__(self, other: Any, /) -> Any: ...
+    def __gt__(self, other: Any, /) -> Any: ...
+    def __ge__(self, other: Any, /) -> Any: ...
+
+
+# In signatures: the result is an array of the library of the argument.
+ArrayT = TypeVar("ArrayT", bound=Array)
 # It takes over what NumPy has at run time, unseen by a type checker.
 numpy_namespace: Any = array_api_compat.numpy
 _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
@@ -32,6 +75,56 @@ def namespace(*values) -> ModuleType:
     return array_api_compat.array_namespace(*arrays) if arrays else numpy_namespace
 
 
+def placement(
+    *values, xp: ModuleType | None = None, device: Any = None, dtype: Any = None
+) -> tuple[ModuleType, Any, Any]:
+    """Return the namespace, the device and the real dtype of a result that is computed from numbers and arrays.
+
+    Parameters
+    ----------
+    *values : array, number or sequence
+        What the result is computed from.
+    xp : module, optional
+        Array library of the result; by default that of the arrays among the values, NumPy if there is none.
+    device : optional
+        Device of the result; by default that of the first array of this library, else the library's default.
+    dtype : optional
+        Real dtype of the result; by default the widest precision of the floating arrays of this library, else the
+        library's default.
+    """
+    arrays = [value for value in values if is_array(value)]
+    xp = namespace(*arrays) if xp is None else library("xp", xp)
+    arrays = [array for array in arrays if namespace(array) is xp]
+    if device is None and arrays:
+        device = device_of(arrays[0])
+    if dtype is None:
+        floating = [a for a in arrays if xp.isdtype(a.dtype, ("real floating", "complex floating"))]
+        dtypes = [real_dtype(a) if "complex" in str(a.dtype) else a.dtype for a in floating]
+        return xp, device, xp.result_type(*dtypes) if dtypes else default_dtype(xp)
+    try:
+        real = xp.isdtype(xp.empty(0, dtype=dtype).dtype, "real floating")
+    except (TypeError, ValueError):
+        real = False
+    if not real:
+        raise TypeError(f"dtype must be a real floating dtype such as {xp.float64}, got {dtype!r:.80}")
+    return xp, device, dtype
+
+
+def library(name: str, value) -> ModuleType:
+    """Return the array API's namespace of a library (numpy, torch, …), NumPy's for None."""
+    if value is None:
+        return numpy_namespace
+    if all(hasattr(value, function) for function in ("asarray", "arange", "empty", "float64")):
+        return namespace(value.empty(0))
+    raise TypeError(f"{name} must be an array library such as numpy or torch, got {value!r:.100}")
+
+
+def default_dtype(xp: ModuleType):
+    """Return the real dtype that a library gives to numbers: float64 in NumPy, torch's default dtype in PyTorch."""
+    torch = sys.modules.get("torch")
+    return torch.get_default_dtype() if torch is not None and xp.__name__.endswith("torch") else xp.float64
+
+
 def device_of(value):
     """Return the device of an array, None for anything else."""
     if is_torch(value):
@@ -39,25 +132,27 @@ def device_of(value):
     return array_api_compat.device(value) if is_array(value) else None
 
 
-def is_torch(value) -> bool:
+def is_torch(value) -> "TypeGuard[torch.Tensor]":
     """Say whether `value` is a torch tensor, without importing torch."""
     return isinstance(value, getattr(sys.modules.get("torch"), "Tensor", ()))
 
 
 def is_readable(value) -> bool:
     """Say whether the numbers in `value` are there to be read: without a host sync, torch.func and torch.compile."""
-    return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_transformed(value))
+    return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_symbolic(value))
+
+
+def _is_symbolic(tensor) -> bool:
+    import torch
+
+    from odak import _torch_private
+
+    return torch.compiler.is_compiling() or _torch_private.is_wrapped(tensor)
 
 
 def is_traced(value) -> bool:
     """Say whether `value` is a tensor that must stay one: autograd follows it, or its numbers cannot be read."""
     return is_torch(value) and (value.requires_grad or not is_readable(value))
-
-
-def _is_transformed(tensor) -> bool:
-    import torch
-
-    return torch.compiler.is_compiling() or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
 
 
 def outside_graphs(function, *arguments):
@@ -133,6 +228,20 @@ def make_complex(real, imag):
         return torch.complex(real, imag)
     dtype = complex_dtype(real)
     return xp.astype(real, dtype) + 1j * xp.astype(imag, dtype)
+
+
+def converted(value, xp: ModuleType, device=None, dtype=None):
+    """Return an array, a number or a list as an array of a library, on a device and of a dtype.
+
+    A torch tensor keeps its place in the autograd graph; the memory of an array of another library is not shared.
+    """
+    if is_array(value) and namespace(value) is xp:
+        if is_torch(value):
+            return value.to(device=device, dtype=dtype)
+        return xp.asarray(value, dtype=dtype, device=device)
+    if is_array(value) and xp is not numpy_namespace:
+        value = numpy_namespace.array(value, order="C")
+    return xp.asarray(value, dtype=dtype, device=device)
 
 
 def cast(value, like, dtype=None):

@@ -1,30 +1,115 @@
-"""Public names that load with their module on first use (PEP 562)."""
+"""Lazy loading of the public names listed in stub files (PEP 562), and import of modules under their earlier paths."""
 
+import ast
 import importlib
+import importlib.machinery
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+from odak._moved import MOVED_MODULES, MOVED_NAMES
 
 
-def attach(package: str, modules: dict[str, tuple[str, ...]]) -> tuple[Callable, Callable, list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package whose names live in its modules.
+def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package whose public names stand in its stub file.
+
+    The stub ``__init__.pyi`` beside the package's ``__init__.py`` holds one line for each public name, which type
+    checkers, editors and the reference read too: ``from .module import name as name``. The modules that it names are
+    attributes of the package as well; private ones, and packages of others, are not listed in ``__all__``.
 
     Parameters
     ----------
     package : str
         The package's ``__name__``.
-    modules : dict
-        Maps each submodule to the public names that the package takes from it.
+    file : str
+        The package's ``__file__``.
     """
-    home = {name: module for module, names in modules.items() for name in names}
-    public = sorted({*home, *modules})
+    home = _read_stub(package, Path(file).with_suffix(".pyi"))
+    moved = MOVED_NAMES.get(package, {})
+    modules = {module for module, name in home.values() if module.rpartition(".")[0] == package}
+    modules |= {f"{package}.{name}" for name in home if home[name] == (f"{package}.{name}", None)}
+    children = {module.rpartition(".")[2] for module in modules} - set(home)
+    listed = {name for name, (module, _) in home.items() if module.startswith("odak.")}
+    public = sorted({*listed, *(child for child in children if not child.startswith("_"))})
+    homonyms = {n for n in home if home[n] == (f"{package}.{n}", n) or f"{package}.{n}" in MOVED_MODULES}
+    if homonyms:
+        sys.modules[package].__dict__["_homonyms"] = homonyms
+        sys.modules[package].__class__ = _PackageOfHomonyms
 
     def load(name: str):
         if name in home:
-            value = getattr(importlib.import_module(f"{package}.{home[name]}"), name)
-            setattr(sys.modules[package], name, value)
+            module, attribute = home[name]
+            value = importlib.import_module(module)
+            if attribute is not None:
+                value = getattr(value, attribute)
+            sys.modules[package].__dict__[name] = value
             return value
-        if name in modules:
+        if name in children or f"{package}.{name}" in MOVED_MODULES:
             return importlib.import_module(f"{package}.{name}")
+        if name in moved:
+            from odak._warnings import warn
+
+            warn(f"{package}.{name} is deprecated: import it as {moved[name]}.{name}", DeprecationWarning)
+            return getattr(importlib.import_module(moved[name]), name)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return load, lambda: public, public
+
+
+def _read_stub(package: str, stub: Path) -> dict[str, tuple[str, str | None]]:
+    """Return, for each name that a stub imports, its module and its name there; None for the module itself."""
+    home: dict[str, tuple[str, str | None]] = {}
+    for statement in ast.parse(stub.read_text(encoding="utf-8")).body:
+        if isinstance(statement, ast.Import):
+            home.update({alias.asname or alias.name: (alias.name, None) for alias in statement.names})
+            continue
+        if not isinstance(statement, ast.ImportFrom):
+            raise SyntaxError(f"{stub}, line {statement.lineno}: a stub of names holds imports alone")
+        base = package.rsplit(".", statement.level - 1)[0] if statement.level else ""
+        module = ".".join(part for part in (base, statement.module) if part)
+        for alias in statement.names:
+            name = alias.asname or alias.name
+            home[name] = (module, alias.name) if statement.module else (f"{module}.{alias.name}", None)
+    return home
+
+
+class _PackageOfHomonyms(ModuleType):
+    """Package with a public name that is also the name of its module: importing the module does not replace it."""
+
+    def __setattr__(self, name, value):
+        if not (isinstance(value, ModuleType) and name in self.__dict__["_homonyms"]):
+            super().__setattr__(name, value)
+
+
+class _MovedModules:
+    """Importer of the paths in `MOVED_MODULES`: each gives the module, or the modules, that hold its names now."""
+
+    def find_spec(self, fullname, path=None, target=None):
+        if fullname in MOVED_MODULES:
+            return importlib.machinery.ModuleSpec(fullname, self)  # type: ignore[arg-type]
+        return None
+
+    def create_module(self, spec):
+        return None
+
+    def exec_module(self, module: ModuleType) -> None:
+        targets = MOVED_MODULES[module.__name__]
+        if isinstance(targets, str):
+            sys.modules[module.__name__] = importlib.import_module(targets)
+            return
+        homes = tuple(importlib.import_module(target) for target in targets)
+
+        def load(name: str):
+            for home in homes:
+                if not name.startswith("__") and hasattr(home, name):
+                    return getattr(home, name)
+            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
+
+        module.__getattr__ = load  # type: ignore[method-assign]
+        module.__dir__ = lambda: sorted({name for home in homes for name in dir(home)})  # type: ignore[method-assign]
+        module.__doc__ = f"Earlier path of names that live in {' and '.join(targets)}."
+
+
+if not any(type(finder).__name__ == "_MovedModules" for finder in sys.meta_path):
+    sys.meta_path.append(_MovedModules())  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""Argument checks for the public doors: each names the argument, what came and what is accepted."""
+"""Checks of arguments; their errors name the argument, what was given and what is accepted."""
 
 import difflib
 import itertools
@@ -9,7 +9,18 @@ from typing import Any
 
 import numpy
 
-from odak._array import cast, complex_dtype, is_array, is_readable, is_torch, namespace, real_dtype
+from odak._array import (
+    cast,
+    complex_dtype,
+    converted,
+    is_array,
+    is_readable,
+    is_torch,
+    namespace,
+    placement,
+    real_dtype,
+)
+from odak._array import library as library
 
 # More samples along one axis than any memory holds along two; refused before anything is allocated.
 LONGEST_SIDE = 2**31 - 1
@@ -166,6 +177,43 @@ def given(name: str, value):
     return made
 
 
+def reals(**values) -> list:
+    """Return arguments as real floating arrays of one library, on one device and in one precision.
+
+    Numbers and lists must be finite; they take the library, device and precision of the arrays among the arguments, as
+    :func:`odak._array.placement` finds them. What is not a number in an array spreads to the result.
+    """
+    xp, device, dtype = placement(*values.values())
+    made = []
+    for name, value in values.items():
+        value = array(name, value) if is_array(value) else converted(given(name, value), xp, device)
+        if "complex" in str(value.dtype) or str(value.dtype).endswith("bool"):
+            raise TypeError(f"{name} must be real numbers, got {value.dtype}")
+        made.append(converted(value, xp, device, dtype))
+    return made
+
+
+def shaped(name: str, value, *shape: Any):
+    """Return an array after checking its shape.
+
+    Parameters
+    ----------
+    name : str
+        The argument's name.
+    value : array
+        What came.
+    *shape : int, str or Ellipsis
+        Lengths of the axes: a letter stands for any length, ``...`` in front for any number of axes.
+    """
+    last = shape[1:] if shape[0] is ... else shape
+    have = tuple(value.shape[value.ndim - len(last) :]) if value.ndim >= len(last) else ()
+    fits = len(have) == len(last) and (shape[0] is ... or value.ndim == len(shape))
+    if not fits or any(not isinstance(n, str) and n != m for n, m in zip(last, have, strict=True)):
+        wanted = ", ".join("..." if n is ... else str(n) for n in shape)
+        raise ValueError(f"{name} must be [{wanted}], got {list(value.shape)}")
+    return value
+
+
 def fitting(**arrays) -> tuple[int, ...]:
     """Return the shape that arrays, shapes and numbers broadcast to; raise ValueError that names them if none fits."""
     one_device(**arrays)
@@ -223,15 +271,6 @@ def function_or_none(name: str, value):
     if value is None or callable(value):
         return value
     raise TypeError(f"{name} must be a function, got {value!r:.80}")
-
-
-def library(name: str, value):
-    """Return the array API's namespace of a library (numpy, torch, …), NumPy's for None."""
-    if value is None:
-        return namespace()
-    if all(hasattr(value, function) for function in ("asarray", "arange", "empty", "float64")):
-        return namespace(value.empty(0))
-    raise TypeError(f"{name} must be an array library such as numpy or torch, got {value!r:.100}")
 
 
 def several(name: str, value, count: int | None = None, *, positive: bool = False) -> tuple:

@@ -23,7 +23,16 @@ ROOT = Path(__file__).resolve().parents[1]
 TOOLS = ["build==1.6.1", "twine==7.0.0"]
 LEFT_OUT = shutil.ignore_patterns(".*", "__pycache__", "*.egg-info", "build", "dist", "docs", "output", "site")
 INFO = {"METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE.txt", "top_level.txt"}
-BESIDE = {"CHANGELOG.md", "CITATION.cff", "LICENSE.txt", "MANIFEST.in", "PKG-INFO", "README.md", "pyproject.toml"}
+BESIDE = {
+    "CHANGELOG.md",
+    "CITATION.cff",
+    "LICENSE.txt",
+    "MANIFEST.in",
+    "PKG-INFO",
+    "README.md",
+    "THANKS.txt",
+    "pyproject.toml",
+}
 
 
 def package_files(root: Path) -> set[str]:

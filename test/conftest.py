@@ -12,11 +12,9 @@ import pytest
 
 @pytest.fixture(autouse=True)
 def _fresh_state():
-    """Let each test see its own warnings and build its own kernels."""
-    from odak.wave import methods
-    from odak.wave.kernel_cache import kernels
+    """Let each test build its own kernels."""
+    from odak.wave.transfer_functions import kernels
 
-    methods._warned.clear()
     kernels.clear()
 
 

@@ -79,7 +79,7 @@ def many_short_optimisations(count, side=64):
 def many_geometries(count, bound):
     """Return the most bytes that the store of kernels held over as many geometries, and the growth meanwhile."""
     import odak
-    from odak.wave.kernel_cache import kernels
+    from odak.wave.transfer_functions import kernels
 
     odak.wave.set_kernel_cache_size(bound)
     most = 0

@@ -11,9 +11,8 @@ def coordinates(shape, dx):
 
 
 def wrapped_phasor(length, wavelength):
-    """Return exp(ik·length), whole waves taken off first."""
-    cycles = np.asarray(length, dtype=np.float64) / wavelength
-    return np.exp(2j * np.pi * (cycles - np.round(cycles)))
+    """Return exp(ik·length), whole waves taken off first: the remainder of a division is exact."""
+    return np.exp(2j * np.pi * (np.remainder(np.asarray(length, dtype=np.float64), wavelength) / wavelength))
 
 
 def gaussian_beam(shape, dx, waist, distance, wavelength):
@@ -55,3 +54,19 @@ def centroid(intensity, dx):
     """Return the centre of mass of an intensity in metres from the optical axis."""
     y, x = coordinates(intensity.shape, dx)
     return float((y * intensity).sum() / intensity.sum()), float((x * intensity).sum() / intensity.sum())
+
+
+def unwrapped_propagation(field, distance, dx, wavelength, cutoff=np.inf, padding=32):
+    """Return a field propagated to its own window by the angular spectrum (Goodman 2005, eq. 3-70) in complex128.
+
+    The window is `padding` times wider, so that what leaves it does not come back. `cutoff` is the radius of a round
+    stop in cycles per metre.
+    """
+    field = np.asarray(field, dtype=np.complex128)
+    shape = tuple(padding * n for n in field.shape[-2:])
+    fy, fx = np.fft.fftfreq(shape[0], dx)[:, None], np.fft.fftfreq(shape[1], dx)
+    squared = fy**2 + fx**2
+    axial = np.sqrt((1 / wavelength**2 - squared).astype(np.complex128))
+    transfer = np.exp(2j * np.pi * distance * np.where(distance < 0, axial.conj(), axial)) * (squared <= cutoff**2)
+    spread = np.fft.ifft2(np.fft.fft2(field, shape) * transfer)
+    return spread[..., : field.shape[-2], : field.shape[-1]]

@@ -77,7 +77,8 @@ def check_gradients(call, count, parts):
     assert torch.equal(spread, turn) and torch.equal(found[0], expected[0])
     whole, exact = gradients(lambda layer, *given: layer(*given), field, layer, gain)
     for a, b in zip((spread, *found), (whole, *exact), strict=True):
-        torch.testing.assert_close(a, b, rtol=1e-12, atol=1e-12 * float(b.abs().max()))
+        # The derivative of the distance sums terms of both signs, which magnifies the rounding of another order.
+        torch.testing.assert_close(a, b, rtol=1e-11, atol=1e-12 * float(b.abs().max()))
 
 
 def check_second_derivatives():

@@ -59,6 +59,12 @@ def start_workers(address, count=1, *options):
     return workers
 
 
+def tls_options(folder):
+    """Return the options of `dask scheduler` and of odak for the certificates in a folder."""
+    files = (("--tls-ca-file", "ca.pem"), ("--tls-cert", "cert.pem"), ("--tls-key", "key.pem"))
+    return tuple(part for option, name in files for part in (option, str(folder / name)))
+
+
 def wait_for(condition, running=None):
     """Return what `condition` returns once it is true."""
     end = time.monotonic() + LIMIT

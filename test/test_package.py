@@ -1,7 +1,11 @@
-"""The house: imports stay light and dependencies point one way."""
+"""Structure of the package: light imports, dependencies one way, one place for each thing, documented names."""
 
 import ast
+import importlib
+import importlib.util
+import inspect
 import pathlib
+import re
 import subprocess
 import sys
 
@@ -11,65 +15,117 @@ import pytest
 import odak
 
 ROOT = pathlib.Path(odak.__file__).parent
-MODULES = sorted(path.relative_to(ROOT) for path in ROOT.rglob("*.py"))
-ROOMS = {
-    "_array": set(),
-    "_validate": {"_array"},
-    "_lazy": set(),
-    "log": {"_validate", "tools"},
-    "tools": {"log", "_array", "_validate", "_lazy"},
-    "wave": {"tools", "_array", "_validate", "_lazy"},
-    "fit": {"_array", "_validate", "_lazy"},
-    "jones": {"_array", "_validate", "_lazy"},
-    "raytracing": {"tools", "_array", "_validate", "_lazy"},
-    "measurement": {"tools", "_array", "_validate", "_lazy"},
-    "catalog": {"raytracing", "tools", "visualize", "_array", "_validate", "_lazy"},
+_specification = importlib.util.spec_from_file_location("structure", ROOT.parent / "scripts" / "structure.py")
+structure = importlib.util.module_from_spec(_specification)
+_specification.loader.exec_module(structure)
+MODULES = structure.modules()
+IMPORTS = structure.imports()
+PACKAGES = sorted(".".join(path.parent.relative_to(ROOT.parent).parts) for path in ROOT.rglob("__init__.pyi"))
+
+# What each part may import, besides the modules of the package itself (odak._array, odak._validate, …).
+PARTS = {
+    "odak.log": {"odak.tools"},
+    "odak.tools": {"odak.log"},
+    "odak.fit": set(),
+    "odak.jones": set(),
+    "odak.measurement": set(),
+    "odak.wave": {"odak.jones", "odak.tools"},
+    "odak.raytracing": {"odak.tools"},
+    "odak.catalog": {"odak.raytracing", "odak.tools", "odak.visualize"},
+    "odak.manager": {"odak.tools"},
+    "odak.instruments": {"odak.tools", "odak.wave"},
+    "odak.learn": {"odak.catalog", "odak.jones", "odak.log", "odak.raytracing", "odak.tools", "odak.wave"},
+    "odak.visualize": {"odak.catalog", "odak.learn", "odak.log", "odak.raytracing", "odak.tools"},
+    "odak.cli": {f"odak.{part}" for part in ["learn", "log", "manager", "raytracing", "tools", "visualize", "wave"]},
 }
-PACKAGES = [
-    "odak.catalog",
-    "odak.fit",
-    "odak.jones",
-    "odak.learn",
-    "odak.learn.jones",
-    "odak.learn.lensless",
-    "odak.learn.models",
-    "odak.learn.perception",
-    "odak.learn.raytracing",
-    "odak.learn.raytracing.system",
-    "odak.learn.tools",
-    "odak.learn.wave",
-    "odak.manager",
-    "odak.measurement",
-    "odak.raytracing",
-    "odak.tools",
-    "odak.visualize",
-    "odak.visualize.blender",
-    "odak.visualize.plotly",
-    "odak.wave",
-]
+# The same within odak.learn.
+LEARN = {
+    "odak.learn.jones": set(),
+    "odak.learn.tools": set(),
+    "odak.learn.models": {"odak.learn.tools"},
+    "odak.learn.perception": {"odak.learn.tools"},
+    "odak.learn.lensless": {"odak.learn.models", "odak.learn.tools"},
+    "odak.learn.wave": {"odak.learn.models", "odak.learn.perception", "odak.learn.tools"},
+    "odak.learn.raytracing": {"odak.learn.tools", "odak.learn.wave"},
+}
+# Modules of one name that are not the two faces of one thing, and the reason why they share it.
+SHARED_NAMES = {
+    "camera": "a perspective camera; a camera that observes a modulator",
+    "elements": "optical elements of polarisation, of waves and of ray tracing",
+    "fields": "fields of waves; field points of rays",
+    "gaussians": "networks of Gaussians; scenes of Gaussians in wave optics",
+    "lens": "phases of lenses; lenses of surfaces",
+    "loss": "losses of images; losses of holograms",
+    "models": "networks; models of displays",
+    "spots": "spots of holograms; spot diagrams",
+    "surfaces": "surfaces of rays; surfaces in a system",
+    "tilted": "propagation to tilted planes; tilted surfaces",
+    "training": "training of networks; of holograms",
+    "util": "module paths of Odak 0.2",
+    "vector": "vectors in space; vector fields",
+    "volume": "holograms of a volume; the command for it",
+}
+# Modules that import each other in a circle; this list only shrinks.
+CIRCLES: list[list[str]] = []
 
 
-def imported_rooms(path):
-    tree = ast.parse((ROOT / path).read_text())
-    for node in ast.walk(tree):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-        for name in names:
-            parts = name.split(".")
-            if parts[0] == "odak" and len(parts) > 1:
-                yield parts[1]
+def part_of(module, parts):
+    return next((part for part in parts if module == part or module.startswith(part + ".")), None)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=str)
-def test_dependencies_point_one_way(path):
-    room = path.parts[0].removesuffix(".py")
-    if room in ROOMS:
-        assert set(imported_rooms(path)) <= {room, *ROOMS[room]}
-    elif room == "learn":
-        assert not {"cli", "manager", "visualize"} & set(imported_rooms(path))
-    elif room in ("visualize", "manager"):
-        assert "cli" not in set(imported_rooms(path))
+@pytest.mark.parametrize("parts", [PARTS, LEARN], ids=["odak", "odak.learn"])
+def test_dependencies_point_one_way(parts):
+    wrong = {
+        f"{module} imports {other}"
+        for module, imported in IMPORTS.items()
+        for other in imported
+        if (part := part_of(module, parts)) and (target := part_of(other, parts))
+        if target not in {part, *parts[part]}
+    }
+    assert wrong == set()
+
+
+def test_modules_do_not_import_each_other_in_a_circle():
+    assert structure.cycles(IMPORTS) == []
+
+
+def test_circles_are_found():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"b", "d"}, "d": set()}
+    assert structure.cycles(graph) == [["b", "c"]]
+
+
+def test_the_private_interface_of_torch_is_touched_in_one_module():
+    private = re.compile(r"torch(\.\w+)*\._[a-z]\w*|torch\._C\b|\._(version|backward_hooks|current_level)\b")
+    found = {name for name, path in MODULES.items() if private.search(path.read_text(encoding="utf-8"))}
+    assert {name for name in found if not name.startswith("odak.visualize.blender")} == {"odak._torch_private"}
+
+
+def test_modules_of_one_name_are_two_faces_or_have_a_reason():
+    places = {}
+    for name in MODULES:
+        if "." in name:
+            places.setdefault(name.rpartition(".")[2], set()).add(name.replace("odak.learn.", "odak."))
+    assert {name for name, found in places.items() if len(found) > 1} <= set(SHARED_NAMES)
+
+
+def test_the_first_line_of_a_module_is_a_statement():
+    asking = {
+        name
+        for name, path in MODULES.items()
+        if re.match(
+            r"(What|Whether|Which|How|Where)\b", ast.get_docstring(ast.parse(path.read_text("utf-8"))) or "What"
+        )
+    }
+    assert asking == set()
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_is_documented(package):
+    module = importlib.import_module(package)
+    assert module.__doc__
+    values = {name: getattr(module, name) for name in dir(module)}
+    bare = [name for name, value in values.items() if callable(value) and not inspect.getdoc(value)]
+    assert bare == []
 
 
 def run(code):
@@ -104,9 +160,31 @@ def test_version_is_its_parts():
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_public_name_resolves(package):
-    import importlib
-
     module = importlib.import_module(package)
-    for name in module.__all__:
+    # A package whose parent lists its names has none of its own.
+    listed = getattr(module, "__all__", dir(module))
+    for name in listed:
         assert getattr(module, name) is not None
-    assert set(module.__all__) == set(dir(module))
+    assert set(listed) == set(dir(module))
+
+
+def test_a_class_named_as_its_module_stays_the_class():
+    code = "import odak.learn.raytracing as r; import odak.learn.raytracing.detector; print(type(r.detector).__name__)"
+    assert run(code).strip() == "type"
+
+
+def test_a_stub_of_names_holds_imports_alone(tmp_path):
+    from odak._lazy import attach
+
+    (tmp_path / "__init__.pyi").write_text("from .a import b as b\nc: int\n")
+    with pytest.raises(SyntaxError, match="line 2"):
+        attach("odak.nowhere", str(tmp_path / "__init__.py"))
+
+
+def test_stubs_travel_with_the_package():
+    tomllib = pytest.importorskip("tomllib")
+
+    settings = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())
+    patterns = settings["tool"]["setuptools"]["package-data"]["odak"]
+    shipped = {path for pattern in patterns for path in ROOT.glob(pattern)}
+    assert {path.with_suffix(".pyi") for path in ROOT.rglob("__init__.py")} <= shipped

@@ -71,7 +71,7 @@ def measured(library: str, python: str, truth: pathlib.Path) -> dict:
 
 def import_time(library: str, python: str, environment: dict) -> float:
     """Return the best of three times to start Python and import a library, of odak the part that the tasks use."""
-    used = "odak.learn.wave.classical" if library == "odak" else library
+    used = "odak.learn.wave.propagation" if library == "odak" else library
     seconds = []
     for _ in range(3):
         start = time.perf_counter()

@@ -32,7 +32,7 @@ def odak() -> dict:
 
     from odak.learn.raytracing.system import Rays, optical_system, surface, trace
     from odak.learn.wave import band_limited_angular_spectrum
-    from odak.wave.kernel_cache import clear_kernel_cache
+    from odak.wave.transfer_functions import clear_kernel_cache
 
     torch.set_num_threads(2)
 

@@ -58,7 +58,7 @@ class plane_detector:
 
     def __init__(
         self,
-        field: Array = None,
+        field: Array | None = None,
         resolution: Sequence[int] = (1000, 1000),
         shape: Sequence[float] = (10.0, 10.0),
         center: Sequence[float] = NO_SHIFT,

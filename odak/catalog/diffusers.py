@@ -57,7 +57,7 @@ class thin_diffuser:
 
     def __init__(
         self,
-        phase: Array = None,
+        phase: Array | None = None,
         shape: Sequence[float] = (10.0, 10.0),
         center: Sequence[float] = NO_SHIFT,
         angles: Sequence[float] = NO_SHIFT,

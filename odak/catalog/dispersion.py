@@ -3,10 +3,11 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from odak import _array
+from odak import _array, _validate
 
-LINE_D, LINE_F, LINE_C = 0.5875618, 0.4861327, 0.6562725
+LINE_D, LINE_F, LINE_C, LINE_G = 0.5875618, 0.4861327, 0.6562725, 0.4358343
 MEDIA = ("air", "vacuum")
 
 
@@ -14,12 +15,12 @@ MEDIA = ("air", "vacuum")
 class Material:
     """A material whose refractive index is known.
 
-    Attributes
+    Parameters
     ----------
     name : str
         Name in the catalogue.
     formula : str
-        "sellmeier", "cauchy" or "gas"; see :data:`FORMULAS`.
+        "sellmeier", "cauchy", "gas", "polynomial", "conrady" or "handbook"; see :data:`FORMULAS`.
     coefficients : mapping
         What the formula takes, for wavelengths in micrometres.
     range : tuple of float
@@ -28,8 +29,10 @@ class Material:
         "air" or "vacuum": in what the published index is counted.
     source : str
         Where the coefficients come from.
-    nd, vd : float, optional
-        Published index at the helium d line (587.6 nm) and Abbe number (n_d − 1)/(n_F − n_C).
+    nd : float, optional
+        Published index at the helium d line (587.6 nm).
+    vd : float, optional
+        Published Abbe number (n_d − 1)/(n_F − n_C).
     """
 
     name: str
@@ -41,7 +44,7 @@ class Material:
     nd: float | None = None
     vd: float | None = None
 
-    def index(self, wavelength):
+    def index(self, wavelength: Any) -> Any:
         """Return the index as published at `wavelength` micrometres (an array in double precision or a number)."""
         return FORMULAS[self.formula].compute(wavelength**2, self.coefficients)
 
@@ -77,8 +80,76 @@ def gas(squared, coefficients):
     return 1 + sum(b / (c - 1 / squared) for b, c in zip(coefficients["B"], coefficients["C"], strict=True))
 
 
+def polynomial(squared, coefficients):
+    """Return sqrt(Σ A·λ^P): the formula of Schott's older catalogues and its extensions."""
+    total = conrady(squared, coefficients)
+    return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
+
+
+def conrady(squared, coefficients):
+    """Return Σ A·λ^P, n itself, as in Conrady's n = A + B/λ + C/λ^3.5."""
+    return sum(a * squared ** (p / 2) for a, p in zip(coefficients["A"], coefficients["P"], strict=True))
+
+
+def handbook(squared, coefficients):
+    """Return sqrt(Σ A·λ^P + Σ B/(λ² − C)), the form of the Handbook of Optics."""
+    poles = sum(b / (squared - c) for b, c in zip(coefficients["B"], coefficients["C"], strict=True))
+    total = conrady(squared, coefficients) + poles
+    return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
+
+
+def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
+    """Return a glass that has no name, from its index and dispersion: what patents and lens files state.
+
+    Parameters
+    ----------
+    nd : float
+        Index at the d line, 587.6 nm.
+    vd : float
+        Abbe number (n_d − 1)/(n_F − n_C).
+    dpgf : float
+        Deviation of the relative partial dispersion (n_g − n_F)/(n_F − n_C) from the normal line
+        0.6438 − 0.001682·vd of Schott's glasses.
+
+    Returns
+    -------
+    Material
+        n = A + B/λ² + C/λ⁴ through the three statements, for 0.35 to 1.1 micrometres.
+
+    Raises
+    ------
+    ValueError
+        If nd is not above 1 or vd not positive.
+
+    Examples
+    --------
+    >>> from odak.catalog import model_glass, refractive_index
+    >>> round(refractive_index(model_glass(1.5168, 64.17), 656.2725e-9), 4)
+    1.5144
+    """
+    nd = float(_validate.number("nd", nd, positive=True))
+    vd, dpgf = float(_validate.number("vd", vd, positive=True)), float(_validate.number("dpgf", dpgf))
+    if nd <= 1:
+        raise ValueError(f"nd must be above 1, got {nd}")
+    spread = (nd - 1) / vd
+    partial = (0.6438 - 0.001682 * vd + dpgf) * spread
+    # Two differences of the series give B and C, the d line gives A.
+    d, f, c, g = (1 / line**2 for line in (LINE_D, LINE_F, LINE_C, LINE_G))
+    matrix = (f - c, f * f - c * c), (g - f, g * g - f * f)
+    determinant = matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0]
+    first = (spread * matrix[1][1] - partial * matrix[0][1]) / determinant
+    second = (partial * matrix[0][0] - spread * matrix[1][0]) / determinant
+    coefficients = {"A": (nd - first * d - second * d * d, first, second)}
+    name = f"model {nd:g} {vd:g}" + (f" {dpgf:g}" if dpgf else "")
+    return Material(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+
+
 FORMULAS = {
     "sellmeier": Formula(sellmeier, ("B", "C"), ("A",)),
     "cauchy": Formula(cauchy, ("A",)),
     "gas": Formula(gas, ("B", "C")),
+    "polynomial": Formula(polynomial, ("A", "P")),
+    "conrady": Formula(conrady, ("A", "P")),
 }
+# Read from glass catalogues, not from JSON.
+FORMULAS["handbook"] = Formula(handbook, ("A", "P", "B", "C"))

@@ -136,7 +136,7 @@ class plano_convex_lens:
         normal[missed], distance[missed] = np.nan, np.nan
         return normal, distance
 
-    def raytrace(self, rays: Array = None, n: float | None = None) -> np.ndarray | None:
+    def raytrace(self, rays: Array | None = None, n: float | None = None) -> np.ndarray | None:
         """Refract rays through both faces.
 
         Parameters

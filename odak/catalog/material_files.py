@@ -1,4 +1,4 @@
-"""Reading materials from JSON, with every entry checked."""
+"""Reads materials from JSON, glass catalogues (AGF) and entries of refractiveindex.info, every entry checked."""
 
 import json
 import math
@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from odak import _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.catalog.dispersion import FORMULAS, LINE_D, MEDIA, Material
 
 _KNOWN = {"formula", "A", "B", "C", "range", "relative_to", "nd", "vd", "source"}
@@ -38,6 +39,10 @@ def read_materials(path) -> tuple[list[Material], dict[str, str]]:
         If there is no such file.
     """
     path = Path(os.path.expanduser(path))
+    if path.suffix.lower() == ".agf":
+        return read_agf(path), {}
+    if path.suffix.lower() in (".yml", ".yaml"):
+        return [read_entry(path)], {}
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, RecursionError) as error:
@@ -128,3 +133,162 @@ def _value(function, *arguments):
         return function(*arguments)
     except ArithmeticError:
         return math.nan
+
+
+# The dispersion formulas of glass catalogues by their numbers: powers of λ in n², or None for those built apart.
+_AGF_POWERS = {
+    1: (0, 2, -2, -4, -6, -8),
+    10: (0, 2, -2, -4, -6, -8, -10, -12),
+    12: (0, 2, -2, -4, -6, -8, 4, 6),
+    13: (0, 2, 4, -2, -4, -6, -8, -10, -12),
+}
+
+
+def read_agf(path) -> list[Material]:
+    """Return the materials of a glass catalogue in the AGF format.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Text file, UTF-8, UTF-16 or Latin-1, up to 16 MiB.
+
+    Returns
+    -------
+    list of Material
+        In the order of the file. Glasses whose formula is not known (numbers 3 and above 13) are left out with an
+        ArgumentWarning that names them.
+
+    Raises
+    ------
+    ValueError
+        If a line of a glass is malformed, or the file holds no glass.
+    """
+    path = Path(os.path.expanduser(path))
+    found: list[Material] = []
+    unknown: list[str] = []
+    head: list[str] = []
+    numbers: list[float] = []
+    limits: list[float] = []
+
+    def finish() -> None:
+        if not head:
+            return
+        made = _from_agf(path, head, numbers, limits)
+        found.append(made) if made is not None else unknown.append(head[0])
+
+    for line, text in enumerate(_catalogue_text(path).splitlines(), start=1):
+        words = text.split()
+        if not words:
+            continue
+        if words[0] == "NM":
+            finish()
+            head, numbers, limits = words[1:], [], []
+        try:
+            if words[0] == "CD":
+                numbers = [float(word) for word in words[1:]]
+            elif words[0] == "LD":
+                limits = [float(word) for word in words[1:3]]
+        except ValueError as error:
+            raise ValueError(f"{path.name}, line {line}: {error}") from None
+    finish()
+    if not found:
+        raise ValueError(f"{path.name} holds no glass whose dispersion formula is known")
+    if unknown:
+        warn(f"{path.name}: left out {', '.join(unknown[:8])}: dispersion formula not known", ArgumentWarning)
+    return found
+
+
+def _catalogue_text(path: Path) -> str:
+    if path.stat().st_size > 16 << 20:
+        raise ValueError(f"{path.name}: larger than 16 MiB")
+    data = path.read_bytes()
+    for encoding in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "latin-1"):
+        try:
+            return data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    raise ValueError(f"{path.name}: not a text file")
+
+
+def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float]) -> Material | None:
+    """Return a glass of an AGF file: words of its line NM, coefficients, range; None for an unknown formula."""
+    if len(head) < 5 or len(limits) < 2 or not 0 < limits[0] < limits[1] or not all(map(math.isfinite, c)):
+        raise ValueError(f"{path.name}: glass {head[0] if head else ''!r} lacks numbers or its range of wavelengths")
+    name, kind, nd, vd = head[0], int(float(head[1])), float(head[3]), float(head[4])
+    c = c + [0.0] * 12
+    made: dict[str, Any]
+    if kind in _AGF_POWERS:
+        powers = _AGF_POWERS[kind]
+        formula, made = "polynomial", {"A": tuple(c[: len(powers)]), "P": tuple(map(float, powers))}
+    elif kind in (2, 6, 11):
+        count = {2: 3, 6: 4, 11: 5}[kind]
+        formula, made = "sellmeier", {"B": tuple(c[: 2 * count : 2]), "C": tuple(c[1 : 2 * count : 2])}
+    elif kind == 4:
+        formula, made = "sellmeier", {"A": 1 + c[0], "B": (c[1], c[3]), "C": (c[2] ** 2, c[4] ** 2)}
+    elif kind == 9:
+        formula, made = "sellmeier", {"A": c[0], "B": (c[1], c[3]), "C": (c[2], c[4])}
+    elif kind == 5:
+        formula, made = "conrady", {"A": tuple(c[:3]), "P": (0.0, -1.0, -3.5)}
+    elif kind == 7:
+        formula, made = "handbook", {"A": (c[0], -c[3]), "P": (0.0, 2.0), "B": (c[1],), "C": (c[2],)}
+    elif kind == 8:
+        # B·λ²/(λ² − C) = B + B·C/(λ² − C).
+        formula = "handbook"
+        made = {"A": (c[0] + c[1], -c[3]), "P": (0.0, 2.0), "B": (c[1] * c[2],), "C": (c[2],)}
+    else:
+        return None
+    glass = Material(name, formula, made, (limits[0], limits[1]), "air", f"glass catalogue {path.name}")
+    index = _value(glass.index, LINE_D)
+    if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
+        raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")
+    return Material(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None)
+
+
+def read_entry(path) -> Material:
+    """Return the material of an entry of refractiveindex.info.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The entry's YAML file, as its page offers it for download.
+
+    Returns
+    -------
+    Material
+        Named after the file; its index is counted in vacuum unless it comes from a maker's catalogue.
+
+    Raises
+    ------
+    ValueError
+        If the entry has none of the formulas 1, 2, 3 and 5, or is malformed.
+    """
+    path = Path(os.path.expanduser(path))
+    kind, source = "", ""
+    limits: list[float] = []
+    numbers: list[float] = []
+    lines = _catalogue_text(path).splitlines()
+    for i, text in enumerate(lines):
+        key, _, value = text.strip().lstrip("- ").partition(":")
+        if key == "type" and value.strip().startswith("formula ") and not kind:
+            kind = value.strip().removeprefix("formula ")
+        elif key == "wavelength_range" and kind and not limits:
+            limits = [float(word) for word in value.split()]
+        elif key == "coefficients" and kind and not numbers:
+            numbers = [float(word) for word in value.split()]
+        elif key == "REFERENCES":
+            source = (
+                value.strip() if value.strip() not in ("", "|") else lines[i + 1].strip() if i + 1 < len(lines) else ""
+            )
+    if kind not in ("1", "2", "3", "5") or len(limits) != 2 or len(numbers) < 3:
+        raise ValueError(f"{path.name} must hold formula 1, 2, 3 or 5 with its range and coefficients, got {kind!r}")
+    first, rest = numbers[0], numbers[1:]
+    made: dict[str, Any]
+    if kind in ("1", "2"):
+        poles = tuple(c * c for c in rest[1::2]) if kind == "1" else tuple(rest[1::2])
+        formula, made = "sellmeier", {"A": 1 + first, "B": tuple(rest[::2]), "C": poles}
+    else:
+        formula = "polynomial" if kind == "3" else "conrady"
+        made = {"A": (first, *rest[::2]), "P": (0.0, *rest[1::2])}
+    medium = "air" if "catalog" in source.lower() else "vacuum"
+    source = source or "refractiveindex.info"
+    return Material(path.stem, formula, made, (limits[0], limits[1]), medium, source)

@@ -1,18 +1,23 @@
 """Refractive indices of glasses, crystals, plastics, water and air; sources in ``odak/catalog/data/materials.json``."""
 
 import difflib
+import json
 import math
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.catalog.dispersion import MEDIA, Material
+from odak.catalog.dispersion import LINE_C, LINE_D, LINE_F, MEDIA, Material
 from odak.catalog.material_files import read_materials
-from odak.tools._paths import validate_path
+from odak.tools.paths import validate_path
 
 MICROMETRES = {"m": 1e6, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3}
 _DATA = Path(__file__).parent / "data" / "materials.json"
+_GLASSES = Path(__file__).parent / "data" / "glasses.json"
 _found: dict[str, Material] = {}
 
 
@@ -79,30 +84,69 @@ def material(name: str) -> Material:
     Parameters
     ----------
     name : str
-        As in :func:`refractive_index`.
+        Name in the catalogue, in any case, with or without hyphens and spaces; a glass of a maker may be preceded by
+        the maker, "ohara:S-BSL7".
 
     Raises
     ------
     ValueError
-        If there is no such material; the message names the nearest known ones.
+        If there is no such material (the message names the nearest known ones), or several makers have a glass of
+        this name (it names them).
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, got {type(name).__name__}")
     known = _catalogue()
     if _key(name) in known:
         return known[_key(name)]
-    near = difflib.get_close_matches(_key(name), known, n=6, cutoff=0.4)
-    names = list(dict.fromkeys(known[key].name for key in near))[:3]
+    maker, _, bare = name.rpartition(":")
+    makers = _makers_of(_key(bare))
+    if maker:
+        maker = _validate.one_of(f"maker in {name!r}", maker, glass_makers())
+        if maker in makers:
+            return _glass(maker, _key(bare))
+    elif len(makers) > 1:
+        options = ", ".join(f"'{maker}:{bare}'" for maker in makers)
+        raise ValueError(f"name {name!r} is a glass of several makers: say which, one of {options}")
+    elif makers:
+        return _glass(makers[0], _key(bare))
+    pool = [*known, *(key for found in _glasses().values() for key in found)]
+    near = difflib.get_close_matches(_key(bare), pool, n=6, cutoff=0.4)
+    names = list(dict.fromkeys(known[key].name if key in known else _named(key) for key in near))[:3]
     hint = f"; the nearest known are {', '.join(names)}" if names else ""
     raise ValueError(f"name {name!r} is not a known material{hint}. Add it with odak.catalog.load_materials")
 
 
-def material_names() -> tuple[str, ...]:
-    """Return the names of all known materials, sorted, without their aliases."""
-    return tuple(sorted({found.name for found in _catalogue().values()}))
+def material_names(maker: str | None = None) -> tuple[str, ...]:
+    """Return the names of known materials, sorted, without their aliases.
+
+    Parameters
+    ----------
+    maker : str, optional
+        One of :func:`glass_makers`, for the glasses of its catalogue; by default the names of the general catalogue.
+
+    Returns
+    -------
+    tuple of str
+        Names for :func:`material`.
+
+    Examples
+    --------
+    >>> from odak.catalog import material_names
+    >>> "S-BSL7" in material_names("ohara")
+    True
+    """
+    if maker is None:
+        return tuple(sorted({found.name for found in _catalogue().values()}))
+    maker = _validate.one_of("maker", maker, glass_makers())
+    return tuple(sorted(_glass(maker, key).name for key in _glasses()[maker]))
 
 
-def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
+def glass_makers() -> tuple[str, ...]:
+    """Return the makers whose catalogues of optical glass are included, for "maker:name" and :func:`material_names`."""
+    return tuple(_glass_data()["makers"])
+
+
+def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str] | None = None) -> tuple[str, ...]:
     """Return the names of the materials nearest to a published index and Abbe number, the nearest first.
 
     Parameters
@@ -111,6 +155,13 @@ def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
         Index at the d line and Abbe number, as in patents.
     count : int
         How many names.
+    makers : iterable of str, optional
+        Search the catalogues of these makers (see :func:`glass_makers`) instead of the general one.
+
+    Returns
+    -------
+    tuple of str
+        Names for :func:`material`.
 
     Notes
     -----
@@ -124,16 +175,21 @@ def nearest_materials(nd: float, vd: float, count: int = 3) -> tuple[str, ...]:
     """
     _validate.real("nd", nd, positive=True)
     _validate.real("vd", vd, positive=True)
+    if makers is None:
+        pool = list(_catalogue().values())
+    else:
+        named = [_validate.one_of("makers", maker, glass_makers()) for maker in _validate.texts("makers", makers)]
+        pool = [_glass(maker, key) for maker in named for key in _glasses()[maker]]
     apart = {
         found.name: math.hypot((found.nd - nd) / 0.01, found.vd - vd)
-        for found in _catalogue().values()
+        for found in pool
         if found.nd is not None and found.vd is not None
     }
     return tuple(sorted(apart, key=lambda name: (apart[name], name))[: _validate.integer("count", count, minimum=1)])
 
 
 def load_materials(path: Any, replace: bool = False) -> tuple[str, ...]:
-    """Add the materials of a JSON file to the catalogue of this process.
+    """Add the materials of a file to the catalogue of this process.
 
     Parameters
     ----------
@@ -141,7 +197,8 @@ def load_materials(path: Any, replace: bool = False) -> tuple[str, ...]:
         File ``{"materials": {name: {"formula": "sellmeier", "B": […], "C": […], "range": [0.4, 1], "source": "…"}}}``,
         with coefficients and range for wavelengths in micrometres; "cauchy" takes "A": [A₀, A₁, …]. Optional keys of
         an entry: "nd" and "vd", which its formula must reproduce, and "relative_to". Optional "aliases" beside
-        "materials" map further names to names.
+        "materials" map further names to names. Or a makers' glass catalogue (.agf), or an entry of
+        refractiveindex.info (.yml), whose material takes the name of the file.
     replace : bool
         Let a name that is taken be given to the new material.
 
@@ -171,6 +228,48 @@ def _catalogue() -> dict[str, Material]:
     if not _found:
         _found.update(_indexed(*read_materials(_DATA), _DATA, {}))
     return _found
+
+
+@cache
+def _glass_data() -> dict:
+    return json.loads(_GLASSES.read_text(encoding="utf-8"))
+
+
+@cache
+def _glasses() -> dict[str, dict[str, str]]:
+    """Return the names of the glasses of each maker by their keys."""
+    makers = _glass_data()["makers"]
+    return {maker: {_key(name): name for name in held["glasses"]} for maker, held in makers.items()}
+
+
+def _makers_of(key: str) -> list[str]:
+    return [maker for maker, found in _glasses().items() if key in found]
+
+
+def _named(key: str) -> str:
+    """Return the shortest name by which a maker's glass is found."""
+    makers = _makers_of(key)
+    name = _glasses()[makers[0]][key]
+    return name if len(makers) == 1 and key not in _catalogue() else f"{makers[0]}:{name}"
+
+
+@cache
+def _glass(maker: str, key: str) -> Material:
+    held, name = _glass_data()["makers"][maker], _glasses()[maker][key]
+    kind, low, high, numbers, source = held["glasses"][name]
+    if kind == "s":
+        formula = "sellmeier"
+        coefficients: dict[str, Any] = {"A": 1 + numbers[0], "B": tuple(numbers[1::2]), "C": tuple(numbers[2::2])}
+    else:
+        formula = "polynomial"
+        coefficients = {"A": (numbers[0], *numbers[1::2]), "P": (0.0, *numbers[2::2])}
+    alone = len(_makers_of(key)) == 1 and key not in _catalogue()
+    full = name if alone else f"{maker}:{name}"
+    text = f"{held['sources'][source]}, from the refractiveindex.info database (CC0)"
+    made = Material(full, formula, coefficients, (low, high), "air", text)
+    if low <= LINE_F and high >= LINE_C:
+        made = replace(made, nd=float(made.index(LINE_D)), vd=float(made.abbe_number()))
+    return made
 
 
 def _indexed(materials, aliases, path, known) -> dict[str, Material]:

@@ -3,6 +3,6 @@
 Importing this package costs no torch: commands load what they need when they run.
 """
 
-from odak.cli.app import app, main
+from odak._lazy import attach
 
-__all__ = ["app", "main"]
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

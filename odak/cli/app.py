@@ -1,22 +1,23 @@
-"""The commands, and what they say and return when something is wrong.
+"""Commands of the command line, their messages and their exit codes.
 
-Exit codes: 0 all is well, 1 unexpected failure, 2 the command line or what it names will not do.
+Exit codes: 0 success, 1 unexpected failure, 2 the command line or a file that it names cannot be used.
 """
 
 import os
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from odak.cli import cluster_options, metamer_options, options
-from odak.cli.errors import InputError
-from odak.cli.job import Job
+from odak.cli import options
+from odak.cli.job import InputError, Job, find_preset
 
 BAD_INPUT, FAILURE = 2, 1
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -30,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 all is well, 1 unexpected failure, 2 bad command line or input.
+        Exit code: 0 success, 1 unexpected failure, 2 bad command line or input.
     """
     if arguments is not None:
         if isinstance(arguments, str) or not isinstance(arguments, Sequence):
@@ -53,7 +54,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _start(
     context: typer.Context, version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False
 ) -> None:
-    """Optics: wave optics and computer-generated holography."""
+    """Optics: wave optics, computer-generated holography, lenses and perception."""
     if version:
         from odak import __version__
 
@@ -63,14 +64,17 @@ def _start(
 
 
 @app.command(
-    help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files show it.\n\n"
+    help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files reproduce "
+    "it.\n\n"
     "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files) or, with "
     "multi-color, hologram_frame<k>.png; reconstruction.png, comparison.png and report.json; with planes also "
     "focal_stack.png.\n\n"
     "Several pictures, or folders of them, are computed one after another or, with --cluster, side by side. Each gets "
-    "a folder of its name in the output folder, and what is there already from the same options is skipped."
+    "a folder of its name in the output folder. What is there already from the same options is skipped; what is there "
+    "from others is named before it is replaced."
 )
 def hologram(
+    context: typer.Context,
     images: options.Images = None,
     output: options.Output = Job.output,
     wavelength: options.Wavelengths = None,
@@ -91,98 +95,156 @@ def hologram(
     seed: options.Seed = Job.seed,
     grating: options.Grating = Job.grating,
     bits: options.Bits = Job.bits,
+    preset: options.Preset = Job.preset,
     device: options.Device = Job.device,
     quiet: options.Quiet = Job.quiet,
-    cluster: cluster_options.Cluster = None,
-    workers: cluster_options.Workers = None,
-    retries: cluster_options.Retries = 1,
-    again: cluster_options.Again = False,
-    timeout: cluster_options.Timeout = 60.0,
+    again: options.Again = False,
+    watch: options.Watch = False,
+    cluster: options.Cluster = None,
+    workers: options.Workers = None,
+    retries: options.Retries = 1,
+    timeout: options.Timeout = 60.0,
+    tls_ca_file: options.CaFile = None,
+    tls_cert: options.Cert = None,
+    tls_key: options.Key = None,
+    trusted_network: options.TrustedNetwork = False,
 ) -> None:
     """Compute the holograms of pictures; the parameters are those of :class:`odak.cli.job.Job`."""
     values = dict(locals())
-    images = values.pop("images") or [Job.image]
-    spread = {name: values.pop(name) for name in ("cluster", "workers", "retries", "again", "timeout")}
-    values["wavelengths"] = tuple(values.pop("wavelength") or ())
-    if cluster is not None or len(images) > 1 or os.path.isdir(os.path.expanduser(images[0])):
-        raise typer.Exit(_many(images, values, spread))
-    try:
-        job = Job(**values, image=images[0])
-        from odak.cli.run import run
+    given = _given(values.pop("context"))
+    with _messages():
+        images = values.pop("images") or [Job.image]
+        values["wavelengths"] = tuple(values.pop("wavelength") or ())
+        spread = {name: values.pop(name) for name in ("cluster", "workers", "retries", "timeout", "trusted_network")}
+        certificates = [values.pop(name) for name in ("tls_ca_file", "tls_cert", "tls_key")]
+        again, watch = values.pop("again"), values.pop("watch")
+        if preset is not None:
+            modulator = find_preset(preset)
+            values["preset"] = preset.casefold()
+            values |= {name: getattr(modulator, name) for name in {"pixel_pitch", "resolution", "bits"} - given}
+        many = cluster is not None or watch or len(images) > 1 or os.path.isdir(os.path.expanduser(images[0]))
+        for name in sorted(given & {*spread, "tls_ca_file", "tls_cert", "tls_key"}):
+            if not many or (cluster is None and name not in ("cluster", "retries", "workers")):
+                raise InputError(f"--{name.replace('_', '-')} has no effect without --cluster")
+        if many:
+            from odak.cli.cluster import Certificates
 
-        report = run(job)
-    except InputError as error:
-        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
-    except (OSError, FloatingPointError) as error:
-        raise typer.Exit(_fail(str(error), FAILURE)) from None
+            spread |= {"again": again, "security": Certificates(*certificates).security(), "given": given}
+            raise typer.Exit(_many(images, values, spread, watch))
+        job = Job(**values, image=images[0])
+        job.check_effect(given)
+        report = _single(job, again)
     if not quiet:
         _summarise(job, report)
+
+
+def _single(job: Job, again: bool) -> dict:
+    from odak.cli import files
+
+    report = None if again else files.finished_report(job)
+    if report is not None:
+        if not job.quiet:
+            typer.echo(f"{job.output} holds the result of this very run already; --again computes it again")
+        return report
+    from odak.cli.hologram import run
+
+    def replaces(names: list[str]) -> None:
+        text = f"{job.output} holds {', '.join(names)} of another run"
+        if not (again or job.quiet) and sys.stdin.isatty():
+            typer.confirm(f"{text}. Replace?", abort=True)
+        elif not (again or job.quiet):
+            typer.echo(f"odak: {text}, to be replaced", err=True)
+
+    return run(job, replaces)
 
 
 @app.command(
     help="Let this machine's cores and GPUs work for a Dask scheduler: one worker per GPU, or one per core where there "
     "is none, until the scheduler ends or Ctrl-C.\n\n"
-    "Whoever reaches the scheduler runs code on this machine. Join only one that machines you trust can reach, or use "
-    "certificates. A scheduler is started with `dask scheduler --host ADDRESS`."
+    "Whoever reaches the scheduler runs code on this machine. Beyond this machine it must use certificates, which "
+    "`odak certificates` makes, unless --trusted-network is given. A scheduler is started with `dask scheduler "
+    "--protocol tls --host ADDRESS --tls-ca-file ... --tls-cert ... --tls-key ...`."
 )
 def worker(
-    address: cluster_options.Address,
-    workers: cluster_options.Workers = None,
-    threads: cluster_options.Threads = None,
-    memory_limit: cluster_options.MemoryLimit = None,
-    name: cluster_options.Name = None,
-    timeout: cluster_options.Timeout = 60.0,
-    tls_ca_file: cluster_options.CaFile = None,
-    tls_cert: cluster_options.Cert = None,
-    tls_key: cluster_options.Key = None,
+    address: options.Address,
+    workers: options.Workers = None,
+    threads: options.Threads = None,
+    memory_limit: options.MemoryLimit = None,
+    name: options.Name = None,
+    timeout: options.Timeout = 60.0,
+    tls_ca_file: options.CaFile = None,
+    tls_cert: options.Cert = None,
+    tls_key: options.Key = None,
+    trusted_network: options.TrustedNetwork = False,
     quiet: options.Quiet = False,
 ) -> None:
-    """Join a cluster; see :mod:`odak.cli.worker`."""
-    try:
-        from odak.cli.worker import Certificates, run, share
+    """Join a cluster; see :func:`odak.cli.cluster.join`."""
+    with _messages():
+        from odak.cli.cluster import Certificates, join
 
-        divided = share(workers, threads, memory_limit, name)
-        run(address, divided, Certificates(tls_ca_file, tls_cert, tls_key), timeout, _silent if quiet else typer.echo)
-    except InputError as error:
-        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
-    except OSError as error:
-        raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
+        join(
+            address,
+            Certificates(tls_ca_file, tls_cert, tls_key),
+            (lambda _: None) if quiet else typer.echo,
+            workers=workers,
+            threads=threads,
+            memory_limit=memory_limit,
+            name=name,
+            timeout=timeout,
+            trusted_network=trusted_network,
+        )
 
 
 @app.command(
-    help="Make a picture that looks the same as another to an eye that looks at one place of it.\n\n"
-    "Away from the gaze it is noise with the picture's local statistics. Writes metamer.png, pooling_map.png (how wide "
-    "the regions are that the eye pools, on a scale of doublings) and comparison.png."
+    help="Make TLS certificates for a cluster: ca.pem, cert.pem and key.pem. Copy the folder to each machine; whoever "
+    "holds it may run code on the cluster, nobody else."
+)
+def certificates(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to write to; made if need be.")],
+    days: Annotated[int, typer.Option(metavar="COUNT", help="How long the certificates are valid.")] = 365,
+) -> None:
+    """Make certificates; see :func:`odak.manager.make_certificates`."""
+    with _messages():
+        from odak.manager import make_certificates
+
+        try:
+            made = make_certificates(folder, days)
+        except (ImportError, TypeError, ValueError) as error:
+            raise InputError(str(error)) from None
+    typer.echo(f"ca.pem, cert.pem, key.pem in {made}; keep key.pem secret")
+
+
+@app.command(
+    help="Make a picture that looks the same as another to an eye with a fixed gaze.\n\n"
+    "Away from the gaze it has the picture's local statistics, and is made of noise otherwise. Writes metamer.png, "
+    "pooling_map.png (the width of the regions that the eye pools, on a scale of doublings) and comparison.png."
 )
 def metamer(
-    image: metamer_options.Image = "photo",
-    output: metamer_options.Output = Path("output"),
-    gaze: metamer_options.Gaze = (0.5, 0.5),
-    width: metamer_options.Width = 0.6,
-    distance: metamer_options.Distance = 0.7,
-    alpha: metamer_options.Alpha = 0.2,
-    mode: metamer_options.Mode = "quadratic",
-    levels: metamer_options.Levels = 5,
-    orientations: metamer_options.Orientations = 2,
-    iterations: metamer_options.Iterations = 0,
-    seed: metamer_options.Seed = 0,
-    device: metamer_options.Device = "auto",
-    quiet: metamer_options.Quiet = False,
+    image: options.MetamerImage = "photo",
+    output: options.Output = Path("output"),
+    gaze: options.Gaze = (0.5, 0.5),
+    width: options.Width = 0.6,
+    distance: options.ViewingDistance = 0.7,
+    alpha: options.Alpha = 0.2,
+    mode: options.PoolingMode = "quadratic",
+    levels: options.Levels = 5,
+    orientations: options.Orientations = 2,
+    iterations: options.Refinements = 60,
+    seed: options.NoiseSeed = 0,
+    device: options.Device = "auto",
+    quiet: options.Quiet = False,
 ) -> None:
     """Make a metamer; the parameters are those of :class:`odak.cli.metamer.MetamerJob`."""
     values = dict(locals())
-    try:
+    with _messages():
         from odak.cli.metamer import MetamerJob, run
 
         report = run(MetamerJob(**values))
-    except InputError as error:
-        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
-    except OSError as error:
-        raise typer.Exit(_fail(str(error), FAILURE)) from None
     if not quiet:
         psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
         typer.echo(
-            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, pooling up to {report['largest_pooling']:.3g} px"
+            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, of equal white noise {report['noise_loss']:.3g}, "
+            f"pooling up to {report['largest_pooling']:.3g} px"
         )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
 
@@ -190,24 +252,26 @@ def metamer(
 @app.command(
     help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss), a .json file written by odak, or "
     "a Zemax .zmx file.\n\n"
-    "Writes layout.png, spots.png and report.json with first-order properties, spot sizes and what became of the rays."
+    "Writes figures (layout, spots, fans, transfer, field), report.html with all of them, the prescription and the "
+    "aberrations, and report.json with first-order properties, spot sizes and the number of rays that were lost."
 )
 def trace(
     system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json or .zmx file.")],
     output: options.Output = Path("trace"),
     rings: Annotated[int, typer.Option(metavar="COUNT", help="Rings of rays in the pupil, 1 to 100.")] = 6,
-    aim: Annotated[str, typer.Option(metavar="paraxial|real", help="Which pupil rays are aimed at.")] = "paraxial",
+    aim: Annotated[str, typer.Option(metavar="paraxial|real", help="Pupil that rays are aimed at.")] = "paraxial",
+    glasses: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="Glass catalogue (.agf), .json or .yml to read first; may be repeated."),
+    ] = None,
+    figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="Kind of the figures.")] = "png",
     quiet: options.Quiet = False,
 ) -> None:
     """Trace a system; see :mod:`odak.cli.trace`."""
-    try:
+    with _messages():
         from odak.cli.trace import run
 
-        report = run(system, output, rings, aim)
-    except InputError as error:
-        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
-    except OSError as error:
-        raise typer.Exit(_fail(str(error), FAILURE)) from None
+        report = run(system, output, rings, aim, glasses or (), figures)
     if quiet:
         return
     unit, found = report["system"]["unit"], report["first_order"]
@@ -217,41 +281,114 @@ def trace(
         typer.echo(f"field {field['field'][0]:g}, {field['field'][1]:g}: {spot}")
     for line in report["ignored"]:
         typer.echo(f"ignored: {line}", err=True)
-    typer.echo(f"layout.png, spots.png, report.json in {output}")
+    typer.echo(f"{', '.join(report['figures'])}, report.html, report.json in {output}")
+
+
+@app.command(
+    help="Pass light through an optical bench that a TOML or JSON file describes: sources, apertures, lenses, "
+    "modulators, propagations.\n\n"
+    "Writes, for each record in the file, the field (NAME.npy) and its pictures (NAME.png), and report.json, which "
+    "repeats the whole file with powers and peaks."
+)
+def simulate(
+    config: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="TOML or JSON file of the bench.")] = None,
+    output: options.Output = Path("bench"),
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of the file.")] = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Simulate a bench; see :mod:`odak.cli.simulate`."""
+    with _messages():
+        from odak.cli import simulate as bench
+
+        if schema:
+            import json
+
+            typer.echo(json.dumps(bench.schema(), indent=2))
+            return
+        if config is None:
+            raise InputError("CONFIG is missing: the TOML or JSON file of a bench; --schema prints its schema")
+        report = bench.run(config, output)
+    if not quiet:
+        for step in report["steps"]:
+            share = "" if step["share_of_source"] is None else f"{step['share_of_source']:.4g} of the source's power"
+            peak = f", peak {step['peak']:.4g} in {step['name']}.npy and .png" if step["kind"] == "record" else ""
+            typer.echo(f"{step['kind']:<20}{share}{peak}")
+        typer.echo(f"report.json in {output}")
+
+
+@app.command(
+    help="Open an interactive page of a result: a folder of any command, a picture, a field in .npy or .pt, or a "
+    "lens.\n\n"
+    "The page holds all it needs and uses no network."
+)
+def show(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="Folder, picture, .npy, .pt, .json, .zmx or sample lens.")
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="HTML file to write.", show_default="one among the temporary files"),
+    ] = None,
+    browser: Annotated[bool, typer.Option("--open/--no-open", help="Open the page in the browser.")] = True,
+) -> None:
+    """Show a result; see :func:`odak.cli.show.run`."""
+    import tempfile
+
+    with _messages():
+        from odak.cli import show as pages
+
+        page = output or Path(tempfile.mkdtemp(prefix="odak-show-")) / "page.html"
+        pages.run(file, page.expanduser().absolute())
+    typer.echo(str(page))
+    if browser:
+        typer.launch(str(page))
 
 
 @app.command(help="Print versions, devices, threads and FFT libraries.")
 def info() -> None:
-    """Print what odak runs on."""
-    from odak.cli.info import describe
+    """Print versions and devices."""
+    from odak.cli.report import describe_machine
 
-    rows = describe()
+    rows = describe_machine()
     width = max(len(name) for name, _ in rows)
     for name, value in rows:
         typer.echo(f"{name:<{width}}  {value}")
 
 
-def _many(images: list[str], values: dict, spread: dict) -> int:
-    """Compute many pictures, say what became of them, and return the exit code."""
+@contextmanager
+def _messages() -> Iterator[None]:
+    """Print warnings as one line each, and turn errors into one line and an exit code."""
     try:
-        from odak.cli.cluster import run
+        from odak.cli.report import collected_warnings
 
-        summary = run(images, values, **spread)
+        with collected_warnings(lambda text: typer.echo(f"odak: warning: {text}", err=True)):
+            yield
     except InputError as error:
-        return _fail(str(error), BAD_INPUT)
-    except OSError as error:
-        return _fail(str(error), FAILURE)
-    for name, reason in summary["failed"].items():
-        _fail(f"{name}: {reason}", FAILURE)
-    if not values["quiet"]:
-        counts = ", ".join(f"{len(summary[what])} {what}" for what in ("computed", "skipped", "failed"))
-        workers = f"{summary['workers']} worker{'s' * (summary['workers'] != 1)}"
-        typer.echo(f"{counts} in {summary['seconds']:.1f} s by {workers}; one folder each in {values['output']}")
-    return FAILURE if summary["failed"] else 0
+        raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
+    except (OSError, FloatingPointError) as error:
+        raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
 
 
-def _silent(_: str) -> None:
-    pass
+def _given(context: typer.Context) -> set[str]:
+    """Return the names of the parameters that stand on the command line."""
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
+
+
+def _many(images: list[str], values: dict, spread: dict, watch: bool) -> int:
+    """Compute many pictures, print the outcome of each that failed and their numbers, and return the exit code."""
+    from odak.cli.cluster import run, watched
+
+    code = 0
+    for summary in watched(images, values, spread) if watch else [run(images, values, **spread)]:
+        for name, reason in summary["failed"].items():
+            _fail(f"{name}: {reason}", FAILURE)
+        if not values["quiet"]:
+            counts = ", ".join(f"{len(summary[what])} {what}" for what in ("computed", "skipped", "failed"))
+            workers = f"{summary['workers']} worker{'s' * (summary['workers'] != 1)}"
+            typer.echo(f"{counts} in {summary['seconds']:.1f} s by {workers}; one folder each in {values['output']}")
+        code = FAILURE if summary["failed"] else code
+    return code
 
 
 def _summarise(job: Job, report: dict) -> None:
@@ -264,6 +401,6 @@ def _summarise(job: Job, report: dict) -> None:
 
 
 def _fail(message: str, code: int) -> int:
-    """Say in one line on stderr what is wrong, and return the exit code."""
+    """Print in one line on stderr what is wrong, and return the exit code."""
     typer.echo("odak: " + " ".join(message.split()), err=True)
     return code

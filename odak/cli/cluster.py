@@ -1,29 +1,29 @@
-"""`odak hologram` for many pictures: each a task that carries its picture there and its files back.
+"""Many pictures on a cluster, for `odak hologram --cluster`, and machines that join one, for `odak worker`.
 
-Workers need no folder in common with this machine. A picture's folder holds its report only once all else is there, so
-that a run that was cut short goes on where it ended.
+Each picture is a task that carries the picture there and the files back: no folder in common is needed. The folder of a
+picture holds its report only once all else is there, so that a run that was cut short goes on where it ended.
 """
 
-import hashlib
-import json
 import os
+import signal
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from odak.cli.errors import InputError
-from odak.cli.files import writable_folder, write_json
-from odak.cli.job import SHIPPED_IMAGES, Job, depth_map_path, image_path
+from odak import _validate
+from odak._warnings import OdakWarning, warn
+from odak.cli.files import FINGERPRINT, REPORT, fingerprint, finished_report, sources, writable_folder, write_json
+from odak.cli.job import SHIPPED_IMAGES, InputError, Job, image_path
 from odak.manager import Failure, agent
-from odak.tools._atomic import replacing
+from odak.manager.server import Server, require_dask, start_server, tls_security
+from odak.tools.paths import replacing
 
-REPORT, SUMMARY, FINGERPRINT = "report.json", "summary.json", "fingerprint"
+SUMMARY = "summary.json"
 SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
-# Where a picture is computed, and how much is said about it, changes nothing about it.
-_IRRELEVANT = ("image", "depth_map", "output", "device", "quiet")
+_LOOK = 1.0
 
 
 @dataclass(frozen=True)
@@ -35,35 +35,11 @@ class Frame:
     name : str
         Name of its folder.
     job : Job
-        What to compute; its output is that folder.
+        Parameters of its computation; the output is that folder.
     """
 
     name: str
     job: Job
-
-    def fingerprint(self) -> str:
-        """Return a digest of all that the result depends on: the parameters, the picture and its depth map."""
-        digest = hashlib.sha256()
-        values = {name: value for name, value in self.job.to_dict().items() if name not in _IRRELEVANT}
-        digest.update(json.dumps(values, sort_keys=True).encode())
-        for path in self.sources():
-            digest.update(hashlib.sha256(path.read_bytes()).digest())
-        return digest.hexdigest()
-
-    def sources(self) -> list[Path]:
-        """Return the file of the picture, and that of its depth map if there is one."""
-        depth = self.job.depth_map
-        return [image_path(self.job.image), *([] if depth is None else [depth_map_path(depth)])]
-
-    def is_done(self) -> bool:
-        """Return whether the folder holds the whole result of this very job."""
-        try:
-            report = json.loads((self.job.output / REPORT).read_text(encoding="utf-8"))
-        except (OSError, ValueError):
-            return False
-        return report.get(FINGERPRINT) == self.fingerprint() and all(
-            (self.job.output / name).is_file() for name in report["pattern"]["files"]
-        )
 
 
 def run(
@@ -74,6 +50,9 @@ def run(
     retries: int = 1,
     again: bool = False,
     timeout: float = 60.0,
+    trusted_network: bool = False,
+    security: Any = None,
+    given: Collection[str] = (),
 ) -> dict:
     """Compute the holograms of many pictures.
 
@@ -94,6 +73,12 @@ def run(
         Compute also what is done already.
     timeout : float
         Seconds that the scheduler and a first worker may take to be there.
+    trusted_network : bool
+        Accept plain TCP beyond this machine.
+    security : distributed.Security, optional
+        TLS certificates.
+    given : collection of str
+        Parameters that were asked for by name, which must have an effect.
 
     Returns
     -------
@@ -110,12 +95,29 @@ def run(
     """
     start = time.perf_counter()
     frames = find_frames(images, values)
+    for frame in frames:
+        frame.job.check_effect(given)
     folder = writable_folder(Path(values["output"]))
-    waiting = [frame for frame in frames if again or not frame.is_done()]
+    for frame in frames:
+        if frame.job.output.exists() and not frame.job.output.is_dir():
+            raise InputError(f"IMAGE {frame.name!r} needs a folder where a file is: {str(frame.job.output)!r}")
+    if (folder / SUMMARY).is_dir():
+        raise InputError(f"--output holds a folder where {SUMMARY} is to be written: {str(folder)!r}")
+    waiting = [frame for frame in frames if again or not finished_report(frame.job)]
     failed: dict[str, str] = {}
     busy: set[str] = set()
     if waiting:
-        busy = _compute(waiting, failed, values, cluster, workers=workers, retries=retries, timeout=timeout)
+        busy = _compute(
+            waiting,
+            failed,
+            values,
+            cluster,
+            workers=workers,
+            retries=retries,
+            timeout=timeout,
+            trusted_network=trusted_network,
+            security=security,
+        )
     computed = {frame.name for frame in waiting} - set(failed)
     summary = {
         "computed": [frame.name for frame in frames if frame.name in computed],
@@ -136,18 +138,59 @@ def _compute(frames, failed, values, cluster, **options) -> set[str]:
     except ImportError as error:
         raise InputError(str(error)) from None
     except (TypeError, ValueError) as error:
-        raise InputError(f"--{error}") from None
+        raise InputError(in_options(str(error))) from None
     with work:
         work.connect()
         for frame in frames:
-            work.submit((parameters(frame.job), *map(Carried, frame.sources())))
+            work.submit((parameters(frame.job), *map(Carried, sources(frame.job))))
         for index, result in work.as_completed():
             frame = frames[index]
             if isinstance(result, Failure):
-                failed[frame.name] = " ".join(f"{type(result.error).__name__}: {result.error}".split())
+                kind = "" if isinstance(result.error, InputError) else f"{type(result.error).__name__}: "
+                failed[frame.name] = " ".join(f"{kind}{result.error}".split())
             else:
                 _write(frame, result)
+                for text in result[0]["warnings"]:
+                    warn(f"{frame.name}: {text}", OdakWarning)
         return {record["worker"] for record in work.records}
+
+
+def watched(images: Sequence[str], values: dict[str, Any], spread: dict[str, Any]) -> Iterator[dict]:
+    """Yield the summary of each round of new and changed pictures, until Ctrl-C.
+
+    Parameters
+    ----------
+    images : sequence of str
+        Folders, which may be empty at first.
+    values, spread : dict
+        Parameters of the holograms, and of :func:`run` besides.
+    """
+    folders = [Path(os.path.expanduser(image)) for image in images]
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"--watch needs folders, and IMAGE {str(folder)!r} is none")
+    seen: dict[Path, tuple] = {}
+    done: dict[Path, tuple] = {}
+    try:
+        while True:
+            now = {path: (path.stat().st_size, path.stat().st_mtime_ns) for path in _pictures(folders)}
+            # A file that still grows is taken when it has stopped.
+            ready = [path for path, state in now.items() if seen.get(path) == state != done.get(path)]
+            if ready:
+                yield run(list(map(str, ready)), values, **spread)
+                done |= {path: now[path] for path in ready}
+            seen = now
+            time.sleep(_LOOK)
+    except KeyboardInterrupt:
+        return
+
+
+def _pictures(folders: Sequence[Path]) -> list[Path]:
+    found = [path for folder in folders for path in folder.iterdir()]
+    return sorted(
+        (path for path in found if path.suffix.lower() in SUFFIXES and path.is_file()),
+        key=lambda path: _natural(path.name),
+    )
 
 
 def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
@@ -171,14 +214,18 @@ def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
         If there is no such picture, two have the same name, or a parameter will not do.
     """
     frames: dict[str, Frame] = {}
+    taken = {SUMMARY: f"the file {SUMMARY} of this command"}
     for image in (found for entry in images for found in _expanded(entry)):
         name = image if image in SHIPPED_IMAGES else Path(image).stem
-        if name in frames:
-            raise InputError(f"IMAGE must have different names: {frames[name].job.image!r} and {image!r}")
+        # Some file systems take names that differ in case alone for the same.
+        folded = name.casefold()
+        if folded in taken:
+            raise InputError(f"IMAGE must have different names: {taken[folded]!r} and {image!r}")
+        taken[folded] = image
         depth = _depth_map(values.get("depth_map"), name)
         output = Path(os.path.expanduser(values["output"])).resolve() / name
         frames[name] = Frame(name, Job(**{**values, "image": image, "depth_map": depth, "output": output}))
-        frames[name].sources()
+        sources(frames[name].job)
     return list(frames.values())
 
 
@@ -186,10 +233,10 @@ def _expanded(image: str) -> list[str]:
     path = Path(os.path.expanduser(image))
     if not path.is_dir():
         return [image]
-    found = [entry for entry in path.iterdir() if entry.suffix.lower() in SUFFIXES and entry.is_file()]
+    found = _pictures([path])
     if not found:
         raise InputError(f"IMAGE is a directory without pictures ({', '.join(SUFFIXES)}): {image!r}")
-    return [str(entry) for entry in sorted(found, key=lambda entry: _natural(entry.name))]
+    return list(map(str, found))
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
@@ -233,7 +280,7 @@ class Carried:
         return Arrived, (self.name, self.path.read_bytes())
 
     def put(self, folder: Path) -> Path:
-        """Return where the file lies."""
+        """Return the path of the file."""
         return self.path
 
 
@@ -246,7 +293,7 @@ class Arrived:
     name : str
         Its name.
     content : bytes
-        What is in it.
+        Its bytes.
     """
 
     name: str
@@ -287,7 +334,7 @@ def hologram(
     InputError
         If the picture will not do.
     """
-    from odak.cli.run import run as compute
+    from odak.cli.hologram import run as compute
 
     with TemporaryDirectory(prefix="odak-hologram-") as name:
         folder = Path(name)
@@ -312,4 +359,109 @@ def _write(frame: Frame, result: tuple[dict, dict[str, bytes]]) -> None:
             stream.write(content)
     report["parameters"] |= {name: frame.job.to_dict()[name] for name in ("image", "depth_map", "output", "quiet")}
     report["picture"]["file"] = str(image_path(frame.job.image))
-    write_json(folder / REPORT, {**report, FINGERPRINT: frame.fingerprint()})
+    write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint(frame.job)})
+
+
+# --- odak worker
+
+
+@dataclass(frozen=True)
+class Certificates:
+    """Files of TLS certificates in PEM format, all of them or none.
+
+    Attributes
+    ----------
+    ca_file, cert, key : str, optional
+        The authority's certificate, this machine's certificate, and its key.
+    """
+
+    ca_file: str | None = None
+    cert: str | None = None
+    key: str | None = None
+
+    def security(self):
+        """Return Dask's form of them, None without any."""
+        given = [self.ca_file, self.cert, self.key]
+        if not any(given):
+            return None
+        if not all(given):
+            raise InputError("--tls-ca-file, --tls-cert and --tls-key go together")
+        for name, file in zip(("--tls-ca-file", "--tls-cert", "--tls-key"), given, strict=True):
+            if not os.path.isfile(str(file)):
+                raise InputError(f"{name} is not a file: {file!r}")
+        try:
+            require_dask("A cluster")
+        except ImportError as error:
+            raise InputError(str(error)) from None
+        return tls_security(str(self.ca_file), str(self.cert), str(self.key))
+
+
+def join(
+    address: str,
+    certificates: Certificates,
+    say: Callable[[str], None],
+    *,
+    memory_limit: float | None = None,
+    **settings,
+) -> None:
+    """Work for a scheduler until it ends or a signal comes.
+
+    Parameters
+    ----------
+    address : str
+        Address of the scheduler, such as "tls://10.0.0.1:8786".
+    certificates : Certificates
+        For TLS.
+    say : callable
+        Called with a line of text when the workers have joined and when they leave.
+    memory_limit : float, optional
+        Memory of each worker in GiB.
+    **settings
+        `workers`, `threads`, `name`, `trusted_network` and `timeout` of :func:`odak.manager.start_server`.
+
+    Raises
+    ------
+    InputError
+        If the address or an option will not do, or Dask is missing.
+    OSError
+        If the scheduler is not there.
+    """
+    if ":" not in address:
+        raise InputError(f"ADDRESS must be that of a scheduler, such as tls://10.0.0.1:8786; got {address!r}")
+    security = certificates.security()
+    try:
+        if memory_limit is not None:
+            settings["memory_limit"] = int(2**30 * _validate.real("memory_limit", memory_limit, positive=True))
+        server = start_server(address, security=security, **settings)
+    except (TypeError, ValueError, ImportError) as error:
+        raise InputError(in_options(str(error))) from None
+    with server:
+        say(f"{_described(server)} joined {address}; Ctrl-C to leave")
+        former = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            server.wait()
+        except KeyboardInterrupt:
+            say(f"left {address}")
+        else:
+            say(f"the scheduler at {address} has ended")
+        finally:
+            signal.signal(signal.SIGTERM, former)
+
+
+def in_options(message: str) -> str:
+    """Return a message of the library with the options of the command line in the place of its parameters."""
+    for parameter, named in (
+        ("(security=, and an address", "(--tls-ca-file, --tls-cert, --tls-key, and an address"),
+        ("trusted_network=True", "--trusted-network"),
+    ):
+        message = message.replace(parameter, named)
+    first, _, rest = message.partition(" ")
+    if first in ("A", "start_server"):
+        return message
+    return f"ADDRESS {rest}" if first == "address" else f"--{first.replace('_', '-')} {rest}"
+
+
+def _described(server: Server) -> str:
+    workers = f"{server.workers} worker{'s' * (server.workers > 1)}"
+    threads = f"{server.threads} thread{'s' * (server.threads > 1)}"
+    return f"{workers} of {threads}" + (f", {server.gpus} with a GPU," if server.gpus else "")

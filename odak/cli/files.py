@@ -1,19 +1,33 @@
-"""The folder of a run, and files in it that are there whole or not at all."""
+"""Files of a run: its folder, reports, pictures, and phase patterns that can be read back exactly.
 
+A level L of 2^bits is stored as the grey value L·2^(depth − bits) of a PNG of depth 8 or 16. Whatever the bits, the
+phase of a pixel is then grey·2π/2^depth, which is what a modulator calibrated to 2π over 2^depth grey values displays.
+"""
+
+import hashlib
 import json
+import math
 import os
 import tempfile
+from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from PIL import Image
-
-from odak.cli.errors import InputError
+from odak.cli.job import InputError, Job, depth_map_path, image_path
 from odak.tools import check_directory
-from odak.tools._atomic import replacing
+from odak.tools.paths import replacing
+
+if TYPE_CHECKING:
+    import torch
+    from PIL import Image
+
+REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
+# Where a picture is computed, and how much is printed about it, changes nothing about it.
+_IRRELEVANT = ("image", "depth_map", "output", "device", "quiet", "preset")
 
 
 def writable_folder(folder: Path) -> Path:
-    """Make a folder if need be, and find out now rather than after the computation whether it can be written to.
+    """Make a folder if need be, and make sure before the computation that it can be written to.
 
     Parameters
     ----------
@@ -48,14 +62,14 @@ def write_json(path: Path, value: dict) -> None:
     path : Path
         File to write; an older one stays as it was until the new one is complete.
     value : dict
-        What to write.
+        The dictionary.
     """
     text = json.dumps(value, indent=2, allow_nan=False) + "\n"
     with replacing(str(path)) as stream:
         stream.write(text.encode("utf-8"))
 
 
-def write_png(path: Path, image: Image.Image) -> None:
+def write_png(path: Path, image: "Image.Image") -> None:
     """Write a picture as PNG.
 
     Parameters
@@ -63,7 +77,133 @@ def write_png(path: Path, image: Image.Image) -> None:
     path : Path
         File to write; an older one stays as it was until the new one is complete.
     image : PIL.Image.Image
-        What to write.
+        The picture.
     """
     with replacing(str(path)) as stream:
         image.save(stream, format="PNG")
+
+
+def fingerprint(job: Job) -> str:
+    """Return a digest of all that a result depends on: the parameters, the picture and its depth map."""
+    digest = hashlib.sha256()
+    values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
+    digest.update(json.dumps(values, sort_keys=True).encode())
+    for path in sources(job):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
+    """Return the SHA-256 digest of each file."""
+    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+
+
+def sources(job: Job) -> list[Path]:
+    """Return the file of the picture, and that of its depth map if there is one."""
+    return [image_path(job.image), *([] if job.depth_map is None else [depth_map_path(job.depth_map)])]
+
+
+def finished_report(job: Job) -> dict | None:
+    """Return the report in the output folder if the folder holds the whole result of this very job, else None."""
+    folder = Path(os.path.expanduser(job.output))
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        same = report[FINGERPRINT] == fingerprint(job) and report[DIGESTS] == digests(folder, report[DIGESTS])
+    except (OSError, ValueError, KeyError, TypeError):  # no report, or none of this version: the job is computed
+        return None
+    return report if same else None
+
+
+def files_in_the_way(folder: Path, names: Iterable[str]) -> list[str]:
+    """Return which files a run would replace; raise InputError where a folder has the name of one of them."""
+    found = []
+    for name in names:
+        if (folder / name).is_dir():
+            raise InputError(f"--output holds a folder where the file {name} is to be written: {str(folder)!r}")
+        if (folder / name).exists():
+            found.append(name)
+    return found
+
+
+def file_depth(bits: int) -> int:
+    """Return the bit depth of the file for a pattern of so many bits: 8 or 16."""
+    return 8 if bits <= 8 else 16
+
+
+def stored_bits(path: Path | str) -> int:
+    """Return the bit depth of a grey picture: 16 or 8."""
+    from PIL import Image
+
+    with Image.open(path) as image:
+        return 16 if image.mode.startswith("I") else 8
+
+
+def quantise(hologram: "torch.Tensor", bits: int) -> "torch.Tensor":
+    """Return the levels of a hologram's phase, each level covering 2π/2^bits radians upwards of it.
+
+    Parameters
+    ----------
+    hologram : torch.Tensor
+        Complex ``[rows, columns]``.
+    bits : int
+        Bits per pixel.
+
+    Returns
+    -------
+    torch.Tensor
+        int32, 0 … 2^bits − 1.
+    """
+    from odak.learn.wave import produce_phase_only_slm_pattern
+
+    return produce_phase_only_slm_pattern(hologram, 2 * math.pi, bits=bits, default_range=2 * math.pi)[1]
+
+
+def save_pattern(path: Path, levels: "torch.Tensor", bits: int) -> None:
+    """Write levels as a grey PNG.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    levels : torch.Tensor
+        Integers ``[rows, columns]``, 0 … 2^bits − 1.
+    bits : int
+        Bits per pixel.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
+    """
+    from odak.learn.tools import save_image
+
+    grey = levels.cpu().double() * 2 ** (file_depth(bits) - bits)
+    try:
+        save_image(str(path), grey, cmin=0, cmax=2 ** file_depth(bits) - 1, color_depth=file_depth(bits))
+    except ValueError as error:
+        # A full disk is not a wrong option: it must not look like one.
+        raise OSError(str(error)) from error
+
+
+def load_pattern(path: Path, bits: int) -> "torch.Tensor":
+    """Return the phase of a saved pattern.
+
+    Parameters
+    ----------
+    path : Path
+        File written by :func:`save_pattern`.
+    bits : int
+        Bits per pixel that it was written with.
+
+    Returns
+    -------
+    torch.Tensor
+        float64 ``[rows, columns]`` in radians, 0 ≤ phase < 2π.
+    """
+    import torch
+
+    from odak.learn.tools import load_image
+
+    white = 2 ** file_depth(bits) - 1
+    grey = torch.round(load_image(str(path), normalizeby=None).double() * white)
+    return grey * (2 * math.pi / (white + 1))

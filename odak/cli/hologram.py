@@ -1,27 +1,173 @@
-"""Holograms by each method of the command line, and the light that a pattern sends to the picture."""
+"""Computation of holograms for `odak hologram`: from the picture to the files and the report.
+
+Each pattern is judged as saved: quantised, written, read back, and propagated by the method that its distance asks for.
+"""
 
 import math
 import time
 from collections.abc import Callable, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 from tqdm import tqdm
 
-from odak.cli.job import Job
+from odak.cli import files, pictures, report
+from odak.cli.job import NOISE, VOLUME_METHODS, InputError, Job, pattern_name
+from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.learn import wave
+from odak.wave import sampling_report
+from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
 
 FILTER = 0.5
-NOISE = {"slight": 0.3, "normal": 1.0}
+LIGHT_WEIGHT = 0.1
+UNFIT = tuple(
+    method.name for method in METHODS if method.of_intensities or method.sets_own_pitch or method.takes_kernel
+)
 
 
-def compute(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, float | None]:
+def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
+    """Compute, save, read back and verify the holograms of a picture.
+
+    Parameters
+    ----------
+    job : Job
+        Parameters of the run.
+    replaces : callable, optional
+        Called before the computation with the names of the files that will be replaced, if there are any.
+
+    Returns
+    -------
+    dict
+        The report, as written to ``report.json``.
+
+    Raises
+    ------
+    InputError
+        If the picture, the device, the propagation type or the output folder cannot be used.
+    """
+    with report.collected_warnings() as texts:
+        start = time.perf_counter()
+        job.warn_of_doubtful_lengths()
+        check_propagation_type(job.propagation_type)
+        device = report.find_device(job.device)
+        target = load_target(job)
+        folder = files.writable_folder(job.output)
+        volume = job.method in VOLUME_METHODS
+        names = _frame_files(job, target) if volume else [pattern_name(value) for value in target.wavelengths]
+        others = ["reconstruction.png", "comparison.png", files.REPORT, *["focal_stack.png"] * (job.planes > 1)]
+        existing = files.files_in_the_way(folder, [*names, *others])
+        if existing and replaces is not None:
+            replaces(existing)
+        result = (_compute_volume if volume else _compute_plane)(job, target, folder, names, device)
+        images, phases = result.pop("images"), result.pop("phases")
+        quality = report.overall(target, images, result["channels"])
+        files.write_png(folder / "reconstruction.png", pictures.to_image(images))
+        files.write_png(folder / "comparison.png", _comparison(job, target, images, phases, names, quality))
+    summary = {
+        **quality,
+        **result,
+        "warnings": texts,
+        "verification": _verification(job, target),
+        **report.parameters_of(job, target, names, device),
+        "seconds_total": time.perf_counter() - start,
+        files.FINGERPRINT: files.fingerprint(job),
+        files.DIGESTS: files.digests(folder, [*names, "reconstruction.png", "comparison.png"]),
+    }
+    files.write_json(folder / files.REPORT, summary)
+    return summary
+
+
+def check_propagation_type(name: str) -> None:
+    """Raise InputError unless the name or alias is of a method that takes a hologram to an image of the same pitch."""
+    fit = [method.name for method in METHODS if method.name not in UNFIT]
+    try:
+        method = find_method(name)
+    except ValueError:
+        method = METHODS[-1]
+    if method is not None and method.name in UNFIT:
+        accepted = ", ".join(repr(kind) for kind in PROPAGATION_TYPES if kind in (*fit, "auto"))
+        raise InputError(f"--propagation-type must be one of {accepted}; got {name!r}")
+
+
+def _comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict):
+    """Return target, reconstruction, their difference and the patterns side by side."""
+    psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
+    where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
+    first = [
+        pictures.picture_panel("Target", target.intensity),
+        pictures.picture_panel(f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
+    ]
+    difference = pictures.difference_panel("Reconstruction minus target", images - target.intensity)
+    patterns = [
+        pictures.phase_panel(f"SLM phase, {name}, {job.bits} bit", phase)
+        for name, phase in list(zip(names, phases, strict=True))[:3]
+    ]
+    rows = [first, [difference, *patterns]] if len(patterns) == 1 else [[*first, difference], patterns]
+    return pictures.sheet(rows, job.resolution[1] * job.pixel_pitch)
+
+
+def _verification(job: Job, target: Target) -> dict:
+    filtered = "Fourier filter passing |f| <= 1/(4*pitch) along each axis, as double phase needs (a 4f relay)"
+    return {
+        "propagation_type": [_verification_type(job, wavelength) for wavelength in target.wavelengths],
+        "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
+        "aperture": filtered if job.method == "double-phase" else None,
+    }
+
+
+def _verification_type(job: Job, wavelength: float) -> str:
+    """Return the propagation type whose sampling criteria hold, so that the report does not trust the optimizer's."""
+    return sampling_report(job.resolution, job.pixel_pitch, wavelength, job.distance, zero_padding=True).recommended
+
+
+# --- One plane, one hologram for each wavelength
+
+
+def _compute_plane(job: Job, target: Target, folder: Path, names: list[str], device: torch.device) -> dict:
+    """Compute, save, read back and measure one hologram for each wavelength, all on one plane."""
+    results = [_channel(job, target, channel, folder / name, device) for channel, name in enumerate(names)]
+    seconds = [result["seconds_per_iteration"] for result in results if result["seconds_per_iteration"] is not None]
+    return {
+        "images": torch.stack([result.pop("image") for result in results]),
+        "phases": torch.stack([result.pop("phase") for result in results]),
+        "channels": results,
+        "seconds_per_iteration": sum(seconds) / len(seconds) if seconds else None,
+    }
+
+
+def _channel(job: Job, target: Target, channel: int, path: Path, device: torch.device) -> dict:
+    """Return one channel's part of the report, with its brightness-matched image and its phase as tensors."""
+    intensity, wavelength = target.intensity[channel].to(device), target.wavelengths[channel]
+    ideal, seconds, loss = _hologram(job, intensity, wavelength)
+    method = _verification_type(job, wavelength)
+    unquantised = _reconstruct(job, ideal, wavelength, method).abs() ** 2
+    grating = grating_phase(job.resolution, device) if job.grating else 0.0
+    modulated = ideal * wave.generate_complex_field(1.0, grating).to(ideal) if job.grating else ideal
+    files.save_pattern(path, files.quantise(modulated, job.bits), job.bits)
+    phase = files.load_pattern(path, job.bits)
+    saved = wave.generate_complex_field(1.0, phase.to(device) - grating).to(ideal.dtype)
+    image = _reconstruct(job, saved, wavelength, method).abs() ** 2
+    numbers = report.measure(intensity, target.window, image, unquantised)
+    return {
+        "wavelength": wavelength,
+        "file": path.name,
+        **numbers,
+        "seconds_per_iteration": seconds,
+        "final_loss": loss,
+        "image": (image * numbers["scale"]).cpu(),
+        "phase": phase,
+    }
+
+
+def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch.Tensor, float | None, float | None]:
     """Return the hologram of one channel.
 
     Parameters
     ----------
     job : Job
-        What was asked for.
+        Parameters of the run.
     intensity : torch.Tensor
         Target ``[rows, columns]`` on the device to compute on.
     wavelength : float
@@ -30,23 +176,24 @@ def compute(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[torch
     Returns
     -------
     tuple
-        Complex hologram ``[rows, columns]`` of unit amplitude, and the seconds per iteration (None without them).
+        Complex hologram ``[rows, columns]`` of unit amplitude, the seconds per iteration, and the last loss; None
+        for what the method does not have.
     """
     if job.method == "double-phase":
-        return _double_phase(job, intensity, wavelength), None
-    with progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
+        return _double_phase(job, intensity, wavelength), None, None
+    with _progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
         hologram = (_descend if job.method == "sgd" else _retrieve)(job, intensity, wavelength, clock.tick)
-        finish(intensity.device)
-    return hologram, clock.seconds_per_tick()
+        _finish(intensity.device)
+    return hologram, clock.seconds_per_tick(), clock.loss
 
 
-def reconstruct(job: Job, hologram: torch.Tensor, wavelength: float, propagation_type: str) -> torch.Tensor:
+def _reconstruct(job: Job, hologram: torch.Tensor, wavelength: float, propagation_type: str) -> torch.Tensor:
     """Return the field at the picture's plane, over the modulator's window.
 
     Parameters
     ----------
     job : Job
-        What was asked for.
+        Parameters of the run.
     hologram : torch.Tensor
         Complex ``[rows, columns]``.
     wavelength : float
@@ -95,7 +242,9 @@ def half_band(shape: Sequence[int], device: torch.device) -> torch.Tensor:
 
 def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
     """Return the phase of the binary grating that `--grating` adds: π on every second column, from the first."""
-    return wave.calculate_phase(wave.linear_grating(*shape, every=2, axis="y")).abs().double().to(device)
+    return (
+        torch.as_tensor(wave.calculate_phase(wave.linear_grating(*shape, every=2, axis="y"))).abs().double().to(device)
+    )
 
 
 def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
@@ -150,7 +299,7 @@ def starting_phase(job: Job, like: torch.Tensor, wavelength: float) -> torch.Ten
     Parameters
     ----------
     job : Job
-        What was asked for.
+        Parameters of the run.
     like : torch.Tensor
         Real ``[..., rows, columns]``, whose shape, precision and device the phase takes.
     wavelength : float
@@ -178,32 +327,205 @@ class _Clock:
 
     def __init__(self, bar: tqdm) -> None:
         self.bar, self.ticks, self.first, self.last = bar, 0, 0.0, 0.0
+        self.loss: float | None = None
+        self._value: torch.Tensor | None = None
 
-    def tick(self, *_) -> None:
+    def tick(self, _: int, value: torch.Tensor) -> None:
         self.bar.update()
         self.ticks += 1
+        # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.
+        self._value = value if value.ndim == 0 else None
         if self.ticks == 1:
             self.first = time.perf_counter()
+
+    def end(self) -> None:
+        self.last = time.perf_counter()
+        if self._value is not None:
+            self.loss = float(self._value.detach())
+            self.bar.set_postfix_str(f"loss {self.loss:.4g}")
 
     def seconds_per_tick(self) -> float | None:
         return (self.last - self.first) / (self.ticks - 1) if self.ticks > 1 else None
 
 
 @contextmanager
-def progress(job: Job, description: str):
+def _progress(job: Job, description: str):
     """Show a progress bar, and yield the clock whose `tick` moves it."""
     start = time.perf_counter()
     with tqdm(total=job.iterations, desc=description, unit="it", disable=job.quiet) as bar:
         clock = _Clock(bar)
         clock.first = start
         yield clock
-        clock.last = time.perf_counter()
+        clock.end()
     if clock.ticks < job.iterations:
         # The optimizers return their best so far after Ctrl-C: files of that would pass for the whole run's.
         raise KeyboardInterrupt
 
 
-def finish(device: torch.device) -> None:
+def _finish(device: torch.device) -> None:
     """Wait for the device, whose work runs behind the program, so that times are true."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
+
+
+# --- Several planes, or colours that share their frames
+
+
+@dataclass(frozen=True)
+class Frames:
+    """Patterns shown one after another, and the amplitudes of their sources.
+
+    Attributes
+    ----------
+    phases : torch.Tensor
+        ``[frames, rows, columns]`` in radians.
+    powers : torch.Tensor
+        Amplitude of each source in each frame, ``[frames, channels]``.
+    """
+
+    phases: torch.Tensor
+    powers: torch.Tensor
+
+
+def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], device: torch.device) -> dict:
+    """Compute, save, read back and measure the patterns of a volume, or of colours that share their frames."""
+    volume = load_volume(job, target, device)
+    ideal, seconds, loss = _optimise(job, target, volume, device)
+    grating = grating_phase(job.resolution, device) if job.grating else torch.zeros(1, device=device)
+    for name, phase in zip(names, ideal.phases, strict=True):
+        modulated = wave.generate_complex_field(1.0, phase.double() + grating)
+        files.save_pattern(folder / name, files.quantise(modulated, job.bits), job.bits)
+    stored = torch.stack([files.load_pattern(folder / name, job.bits) for name in names])
+    saved = Frames(stored.to(device) - grating, ideal.powers)
+    images = _reconstruct_volume(job, target, volume, saved)
+    before = _reconstruct_volume(job, target, volume, ideal)
+    channels, scales = _channels(target, volume, images, before)
+    planes = _planes(target, volume, images * scales)
+    if job.planes > 1:
+        width = job.resolution[1] * job.pixel_pitch
+        stack = _focal_stack(planes, volume.images.cpu(), (images * scales).cpu(), width)
+        files.write_png(folder / "focal_stack.png", stack)
+    return {
+        "images": (images * scales * volume.masks).sum(0).cpu(),
+        "phases": stored,
+        "channels": [
+            {"wavelength": wavelength, **channel}
+            for wavelength, channel in zip(target.wavelengths, channels, strict=True)
+        ],
+        "planes": planes,
+        "frames": [
+            {"file": name, "source_amplitudes": power} for name, power in zip(names, ideal.powers.tolist(), strict=True)
+        ],
+        "seconds_per_iteration": seconds,
+        "final_loss": loss,
+    }
+
+
+def _frame_files(job: Job, target: Target) -> list[str]:
+    """Return the name of each frame's pattern file: its wavelength, or its number where frames share colours."""
+    if job.method == "multiplane":
+        return [pattern_name(wavelength) for wavelength in target.wavelengths]
+    return [f"hologram_frame{index + 1}.png" for index in range(job.frames or len(target.wavelengths))]
+
+
+def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames, float | None, float | None]:
+    count, shared = len(_frame_files(job, target)), job.method == "multi-color"
+    method = "multi-color" if shared else "conventional"
+    display = wave.propagator(
+        job.resolution,
+        list(target.wavelengths),
+        job.pixel_pitch,
+        number_of_frames=count,
+        distances=volume.distances,
+        propagation_type=job.propagation_type,
+        propagator_type="forward",
+        aperture=torch.ones(2 * job.resolution[0], 2 * job.resolution[1]),
+        method=method,
+        device=device,
+    )
+    start = torch.zeros(count, *job.resolution, device=device)
+    with _progress(job, f"{job.planes} planes" if job.planes > 1 else f"{count} frames") as clock:
+        optimizer = wave.multi_color_hologram_optimizer(
+            list(target.wavelengths),
+            list(job.resolution),
+            volume.images,
+            display,
+            count,
+            job.planes,
+            learning_rate=job.learning_rate,
+            min_learning_rate=job.learning_rate / 2,
+            method=method,
+            loss_function=volume.loss,
+            # All sources at full power, when they share the frames.
+            peak_amplitude=float(count) if shared and job.scale else 1.0,
+            optimize_peak_amplitude=job.scale,
+            reduction="mean",
+            initial_phase=starting_phase(job, start, target.wavelengths[0]),
+            progress=False,
+            seed=job.seed,
+            callback=clock.tick,
+        )
+        weights = {"eyebox": 0.0, "light": LIGHT_WEIGHT}
+        _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, weights, bits=None)
+        _finish(device)
+    return Frames(phases, powers), clock.seconds_per_tick(), clock.loss
+
+
+def _reconstruct_volume(job: Job, target: Target, volume: Volume, frames: Frames) -> torch.Tensor:
+    """Return the intensity on each plane over that of each colour's source, ``[planes, channels, rows, columns]``.
+
+    Plane by plane with the method that its distance asks for, and not with the display of the optimizer.
+    """
+    fields = wave.generate_complex_field(1.0, frames.phases).to(torch.complex64)
+    images = []
+    for distance in volume.distances:
+        for wavelength, power in zip(target.wavelengths, frames.powers.mT, strict=True):
+            method = sampling_report(
+                job.resolution, job.pixel_pitch, wavelength, distance, zero_padding=True
+            ).recommended
+            intensity = wave.propagate_beam(fields, None, distance, job.pixel_pitch, wavelength, method).abs().square()
+            images.append((intensity * power.square()[:, None, None]).sum(0) / power.square().sum().clamp_min(1e-12))
+    return torch.stack(images).reshape(volume.images.shape)
+
+
+def _channels(target: Target, volume: Volume, images, before) -> tuple[list[dict], torch.Tensor]:
+    """Return the quality of each colour with each pixel from its own plane, and the brightness ``[channels, 1, 1]``."""
+    sharp, ideal = ((part * volume.masks).sum(0) for part in (images, before))
+    intensity = target.intensity.to(images.device)
+    channels = [
+        report.measure(*parts[:1], target.window, *parts[1:]) for parts in zip(intensity, sharp, ideal, strict=True)
+    ]
+    scales = torch.tensor([channel["scale"] for channel in channels], device=images.device)
+    return channels, scales[:, None, None].to(images.dtype)
+
+
+def _planes(target: Target, volume: Volume, scaled) -> list[dict]:
+    planes = []
+    for distance, *parts in zip(volume.distances, volume.images, volume.masks, scaled, strict=True):
+        colours = [
+            {"wavelength": wavelength, **_plane_quality(*(part[target.window].double() for part in three))}
+            for wavelength, *three in zip(target.wavelengths, *parts, strict=True)
+        ]
+        share = float(parts[1][0][target.window].double().mean())
+        planes.append({"distance": distance, "share_in_focus": share, "channels": colours})
+    return planes
+
+
+def _plane_quality(wanted, mask, image) -> dict:
+    error = (image - wanted).square()
+    sharp = float((error * mask).sum() / mask.sum()) if bool(mask.any()) else 0.0
+    return {
+        "psnr_db": report.finite(report.psnr(image, wanted)),
+        "psnr_in_focus_db": -10 * math.log10(sharp) if sharp > 0 else None,
+        "ssim": report.ssim(image, wanted),
+    }
+
+
+def _focal_stack(planes: list[dict], wanted: torch.Tensor, images: torch.Tensor, width: float):
+    rows: list[list] = [[], []]
+    for plane, target, image in zip(planes, wanted, images, strict=True):
+        known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
+        quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"
+        rows[0].append(pictures.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
+        rows[1].append(pictures.picture_panel(f"Reconstruction{quality}", image))
+    return pictures.sheet(rows, width)

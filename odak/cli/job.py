@@ -1,13 +1,19 @@
-"""What `odak hologram` is asked to do: every parameter, its default and its check."""
+"""Parameters of `odak hologram`: defaults, checks, units of length, and modulators known by name."""
 
+import difflib
 import math
 import os
+import re
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import NamedTuple
 
 from odak import _validate
-from odak.cli.errors import InputError
+from odak._warnings import ArgumentWarning, warn
 
+NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
+RANDOM_PHASES = (*NOISE, "uniform")
 VOLUME_METHODS = ("multiplane", "multi-color")
 METHODS = ("sgd", "gs", "double-phase", *VOLUME_METHODS)
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform")
@@ -24,6 +30,37 @@ MOST_PLANES = 1024
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
+LARGEST_PITCH = 1e-3
+# Points across the longer side of the picture below which a distance is taken for a mistake.
+FEWEST_POINTS = 16
+
+
+class InputError(Exception):
+    """The command line asks for something that cannot be done; the message says what would be accepted."""
+
+
+class Modulator(NamedTuple):
+    """Nominal data of a spatial light modulator that is sold; its data sheet has the last word."""
+
+    name: str
+    pixel_pitch: float
+    resolution: tuple[int, int]
+    bits: int
+    source: str
+
+
+PRESETS = {
+    "holoeye-pluto-2.1": Modulator(
+        "HOLOEYE PLUTO-2.1", 8.0e-6, (1080, 1920), 8, "https://holoeye.com/products/spatial-light-modulators"
+    ),
+    "holoeye-leto-3": Modulator(
+        "HOLOEYE LETO-3", 6.4e-6, (1080, 1920), 8, "https://holoeye.com/products/spatial-light-modulators"
+    ),
+    "hamamatsu-x15213": Modulator(
+        "Hamamatsu X15213 series", 12.5e-6, (1024, 1272), 8, "https://www.hamamatsu.com (LCOS-SLM X15213 series)"
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -74,6 +111,8 @@ class Job:
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
         Show no progress and no summary.
+    preset : str, optional
+        Name of the modulator that pitch, resolution and bits were taken from, one of `PRESETS`.
     """
 
     image: str = "photo"
@@ -98,6 +137,7 @@ class Job:
     bits: int = 8
     device: str = "auto"
     quiet: bool = False
+    preset: str | None = None
 
     def __post_init__(self) -> None:
         """Check every parameter; the messages name the option of the command line."""
@@ -167,9 +207,55 @@ class Job:
             if not math.isfinite(value) or value <= 0:
                 raise InputError(f"--wavelength must be positive and finite, in metres, got {value!r}")
             if value > 1e-3:
-                raise InputError(f"--wavelength is in metres: {value!r} is not light (532 nm is 532e-9)")
+                raise InputError(
+                    f"--wavelength {value:g} is {value:g} metres, which is not light: did you mean {value:g}nm?"
+                )
         if len({pattern_name(value) for value in self.wavelengths}) < count:
             raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
+
+    def check_effect(self, given: Collection[str]) -> None:
+        """Raise InputError if a parameter that was asked for by name has no effect on this run."""
+        random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS
+        effects = {
+            "iterations": (self.iterates, "which does not iterate"),
+            "learning_rate": (self.method not in ("gs", "double-phase"), "which has no step size"),
+            "scale": (self.method not in ("gs", "double-phase"), "which leaves the brightness free anyway"),
+        }
+        for name in given:
+            effective, reason = effects.get(name, (True, ""))
+            if not effective:
+                raise InputError(f"{option(name)} has no effect with --method {self.method}, {reason}")
+        if "volume_depth" in given and self.planes == 1:
+            raise InputError("--volume-depth has no effect without --planes of at least 2")
+        if "seed" in given and not random:
+            raise InputError(
+                f"--seed has no effect with --initial-phase {self.initial_phase}; random are {', '.join(RANDOM_PHASES)}"
+            )
+
+    def warn_of_doubtful_lengths(self) -> None:
+        """Warn of lengths that are possible but probably not meant, and say what probably was."""
+        wavelengths = self.wavelengths or (GREY_WAVELENGTH,)
+        pitch, side = self.pixel_pitch, max(self.resolution)
+        if pitch > LARGEST_PITCH or pitch < min(wavelengths) / 2:
+            why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
+            meant = _likely_length(pitch, 1e-6, 1e-4, "um")
+            warn(f"--pixel-pitch {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?", ArgumentWarning)
+            return
+        reach = max(wavelengths) * self.distance
+        points = (side * pitch) ** 2 / reach if reach > 0 else math.inf
+        if points < max(FEWEST_POINTS, side / 32):
+            meant = _likely_length(self.distance, 1e-3, 1.0, "mm")
+            warn(
+                f"--distance {self.distance:g}: {self.distance:g} metres away, the light of this modulator resolves "
+                f"{points:.2g} points across the whole picture; did you mean {meant}?",
+                ArgumentWarning,
+            )
+        if self.distance < pitch**2 / min(wavelengths):
+            warn(
+                f"--distance {self.distance:g}: the light of a pixel reaches its neighbours only beyond "
+                f"{pitch**2 / min(wavelengths):.2g} metres, and before that a phase pattern shows nothing",
+                ArgumentWarning,
+            )
 
     @property
     def iterates(self) -> bool:
@@ -185,6 +271,42 @@ class Job:
 def option(name: str) -> str:
     """Return the command-line option of a parameter."""
     return "--" + name.replace("_", "-")
+
+
+def parse_length(text: str | float) -> float:
+    """Return a length in metres from a number, or from a number and a unit such as ``532nm``, ``8um`` or ``15cm``."""
+    if not isinstance(text, str):
+        return text
+    found = re.fullmatch(r"\s*([^a-zA-Zµμ]*(?:[eE][+-]?\d+)?|nan|inf)\s*([a-zµμ]*)\s*", text)
+    unit = (found[2] or "m").replace("µ", "u").replace("μ", "u") if found else ""
+    try:
+        value = float(found[1]) if found else math.nan
+    except ValueError:
+        unit = ""
+    if unit not in UNITS:
+        raise ValueError(f"{text!r} is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm")
+    return value * UNITS[unit] if unit != "m" else value
+
+
+def _likely_length(value: float, least: float, most: float, unit: str) -> str:
+    """Return a length that is likely to have been meant by a number that was taken for metres."""
+    for factor in (1e-3, 1e-6, 1e-9, 1e3, 1e6):
+        if least <= value * factor <= most:
+            return f"{value * factor / UNITS[unit]:g}{unit}"
+    return f"{math.sqrt(least * most) / UNITS[unit]:g}{unit}"
+
+
+def did_you_mean(value: str, names: Iterable[str]) -> str:
+    """Return a question with the name nearest to a misspelt one, empty if none is near."""
+    near = difflib.get_close_matches(value.casefold(), list(names), n=1, cutoff=0.6)
+    return f" Did you mean {near[0]!r}?" if near else ""
+
+
+def find_preset(name: str) -> Modulator:
+    """Return a modulator by its name; raise InputError with the nearest names otherwise."""
+    if name.casefold() not in PRESETS:
+        raise InputError(f"--preset must be one of {', '.join(PRESETS)}; got {name!r}.{did_you_mean(name, PRESETS)}")
+    return PRESETS[name.casefold()]
 
 
 def pattern_name(wavelength: float) -> str:
@@ -225,5 +347,7 @@ def _existing(name, value, shipped) -> Path:
     if path.is_dir():
         raise InputError(f"{name} must be a picture, but {str(path)!r} is a directory")
     if not path.is_file():
-        raise InputError(f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)})")
+        raise InputError(
+            f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)}).{did_you_mean(value, shipped)}"
+        )
     return path.resolve()

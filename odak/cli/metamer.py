@@ -1,20 +1,20 @@
-"""`odak metamer`: from a picture to one that looks the same to an eye that looks elsewhere."""
+"""Computation of metamers for `odak metamer`: pictures that look the same as another to a fixed gaze."""
 
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from tqdm import tqdm
 
 from odak import _validate
 from odak.cli import files, pictures
-from odak.cli.errors import InputError
-from odak.cli.job import image_path
-from odak.cli.run import find_device
+from odak.cli.job import InputError, image_path
+from odak.cli.report import find_device
+from odak.cli.target import read_picture
 
 STAGES = 3
-LEARNING_RATE = 0.01
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class MetamerJob:
     levels, orientations : int
         Of the pyramid.
     iterations : int
-        Steps of gradient descent on the metameric loss.
+        Evaluations of the metameric loss by which the metamer is made; 0 for matched noise.
     seed : int
         Seed of the noise.
     device : str
@@ -56,7 +56,7 @@ class MetamerJob:
     mode: str = "quadratic"
     levels: int = 5
     orientations: int = 2
-    iterations: int = 0
+    iterations: int = 60
     seed: int = 0
     device: str = "auto"
     quiet: bool = False
@@ -83,105 +83,72 @@ def run(job: MetamerJob) -> dict:
     Parameters
     ----------
     job : MetamerJob
-        What was asked for.
+        Parameters of the run.
 
     Returns
     -------
     dict
-        "psnr_db" of the metamer, "largest_pooling" in pixels, and "loss": the metameric loss of the metamer as saved.
+        "psnr_db" of the metamer, "largest_pooling" in pixels, "loss": the metameric loss of the metamer as saved, over
+        the whole picture, and "noise_loss": that of the picture with white noise of the same squared error.
 
     Raises
     ------
     InputError
-        If the picture, the device or the output folder will not do.
+        If the picture, the device or the output folder cannot be used.
     """
     device = find_device(job.device)
-    picture = _load(image_path(job.image)).to(device)
+    picture = read_picture(image_path(job.image))[None].to(device)
     folder = files.writable_folder(job.output)
-    from odak.learn.perception import MetamericLoss, make_pooling_size_map_pixels
+    from odak.learn.perception import MetamericLoss, MetamerMSELoss, make_pooling_size_map_pixels
 
-    geometry = {"real_image_width": job.width, "real_viewing_distance": job.distance}
+    view: dict[str, Any] = {
+        "alpha": job.alpha,
+        "mode": job.mode,
+        "real_image_width": job.width,
+        "real_viewing_distance": job.distance,
+    }
+    bands: dict[str, Any] = {"n_pyramid_levels": job.levels, "n_orientations": job.orientations}
     with tqdm(total=STAGES + job.iterations, desc="metamer", unit="step", disable=job.quiet) as bar:
-        pooling = make_pooling_size_map_pixels(job.gaze, picture.shape[-2:], job.alpha, mode=job.mode, **geometry)
+        pooling = make_pooling_size_map_pixels(job.gaze, picture.shape[-2:], **view)
         bar.update()
-        loss = MetamericLoss(
-            device, job.alpha, n_pyramid_levels=job.levels, mode=job.mode, n_orientations=job.orientations, **geometry
-        )
-        metamer = _matched(job, picture, geometry)
+        try:
+            maker = MetamerMSELoss(device, **view, **bands)
+            metamer = maker.gen_metamer(picture, job.gaze, job.seed, job.iterations, bar.update)
+        except ValueError:
+            rows, columns = picture.shape[-2:]
+            raise InputError(
+                f"IMAGE of {rows} x {columns} pixels is too small for --levels {job.levels}: each level halves it, and "
+                "the last one must still hold a neighbourhood; take fewer levels"
+            ) from None
         bar.update()
-        metamer = _quantised(_refined(job, metamer, picture, loss, bar))
+        metamer = _quantised(metamer.clamp(0, 1))
+        error = float(((metamer - picture).double() ** 2).mean())
+        noise = torch.randn(picture.shape, generator=torch.Generator().manual_seed(job.seed)).to(picture)
+        loss = MetamericLoss(device, **view, **bands, use_l2_foveal_loss=False)
         with torch.no_grad():
-            value = float(loss(metamer, picture, job.gaze))
-        _write(folder, picture, metamer, pooling)
+            value, of_noise = (
+                float(loss(shown, picture, job.gaze)) for shown in (metamer, picture + math.sqrt(error) * noise)
+            )
+        _write(folder, picture, metamer, pooling, job.width)
         bar.update()
-    error = float(((metamer - picture).double() ** 2).mean())
     psnr = -10 * math.log10(error) if error else None
-    return {"psnr_db": psnr, "largest_pooling": float(pooling.max()), "loss": value}
-
-
-def _matched(job, picture, geometry):
-    from odak.learn.perception import MetamerMSELoss
-
-    maker = MetamerMSELoss(
-        picture.device,
-        job.alpha,
-        mode=job.mode,
-        n_pyramid_levels=job.levels,
-        n_orientations=job.orientations,
-        **geometry,
-    )
-    try:
-        return maker.gen_metamer(picture, job.gaze, job.seed).clamp(0, 1)
-    except ValueError as error:
-        raise InputError(f"IMAGE is too small for --levels {job.levels}: {error}") from None
-
-
-def _refined(job, metamer, picture, loss, bar):
-    """Return the metamer after gradient descent on the metameric loss."""
-    if not job.iterations:
-        return metamer
-    image = metamer.clone().requires_grad_()
-    optimizer = torch.optim.Adam([image], lr=LEARNING_RATE)
-    for _ in range(job.iterations):
-        optimizer.zero_grad()
-        loss(image, picture, job.gaze).backward()
-        optimizer.step()
-        with torch.no_grad():
-            image.clamp_(0, 1)
-        bar.update()
-    return image.detach()
+    return {"psnr_db": psnr, "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
 
 
 def _quantised(picture):
-    """Return what an 8-bit file keeps of a picture."""
+    """Return a picture rounded to the levels of an 8-bit file."""
     return torch.round(picture * 255) / 255
 
 
-def _write(folder, picture, metamer, pooling) -> None:
+def _write(folder, picture, metamer, pooling, width) -> None:
     # A map of doublings: black is one pixel, white the largest region.
     levels = torch.log2(pooling.clamp_min(1))[None]
     shade = levels / levels.max().clamp_min(1e-6)
     files.write_png(folder / "metamer.png", pictures.to_image(metamer[0]))
     files.write_png(folder / "pooling_map.png", pictures.to_image(shade))
     panels = [
-        ("Picture", picture[0].cpu()),
-        ("Metamer", metamer[0].cpu()),
-        (f"Pooling, 1 (black) to {float(pooling.max()):.3g} px", shade.cpu()),
+        pictures.picture_panel("Picture", picture[0].cpu()),
+        pictures.picture_panel("Metamer", metamer[0].cpu()),
+        pictures.picture_panel(f"Pooling, 1 (black) to {float(pooling.max()):.3g} px", shade.cpu()),
     ]
-    files.write_png(folder / "comparison.png", pictures.side_by_side(panels))
-
-
-def _load(path: Path) -> torch.Tensor:
-    """Return a picture as ``[1, 1 or 3, rows, columns]``; transparent parts are black."""
-    from odak.learn.tools import load_image
-
-    try:
-        picture = load_image(str(path), normalizeby=None).float()
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(" ".join(str(error).split())) from None
-    picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)
-    if len(picture) in (2, 4):
-        picture = picture[:-1] * picture[-1:]
-    if not bool(((picture >= 0) & (picture <= 1)).all()):
-        raise InputError(f"IMAGE must hold values from 0 to 1, those of {str(path)!r} go beyond")
-    return picture[None]
+    files.write_png(folder / "comparison.png", pictures.sheet([panels], width))

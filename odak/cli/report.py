@@ -1,15 +1,21 @@
-"""What a run reports: parameters, quality of the saved patterns, light, time and versions."""
+"""Quality of reconstructions, and the report of a run: parameters, quality, warnings, devices and versions."""
 
 import math
 import platform
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib import metadata
 
 import torch
 
-from odak.cli import metrics, pattern
-from odak.cli.job import Job
+from odak._warnings import OdakWarning
+from odak.cli.files import file_depth
+from odak.cli.job import InputError, Job
 from odak.cli.target import Target
 
+WINDOW, SIGMA = 11, 1.5
+K1, K2 = 0.01, 0.03
 LIT = 0.1
 DEFINITIONS = {
     "target": "The picture's stored values, 0 to 1, taken as intensity; resized (bicubic) to the largest size that "
@@ -57,14 +63,14 @@ def measure(target: torch.Tensor, window: tuple, image: torch.Tensor, unquantise
         Numbers as `DEFINITIONS` has them.
     """
     target, image, unquantised = (value.double() for value in (target, image, unquantised))
-    scale = metrics.best_scale(image[window], target[window])
-    ideal = metrics.best_scale(unquantised[window], target[window])
+    scale = best_scale(image[window], target[window])
+    ideal = best_scale(unquantised[window], target[window])
     lit = (target >= LIT * target.max()) & (target > 0)
     return {
-        "psnr_db": finite(metrics.psnr(scale * image[window], target[window])),
-        "ssim": metrics.ssim(scale * image[window], target[window]),
-        "psnr_frame_db": finite(metrics.psnr(scale * image, target)),
-        "psnr_before_quantisation_db": finite(metrics.psnr(ideal * unquantised[window], target[window])),
+        "psnr_db": finite(psnr(scale * image[window], target[window])),
+        "ssim": ssim(scale * image[window], target[window]),
+        "psnr_frame_db": finite(psnr(scale * image, target)),
+        "psnr_before_quantisation_db": finite(psnr(ideal * unquantised[window], target[window])),
         "scale": float(scale),
         "efficiency": float(image.sum()) / image.numel(),
         "efficiency_lit": float(image[lit].sum()) / image.numel(),
@@ -77,7 +83,7 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     Parameters
     ----------
     target : Target
-        What was to be shown.
+        The fitted picture.
     scaled : torch.Tensor
         s·I of every channel, ``[channels, rows, columns]``.
     channels : list of dict
@@ -90,7 +96,7 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     """
     window = (slice(None), *target.window)
     return {
-        "psnr_db": finite(metrics.psnr(scaled[window], target.intensity[window])),
+        "psnr_db": finite(psnr(scaled[window], target.intensity[window])),
         **{
             name: sum(channel[name] for channel in channels) / len(channels)
             for name in ("ssim", "efficiency", "efficiency_lit")
@@ -98,13 +104,13 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     }
 
 
-def describe(job: Job, target: Target, names: list[str], device: torch.device) -> dict:
+def parameters_of(job: Job, target: Target, names: list[str], device: torch.device) -> dict:
     """Return the part of the report that is known before the computation.
 
     Parameters
     ----------
     job : Job
-        What was asked for.
+        Parameters of the run.
     target : Target
         The fitted picture.
     names : list of str
@@ -128,8 +134,8 @@ def describe(job: Job, target: Target, names: list[str], device: torch.device) -
         "pattern": {
             "files": names,
             "bits": job.bits,
-            "file_depth": pattern.depth(job.bits),
-            "phase_radians": f"grey * 2 * pi / {2 ** pattern.depth(job.bits)}",
+            "file_depth": file_depth(job.bits),
+            "phase_radians": f"grey * 2 * pi / {2 ** file_depth(job.bits)}",
             "grating": "pi on every second column from the first, included in the file" if job.grating else None,
         },
         "device": device_name(device),
@@ -154,3 +160,177 @@ def device_name(device: torch.device) -> str:
 def finite(value: float) -> float | None:
     """Return a number, None where it is infinite: JSON has no word for it."""
     return value if math.isfinite(value) else None
+
+
+@contextmanager
+def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[list[str]]:
+    """Collect the texts of warnings, each once, and pass each on as soon as it is issued.
+
+    Parameters
+    ----------
+    show : callable, optional
+        Called with each text; by default warnings are passed to whoever showed them before.
+    """
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        before = warnings.showwarning
+        if not _are_errors():
+            warnings.simplefilter("always", OdakWarning)
+
+        def collect(message, category, *place, **more) -> None:
+            text = " ".join(str(message).split())
+            if text not in texts:
+                texts.append(text)
+                if show is None:
+                    before(message, category, *place, **more)
+                else:
+                    show(text)
+
+        warnings.showwarning = collect
+        yield texts
+
+
+def _are_errors() -> bool:
+    """Return whether the user asked for warnings as errors (``python -W error``)."""
+    import sys
+
+    return any(option.startswith("error") for option in sys.warnoptions)
+
+
+def find_device(name: str) -> torch.device:
+    """Return the device asked for.
+
+    Parameters
+    ----------
+    name : str
+        "auto" (the GPU where there is one), "cpu", "cuda", "cuda:1", …
+
+    Raises
+    ------
+    InputError
+        If this machine does not have it.
+    """
+    from odak.learn.tools import get_device
+
+    if name == "auto":
+        return torch.device(get_device("auto"))
+    try:
+        device = torch.device(name)
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError, NotImplementedError):
+        here = ", ".join(["auto", *map(str, devices())])
+        raise InputError(f"--device must be one of those of this machine ({here}); got {name!r}") from None
+    return device
+
+
+def describe_machine() -> list[tuple[str, str]]:
+    """Return versions, devices, threads and FFT libraries as pairs of name and value."""
+    rows = list(versions().items())
+    rows.append(("platform", platform.platform()))
+    rows.append(("devices", ", ".join(device_name(device) for device in devices())))
+    rows.append(("threads", str(torch.get_num_threads())))
+    rows.append(("fft", fft_backends()))
+    return rows
+
+
+def devices() -> list[torch.device]:
+    """Return the devices that torch can compute on here."""
+    found = [torch.device("cpu")]
+    found += [torch.device("cuda", index) for index in range(torch.cuda.device_count())]
+    if torch.backends.mps.is_available():
+        found.append(torch.device("mps"))
+    return found
+
+
+def fft_backends() -> str:
+    """Return the libraries behind torch's FFT on this machine's devices, and NumPy's."""
+    cpu = "MKL" if torch.backends.mkl.is_available() else "PocketFFT"
+    gpu = f", torch on CUDA: cuFFT (CUDA {torch.version.cuda})" if torch.cuda.is_available() else ""
+    return f"torch on CPU: {cpu}{gpu}, NumPy: PocketFFT"
+
+
+def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return the brightness s = ⟨I, T⟩/⟨I, I⟩ that brings an image closest to its target.
+
+    Parameters
+    ----------
+    image, target : torch.Tensor
+        Intensities ``[..., rows, columns]``.
+
+    Returns
+    -------
+    torch.Tensor
+        s, ``[..., 1, 1]``; 0 for an image of zeros.
+    """
+    axes = (-2, -1)
+    energy = (image * image).sum(axes, keepdim=True)
+    return (image * target).sum(axes, keepdim=True) / energy.clamp_min(torch.finfo(image.dtype).tiny)
+
+
+def psnr(image: torch.Tensor, target: torch.Tensor, peak: float = 1.0) -> float:
+    """Return the peak signal-to-noise ratio 10·log₁₀(peak²/MSE) in dB, over all elements.
+
+    Parameters
+    ----------
+    image, target : torch.Tensor
+        Of one shape.
+    peak : float
+        Largest value that the target could have.
+
+    Returns
+    -------
+    float
+        PSNR in dB, infinite for equal images.
+    """
+    error = float(((image.double() - target.double()) ** 2).mean())
+    return 10 * math.log10(peak**2 / error) if error > 0 else math.inf
+
+
+def ssim(image: torch.Tensor, target: torch.Tensor, peak: float = 1.0) -> float:
+    """Return the mean structural similarity of two images.
+
+    Parameters
+    ----------
+    image, target : torch.Tensor
+        ``[..., rows, columns]`` of one shape, each side at least 11.
+    peak : float
+        Largest value that the target could have.
+
+    Returns
+    -------
+    float
+        Mean over every place where the window fits, and over the leading axes; 1 for equal images.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ or an image is smaller than the window.
+
+    Notes
+    -----
+    Wang, Bovik, Sheikh and Simoncelli, IEEE Trans. Image Process. 13, 600 (2004): Gaussian window of 11 × 11 with
+    σ = 1.5, K₁ = 0.01, K₂ = 0.03.
+    """
+    if image.shape != target.shape or min(image.shape[-2:]) < WINDOW:
+        raise ValueError(
+            f"image and target must have one shape of at least {WINDOW} x {WINDOW}, "
+            f"got {tuple(image.shape)} and {tuple(target.shape)}"
+        )
+    x, y = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))
+    mean_x, mean_y = _windowed(x), _windowed(y)
+    variance_x = _windowed(x * x) - mean_x**2
+    variance_y = _windowed(y * y) - mean_y**2
+    covariance = _windowed(x * y) - mean_x * mean_y
+    c1, c2 = (K1 * peak) ** 2, (K2 * peak) ** 2
+    luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
+    structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
+    return float((luminance * structure).mean())
+
+
+def _windowed(image: torch.Tensor) -> torch.Tensor:
+    """Return Gaussian-weighted means of an image, where the window fits."""
+    line = torch.arange(WINDOW, dtype=image.dtype, device=image.device) - WINDOW // 2
+    line = torch.exp(-(line**2) / (2 * SIGMA**2))
+    line = line / line.sum()
+    image = torch.nn.functional.conv2d(image, line.reshape(1, 1, -1, 1))
+    return torch.nn.functional.conv2d(image, line.reshape(1, 1, 1, -1))

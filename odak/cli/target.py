@@ -1,19 +1,23 @@
-"""From a picture file to the intensity that the hologram is to show."""
+"""Targets of a hologram: the intensity of a picture on the modulator's frame, and on planes by a depth map."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from PIL import Image
 
-from odak.cli.errors import InputError
-from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, Job, image_path
+from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, InputError, Job, depth_map_path, image_path
+from odak.learn.wave import multiplane_loss
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+BLUR_RATIO, BLUR_SIZE = 1.0, 5
+_ASPECT_TOLERANCE = 0.02
+_ORIENTATION = 0x0112
 
 
 @dataclass(frozen=True)
 class Target:
-    """The picture as the modulator's frame shows it.
+    """A picture on the modulator's frame.
 
     Attributes
     ----------
@@ -39,7 +43,7 @@ def load_target(job: Job) -> Target:
     Parameters
     ----------
     job : Job
-        What was asked for.
+        Parameters of the run.
 
     Returns
     -------
@@ -105,12 +109,14 @@ def fit(
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     """Return a picture as ``[1 or 3, rows, columns]``; transparent parts are black, equal channels are one.
 
+    A photograph whose EXIF data say how the camera was held is turned upright.
+
     Parameters
     ----------
     path : Path
         Existing file.
     name : str
-        What to call it in messages.
+        Its name in messages.
 
     Raises
     ------
@@ -123,12 +129,26 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
         picture = load_image(str(path), normalizeby=None).float()
     except (OSError, ValueError, TypeError) as error:
         raise InputError(" ".join(str(error).split())) from None
-    picture = picture[None] if picture.ndim == 2 else picture.movedim(-1, 0)
+    picture = _upright(path, picture[None] if picture.ndim == 2 else picture.movedim(-1, 0))
     if len(picture) in (2, 4):
         picture = picture[:-1] * picture[-1:]
     if not bool(((picture >= 0) & (picture <= 1)).all()):
         raise InputError(f"{name} must hold values from 0 to 1, those of {str(path)!r} go beyond")
     return picture[:1] if bool((picture == picture[:1]).all()) else picture
+
+
+def _upright(path: Path, picture: torch.Tensor) -> torch.Tensor:
+    """Return a picture as its EXIF orientation asks for: 1 to 8, the row and the column that the first ones become."""
+    try:
+        with Image.open(path) as image:
+            orientation = image.getexif().get(_ORIENTATION, 1)
+    except (OSError, ValueError, SyntaxError):
+        return picture
+    if orientation in (5, 6, 7, 8):
+        picture = picture.mT
+    rows = orientation in (3, 4, 7, 8)
+    columns = orientation in (2, 3, 6, 7)
+    return picture.flip([axis for axis, turned in ((-2, rows), (-1, columns)) if turned])
 
 
 def to_grey(picture: torch.Tensor) -> torch.Tensor:
@@ -137,3 +157,82 @@ def to_grey(picture: torch.Tensor) -> torch.Tensor:
         return picture
     weights = torch.tensor(LUMINANCE).reshape(3, 1, 1)
     return (picture * weights).sum(0, keepdim=True).clamp(0, 1)
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Images on planes.
+
+    Attributes
+    ----------
+    distances : list of float
+        Distance of each plane from the modulator in metres.
+    images : torch.Tensor
+        Target intensity of each plane, ``[planes, channels, rows, columns]``.
+    masks : torch.Tensor
+        1 where the picture belongs to the plane, of the same shape.
+    loss : multiplane_loss, optional
+        Loss that gives more weight to what is sharp; None for a single plane.
+    """
+
+    distances: list[float]
+    images: torch.Tensor
+    masks: torch.Tensor
+    loss: multiplane_loss | None
+
+
+def load_volume(job: Job, target: Target, device: torch.device) -> Volume:
+    """Spread a picture over planes by its depth map.
+
+    Parameters
+    ----------
+    job : Job
+        Parameters of the run.
+    target : Target
+        The fitted picture.
+    device : torch.device
+        Where to compute.
+
+    Returns
+    -------
+    Volume
+        Images of the planes.
+
+    Raises
+    ------
+    InputError
+        If the depth map is missing, unreadable, of another aspect ratio, or has one depth only.
+    """
+    intensity = target.intensity.to(device)
+    if job.planes == 1:
+        return Volume([job.distance], intensity[None], torch.ones_like(intensity)[None], None)
+    depth = _fitted_depth(job, target).to(device)
+    loss = multiplane_loss(
+        intensity,
+        depth,
+        blur_ratio=BLUR_RATIO,
+        target_blur_size=BLUR_SIZE,
+        number_of_planes=job.planes,
+        reduction="mean",
+        device=device,
+    )
+    images, _, _ = loss.get_targets()
+    places = torch.linspace(-job.volume_depth / 2, job.volume_depth / 2, job.planes, dtype=torch.float64)
+    return Volume((places + job.distance).tolist(), images, loss.masks, loss)
+
+
+def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
+    """Return the depth ``[rows, columns]`` on the modulator's frame, that of the last plane around the picture."""
+    path = depth_map_path(str(job.depth_map))
+    depth = to_grey(read_picture(path, "--depth-map"))
+    if bool((depth == depth.flatten()[0]).all()):
+        raise InputError(f"--depth-map has one depth only: {str(path)!r}; leave --planes out")
+    rows, columns = (part.stop - part.start for part in target.window)
+    if abs(depth.shape[-2] * columns / (depth.shape[-1] * rows) - 1) > _ASPECT_TOLERANCE:
+        raise InputError(
+            f"--depth-map must have the picture's shape, got {depth.shape[-2]} x {depth.shape[-1]} for a picture of "
+            f"{rows} x {columns}"
+        )
+    # Depths are not mixed across an edge: half-way between near and far there is nothing.
+    fitted, _ = fit(depth - 1, job.resolution, mode="nearest-exact", size=(rows, columns))
+    return fitted[0] + 1

@@ -1,26 +1,32 @@
-"""`odak trace`: rays through a lens, its layout and spots as pictures, and a report."""
+"""Traces rays through a lens for `odak trace`: figures, and reports as HTML and JSON."""
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 
-from odak.cli.errors import InputError
-from odak.cli.files import writable_folder, write_json, write_png
+from odak.cli.files import writable_folder, write_json
+from odak.cli.job import InputError, did_you_mean
 from odak.learn.raytracing.system import (
     distortion,
-    draw_layout,
-    draw_spots,
     first_order,
+    lens_report,
     load_system,
     point_spread_function,
     read_zmx,
+    report_figures,
+    sample_systems,
     spot_diagram,
     system_to_dict,
     wavefront,
 )
-from odak.raytracing.status import RayStatus
+from odak.learn.raytracing.system.lens_files import load_materials
+from odak.raytracing.intersections import RayStatus
+from odak.tools.paths import replacing
 
 MAXIMUM_RINGS = 100
+FORMATS = ("png", "svg", "pdf")
 DEFINITIONS = {
     "lengths": "In the system's unit; angles in degrees; wavefronts in wavelengths.",
     "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
@@ -33,30 +39,44 @@ DEFINITIONS = {
 }
 
 
-def read_system(name: str):
+def read_system(name: str, glasses: Sequence[Path] = ()):
     """Return a system and what was ignored in its file.
 
     Parameters
     ----------
     name : str
         A sample system, a .json file or a .zmx file.
+    glasses : sequence of Path
+        Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
 
     Raises
     ------
     InputError
         If there is no such thing, or it cannot be understood.
     """
+    for path in glasses:
+        try:
+            load_materials(path, replace=True)
+        except (ValueError, OSError) as error:
+            raise InputError(f"--glasses {str(path)!r}: {error}") from None
     try:
         if name.lower().endswith(".zmx"):
             system, report = read_zmx(name)
             return system, [*report.ignored, *report.notes]
         return load_system(name), []
+    except json.JSONDecodeError as error:
+        raise InputError(f"SYSTEM {name!r} is not a lens in JSON: line {error.lineno} cannot be read") from None
     except (ValueError, OSError) as error:
+        known = sample_systems()
+        if name not in known and not Path(name).suffix:
+            raise InputError(
+                f"SYSTEM must be one of {', '.join(known)}, or a file; got {name!r}.{did_you_mean(name, known)}"
+            ) from None
         raise InputError(f"SYSTEM {name!r}: {error}") from None
 
 
-def run(name: str, output: Path, rings: int, aim: str) -> dict:
-    """Trace a system and write layout.png, spots.png and report.json.
+def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] = (), figures: str = "png") -> dict:
+    """Trace a system and write its figures, report.html and report.json.
 
     Parameters
     ----------
@@ -68,6 +88,10 @@ def run(name: str, output: Path, rings: int, aim: str) -> dict:
         Rings of rays in the pupil.
     aim : str
         "paraxial" or "real".
+    glasses : sequence of Path
+        As in :func:`read_system`.
+    figures : str
+        Kind of the figures' files, "png", "svg" or "pdf".
 
     Returns
     -------
@@ -83,13 +107,18 @@ def run(name: str, output: Path, rings: int, aim: str) -> dict:
         raise InputError(f"--rings must be 1 to {MAXIMUM_RINGS}, got {rings}")
     if aim not in ("paraxial", "real"):
         raise InputError(f"--aim must be paraxial or real, got {aim!r}")
-    system, ignored = read_system(name)
+    if figures not in FORMATS:
+        raise InputError(f"--figures must be one of {', '.join(FORMATS)}, got {figures!r}")
+    system, ignored = read_system(name, glasses)
     folder = writable_folder(Path(output))
     with torch.no_grad():
         report = describe(system, rings, aim) | {"ignored": ignored}
-        spots = spot_diagram(system, "rings", rings, aim=aim)
-        write_png(folder / "layout.png", draw_layout(system, aim))
-        write_png(folder / "spots.png", draw_spots(system, spots))
+    drawn = report_figures(system, aim)
+    for title, figure in drawn.items():
+        with replacing(folder / f"{title}.{figures}") as stream:
+            figure.savefig(stream, format=figures, dpi=140)
+    lens_report(system, folder / "report.html", aim, drawn)
+    report["figures"] = [f"{title}.{figures}" for title in drawn]
     write_json(folder / "report.json", report)
     return report
 

@@ -1,12 +1,5 @@
-"""Fits: a line by least squares, any function of one variable by gradient descent, two classes by a perceptron."""
+"""Fits: lines by least squares, functions of one variable by gradient descent, classifications by a perceptron."""
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "descent": ("gradient_descent_1d",),
-        "line": ("least_square_1d",),
-        "threshold": ("perceptron", "threshold_linear_model"),
-    },
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

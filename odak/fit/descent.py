@@ -25,10 +25,12 @@ def gradient_descent_1d(
 
     Parameters
     ----------
-    input_data, ground_truth_data : array
-        The N points x and the values y wanted there.
+    input_data : array
+        The N points x.
+    ground_truth_data : array
+        The values y at these points.
     parameters : array
-        Where to start, ``[p]``; not changed.
+        Initial parameters, ``[p]``; not changed.
     function : callable
         ``function(x, parameters)``: the model.
     gradient_function : callable

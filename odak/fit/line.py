@@ -1,16 +1,18 @@
-"""The line nearest to points."""
+"""Fit of a line by least squares."""
 
 from odak import _array, _validate
 from odak._array import Array
 
 
 def least_square_1d(x: Array, y: Array) -> Array:
-    """Return slope m and offset n of the line y = m·x + n that lies nearest to points in the sense of least squares.
+    """Return gradient m and offset n of the line y = m·x + n that lies nearest to points in the sense of least squares.
 
     Parameters
     ----------
-    x, y : array
-        Coordinates, real, of one shape with at least two different x.
+    x : array
+        Abscissae, at least two of them different.
+    y : array
+        Ordinates, as many.
 
     Returns
     -------
@@ -32,8 +34,9 @@ def least_square_1d(x: Array, y: Array) -> Array:
     >>> least_square_1d([0, 1, 2], [1, 3, 5])
     array([2., 1.])
     """
-    xp = _array.namespace(x, y)
-    x, y = (_real_line(xp, name, value) for name, value in (("x", x), ("y", y)))
+    x, y = _validate.reals(x=x, y=y)
+    xp = _array.namespace(x)
+    x, y = xp.reshape(x, (-1,)), xp.reshape(y, (-1,))
     if x.shape != y.shape:
         raise ValueError(f"y must have as many points as x, got {y.shape[0]} and {x.shape[0]}")
     middle, height = xp.mean(x), xp.mean(y)
@@ -41,12 +44,5 @@ def least_square_1d(x: Array, y: Array) -> Array:
     spread = xp.sum(across**2)
     if _array.is_readable(spread) and not _validate.numbers(spread)[0] > 0:
         raise ValueError(f"x must hold at least two different finite numbers, got {x.shape[0]} without any spread")
-    slope = xp.sum(across * (y - height)) / spread
-    return xp.stack((slope, height - slope * middle))
-
-
-def _real_line(xp, name, value):
-    value = value if _array.is_array(_validate.array(name, value)) and _array.is_array(value) else xp.asarray(value)
-    if "complex" in str(value.dtype):
-        raise TypeError(f"{name} must be real, got an array of {value.dtype}")
-    return xp.astype(xp.reshape(value, (-1,)), _array.real_dtype(value))
+    gradient = xp.sum(across * (y - height)) / spread
+    return xp.stack((gradient, height - gradient * middle))

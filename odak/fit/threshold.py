@@ -1,4 +1,4 @@
-"""Rosenblatt's perceptron."""
+"""Training and evaluation of Rosenblatt's perceptron."""
 
 import numpy as np
 from tqdm import tqdm

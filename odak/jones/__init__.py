@@ -8,8 +8,8 @@ Conventions, held by every function here and in ``odak.learn.jones``:
   vector ``[..., 4, k]``, a Mueller matrix ``[..., 4, 4]``. Leading axes are batches and broadcast.
 - Angles and retardances are in degrees. An angle runs from x towards y: counter-clockwise for an observer who looks
   at the oncoming light.
-- Right-handed light turns clockwise for that observer (Born and Wolf; Hecht), so (1, −i)/√2 is right and (1, i)/√2
-  left circular. The IEEE names are the other way round.
+- The field of right-handed light rotates clockwise for that observer (Born and Wolf; Hecht), so (1, −i)/√2 is
+  right and (1, i)/√2 left circular. The IEEE names are the other way round.
 - S0 = |Ex|² + |Ey|², S1 = |Ex|² − |Ey|², S2 = 2·Re(Ex·Ey*), S3 = 2·Im(Ex·Ey*): S3 > 0 is right-handed.
 - Precision follows the arrays given: float32 and complex64 give complex64. Plain numbers give complex128.
 
@@ -19,32 +19,4 @@ and 10.9; D. Goldstein, Polarized Light (2011).
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "elements": (
-            "apply_matrix",
-            "cascade",
-            "circular_polarizer",
-            "diattenuator",
-            "electricfield",
-            "half_wave_plate",
-            "linearpolarizer",
-            "mirror",
-            "polarizer",
-            "quarter_wave_plate",
-            "retarder",
-            "reverse",
-            "rotator",
-        ),
-        "stokes_vectors": (
-            "degree_of_polarization",
-            "depolarizer",
-            "field_from_stokes",
-            "mueller",
-            "polarization_ellipse",
-            "stokes",
-            "stokes_ellipse",
-        ),
-    },
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,18 +1,30 @@
-"""Jones vectors, and the matrices of the elements that light passes; conventions in :mod:`odak.jones`."""
+"""Jones vectors and the Jones matrices of optical elements; conventions in :mod:`odak.jones`."""
+
+from typing import Any
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, ArrayT
 
 DEGREE = _array.numpy_namespace.pi / 180
 
 
-def electricfield(px: complex | Array, py: complex | Array) -> Array:
+def electricfield(
+    px: complex | Array, py: complex | Array, *, xp: Any = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones vector of the amplitudes `px` and `py`.
 
     Parameters
     ----------
-    px, py : number or array
-        Amplitudes along x and y, real or complex, of shapes that broadcast to ``[..., k]``; numbers count as ``[1]``.
+    px : number or array
+        Amplitude along x, real or complex, ``[..., k]``; a number counts as ``[1]``.
+    py : number or array
+        Amplitude along y, of a shape that broadcasts with that of `px`.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
@@ -26,13 +38,13 @@ def electricfield(px: complex | Array, py: complex | Array) -> Array:
     array([[1.+0.j],
            [0.+1.j]])
     """
-    xp, dtype, (px, py) = common(px=px, py=py)
+    xp, dtype, (px, py) = common(xp, device, dtype, px=px, py=py)
     px, py = xp.broadcast_arrays(xp.astype(px, dtype), xp.astype(py, dtype))
     field = xp.stack((px, py), axis=-2 if px.ndim else 0)
     return field if px.ndim else xp.reshape(field, (2, 1))
 
 
-def linearpolarizer(field: Array, rotation: complex | Array = 0) -> Array:
+def linearpolarizer(field: ArrayT, rotation: complex | Array = 0) -> ArrayT:
     """Return a field after an ideal linear polariser.
 
     Parameters
@@ -60,7 +72,7 @@ def linearpolarizer(field: Array, rotation: complex | Array = 0) -> Array:
     return apply_matrix(polarizer(_array.cast(rotation, field, _array.real_dtype(field))), field)
 
 
-def apply_matrix(matrix: Array, field: Array) -> Array:
+def apply_matrix(matrix: Array, field: ArrayT) -> ArrayT:
     """Return the field behind an element.
 
     Parameters
@@ -89,7 +101,7 @@ def apply_matrix(matrix: Array, field: Array) -> Array:
 
 
 def cascade(*matrices: Array) -> Array:
-    """Return the matrix of elements that light passes one after another, the first given first.
+    """Return the matrix of a sequence of elements, given in the order in which they are passed.
 
     Parameters
     ----------
@@ -114,32 +126,53 @@ def cascade(*matrices: Array) -> Array:
     return result
 
 
-def polarizer(angle: complex | Array = 0.0) -> Array:
+def polarizer(angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of an ideal linear polariser.
 
     Parameters
     ----------
     angle : number or array
         Angle of its transmission axis in degrees, of shape ``[...]``.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
     array
         Complex ``[..., 2, 2]``: [[c², cs], [cs, s²]].
     """
-    return diattenuator(1.0, 0.0, angle)
+    return diattenuator(1.0, 0.0, angle, xp=xp, device=device, dtype=dtype)
 
 
-def diattenuator(first: complex | Array = 1.0, second: complex | Array = 0.0, angle: complex | Array = 0.0) -> Array:
+def diattenuator(
+    first: complex | Array = 1.0,
+    second: complex | Array = 0.0,
+    angle: complex | Array = 0.0,
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
+) -> Array:
     """Return the Jones matrix of a partial polariser.
 
     Parameters
     ----------
-    first, second : number or array
-        Amplitude transmission along the axis at `angle`, and across it; real or complex. Its square is the
-        transmittance.
+    first : number or array
+        Amplitude transmission along the axis at `angle`, real or complex; its squared modulus is the transmittance.
+    second : number or array
+        Amplitude transmission across that axis.
     angle : number or array
-        Degrees.
+        Angle of the axis in degrees.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
@@ -147,11 +180,13 @@ def diattenuator(first: complex | Array = 1.0, second: complex | Array = 0.0, an
         Complex ``[..., 2, 2]``; all arguments broadcast.
     """
     check_angle("angle", angle)
-    xp, dtype, (first, second, angle) = common(first=first, second=second, angle=angle)
+    xp, dtype, (first, second, angle) = common(xp, device, dtype, first=first, second=second, angle=angle)
     return matrix_on_axes(xp, first, second, angle, dtype)
 
 
-def retarder(retardance: complex | Array, angle: complex | Array = 0.0) -> Array:
+def retarder(
+    retardance: complex | Array, angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of a wave plate of any retardance.
 
     Parameters
@@ -160,6 +195,12 @@ def retarder(retardance: complex | Array, angle: complex | Array = 0.0) -> Array
         Phase by which the slow axis lags behind the fast one, in degrees: 360·(n_slow − n_fast)·thickness/wavelength.
     angle : number or array
         Angle of the *fast* axis in degrees.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
@@ -176,28 +217,68 @@ def retarder(retardance: complex | Array, angle: complex | Array = 0.0) -> Array
     """
     check_angle("retardance", retardance)
     check_angle("angle", angle)
-    xp, dtype, (retardance, angle) = common(retardance=retardance, angle=angle)
+    xp, dtype, (retardance, angle) = common(xp, device, dtype, retardance=retardance, angle=angle)
     slow = _array.phasor_of_cycles(retardance / 720, xp.complex128)
     return matrix_on_axes(xp, xp.conj(slow), slow, angle, dtype)
 
 
-def quarter_wave_plate(angle: float | Array = 0.0) -> Array:
-    """Return the Jones matrix of a quarter-wave plate, fast axis at `angle` degrees: :func:`retarder` of 90°."""
-    return retarder(90.0, angle)
+def quarter_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+    """Return the Jones matrix of a quarter-wave plate: :func:`retarder` of 90°.
+
+    Parameters
+    ----------
+    angle : number or array
+        Angle of the fast axis in degrees.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, 2]``.
+    """
+    return retarder(90.0, angle, xp=xp, device=device, dtype=dtype)
 
 
-def half_wave_plate(angle: float | Array = 0.0) -> Array:
-    """Return the Jones matrix of a half-wave plate, fast axis at `angle` degrees: :func:`retarder` of 180°."""
-    return retarder(180.0, angle)
+def half_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+    """Return the Jones matrix of a half-wave plate: :func:`retarder` of 180°.
+
+    Parameters
+    ----------
+    angle : number or array
+        Angle of the fast axis in degrees.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, 2]``.
+    """
+    return retarder(180.0, angle, xp=xp, device=device, dtype=dtype)
 
 
-def rotator(angle: complex | Array) -> Array:
-    """Return the Jones matrix that turns the polarisation, as an optically active crystal or a Faraday cell does.
+def rotator(angle: complex | Array, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
+    """Return the Jones matrix of a rotation of the polarisation, as an optically active crystal or a Faraday cell does.
 
     Parameters
     ----------
     angle : number or array
         Degrees, from x towards y.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
@@ -205,23 +286,29 @@ def rotator(angle: complex | Array) -> Array:
         Complex ``[..., 2, 2]``: [[c, −s], [s, c]].
     """
     check_angle("angle", angle)
-    xp, dtype, (angle,) = common(angle=angle)
+    xp, dtype, (angle,) = common(xp, device, dtype, angle=angle)
     c, s = xp.cos(DEGREE * angle), xp.sin(DEGREE * angle)
     return stack_matrix(xp, ((c, -s), (s, c)), dtype)
 
 
-def circular_polarizer(handedness: str = "right") -> Array:
+def circular_polarizer(handedness: str = "right", *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of an ideal (homogeneous) circular polariser.
 
     Parameters
     ----------
     handedness : str
-        "right" or "left": the circular light that passes unchanged. The other is blocked.
+        "right" or "left": the circular polarisation that passes unchanged. The other is blocked.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
     array
-        Complex128 ``2 x 2``.
+        Complex ``2 x 2``.
 
     Raises
     ------
@@ -229,18 +316,27 @@ def circular_polarizer(handedness: str = "right") -> Array:
         If the handedness is neither.
     """
     sign = {"right": 1, "left": -1}[_validate.one_of("handedness", handedness, ("right", "left"))]
-    return _array.numpy_namespace.asarray([[0.5, 0.5j * sign], [-0.5j * sign, 0.5]])
+    xp, dtype, _ = common(xp, device, dtype)
+    return xp.asarray([[0.5, 0.5j * sign], [-0.5j * sign, 0.5]], dtype=dtype, device=device)
 
 
-def mirror(rx: complex | Array = 1.0, ry: complex | Array = 1.0) -> Array:
+def mirror(
+    rx: complex | Array = 1.0, ry: complex | Array = 1.0, *, xp: Any = None, device: Any = None, dtype: Any = None
+) -> Array:
     """Return the Jones matrix of a mirror: diag(rx, −ry), which swaps right and left.
 
     Parameters
     ----------
-    rx, ry : number or array
-        Amplitude reflection coefficients of the field's components along x and y, real or complex. 1 and 1 is ideal
-        but for a common phase. At oblique incidence put x along s: then rx = r_s, and ry = −r_p where r_p follows the
-        convention that it equals −r_s at normal incidence.
+    rx : number or array
+        Amplitude reflection coefficient of the component along x, real or complex.
+    ry : number or array
+        Amplitude reflection coefficient of the component along y.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the arrays given.
+    dtype : optional
+        complex64 or complex128; by default in the widest precision of the arrays given, else in the library's default.
 
     Returns
     -------
@@ -249,17 +345,20 @@ def mirror(rx: complex | Array = 1.0, ry: complex | Array = 1.0) -> Array:
 
     Notes
     -----
-    The light comes back along a new +z. Its frame is the old one turned about x by 180°, so y changes sign, and what
-    lay at an angle now lies at minus that angle: see :func:`reverse`.
+    Coefficients of 1 are those of an ideal mirror but for a common phase. At oblique incidence, with x along s,
+    rx = r_s and ry = −r_p where r_p follows the convention that it equals −r_s at normal incidence.
+
+    The reflected field propagates along a new +z. Its frame is the old one rotated about x by 180°: y changes sign, and
+    an angle becomes its negative; see :func:`reverse`.
     """
-    xp, dtype, (rx, ry) = common(rx=rx, ry=ry)
+    xp, dtype, (rx, ry) = common(xp, device, dtype, rx=rx, ry=ry)
     rx, ry = xp.broadcast_arrays(xp.astype(rx, dtype), xp.astype(ry, dtype))
     zero = xp.zeros_like(rx)
     return stack_matrix(xp, ((rx, zero), (zero, -ry)), dtype)
 
 
-def reverse(matrix: Array) -> Array:
-    """Return the Jones matrix of a reciprocal element that light passes the other way, in the frame of :func:`mirror`.
+def reverse(matrix: ArrayT) -> ArrayT:
+    """Return the Jones matrix of a reciprocal element passed in the opposite direction, in the frame of :func:`mirror`.
 
     Parameters
     ----------
@@ -279,7 +378,7 @@ def reverse(matrix: Array) -> Array:
 
 
 def matrix_on_axes(xp, first, second, angle, dtype):
-    """Return R(angle)·diag(first, second)·R(−angle), where R turns from x towards y by degrees."""
+    """Return R(angle)·diag(first, second)·R(−angle), where R rotates from x towards y by degrees."""
     c, s = xp.cos(DEGREE * angle), xp.sin(DEGREE * angle)
     cross = (first - second) * (c * s)
     return stack_matrix(xp, ((first * c**2 + second * s**2, cross), (cross, first * s**2 + second * c**2)), dtype)
@@ -292,19 +391,20 @@ def stack_matrix(xp, rows, dtype):
     return xp.reshape(xp.stack(flat, axis=-1), (*flat[0].shape, size, size))
 
 
-def common(**values):
+def common(xp=None, device=None, dtype=None, **values):
     """Return the namespace, the complex dtype of the result, and the values in double precision on one device."""
-    arrays = [value for value in values.values() if _array.is_array(value)]
-    xp = _array.namespace(*arrays)
-    double = not arrays or any(_array.is_double(array) for array in arrays)
-    device = _array.device_of(arrays[0]) if arrays else None
-    wide = {}
-    for name, value in values.items():
-        array = _validate.given(name, value)
-        value = array if _array.is_array(value) else xp.asarray(array, device=device)
-        wide[name] = xp.astype(value, xp.complex128 if "complex" in str(value.dtype) else xp.float64)
+    given = {name: _validate.given(name, value) for name, value in values.items()}
+    xp, device, real = _array.placement(*values.values(), xp=xp, device=device)
+    if dtype is None:
+        dtype = xp.complex128 if real == xp.float64 else xp.complex64
+    elif dtype not in (xp.complex64, xp.complex128):
+        raise TypeError(f"dtype must be {xp.complex64} or {xp.complex128}, got {dtype}")
+    wide = {
+        name: _array.converted(value, xp, device, xp.complex128 if _is_complex(value) else xp.float64)
+        for name, value in given.items()
+    }
     _validate.fitting(**wide)
-    return xp, xp.complex128 if double else xp.complex64, list(wide.values())
+    return xp, dtype, list(wide.values())
 
 
 def jones_vector(field):
@@ -332,6 +432,10 @@ def square_shape(name: str, matrix, size: int) -> None:
 def check_angle(name: str, value):
     """Return angles after checking that they are real; arrays are checked for their type alone."""
     value = _validate.given(name, value)
-    if isinstance(value, complex) or "complex" in str(getattr(value, "dtype", "")):
+    if _is_complex(value):
         raise TypeError(f"{name} must be real, got {value!r:.100}")
     return value
+
+
+def _is_complex(value) -> bool:
+    return isinstance(value, complex) or "complex" in str(getattr(value, "dtype", ""))

@@ -1,9 +1,9 @@
 """Stokes vectors, Mueller matrices and the polarisation ellipse; conventions in :mod:`odak.jones`."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, ArrayT
 from odak.jones.elements import DEGREE, common, jones_vector, square_matrix
 
 
@@ -13,13 +13,15 @@ class PolarizationEllipse(NamedTuple):
     Attributes
     ----------
     azimuth : array
-        Angle of the major axis in degrees, −90 < azimuth ≤ 90, from x towards y. Of no meaning for circular light.
+        Angle of the major axis in degrees, −90 < azimuth ≤ 90, from x towards y. Undefined for circular polarisation.
     ellipticity : array
         atan(minor/major) in degrees, −45 … 45, positive for right-handed light.
     handedness : array
         1 right, −1 left, 0 linear.
-    major, minor : array
-        Semi-axes, both ≥ 0; of the polarised part for partly polarised light.
+    major : array
+        Major semi-axis, ≥ 0; of the polarised part for partly polarised light.
+    minor : array
+        Minor semi-axis, ≥ 0.
     """
 
     azimuth: object
@@ -29,7 +31,7 @@ class PolarizationEllipse(NamedTuple):
     minor: object
 
 
-def stokes(field: Array) -> Array:
+def stokes(field: ArrayT) -> ArrayT:
     """Return the Stokes vectors of Jones vectors.
 
     Parameters
@@ -59,7 +61,7 @@ def stokes(field: Array) -> Array:
     return xp.stack((along + across, along - across, 2 * (a * c + b * d), 2 * (b * c - a * d)), axis=axis)
 
 
-def field_from_stokes(vector: Array) -> Array:
+def field_from_stokes(vector: ArrayT) -> ArrayT:
     """Return the Jones vectors of the polarised part of Stokes vectors.
 
     Parameters
@@ -86,7 +88,7 @@ def field_from_stokes(vector: Array) -> Array:
     return xp.stack((xp.astype(x, lead.dtype), y * lead), axis=axis)
 
 
-def mueller(matrix: Array) -> Array:
+def mueller(matrix: ArrayT) -> ArrayT:
     """Return the Mueller matrices of Jones matrices.
 
     Parameters
@@ -109,13 +111,19 @@ def mueller(matrix: Array) -> Array:
     return xp.real(xp.matmul(basis, xp.matmul(product, xp.conj(xp.matrix_transpose(basis))))) / 2
 
 
-def depolarizer(kept: complex | Array = 0.0) -> Array:
+def depolarizer(kept: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Mueller matrix of an ideal depolariser, which no Jones matrix describes.
 
     Parameters
     ----------
     kept : number or array
         Share of the degree of polarisation that is left, 0 … 1; ``[...]``.
+    xp : module, optional
+        Array library of the result where no array is given; NumPy by default.
+    device : optional
+        Device of the result; by default that of the array given.
+    dtype : optional
+        float32 or float64; by default that of the array given, else the library's default.
 
     Returns
     -------
@@ -124,14 +132,18 @@ def depolarizer(kept: complex | Array = 0.0) -> Array:
     """
     if not _array.is_array(kept) and not all(0 <= v <= 1 for v in _validate.numbers(_validate.real("kept", kept))):
         raise ValueError(f"kept must be within 0 … 1, got {kept!r}")
-    xp, dtype, (kept,) = common(kept=kept)
+    xp, device, real = _array.placement(kept, xp=xp, device=device)
+    if dtype is None:
+        dtype = xp.float64 if real == xp.float64 else xp.float32
+    if dtype not in (xp.float32, xp.float64):
+        raise TypeError(f"dtype must be {xp.float32} or {xp.float64}, got {dtype}")
+    _, _, (kept,) = common(xp, device, kept=kept)
     diagonal = xp.stack((xp.ones_like(kept), kept, kept, kept), axis=-1)
-    matrix = diagonal[..., None] * xp.eye(4, dtype=xp.float64, device=_array.device_of(kept))
-    return xp.astype(matrix, xp.float64 if dtype == xp.complex128 else xp.float32)
+    return xp.astype(diagonal[..., None] * xp.eye(4, dtype=xp.float64, device=device), dtype)
 
 
-def degree_of_polarization(vector: Array) -> Array:
-    """Return sqrt(S1² + S2² + S3²)/S0, ``[..., k]``: 1 for a pure state, 0 for natural light and for no light.
+def degree_of_polarization(vector: ArrayT) -> ArrayT:
+    """Return sqrt(S1² + S2² + S3²)/S0, ``[..., k]``: 1 for a pure state, 0 for unpolarised light or none.
 
     Parameters
     ----------

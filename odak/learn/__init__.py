@@ -1,7 +1,5 @@
-"""The PyTorch face: differentiable, on any device, and what only PyTorch can do."""
+"""The library for PyTorch: differentiable, on any device, with all that needs gradients."""
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__, {"jones": (), "lensless": (), "models": (), "perception": (), "raytracing": (), "tools": (), "wave": ()}
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,13 +1,17 @@
-"""Arithmetic in the precision of its input, whatever torch.autocast would make of it."""
+"""Computation in the precision of the input, without the casts of torch.autocast."""
 
 import functools
 from collections.abc import Callable
 from contextlib import ExitStack
+from typing import ParamSpec, TypeVar
 
 import torch
 
+P = ParamSpec("P")
+R = TypeVar("R")
 
-def in_own_precision(function: Callable) -> Callable:
+
+def in_own_precision(function: Callable[P, R]) -> Callable[P, R]:
     """Return the function, run with torch.autocast off.
 
     Differences of nearly equal means, colours and coordinates need the digits that bfloat16 does not have; networks
@@ -15,7 +19,7 @@ def in_own_precision(function: Callable) -> Callable:
     """
 
     @functools.wraps(function)
-    def careful(*args, **options):
+    def careful(*args: P.args, **options: P.kwargs) -> R:
         on = [kind for kind in ("cpu", "cuda") if torch.is_autocast_enabled(kind)]
         if not on:
             return function(*args, **options)

@@ -1,11 +1,12 @@
-"""Argument checks that need torch: each names the argument, what came and what is accepted."""
+"""Conversion of arguments to tensors, and checks of what torch alone knows: devices, dtypes and generators."""
 
 import functools
 from typing import overload
 
+import numpy as np
 import torch
 
-from odak import _validate
+from odak import _array, _validate
 
 
 def tensor(name: str, value, dtype: torch.dtype | None = None, device: torch.device | None = None) -> torch.Tensor:
@@ -26,6 +27,8 @@ def tensor(name: str, value, dtype: torch.dtype | None = None, device: torch.dev
         if value.is_complex() and dtype is not None and not dtype.is_complex:
             raise TypeError(f"{name} must be real, got a tensor of {value.dtype}")
         return value if dtype is device is None else value.to(device=device, dtype=dtype)
+    if isinstance(value, np.ndarray) and (not value.flags.writeable or any(step < 0 for step in value.strides)):
+        value = value.copy()  # torch takes the memory of neither
     try:
         return torch.as_tensor(value, dtype=dtype, device=device)
     except (TypeError, ValueError, RuntimeError) as error:
@@ -37,6 +40,24 @@ def floating(name: str, value, dtype: torch.dtype | None = None) -> torch.Tensor
     if isinstance(value, torch.Tensor) and value.is_floating_point():
         return value
     return tensor(name, value, torch.get_default_dtype() if dtype is None else dtype)
+
+
+def tensors_of(**values) -> list[torch.Tensor]:
+    """Return tensors of one device and one precision; numbers, lists and NumPy's arrays are converted.
+
+    Parameters
+    ----------
+    **values : torch.Tensor, array, number or nested sequence of numbers
+        By argument. The device is that of the first tensor among them, the precision the widest of the floating tensors
+        among them; torch's defaults where there is none. Complex values stay complex.
+    """
+    given = [value for value in values.values() if isinstance(value, torch.Tensor)]
+    kinds = [value.dtype.to_real() for value in given if value.is_floating_point() or value.is_complex()]
+    dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
+    device = given[0].device if given else None
+    # Numbers pass through NumPy, which holds all their digits.
+    made = [tensor(n, value if _array.is_array(value) else _validate.array(n, value)) for n, value in values.items()]
+    return [value.to(device=device, dtype=dtype.to_complex() if value.is_complex() else dtype) for value in made]
 
 
 def trainable(value: torch.Tensor) -> torch.Tensor:
@@ -56,7 +77,7 @@ def checked_device(name: str, value: None) -> None: ...
 
 
 def checked_device(name: str, value) -> torch.device | None:
-    """Return a device after checking that torch knows its name; None stays None."""
+    """Return a device after checking its name; None stays None."""
     if value is None or isinstance(value, torch.device):
         return value
     try:
@@ -86,13 +107,7 @@ def shaped(name: str, value, *shape: int | str) -> torch.Tensor:
 
     A length that several arguments share has to be checked by the caller.
     """
-    value = floating(name, value)
-    fits = value.ndim == len(shape) and all(
-        isinstance(wanted, str) or have == wanted for have, wanted in zip(value.shape, shape, strict=True)
-    )
-    if not fits:
-        raise ValueError(f"{name} must be [{', '.join(map(str, shape))}], got {list(value.shape)}")
-    return value
+    return _validate.shaped(name, floating(name, value), *shape)
 
 
 def rows_of(**given: tuple) -> list[torch.Tensor]:

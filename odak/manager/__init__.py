@@ -5,11 +5,4 @@ Nothing of Dask is imported before it is needed; without Dask, tasks run one aft
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "distribute": ("agent",),
-        "failures": ("Failure", "TaskError"),
-        "server": ("Server", "start_server"),
-    },
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,33 +1,50 @@
-"""Where tasks run: in this process, or on a Dask cluster."""
+"""Computation of groups of tasks: in this process, or on a Dask cluster."""
 
 import asyncio
 import concurrent.futures
+import contextlib
 import inspect
 import itertools
 import queue
 import re
+import threading
 import time
 import uuid
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from types import ModuleType
 from typing import Any, Protocol
 
-from odak.log import logger
+from odak._warnings import MissingPackageWarning, warn
 from odak.manager import tasks
-from odak.manager.machine import GPU, has_dask, require_dask
-from odak.manager.server import LOOPBACK, Server, start_server
+from odak.manager.server import (
+    GPU,
+    Server,
+    check_transport,
+    has_dask,
+    load_security,
+    require_dask,
+    start_server,
+)
 
 Job = tuple[tuple, dict[str, Any]]
 Group = Sequence[int]
 _LARGE_CODE = 100_000
-_LOOK, _GATHERING, _EVER = 0.5, 0.05, 1e8
-_ANY_HOST = "0.0.0.0"
+_LOOK, _CHECK, _GATHERING, _EVER = 0.5, 5.0, 0.05, 1e8
+# Seconds that a scheduler may take to answer, at least and at most, and that a worker may be silent amid others.
+_PATIENCE, _SILENCE = (5.0, 30.0), 20.0
 _WAKE = "wake"
 
 
+class Lost(Exception):
+    """A group of tasks whose results were lost through no fault of theirs: they are to be computed again."""
+
+
 class Backend(Protocol):
-    """What a run needs: tasks are started in groups, and waited for."""
+    """Computes groups of tasks, which are started and waited for."""
 
     client: Any
 
@@ -37,42 +54,47 @@ class Backend(Protocol):
     def slots(self) -> int:
         """Return how many tasks run at once."""
 
+    def load(self, compute: Callable) -> None:
+        """Take the function that the tasks of the next run call."""
+
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
-        """Take groups of tasks: their numbers and their jobs."""
+        """Take groups of tasks: their numbers and their arguments."""
 
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        """Return groups that are back; none after :meth:`wake`."""
+        """Return groups that are done, or an exception in the place of outcomes; none after :meth:`wake`."""
 
     def wake(self) -> None:
         """End a call of :meth:`wait` in another thread."""
 
     def drop(self) -> None:
-        """Let go of all groups."""
+        """Forget all groups."""
 
     def close(self) -> None:
         """Leave the cluster."""
 
 
-def choose(compute: Callable, cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
+def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
     """Return the backend that `cluster` names; parameters are those of :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:
         raise ValueError("workers are processes of this machine: they need cluster='local' or server=True")
     if cluster is None and not has_dask():
-        logger.warning("Dask is not installed: tasks run one after another in this process")
+        warn("Dask is not installed: tasks run one after another in this process", MissingPackageWarning)
         cluster = False
     if cluster is False:
-        return Serial(compute)
+        return Serial()
     require_dask("A cluster")
     cluster = "local" if here else cluster
-    if isinstance(cluster, str) and cluster != "local" and ":" not in cluster:
-        raise ValueError(
-            "cluster must be 'local', the address of a scheduler such as 'tcp://10.0.0.1:8786', a Dask cluster or "
-            f"client, or False; got {cluster!r}"
-        )
+    if isinstance(cluster, str) and cluster != "local":
+        if ":" not in cluster:
+            raise ValueError(
+                "cluster must be 'local', the address of a scheduler such as 'tls://10.0.0.1:8786', a Dask cluster or "
+                f"client, or False; got {cluster!r}"
+            )
+        check_transport("cluster", cluster, settings["trusted_network"])
     if not isinstance(cluster, str) and not hasattr(cluster, "scheduler_info"):
         raise TypeError(f"cluster must be a string, a Dask cluster or client, or False; got {type(cluster).__name__}")
-    return Cluster(compute, cluster, depends, server, **settings)
+    return Cluster(cluster, depends, server, **settings)
 
 
 class Serial:
@@ -80,8 +102,8 @@ class Serial:
 
     client = None
 
-    def __init__(self, compute: Callable) -> None:
-        self._compute = compute
+    def __init__(self) -> None:
+        self._compute: Callable | None = None
         self._started: deque[tuple[Group, list[Job]]] = deque()
 
     def connect(self) -> None:
@@ -91,14 +113,19 @@ class Serial:
         """Return one."""
         return 1
 
+    def load(self, compute: Callable) -> None:
+        """Take the function that the tasks of the next run call."""
+        self._compute = compute
+
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
         """Take groups of tasks."""
         self._started += groups
 
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        """Do what was started, one group a call."""
+        """Compute what was started, one group a call."""
         group, jobs = self._started.popleft()
-        return [(group, [tasks.attempt(lambda job=job: self._compute(*job[0], **job[1])) for job in jobs])]
+        compute: Any = self._compute
+        return [(group, [tasks.attempt(lambda job=job: compute(*job[0], **job[1])) for job in jobs])]
 
     def wake(self) -> None:
         """Do nothing: the call ends with its group."""
@@ -112,14 +139,13 @@ class Serial:
 
 
 class Cluster:
-    """A Dask cluster: one of its own on this machine, or one that is there already.
+    """A Dask cluster: one of its own on this machine, or one that exists already.
 
     Parameters are those of :class:`odak.manager.agent`.
     """
 
     def __init__(
         self,
-        compute: Callable,
         cluster: Any,
         depends: Sequence,
         server: bool,
@@ -128,22 +154,25 @@ class Cluster:
         threads: int | None,
         gpu: bool,
         direct: bool | None,
+        host: str,
         security: Any,
+        trusted_network: bool,
         timeout: float | None,
     ) -> None:
-        self._compute, self._cluster, self._depends, self._serves = compute, cluster, depends, server
-        self._share: dict[str, Any] = {"workers": workers, "threads": threads}
-        self._resources = {GPU: 1} if gpu else None
+        self._cluster, self._depends, self._serves = cluster, depends, server
+        self._options: dict[str, Any] = {"workers": workers, "threads": threads, "trusted_network": trusted_network}
+        self._host, self._resources = host, {GPU: 1} if gpu else None
         self._direct = cluster == "local" if direct is None else direct
-        self._security, self._timeout = security, timeout
+        self._security, self._timeout = load_security(security), timeout
         self.client: Any = None
         self._server: Server | None = None
         self._code: Any = None
+        self._packed_code, self._names = b"", ""
+        self._modules: list[ModuleType] = []
         self._groups: dict[str, tuple[Any, Group]] = {}
-        self._back: queue.SimpleQueue = queue.SimpleQueue()
-        # Dask learns how long tasks take by the first word of their keys.
-        name = re.sub(r"\W+", "_", getattr(compute, "__name__", "task"))
-        self._names, self._numbers = f"{name}-{uuid.uuid4().hex}", itertools.count()
+        self._events: queue.SimpleQueue = queue.SimpleQueue()
+        self._checked = time.monotonic()
+        self._numbers = itertools.count()
 
     def connect(self) -> None:
         """Start or reach the cluster, and wait for a worker that fits."""
@@ -152,7 +181,10 @@ class Cluster:
         try:
             self._reach()
             self._await_worker()
-            self._send_code()
+            for path in self._depends:
+                if isinstance(path, str):
+                    client: Any = self.client
+                    client.upload_file(path)
         except BaseException:
             self.close()
             raise
@@ -167,16 +199,12 @@ class Cluster:
         target = self._cluster
         limit: dict[str, Any] = {"timeout": _EVER if self._timeout is None else self._timeout}
         if self._cluster == "local":
-            host, port = (_ANY_HOST, 8786) if self._serves else (LOOPBACK, 0)
-            self._server = start_server(host=host, port=port, security=self._security, **self._share, **limit)
+            port = 8786 if self._serves else 0
+            self._server = start_server(host=self._host, port=port, security=self._security, **self._options, **limit)
             target = self._server.cluster
-            if self._serves:
-                logger.warning(
-                    "Whoever reaches %s can run code here; see odak.manager.start_server", self._server.address
-                )
         elif self._serves:
             address = target if isinstance(target, str) else target.scheduler.address
-            self._server = start_server(address, security=self._security, **self._share, **limit)
+            self._server = start_server(address, security=self._security, **self._options, **limit)
         if isinstance(target, distributed.Client):
             self.client = target
             return
@@ -187,7 +215,7 @@ class Cluster:
 
     def _await_worker(self) -> None:
         end = None if self._timeout is None else time.monotonic() + self._timeout
-        while not any(self._fits(worker) for worker in self._workers()):
+        while not any(self._fits(worker) for worker in self._workers().values()):
             if self._cluster == "local" or (end is not None and time.monotonic() > end):
                 kind = "worker with a GPU" if self._resources else "worker"
                 raise TimeoutError(
@@ -195,23 +223,38 @@ class Cluster:
                 )
             time.sleep(_LOOK / 5)
 
-    def _workers(self) -> list[dict]:
-        # Newer releases tell of five workers alone unless asked for all.
-        look = self.client.scheduler_info
-        every = {"n_workers": -1} if "n_workers" in inspect.signature(look).parameters else {}
-        return list(look(**every)["workers"].values())
+    def _workers(self) -> dict[str, dict]:
+        # scheduler_info() of the client hides that a scheduler does not answer.
+        every = "n_workers" in inspect.signature(self.client.scheduler_info).parameters
+        return self._ask("identity", **({"n_workers": -1} if every else {}))["workers"]
+
+    def _ask(self, question: str, **arguments: Any) -> Any:
+        """Return the scheduler's answer; raise ConnectionError where there is none."""
+        client = self.client
+        limit = max(_PATIENCE[0], min(_PATIENCE[1], self._timeout or _PATIENCE[1]))
+        try:
+            return client.sync(getattr(client.scheduler, question), callback_timeout=limit, **arguments)
+        except (Exception, asyncio.CancelledError) as error:
+            raise ConnectionError(f"no answer within {limit:g} s: {type(error).__name__} {error}") from error
 
     def _fits(self, worker: dict) -> bool:
         offered = worker.get("resources") or {}
         return all(offered.get(name, 0) >= count for name, count in (self._resources or {}).items())
 
-    def _send_code(self) -> None:
-        for path in self._depends:
-            if isinstance(path, str):
-                self.client.upload_file(path)
-        code = tasks.pack_code(self._compute, [item for item in self._depends if not isinstance(item, str)])
+    def load(self, compute: Callable) -> None:
+        """Send the function that the tasks of the next run call."""
+        # Dask learns how long tasks take by the first word of their keys.
+        name = re.sub(r"\W+", "_", getattr(getattr(compute, "func", compute), "__name__", "task"))
+        self._names = f"{name}-{uuid.uuid4().hex}"
+        self._modules = tasks.modules_of(self._depends) + tasks.modules_of_current_folder()
+        with tasks.packed_by_value(self._modules):
+            self._code = self._packed_code = tasks.pack(compute)
+        if len(self._packed_code) >= _LARGE_CODE:
+            self._share_code()
+
+    def _share_code(self) -> None:
         # As a task of its own, large code reaches each worker once, and is there again when its holder is lost.
-        self._code = code if len(code) < _LARGE_CODE else self._map(bytes, [code], [f"{self._names}-code"])[0]
+        self._code = self._map(bytes, [self._packed_code], [f"{self._names}-code-{next(self._numbers)}"])[0]
 
     def _map(self, function: Callable, values: list, keys: list[str], **options: Any) -> list:
         with warnings.catch_warnings():
@@ -222,70 +265,97 @@ class Cluster:
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
         """Send groups of tasks to the scheduler."""
         keys, packed, sent = [], [], []
-        for group, jobs in groups:
-            try:
-                packed.append([tasks.pack(job) for job in jobs])
-            except Exception as error:
-                self._back.put((group, error))
-                continue
-            keys.append(f"{self._names}-{next(self._numbers)}")
-            sent.append(group)
+        with tasks.packed_by_value(self._modules):
+            for group, jobs in groups:
+                try:
+                    packed.append([tasks.pack(job) for job in jobs])
+                except Exception as error:
+                    self._events.put(_Unsent(group, error))
+                    continue
+                keys.append(f"{self._names}-{next(self._numbers)}")
+                sent.append(group)
         if not keys:
             return
         options: dict[str, Any] = {"resources": self._resources} if self._resources else {}
-        options["threads"] = self._share["threads"]
+        options["threads"] = self._options["threads"]
+        if getattr(self._code, "status", None) in ("cancelled", "lost", "error"):
+            self._share_code()
         futures = self._map(tasks.run_packed, packed, keys, code=self._code, **options)
         for future, group in zip(futures, sent, strict=True):
             self._groups[future.key] = future, group
-            future.add_done_callback(self._back.put)
+            future.add_done_callback(self._events.put)
 
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        """Return groups that are back; none after :meth:`wake`."""
-        arrived: list = []
-        while not arrived:
-            try:
-                arrived.append(self._back.get(timeout=_LOOK))
+        """Return groups that are done; none after :meth:`wake`."""
+        while True:
+            arrived: list = []
+            with contextlib.suppress(queue.Empty):
+                arrived.append(self._events.get(timeout=_LOOK))
                 # Results are fetched together: one by one, thousands of them would cost more than their scheduling.
                 time.sleep(min(_GATHERING, len(self._groups) * 1e-4))
                 while True:
-                    arrived.append(self._back.get_nowait())
-            except queue.Empty:
+                    arrived.append(self._events.get_nowait())
+            client = self.client
+            if _WAKE in arrived or client is None:  # closed by another thread
+                return []
+            back: list = []
+            done = []
+            for item in arrived:
+                if isinstance(item, _Unsent):
+                    back.append((item.group, item.error))
+                elif isinstance(item, _Fetched):
+                    back += [self._result(future, item.results) for future in item.futures if self._expects(future)]
+                elif self._expects(item) and item.status == "finished":
+                    done.append(item)
+                elif self._expects(item):
+                    back.append(self._result(item, {}))
+            if done:
+                # In a thread: a worker that does not answer must not hold up the results of others.
+                threading.Thread(target=_fetch, args=(client, done, self._events), daemon=True).start()
+            if any(isinstance(result, Lost) for _, result in back) or time.monotonic() > self._checked + _CHECK:
                 self._check()
-        if _WAKE in arrived:
-            return []
-        unsent = [item for item in arrived if isinstance(item, tuple)]
-        futures = [item for item in arrived if not isinstance(item, tuple) and item.key in self._groups]
-        return unsent + self._open(futures)
+            if back:
+                return back
+
+    def _expects(self, future: Any) -> bool:
+        return self._groups.get(future.key, (None, None))[0] is future
+
+    def _result(self, future: Any, results: dict) -> tuple[Group, list[tasks.Outcome] | BaseException]:
+        """Return a group and its outcomes, or the reason why there are none."""
+        _, group = self._groups.pop(future.key)
+        outcomes = results.get(future.key)
+        if outcomes is not None:
+            return group, [_opened(outcome) for outcome in outcomes]
+        error = future.exception() if future.status == "error" else None
+        if error is not None and type(error).__name__ != "KilledWorker":
+            return group, error
+        return group, Lost("its worker, or the connection to the scheduler, was lost")
 
     def _check(self) -> None:
-        if self._server is not None and not self._server.alive() and not self._workers():
-            raise ConnectionError("The program that holds this machine's workers has ended")
-
-    def _open(self, futures: list) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        client = self.client
-        if client is None:  # closed by another thread
-            return []
+        """Raise ConnectionError if the scheduler does not answer; have it forget workers that do not."""
+        self._checked = time.monotonic()
         try:
-            _check_kept(futures)
-            results = client.gather({future.key: future for future in futures}, errors="skip")
-            _check_kept(futures)
-        except (OSError, asyncio.CancelledError, concurrent.futures.CancelledError) as error:
-            raise ConnectionError("The scheduler is gone, or was told by another client to drop these tasks") from error
-        back: list = []
-        for future in futures:
-            _, group = self._groups.pop(future.key)
-            outcomes = results.get(future.key)
-            back.append((group, future.exception() if outcomes is None else [_opened(outcome) for outcome in outcomes]))
-        return back
+            workers = self._workers()
+        except OSError as error:
+            if self.client is None:
+                return
+            raise ConnectionError(f"The scheduler is gone: it does not answer ({error})") from error
+        if not workers and self._server is not None and not self._server.alive():
+            raise ConnectionError("The program that holds this machine's workers has ended")
+        heard = {address: worker.get("last_seen", 0.0) for address, worker in workers.items()}
+        for address, last in heard.items():
+            # Beside the time, some heartbeats, which are rarer the more workers there are.
+            if last < max(heard.values()) - max(_SILENCE, len(workers) / 20):
+                self._ask("unregister", address=address, stimulus_id=f"odak-silent-worker-{time.time()}")
 
     def wake(self) -> None:
         """End a call of :meth:`wait` in another thread."""
-        self._back.put(_WAKE)
+        self._events.put(_WAKE)
 
     def drop(self) -> None:
         """Take all tasks back from the scheduler."""
         futures = [future for future, _ in self._groups.values()]
-        self._groups, self._back = {}, queue.SimpleQueue()
+        self._groups, self._events = {}, queue.SimpleQueue()
         if futures and self.client is not None and self.client.status == "running":
             self.client.cancel(futures, force=True)
 
@@ -299,9 +369,28 @@ class Cluster:
             server.close()
 
 
-def _check_kept(futures: list) -> None:
-    if any(future.status in ("cancelled", "lost") for future in futures):
-        raise concurrent.futures.CancelledError
+@dataclass
+class _Unsent:
+    """A group that could not be packed."""
+
+    group: Group
+    error: BaseException
+
+
+@dataclass
+class _Fetched:
+    """Futures that were done, and the results of those that could be fetched, by their keys."""
+
+    futures: list
+    results: dict
+
+
+def _fetch(client: Any, futures: list, events: queue.SimpleQueue) -> None:
+    results: dict = {}
+    # Whatever goes wrong: what is missing is computed again if the scheduler still answers.
+    with suppress(Exception, asyncio.CancelledError, concurrent.futures.CancelledError):
+        results = client.gather({future.key: future for future in futures}, errors="skip")
+    events.put(_Fetched(futures, results))
 
 
 def _opened(outcome: tasks.Outcome) -> tasks.Outcome:

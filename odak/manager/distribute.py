@@ -1,7 +1,14 @@
-"""The agent: one function, many arguments, as many processes, GPUs and machines as there are."""
+"""The agent: one function, many arguments, computed by as many processes, GPUs and machines as there are."""
 
+import functools
+import math
+import reprlib
+import threading
+import time
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -9,14 +16,19 @@ from typing import Any
 from tqdm import tqdm
 
 from odak import _validate
-from odak.manager.backends import Job, choose
-from odak.manager.failures import Failure, TaskError
-from odak.manager.rounds import Rounds
+from odak.manager.backends import Backend, Group, Job, Lost, choose
+from odak.manager.server import LOOPBACK
+from odak.manager.tasks import HERE, Outcome
 from odak.tools import validate_path
 
-__all__ = ["agent"]
+__all__ = ["Failure", "TaskError", "agent"]
 
 ON_FAILURE = ("raise", "return")
+_SHOWN = 3
+# A task is given up after so many ends of its process, and after it was lost with so many workers.
+_MOST_ENDS, _MOST_LOSSES = {"by itself": 2, "from outside": 4}, 10
+_REFILL, _LOOK = 0.75, 5.0
+_PER_SLOT, _AT_LEAST = 4, 128
 
 
 class agent:
@@ -24,23 +36,24 @@ class agent:
 
     Parameters
     ----------
-    compute : callable
-        The function. It and its arguments and results must be picklable; functions of scripts and notebooks are.
+    compute : callable, optional
+        The function; not needed for :meth:`map`. It and its arguments and results must be picklable; functions of
+        scripts and notebooks are.
     cluster : str, bool or object, optional
         Where the work is done:
 
         - "local" or True: worker processes on this machine, one per GPU, or one per core where there is none.
-        - the address of a Dask scheduler, such as "tcp://10.0.0.1:8786".
+        - the address of a Dask scheduler, such as "tls://10.0.0.1:8786".
         - a Dask cluster, such as `SLURMCluster`, `KubeCluster` or `SSHCluster`, or a Dask client.
         - False: this process, one task after another, without Dask.
 
         By default "local", or False where Dask is not installed.
     depends : sequence
-        What `compute` needs and workers cannot import: modules, or functions of them, which travel along, and paths of
-        ``.py`` and ``.zip`` files, which are copied to the workers.
+        Code that `compute` needs and workers cannot import: modules, or functions of them, which travel along, and
+        paths of ``.py`` and ``.zip`` files, which are copied to the workers.
     server : bool
         Take part as a server. With an address, this machine's cores or GPUs work for that scheduler too; with "local",
-        the scheduler listens on every network of this machine, so that others can join with ``odak worker``.
+        the scheduler listens on port 8786 of `host`, so that others can join with ``odak worker``.
     workers : int, optional
         Worker processes on this machine; see :func:`odak.manager.start_server`.
     threads : int, optional
@@ -56,8 +69,14 @@ class agent:
         128.
     direct : bool, optional
         Fetch results from the workers themselves rather than through the scheduler; by default with "local" alone.
-    security : distributed.Security, optional
-        TLS certificates.
+    host : str
+        Address of this machine that the scheduler listens on with `server` and "local"; see
+        :func:`odak.manager.start_server`. Anything beyond this machine needs `security`.
+    security : distributed.Security, path or True, optional
+        TLS certificates; a path is that of a folder from :func:`odak.manager.make_certificates`.
+    trusted_network : bool
+        Accept plain TCP beyond this machine. Everybody who reaches scheduler or workers then runs code on them and,
+        with its results, here.
     timeout : float, optional
         Seconds that the scheduler and a first worker may take to be there; None waits for ever.
     verbose : bool
@@ -66,7 +85,7 @@ class agent:
     Attributes
     ----------
     jobs : list
-        What was submitted: (arguments, keywords).
+        Submitted tasks: (arguments, keywords).
     results : list
         Results of the last run in the order of submission, None where there is none yet.
     records : list of dict
@@ -90,7 +109,7 @@ class agent:
 
     def __init__(
         self,
-        compute: Callable,
+        compute: Callable | None = None,
         cluster: Any = None,
         depends: Sequence[ModuleType | Callable | str | Path] = (),
         server: bool = False,
@@ -102,18 +121,23 @@ class agent:
         chunk: int = 1,
         in_flight: int | None = None,
         direct: bool | None = None,
+        host: str = LOOPBACK,
         security: Any = None,
+        trusted_network: bool = False,
         timeout: float | None = 60.0,
         verbose: bool = True,
     ) -> None:
-        if not callable(compute):
+        if compute is not None and not callable(compute):
             raise TypeError(f"compute must be callable, got {type(compute).__name__}")
         self.compute, self.cluster = compute, cluster
         self.server, self.verbose = _validate.flag("server", server), _validate.flag("verbose", verbose)
         if direct is not None:
             direct = _validate.flag("direct", direct)
-        if not (security is None or isinstance(security, (bool, dict)) or hasattr(security, "get_connection_args")):
-            raise TypeError(f"security must be a distributed.Security, got {type(security).__name__}")
+        if not (
+            security is None or isinstance(security, (bool, str, Path)) or hasattr(security, "get_connection_args")
+        ):
+            raise TypeError(f"security must be a distributed.Security, a folder or True, got {type(security).__name__}")
+        _validate.text("host", host)
         self.depends = _checked_depends(depends)
         self._retries = _validate.integer("retries", retries)
         for name, count in (("workers", workers), ("threads", threads)):
@@ -124,7 +148,6 @@ class agent:
         if timeout is not None:
             _validate.real("timeout", timeout, positive=True)
         self._backend = choose(
-            compute,
             cluster,
             self.depends,
             self.server,
@@ -132,13 +155,15 @@ class agent:
             threads=threads,
             gpu=_validate.flag("gpu", gpu),
             direct=direct,
+            host=host,
             security=security,
+            trusted_network=_validate.flag("trusted_network", trusted_network),
             timeout=timeout,
         )
         self.jobs: list[Job] = []
         self.results: list[Any] = []
         self.records: list[dict] = []
-        self._running: Rounds | None = None
+        self._running: _Run | None = None
         self._closed = False
 
     @property
@@ -170,6 +195,8 @@ class agent:
         TypeError
             If the arguments are not a list or tuple.
         """
+        if self.compute is None:
+            raise ValueError("compute must be given to the agent before tasks are submitted; map() takes a function")
         if not isinstance(args, (list, tuple)):
             raise TypeError(f"args must be a list or tuple of positional arguments, got {type(args).__name__}")
         if not isinstance(keywords, (Mapping, type(None))):
@@ -207,14 +234,18 @@ class agent:
         OSError
             If the cluster is not there, or goes away; :attr:`results` holds what is done.
         """
+        compute: Any = self.compute
+        yield from self._compute(compute, list(self.jobs))
+
+    def _compute(self, compute: Callable, jobs: list[Job]) -> Iterator[tuple[int, Any]]:
         if self._running is not None:
             raise RuntimeError("the agent is running already")
         self.connect()
-        jobs = list(self.jobs)
+        self._backend.load(compute)
         self.results, self.records = [None] * len(jobs), []
-        self._running = Rounds(self._backend, jobs, self._retries, self.records, self._chunk, self.in_flight)
+        self._running = _Run(self._backend, jobs, self._retries, self.records, self._chunk, self.in_flight)
         try:
-            with tqdm(total=len(jobs), desc=_name(self.compute), unit="task", disable=not self.verbose) as bar:
+            with tqdm(total=len(jobs), desc=_name(compute), unit="task", disable=not self.verbose) as bar:
                 failed = 0
                 for index, result in self._running:
                     self.results[index] = result
@@ -250,12 +281,66 @@ class agent:
         OSError
             If the cluster is not there, or goes away; :attr:`results` holds what is done.
         """
+        compute: Any = self.compute
+        return self._collect(compute, list(self.jobs), on_failure)
+
+    def map(
+        self,
+        function: Callable,
+        items: Iterable[Any],
+        *,
+        shared: Mapping[str, Any] | None = None,
+        on_failure: str = "raise",
+    ) -> list[Any]:
+        """Call a function with each of some items and return the results in their order.
+
+        Submitted tasks stay as they are; :attr:`results` and :attr:`records` are then those of this call.
+
+        Parameters
+        ----------
+        function : callable
+            Called as ``function(item, **shared)``.
+        items : iterable
+            First argument of each call.
+        shared : dict, optional
+            Keyword arguments that all calls have in common. They are sent once to each worker rather than with every
+            task, and stay in the process that computes its tasks: tasks must not change them.
+        on_failure : str
+            "raise" or "return", as in :meth:`run`.
+
+        Returns
+        -------
+        list
+            One result per item.
+
+        Raises
+        ------
+        TaskError, OSError
+            As :meth:`run` does.
+
+        Examples
+        --------
+        >>> from odak.manager import agent
+        >>> with agent(cluster=False, verbose=False) as work:
+        ...     work.map(round, [1.234, 2.345], shared={"ndigits": 1})
+        [1.2, 2.3]
+        """
+        if not callable(function):
+            raise TypeError(f"function must be callable, got {type(function).__name__}")
+        if not isinstance(items, Iterable):
+            raise TypeError(f"items must be an iterable, got {type(items).__name__}")
+        if not isinstance(shared, (Mapping, type(None))):
+            raise TypeError(f"shared must be a dictionary, got {type(shared).__name__}")
+        compute = functools.partial(function, **shared) if shared else function
+        return self._collect(compute, [((item,), {}) for item in items], on_failure)
+
+    def _collect(self, compute: Callable, jobs: list[Job], on_failure: str) -> list[Any]:
         on_failure = _validate.one_of("on_failure", on_failure, ON_FAILURE)
-        missing = set(range(len(self.jobs)))
-        for index, _ in self.as_completed():
+        missing = set(range(len(jobs)))
+        for index, _ in self._compute(compute, jobs):
             missing.discard(index)
         for index in missing:
-            self.results[index] = Failure(index, *self.jobs[index], CancelledError("cancelled before it was done"))
+            self.results[index] = Failure(index, *jobs[index], CancelledError("cancelled before it was done"))
         failures = [result for result in self.results if isinstance(result, Failure)]
         if failures and on_failure == "raise":
             raise TaskError(failures, self.results) from failures[0].error
@@ -264,7 +349,7 @@ class agent:
     def cancel(self) -> None:
         """End the run, from another thread or from within :meth:`as_completed`.
 
-        What waits is not begun. What runs on a worker runs on to its end there, and its result is dropped.
+        Waiting tasks are not begun. A task that runs on a worker runs on to its end there, and its result is dropped.
         """
         if self._running is not None:
             self._running.cancel()
@@ -283,12 +368,203 @@ class agent:
         self.close()
 
 
+class _Run:
+    """Hands tasks to a backend, a limited number at a time, and yields their results.
+
+    Parameters
+    ----------
+    backend : Backend
+        Where tasks run.
+    jobs : sequence
+        Arguments and keywords of each task.
+    retries : int
+        How often a task that failed is tried again.
+    records : list
+        Where each attempt is noted.
+    chunk : int
+        Tasks that travel together. Those that are tried again travel alone.
+    in_flight : int, optional
+        Groups that the backend is given at a time; by default enough for all its workers, also those that join later.
+    """
+
+    def __init__(
+        self,
+        backend: Backend,
+        jobs: Sequence[Job],
+        retries: int,
+        records: list[dict],
+        chunk: int,
+        in_flight: int | None,
+    ) -> None:
+        self._backend, self._jobs, self._records = backend, jobs, records
+        self._retries, self._given = retries, in_flight
+        self._limit, self._looked = in_flight or 1, -math.inf
+        self._waiting: deque[Group] = deque(
+            range(start, min(start + chunk, len(jobs))) for start in range(0, len(jobs), chunk)
+        )
+        self._errors: Counter[int] = Counter()
+        self._ends: Counter[int] = Counter()
+        self._losses: Counter[int] = Counter()
+        self._started = 0
+        self._cancelled = threading.Event()
+
+    def cancel(self) -> None:
+        """End the run, from any thread."""
+        self._cancelled.set()
+        self._backend.wake()
+
+    def __iter__(self) -> Iterator[tuple[int, Any]]:
+        """Yield the number of each task and its result, or its Failure."""
+        while (self._waiting or self._started) and not self._cancelled.is_set():
+            self._start()
+            for group, back in self._wait():
+                self._started -= 1
+                if isinstance(back, BaseException):
+                    yield from self._without_outcome(group, back)
+                else:
+                    for index, outcome in zip(group, back, strict=True):
+                        yield from self._done(index, outcome)
+
+    def _wait(self) -> list[tuple[Group, list[Outcome] | BaseException]]:
+        try:
+            return self._backend.wait()
+        except OSError:
+            if self._cancelled.is_set():  # closed by another thread, not lost
+                return []
+            raise
+
+    def _start(self) -> None:
+        if self._given is None and time.monotonic() > self._looked + _LOOK:
+            self._looked, self._limit = time.monotonic(), max(_AT_LEAST, _PER_SLOT * self._backend.slots())
+        # In larger parts rather than one by one: the scheduler takes a thousand tasks at once in the time of a few.
+        if not self._waiting or self._started > _REFILL * self._limit:
+            return
+        groups = []
+        while self._waiting and (not self._started or self._started < self._limit):
+            groups.append(self._waiting.popleft())
+            self._started += 1
+        self._backend.start([(group, [self._jobs[index] for index in group]) for group in groups])
+
+    def _done(self, index: int, outcome: Outcome) -> Iterator[tuple[int, Any]]:
+        self._records.append(
+            {
+                "index": index,
+                "worker": outcome.worker,
+                "start": outcome.start,
+                "seconds": outcome.seconds,
+                "failed": outcome.failed,
+            }
+        )
+        if not outcome.failed:
+            yield index, outcome.value
+            return
+        counted, limit = self._errors, self._retries + 1
+        if outcome.ended:
+            counted, limit = self._ends, _MOST_ENDS[outcome.ended]
+        counted[index] += 1
+        if counted[index] >= limit:
+            yield index, self._failure(index, outcome.value, outcome.trace, outcome.worker)
+        elif outcome.ended:
+            self._waiting.appendleft((index,))
+        else:
+            self._waiting.append((index,))
+
+    def _without_outcome(self, group: Group, error: BaseException) -> Iterator[tuple[int, Any]]:
+        """Take back tasks that could not be sent, or whose worker was lost."""
+        lost = isinstance(error, Lost)
+        for index in group:
+            # A loss is no attempt; and which task of a group could not be sent is known once each has gone alone.
+            self._losses[index] += lost
+            self._errors[index] += len(group) == 1 and not lost
+            if self._errors[index] <= self._retries and self._losses[index] < _MOST_LOSSES:
+                self._waiting.append((index,))
+            else:
+                yield index, self._failure(index, error, "", "" if lost else HERE)
+
+    def _failure(self, index: int, error: BaseException, trace: str, worker: str) -> "Failure":
+        attempts = self._errors[index] + self._ends[index]
+        return Failure(index, *self._jobs[index], error, trace, attempts, worker)
+
+
+@dataclass
+class Failure:
+    """A task that failed in every attempt.
+
+    Attributes
+    ----------
+    index : int
+        Its number, from 0 in the order of submission.
+    arguments : tuple
+        Its positional arguments.
+    keywords : dict
+        Its keyword arguments.
+    error : BaseException
+        Exception of the last attempt; `concurrent.futures.CancelledError` if it was cancelled.
+    trace : str
+        Traceback of the last attempt, as text from the worker.
+    attempts : int
+        How often it was tried.
+    worker : str
+        Address of the worker of the last attempt.
+    """
+
+    index: int
+    arguments: tuple
+    keywords: dict
+    error: BaseException
+    trace: str = field(default="", repr=False)
+    attempts: int = 0
+    worker: str = ""
+
+    def __str__(self) -> str:
+        """Return one line: what was called, what it raised and where."""
+        call = ", ".join([*map(describe, self.arguments), *(f"{k}={describe(v)}" for k, v in self.keywords.items())])
+        tried = f" ({self.attempts} attempts, the last on {self.worker})" if self.attempts else ""
+        hint = (
+            "; name it in depends= if workers cannot import it" if isinstance(self.error, ModuleNotFoundError) else ""
+        )
+        return f"task {self.index} with arguments ({call}): {type(self.error).__name__}: {self.error}{hint}{tried}"
+
+
+class TaskError(RuntimeError):
+    """Some tasks failed after all their attempts, and all others are done.
+
+    Attributes
+    ----------
+    failures : list of Failure
+        Tasks that failed, in the order of submission.
+    results : list
+        Results in the order of submission, a :class:`Failure` in the place of each that failed.
+    """
+
+    def __init__(self, failures: list[Failure], results: list[Any]) -> None:
+        self.failures, self.results = failures, results
+        super().__init__(failures, results)
+
+    def __str__(self) -> str:
+        """Return the failures with their arguments, and the tracebacks of the first ones."""
+        lines = [f"{len(self.failures)} of {len(self.results)} tasks failed; the results of the others are in .results"]
+        for failure in self.failures[:_SHOWN]:
+            lines += [str(failure), *("    " + line for line in failure.trace.rstrip().splitlines())]
+        if len(self.failures) > _SHOWN:
+            lines.append(f"and {len(self.failures) - _SHOWN} more, see .failures")
+        return "\n".join(lines)
+
+
+def describe(value: Any) -> str:
+    """Return a value in few words: arrays by type, shape and precision, long texts and lists cut short."""
+    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if shape is not None and dtype is not None:
+        return f"{type(value).__name__}{list(shape)} of {dtype}"
+    return reprlib.repr(value)
+
+
 def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
     if isinstance(depends, (str, Path, ModuleType)) or callable(depends):
         depends = [depends]
     if not isinstance(depends, Iterable):
         raise TypeError(f"depends must be modules, functions or paths, got {type(depends).__name__}")
-    checked = []
+    checked: list[ModuleType | Callable | str] = []
     for item in depends:
         if isinstance(item, (str, Path)):
             path = validate_path(item, allowed_extensions=[".py", ".zip"], name="depends")
@@ -303,4 +579,5 @@ def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
 
 
 def _name(compute: Callable) -> str:
-    return getattr(compute, "__name__", type(compute).__name__)
+    function = compute.func if isinstance(compute, functools.partial) else compute
+    return getattr(function, "__name__", type(function).__name__)

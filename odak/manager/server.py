@@ -1,28 +1,53 @@
-"""The machines' side: a scheduler on this machine, and workers that join one.
+"""Worker processes of this machine, a scheduler for them, and the addresses and certificates that they use.
 
-Workers run in a program of their own (this module as ``python -m``), which starts one process per worker, gives each
-its share of cores, memory and GPUs, and starts anew the ones that die. So a script needs no ``if __name__ ==
-"__main__":`` to use them, and the environment of the user's process stays as it is.
+Workers run in a program of their own, which starts one process per worker, gives each its share of cores, memory and
+GPUs, and replaces those that die. A script therefore needs no ``if __name__ == "__main__":`` to use them, and the
+environment of the user's process stays as it is.
 """
 
+import asyncio
+import datetime
+import importlib.util
+import ipaddress
+import json
 import logging
 import os
 import pickle
+import shutil
+import signal
+import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import weakref
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
 
 from odak import _validate
-from odak.log import logger
-from odak.manager.machine import Share, require_dask
+from odak._python import python_command
+from odak._warnings import OdakWarning, warn
+from odak.manager.tasks import thread_variables
+from odak.tools.paths import replacing
 
-__all__ = ["Server", "start_server"]
+__all__ = ["Server", "make_certificates", "start_server"]
 
 LOOPBACK = "127.0.0.1"
-_PATIENCE = 5.0
+GPU = "GPU"
+_ENCRYPTED = ("tls", "wss")
+_CERTIFICATES = ("ca.pem", "cert.pem", "key.pem")
+_PATIENCE, _START = 5.0, 30.0
+# Results leave as soon as they are there: a worker that paused at 80 % of its memory would wait for ever.
+# Dask's profiler, which looks at every task a hundred times a second, takes up to a fifth of a core.
+_TURNED_OFF = (
+    "distributed.worker.memory.target",
+    "distributed.worker.memory.spill",
+    "distributed.worker.memory.pause",
+    "distributed.worker.profile.enabled",
+)
 
 
 def start_server(
@@ -35,17 +60,18 @@ def start_server(
     memory_limit: int | None = None,
     name: str | None = None,
     security: Any = None,
+    trusted_network: bool = False,
     timeout: float = 60.0,
 ) -> "Server":
-    """Let this machine work: for a scheduler on another machine, or with a scheduler of its own.
+    """Start workers on this machine, for a scheduler elsewhere or for one that is started with them.
 
     Parameters
     ----------
     address : str, optional
-        Address of a scheduler to work for, such as "tcp://10.0.0.1:8786"; by default one is started here.
+        Address of a scheduler to work for, such as "tls://10.0.0.1:8786"; by default one is started here.
     host : str
         Address of this machine that a scheduler started here listens on. "127.0.0.1" keeps it to this machine;
-        "0.0.0.0" opens it to every network.
+        "0.0.0.0" means all networks of this machine. Anything beyond this machine needs `security`.
     port : int
         Port of a scheduler started here; 0 takes a free one.
     workers : int, optional
@@ -55,9 +81,13 @@ def start_server(
     memory_limit : int, optional
         Bytes that each worker may take before it is started anew; by default the memory shared evenly.
     name : str, optional
-        Name of the workers, a number is added to it.
-    security : distributed.Security or True, optional
-        TLS certificates; True makes temporary ones for a scheduler started here (with the package `cryptography`).
+        Name of the workers; a number is added to it.
+    security : distributed.Security, path or True, optional
+        TLS certificates: Dask's own object, or a folder with the files ``ca.pem``, ``cert.pem`` and ``key.pem``, as
+        :func:`make_certificates` writes them. True makes temporary ones, for a scheduler started here that only this
+        program reaches.
+    trusted_network : bool
+        Accept plain TCP beyond this machine. Everybody who reaches the scheduler or a worker then runs code here.
     timeout : float
         Seconds that the workers may take to join.
 
@@ -71,20 +101,25 @@ def start_server(
     ImportError
         If Dask is not installed.
     ValueError, TypeError
-        If an argument is outside its range.
+        If an argument is outside its range, or plain TCP would reach beyond this machine.
     OSError
         If the scheduler cannot be reached, or workers do not start in time.
 
     Notes
     -----
-    Whoever reaches a scheduler runs code on its workers, with the rights of the user who started them. Open one only to
-    machines that you trust, or use TLS.
+    Whoever reaches a scheduler runs code on its workers, with the rights of the user who started them. A scheduler
+    listens on `host` alone. A worker listens on the one address of this machine from which it reaches the scheduler,
+    which is 127.0.0.1 for a scheduler on 127.0.0.1.
     """
     require_dask("start_server")
     _validate.real("timeout", timeout, positive=True)
     share = Share(workers, threads, memory_limit, name)
+    security = load_security(security)
     if address is not None:
+        check_transport("address", address, trusted_network)
         return Server(None, _Workers(str(address), share, security, timeout))
+    if not security:
+        check_transport("host", host, trusted_network)
     cluster = _scheduler(host, _validate.integer("port", port), security)
     try:
         return Server(cluster, _Workers(cluster.scheduler_address, share, cluster.security, timeout))
@@ -94,7 +129,7 @@ def start_server(
 
 
 class Server:
-    """What :func:`start_server` started on this machine.
+    """Workers of this machine, and their scheduler if it was started here; made by :func:`start_server`.
 
     Attributes
     ----------
@@ -108,7 +143,7 @@ class Server:
         self.cluster, self._workers = cluster, workers
         self.address = workers.address
         try:
-            workers.wait()
+            self.workers, self.threads, self.gpus = workers.wait_until_joined()
         except BaseException:
             workers.close()
             raise
@@ -118,6 +153,11 @@ class Server:
     def alive(self) -> bool:
         """Return whether the program that holds the workers runs."""
         return self._workers.alive()
+
+    def wait(self) -> None:
+        """Wait until the workers have ended, which they do when their scheduler ends."""
+        while self.alive():
+            time.sleep(0.1)
 
     def close(self) -> bool:
         """End the workers, and the scheduler if it was started here."""
@@ -148,52 +188,48 @@ def _scheduler(host: str, port: int, security: Any):
         scheduler_port=port,
         silence_logs=logging.ERROR,
         security=security,
-        # The page of diagnostics is left out, and what is served over HTTP besides takes a free port of the same host.
-        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{host}:0"},
+        # The page of diagnostics is left out; the rest of what is served over HTTP stays on this machine.
+        scheduler_kwargs={"dashboard": False, "dashboard_address": f"{LOOPBACK}:0"},
     )
 
 
 class _Workers:
     """The program that holds this machine's workers, as a child of this process."""
 
-    def __init__(self, address: str, share: Share, security: Any, timeout: float) -> None:
+    def __init__(self, address: str, share: "Share", security: Any, timeout: float) -> None:
         self.address, self._timeout = address, timeout
-        self._ready = tempfile.TemporaryDirectory(prefix="odak-workers-")
-        self._said = open(os.path.join(self._ready.name, "stderr"), "w+b")  # noqa: SIM115 - closed in close()
-        settings = {"address": address, "share": share, "security": security, "ready": self._mark, "timeout": timeout}
+        self._folder = tempfile.TemporaryDirectory(prefix="odak-workers-")
+        self._joined = Path(self._folder.name, "joined")
+        self._errors = open(Path(self._folder.name, "stderr"), "w+b")  # noqa: SIM115 - closed in close()
+        settings = (address, share, security, str(self._joined), timeout)
         self._program = subprocess.Popen(
-            [sys.executable, "-m", "odak.manager.server"],
+            python_command("from odak.manager.server import _hold; _hold()"),
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
-            stderr=self._said,
+            stderr=self._errors,
             # Ctrl-C is for the user's program, which may go on; this one ends with it, or when it is told to.
             start_new_session=True,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path)},
         )
         # The pipe stays open: its end tells the program that this process is gone, however it ended.
         stdin: Any = self._program.stdin
         stdin.write(pickle.dumps(settings))
         stdin.flush()
 
-    @property
-    def _mark(self) -> str:
-        return os.path.join(self._ready.name, "ready")
-
     def alive(self) -> bool:
         return self._program.poll() is None
 
-    def wait(self) -> None:
-        """Wait until all workers have joined."""
-        end = time.monotonic() + self._timeout
-        while not os.path.exists(self._mark):
+    def wait_until_joined(self) -> tuple[int, int, int]:
+        """Return how many workers there are, the threads of each, and how many have a GPU, once all have joined."""
+        # The program keeps to the time itself, once it runs.
+        end = time.monotonic() + self._timeout + _START
+        while not self._joined.exists():
             if not self.alive() or time.monotonic() > end:
-                self._said.seek(0)
-                said = self._said.read().decode(errors="replace").strip().splitlines()[-5:]
-                reason = f"within {self._timeout:g} s" if self.alive() else f"(exit code {self._program.returncode})"
-                raise OSError(
-                    f"Workers could not join {self.address} {reason}: {' / '.join(said) or 'nothing was said'}"
-                )
+                self._errors.seek(0)
+                said = self._errors.read().decode(errors="replace").strip().splitlines()[-1:]
+                reason = f"within {self._timeout:g} s" if self.alive() else "; ".join(said) or "the program ended"
+                raise OSError(f"Workers cannot join {self.address}: {reason}")
             time.sleep(0.02)
+        return tuple(json.loads(self._joined.read_text()))
 
     def close(self) -> None:
         stdin: Any = self._program.stdin
@@ -203,18 +239,292 @@ class _Workers:
         try:
             self._program.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
-            logger.warning("Workers of %s did not end within %g s and are killed", self.address, _PATIENCE)
+            warn(f"Workers of {self.address} did not end within {_PATIENCE:g} s and are killed", OdakWarning)
             self._program.kill()
             self._program.wait()
-        self._said.close()
-        self._ready.cleanup()
+        self._errors.close()
+        self._folder.cleanup()
 
 
-def _main() -> None:
-    from odak.manager.machine import work
+def require_dask(what: str) -> None:
+    """Raise ImportError, with the line that installs Dask, where it is missing."""
+    if not has_dask():
+        raise ImportError(f"{what} needs Dask, which is not installed: pip install 'dask[distributed]'")
 
-    work(**pickle.load(sys.stdin.buffer), until_closed=sys.stdin.buffer)
+
+def has_dask() -> bool:
+    """Return whether Dask's scheduler is installed."""
+    return importlib.util.find_spec("distributed") is not None
 
 
-if __name__ == "__main__":
-    _main()
+# --- Addresses and certificates
+
+
+def check_transport(name: str, address: str, trusted_network: bool) -> None:
+    """Raise ValueError for an address beyond this machine without encryption, unless the network is trusted."""
+    _validate.flag("trusted_network", trusted_network)
+    scheme, _, place = str(address).rpartition("://")
+    if scheme in _ENCRYPTED or scheme == "inproc" or trusted_network or _is_loopback(place):
+        return
+    raise ValueError(
+        f"{name} {address!r} lies beyond this machine, and plain TCP lets everybody who reaches it run code here. "
+        "Use TLS certificates (security=, and an address that begins with tls://), or say trusted_network=True if "
+        "nobody else is on that network"
+    )
+
+
+def _is_loopback(place: str) -> bool:
+    host = place[1:].partition("]")[0] if place.startswith("[") else place
+    host = host.rpartition(":")[0] if host.count(":") == 1 else host
+    try:
+        found = {str(entry[4][0]).partition("%")[0] for entry in socket.getaddrinfo(host or "0.0.0.0", None)}
+    except OSError:
+        return False
+    return all(ipaddress.ip_address(entry).is_loopback for entry in found)
+
+
+def load_security(security: Any) -> Any:
+    """Return Dask's form of certificates that were given as a folder; anything else as it is."""
+    if not isinstance(security, (str, os.PathLike)):
+        return security
+    files = [Path(security).expanduser() / name for name in _CERTIFICATES]
+    missing = [path.name for path in files if not path.is_file()]
+    if missing:
+        raise ValueError(
+            f"security must be a folder with {', '.join(_CERTIFICATES)}; {str(security)!r} lacks {', '.join(missing)}"
+        )
+    return tls_security(*map(str, files))
+
+
+def tls_security(ca_file: str, cert: str, key: str) -> Any:
+    """Return Dask's form of certificates in PEM files, which all roles use, with encryption required."""
+    from distributed import Security
+
+    roles = ("client", "scheduler", "worker")
+    return Security(
+        tls_ca_file=ca_file,
+        require_encryption=True,
+        **{f"tls_{role}_cert": cert for role in roles},
+        **{f"tls_{role}_key": key for role in roles},
+    )
+
+
+def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
+    """Make TLS certificates for a cluster: whoever holds them may run code on it, nobody else.
+
+    Writes ``ca.pem`` (the certificate of an authority that signs nothing else), ``cert.pem`` and ``key.pem``. Copy the
+    folder to each machine, and give it as ``security=`` to :func:`start_server` and :class:`agent`, or its files as
+    ``--tls-ca-file``, ``--tls-cert`` and ``--tls-key`` to ``odak worker``, ``odak hologram`` and ``dask scheduler``.
+
+    Parameters
+    ----------
+    folder : path
+        Folder to write to; made if need be. Files that are there already are never replaced.
+    days : int
+        How long the certificates are valid.
+
+    Returns
+    -------
+    pathlib.Path
+        The folder.
+
+    Raises
+    ------
+    ImportError
+        If the package cryptography is not installed.
+    ValueError
+        If the folder holds certificates already.
+    """
+    _validate.integer("days", days, minimum=1)
+    folder = Path(folder).expanduser()
+    existing = [name for name in _CERTIFICATES if (folder / name).exists()]
+    if existing:
+        raise ValueError(f"folder {str(folder)!r} holds {', '.join(existing)} already; certificates are not replaced")
+    if importlib.util.find_spec("cryptography") is None:
+        raise ImportError("make_certificates needs the package cryptography: pip install cryptography")
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes, serialization
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.x509.oid import NameOID
+
+    def signed(name: str, public_key, issuer: str, issuer_key, *, authority: bool):
+        now = datetime.datetime.now(datetime.timezone.utc)
+        subject, signer = (x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, text)]) for text in (name, issuer))
+        return (
+            x509.CertificateBuilder(signer, subject, public_key, x509.random_serial_number())
+            .not_valid_before(now - datetime.timedelta(hours=1))
+            .not_valid_after(now + datetime.timedelta(days=days))
+            .add_extension(x509.BasicConstraints(ca=authority, path_length=0 if authority else None), critical=True)
+            .add_extension(x509.SubjectKeyIdentifier.from_public_key(public_key), critical=False)
+            .add_extension(x509.AuthorityKeyIdentifier.from_issuer_public_key(issuer_key.public_key()), critical=False)
+            .sign(issuer_key, hashes.SHA256())
+        )
+
+    # The authority's key signs one certificate and is forgotten.
+    authority_key, key = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
+    authority = signed("odak cluster authority", authority_key.public_key(), "odak cluster authority", authority_key,
+                       authority=True)  # fmt: skip
+    certificate = signed("odak cluster", key.public_key(), "odak cluster authority", authority_key, authority=False)
+    private = key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, content in zip(
+        _CERTIFICATES, (*(part.public_bytes(serialization.Encoding.PEM) for part in (authority, certificate)), private),
+        strict=True,
+    ):  # fmt: skip
+        with replacing(str(folder / name)) as stream:
+            if hasattr(os, "fchmod"):
+                os.fchmod(stream.fileno(), 0o600)
+            stream.write(content)
+    return folder
+
+
+# --- The machine, and the program that holds its workers
+
+
+@dataclass(frozen=True)
+class Share:
+    """How a machine is divided among its workers.
+
+    Attributes
+    ----------
+    workers : int, optional
+        Worker processes; one per GPU, or one per core where there is none.
+    threads : int, optional
+        Threads of each; the cores shared evenly.
+    memory_limit : int, optional
+        Bytes for each; the memory shared evenly.
+    name : str, optional
+        Name of the workers.
+    """
+
+    workers: int | None = None
+    threads: int | None = None
+    memory_limit: int | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check what is given."""
+        for name in ("workers", "threads", "memory_limit"):
+            if getattr(self, name) is not None:
+                _validate.integer(name, getattr(self, name), minimum=1)
+
+    def parts(self) -> list[dict[str, Any]]:
+        """Return what each worker gets on this machine, as arguments of a Dask nanny."""
+        from distributed.system import MEMORY_LIMIT
+
+        gpus = visible_gpus()
+        count = self.workers or len(gpus) or cores()
+        threads = self.threads or max(1, cores() // count)
+        parts = []
+        for index in range(count):
+            gpu = gpus[index] if index < len(gpus) else None
+            environment = thread_variables(threads)
+            if gpus:
+                environment["CUDA_VISIBLE_DEVICES"] = gpu or ""
+            parts.append(
+                {
+                    "nthreads": 1,
+                    "memory_limit": self.memory_limit or int(MEMORY_LIMIT / count),
+                    "name": None if self.name is None else f"{self.name}-{index}",
+                    "resources": {GPU: 1} if gpu else None,
+                    "env": environment,
+                    "silence_logs": logging.ERROR,
+                    "dashboard": False,
+                    "dashboard_address": f"{LOOPBACK}:0",
+                }
+            )
+        return parts
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    from dask.system import CPU_COUNT
+
+    return CPU_COUNT
+
+
+def visible_gpus() -> list[str]:
+    """Return the names by which CUDA_VISIBLE_DEVICES selects each CUDA device of this machine."""
+    if not (shutil.which("nvidia-smi") or os.path.exists("/proc/driver/nvidia")):
+        return []
+    import torch
+
+    count = torch.cuda.device_count()
+    named = [name.strip() for name in os.environ.get("CUDA_VISIBLE_DEVICES", "").split(",") if name.strip()]
+    return named[:count] if named else [str(index) for index in range(count)]
+
+
+def _hold() -> None:
+    """Hold this machine's workers: the program that :func:`start_server` starts."""
+    import dask
+    import distributed  # noqa: F401 - sets the level of its log, which is set again below
+
+    address, share, security, joined, timeout = pickle.load(sys.stdin.buffer)
+    logging.getLogger("distributed").setLevel(logging.ERROR)
+    with dask.config.set({"distributed.comm.timeouts.connect": timeout, **dict.fromkeys(_TURNED_OFF, False)}):
+        try:
+            asyncio.run(_work(address, share.parts(), security, joined))
+        except OSError as error:
+            raise SystemExit(" ".join(str(error).split())) from None
+
+
+async def _work(address: str, parts: list[dict], security: Any, joined: str) -> None:
+    from distributed import Nanny
+    from distributed.comm import get_address_host
+    from distributed.utils import get_ip
+
+    stop = asyncio.Event()
+    _stop_on_signals(stop)
+    _stop_at_end(sys.stdin.buffer, stop)
+    try:
+        # Without `host`, a worker would listen on every network of this machine.
+        host = get_ip(get_address_host(address))
+    except OSError as error:
+        raise OSError(f"there is no network on which {address} could be reached: {error}") from None
+    nannies = [Nanny(address, security=security, host=host, **part) for part in parts]
+    started = asyncio.gather(*nannies)
+    asked = asyncio.create_task(stop.wait())
+    try:
+        first: list[asyncio.Future] = [started, asked]
+        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
+        if started.done():
+            await _check_joined(started)
+            threads, gpus = int(parts[0]["env"]["OMP_NUM_THREADS"]), sum(bool(part["resources"]) for part in parts)
+            with replacing(joined) as stream:
+                stream.write(json.dumps([len(parts), threads, gpus]).encode())
+            gone = asyncio.gather(*(nanny.finished() for nanny in nannies))
+            last: list[asyncio.Future] = [gone, asked]
+            await asyncio.wait(last, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        await asyncio.gather(*(nanny.close(timeout=2) for nanny in nannies), return_exceptions=True)
+
+
+async def _check_joined(started: asyncio.Future) -> None:
+    try:
+        await started
+    except Exception as error:
+        reason: BaseException = error
+        while reason.__cause__ is not None and not isinstance(reason, OSError):
+            reason = reason.__cause__
+        raise OSError(str(reason) or type(reason).__name__) from error
+
+
+def _stop_on_signals(stop: asyncio.Event) -> None:
+    loop = asyncio.get_running_loop()
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, lambda *_: loop.call_soon_threadsafe(stop.set))
+
+
+def _stop_at_end(pipe: BinaryIO, stop: asyncio.Event) -> None:
+    loop = asyncio.get_running_loop()
+
+    def read() -> None:
+        # Not pipe.read(): its lock, held at the end of the program, would be a fatal error.
+        while os.read(pipe.fileno(), 1024):
+            pass
+        with suppress(RuntimeError):
+            loop.call_soon_threadsafe(stop.set)
+
+    threading.Thread(target=read, daemon=True).start()

@@ -1,7 +1,9 @@
-"""What travels to a worker and back, and what a worker does with it.
+"""Tasks on a worker: packed as bytes, and computed in a process of their own, which they may end without other harm.
 
 A function, its arguments and its results travel as bytes that are opened where a task runs: whatever cannot be opened
-fails that task alone, with a traceback, and not the worker.
+fails that task alone, with a traceback. Each thread of a Dask worker keeps one process in which tasks run. A task that
+ends its process, by a fault in compiled code, ``os._exit`` or for lack of memory, is thereby known at once, and the
+worker with the results that it holds goes on.
 """
 
 import ctypes
@@ -9,23 +11,34 @@ import functools
 import importlib
 import os
 import pickle
+import queue
+import signal
+import subprocess
 import sys
+import threading
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+import weakref
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
 
+from odak._python import current_folder, python_command
+
 HERE = "this process"
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _KEPT, _KEPT_BEFORE = 256 * 2**20, 32 * 2**20
+# How often the process of a task is looked at, how long it may be stopped, and how much of its memory it may take.
+_LOOK, _STOPPED, _FULL = 0.2, 5.0, 0.95
+# Signals that users, job schedulers and a system short of memory send; faults of a task come as others.
+_FROM_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM), signal.SIGINT)
 
 
 @dataclass
 class Outcome:
-    """What became of one task.
+    """Result or failure of one task.
 
     Attributes
     ----------
@@ -37,6 +50,9 @@ class Outcome:
         Where the task ran.
     start, seconds : float
         Time of day when it began in seconds since the epoch, and how long it took.
+    ended : str
+        "by itself" if the process of the task ended before the task did, "from outside" if it may have been killed by
+        others, empty otherwise.
     """
 
     value: Any
@@ -44,6 +60,7 @@ class Outcome:
     worker: str
     start: float
     seconds: float
+    ended: str = ""
 
     @property
     def failed(self) -> bool:
@@ -52,24 +69,16 @@ class Outcome:
 
 
 def attempt(work: Callable[..., Any]) -> Outcome:
-    """Call a function without arguments and return what became of it.
+    """Call a function without arguments and return its outcome.
 
-    Parameters
-    ----------
-    work : callable
-        What to do.
-
-    Returns
-    -------
-    Outcome
-        Result or exception. `SystemExit` counts as a failure: a task that calls `sys.exit` must not end its worker.
+    `SystemExit` counts as a failure: a task that calls `sys.exit` must not end its worker.
     """
     start, clock = time.time(), time.perf_counter()
     try:
         value, trace = work(), ""
     except (Exception, SystemExit) as error:
         value, trace = error, _trace(error)
-    return Outcome(value, trace, where(), start, time.perf_counter() - clock)
+    return Outcome(value, trace, HERE, start, time.perf_counter() - clock)
 
 
 def _trace(error: BaseException) -> str:
@@ -80,15 +89,18 @@ def _trace(error: BaseException) -> str:
     return "".join(traceback.format_exception(type(error), error, frames or error.__traceback__))
 
 
+# --- On the worker
+
+
 def run_packed(jobs: Sequence[bytes], code: bytes, threads: int | None = None) -> list[Outcome]:
-    """Do some tasks on a worker, one after another.
+    """Compute tasks on a worker, one after another.
 
     Parameters
     ----------
     jobs : sequence of bytes
         Packed arguments and keywords of each task, from :func:`pack`.
     code : bytes
-        The function, from :func:`pack_code`.
+        The function, from :func:`pack`.
     threads : int, optional
         Threads that NumPy and torch may use.
 
@@ -97,111 +109,166 @@ def run_packed(jobs: Sequence[bytes], code: bytes, threads: int | None = None) -
     list of Outcome
         One per task; results and exceptions are packed.
     """
-    keep_memory()
-    if threads is not None:
-        pin_threads(threads)
-    outcomes = [attempt(lambda job=job: pack(_on_cpu(_call(code, job)))) for job in jobs]
-    for outcome in outcomes:
-        if outcome.failed:
-            outcome.value = _pack_error(outcome.value)
+    address, limit = _worker()
+    outcomes = []
+    for job in jobs:
+        process = getattr(_local, "process", None)
+        if process is None or not process.alive():
+            process = _local.process = _Process(limit)
+        outcome = process.compute(job, code, threads)
+        outcome.worker = address
+        outcomes.append(outcome)
     return outcomes
 
 
-def pack(value: Any) -> bytes:
-    """Return a value as bytes; functions and classes of scripts and notebooks travel with their code."""
-    import cloudpickle
-
-    return cloudpickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+_local = threading.local()
 
 
-def unpack(data: bytes) -> Any:
-    """Return the value that :func:`pack` made bytes of."""
-    return pickle.loads(data)
+def _worker() -> tuple[str, int | None]:
+    from distributed import get_worker
+
+    worker = get_worker()
+    return worker.address, getattr(worker.memory_manager, "memory_limit", None)
 
 
-def pack_code(compute: Callable, depends: Sequence[ModuleType | Callable] = ()) -> bytes:
-    """Return a function as bytes.
+class _Process:
+    """A process that computes the tasks of one thread of a worker.
 
     Parameters
     ----------
-    compute : callable
-        The function.
-    depends : sequence
-        Modules whose code travels along, because workers cannot import them; a function or class stands for its module.
-
-    Returns
-    -------
-    bytes
-        To be opened by :func:`run_packed`.
+    limit : int, optional
+        Bytes that it may take.
     """
-    with _by_value(
-        [item if isinstance(item, ModuleType) else importlib.import_module(item.__module__) for item in depends]
-    ):
-        return pack(compute)
+
+    def __init__(self, limit: int | None) -> None:
+        self._process = subprocess.Popen(
+            python_command("from odak.manager.tasks import _serve; _serve()"),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+        )
+        self._code, self._reason, self._outside = b"", "", False
+        self._end = weakref.finalize(self, _end, self._process)
+        threading.Thread(target=_watch, args=(weakref.ref(self), self._process, limit), daemon=True).start()
+
+    def alive(self) -> bool:
+        return self._process.poll() is None
+
+    def compute(self, job: bytes, code: bytes, threads: int | None) -> Outcome:
+        """Compute one task."""
+        start, clock = time.time(), time.perf_counter()
+        stdin: Any = self._process.stdin
+        try:
+            # Large code is the same object for every task, so that this comparison takes no time.
+            pickle.dump((None if code == self._code else code, job, threads), stdin)
+            stdin.flush()
+            self._code = code
+            return pickle.load(self._process.stdout)  # type: ignore[arg-type]
+        except (OSError, EOFError, pickle.UnpicklingError):
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(_STOPPED)
+            self._end()
+            code = self._process.returncode
+            text = f"the process of the task ended: {self._reason or _described(code)}"
+            outside = self._outside or (not self._reason and code is not None and -code in _FROM_OUTSIDE)
+            ended = "from outside" if outside else "by itself"
+            value, seconds = pack(ChildProcessError(text)), time.perf_counter() - clock
+            return Outcome(value, f"ChildProcessError: {text}\n", "", start, seconds, ended)
+
+    def kill(self, reason: str, outside: bool) -> None:
+        """End the process and remember why."""
+        self._reason, self._outside = reason, outside
+        self._process.kill()
 
 
-@contextmanager
-def _by_value(modules: Sequence[ModuleType]) -> Iterator[None]:
-    import cloudpickle
+def _described(code: int | None) -> str:
+    if code is None or code >= 0:
+        return f"exit code {code}"
+    with suppress(ValueError):
+        return f"signal {-code} ({signal.Signals(-code).name})"
+    return f"signal {-code}"
 
-    added = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]
-    for module in added:
-        cloudpickle.register_pickle_by_value(module)
+
+def _end(process: subprocess.Popen) -> None:
+    for pipe in (process.stdin, process.stdout):
+        with suppress(OSError):
+            pipe.close()  # type: ignore[union-attr]
     try:
-        yield
-    finally:
-        for module in added:
-            cloudpickle.unregister_pickle_by_value(module)
+        process.wait(_STOPPED)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
 
 
-def pin_threads(count: int) -> None:
-    """Let the numerical libraries of this process use so many threads, those included that load later."""
-    os.environ.update(thread_variables(count))
-    torch = sys.modules.get("torch")
-    if torch is not None and torch.get_num_threads() != count:
-        torch.set_num_threads(count)
+def _watch(owner: "weakref.ref[_Process]", process: subprocess.Popen, limit: int | None) -> None:
+    """Kill a process that was stopped, or that takes more memory than it may."""
+    import psutil
+
+    stopped_since = None
+    with suppress(psutil.Error):
+        observed = psutil.Process(process.pid)
+        while process.poll() is None and owner() is not None:
+            reason = ""
+            taken = observed.memory_info().rss
+            if limit and taken > _FULL * limit:
+                reason = f"it took {taken / 2**30:.3g} GiB of memory, and its worker has {limit / 2**30:.3g} GiB"
+            if observed.status() == psutil.STATUS_STOPPED:
+                stopped_since = stopped_since or time.monotonic()
+                if time.monotonic() > stopped_since + _STOPPED:
+                    reason = f"it had been stopped for {_STOPPED:g} s"
+            else:
+                stopped_since = None
+            found = owner()
+            if reason and found is not None:
+                found.kill(reason, outside=stopped_since is not None)
+            del found
+            time.sleep(_LOOK)
 
 
-@functools.cache
-def keep_memory() -> None:
-    """Let glibc keep the memory of freed arrays for the next ones.
-
-    Dask has its workers hand back all but 64 KiB at once (MALLOC_TRIM_THRESHOLD_), and every new array is then cleared
-    page by page: half the time of a hologram.
-    """
-    allocator = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
-    if allocator is not None:
-        allocator(_TRIM_THRESHOLD, _KEPT)
-        # Releases before 2.35 accept less.
-        if not allocator(_MMAP_THRESHOLD, _KEPT):
-            allocator(_MMAP_THRESHOLD, _KEPT_BEFORE)
+# --- In the process of the tasks
 
 
-def thread_variables(count: int) -> dict[str, str]:
-    """Return the environment variables that numerical libraries take their number of threads from."""
-    return dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(count))
+def _serve() -> None:
+    """Compute the tasks that arrive on the standard input until it closes."""
+    jobs, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what tasks print must not mix with results
+    waiting: queue.SimpleQueue = queue.SimpleQueue()
+    threading.Thread(target=_receive, args=(jobs, waiting), daemon=True).start()
+    keep_memory()
+    code = b""
+    with suppress(BrokenPipeError):
+        while (message := waiting.get()) is not None:
+            sent, job, threads = message
+            code = code if sent is None else sent
+            if threads is not None:
+                pin_threads(threads)
+            function = functools.partial(_compute, code, job)
+            outcome = attempt(lambda function=function: pack(_on_cpu(function())))
+            if outcome.failed:
+                outcome.value = _pack_error(outcome.value)
+            pickle.dump(outcome, results)
+            results.flush()
 
 
-def where() -> str:
-    """Return the address of the Dask worker that runs this, or "this process"."""
-    distributed = sys.modules.get("distributed")
-    if distributed is None:
-        return HERE
+def _receive(jobs: Any, waiting: queue.SimpleQueue) -> None:
+    """Queue what arrives; end the process shortly after its worker, even amid a task."""
     try:
-        return distributed.get_worker().address
-    except ValueError:
-        return HERE
+        while True:
+            waiting.put(pickle.load(jobs))
+    except (EOFError, OSError, pickle.UnpicklingError):
+        waiting.put(None)
+        time.sleep(1.0)
+        os._exit(1)
 
 
-@functools.lru_cache(maxsize=4)
-def _compute(code: bytes) -> Callable:
-    # Opened once per worker and kept: a module of a network, say, is not sent through pickle for every task.
-    return unpack(code)
-
-
-def _call(code: bytes, job: bytes) -> Any:
+def _compute(code: bytes, job: bytes) -> Any:
     arguments, keywords = unpack(job)
-    return _compute(code)(*arguments, **keywords)
+    return _function(code)(*arguments, **keywords)
+
+
+@functools.lru_cache(maxsize=1)
+def _function(code: bytes) -> Callable:
+    # Opened once and kept: a network's weights, say, are not read again for every task.
+    return unpack(code)
 
 
 def _on_cpu(value: Any) -> Any:
@@ -218,6 +285,48 @@ def _on_cpu(value: Any) -> Any:
     return value
 
 
+def pin_threads(count: int) -> None:
+    """Let the numerical libraries of this process use so many threads, those included that load later."""
+    os.environ.update(thread_variables(count))
+    torch = sys.modules.get("torch")
+    if torch is not None and torch.get_num_threads() != count:
+        torch.set_num_threads(count)
+
+
+def thread_variables(count: int) -> dict[str, str]:
+    """Return the environment variables that numerical libraries take their number of threads from."""
+    return dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), str(count))
+
+
+def keep_memory() -> None:
+    """Let glibc keep the memory of freed arrays for the next ones.
+
+    Dask has its workers hand back all but 64 KiB at once (MALLOC_TRIM_THRESHOLD_), and every new array is then cleared
+    page by page: half the time of a hologram.
+    """
+    allocator = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if allocator is not None:
+        allocator(_TRIM_THRESHOLD, _KEPT)
+        # Releases before 2.35 accept less.
+        if not allocator(_MMAP_THRESHOLD, _KEPT):
+            allocator(_MMAP_THRESHOLD, _KEPT_BEFORE)
+
+
+# --- Packing
+
+
+def pack(value: Any) -> bytes:
+    """Return a value as bytes; functions and classes of scripts and notebooks travel with their code."""
+    import cloudpickle
+
+    return cloudpickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def unpack(data: bytes) -> Any:
+    """Return the value that :func:`pack` made bytes of."""
+    return pickle.loads(data)
+
+
 def _pack_error(error: BaseException) -> bytes:
     """Return an exception as bytes that can be opened again, its type and text if it cannot itself."""
     try:
@@ -226,3 +335,46 @@ def _pack_error(error: BaseException) -> bytes:
     except Exception:
         return pack(RuntimeError(f"{type(error).__name__}: {error}"))
     return data
+
+
+@contextmanager
+def packed_by_value(modules: Iterable[ModuleType]) -> Iterator[None]:
+    """Have :func:`pack` send the code of modules along, because workers cannot import them."""
+    import cloudpickle
+
+    added = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]
+    for module in added:
+        cloudpickle.register_pickle_by_value(module)
+    try:
+        yield
+    finally:
+        for module in added:
+            cloudpickle.unregister_pickle_by_value(module)
+
+
+def modules_of(depends: Iterable[ModuleType | Callable | str]) -> list[ModuleType]:
+    """Return the modules that are named, or whose functions or classes are; paths are left out."""
+    return [
+        item if isinstance(item, ModuleType) else importlib.import_module(item.__module__)
+        for item in depends
+        if not isinstance(item, str)
+    ]
+
+
+def modules_of_current_folder() -> list[ModuleType]:
+    """Return the modules that were imported from the current folder, which is not on the path of worker processes."""
+    here = current_folder()
+    if here is None or not any(os.path.realpath(entry or ".") == here for entry in sys.path):
+        return []
+    found = []
+    for name, module in list(sys.modules.items()):
+        file = getattr(module, "__file__", None)
+        package = name.partition(".")[0]
+        if file and package not in ("__main__", "odak"):
+            levels = name.count(".") + (os.path.basename(file) == "__init__.py")
+            folder = os.path.dirname(os.path.realpath(file))
+            for _ in range(levels):
+                folder = os.path.dirname(folder)
+            if folder == here and getattr(module, "__name__", None) == name:
+                found.append(module)
+    return found

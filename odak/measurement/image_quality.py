@@ -1,4 +1,4 @@
-"""Line spread and modulation transfer of lines across an edge, and cutting such lines from a picture."""
+"""Line spread and modulation transfer functions of lines across an edge of an image."""
 
 import math
 from collections.abc import Sequence
@@ -6,11 +6,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, ArrayT
 
 
-def line_spread_function(line: Array) -> Array:
-    """Return the line spread function of an edge: its slope per sample, by central differences.
+def line_spread_function(line: ArrayT) -> ArrayT:
+    """Return the line spread function of an edge: its derivative per sample, by central differences.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def line_spread_function(line: Array) -> Array:
     return xp.concat((line[1:2] - line[:1], (line[2:] - line[:-2]) / 2, line[-1:] - line[-2:-1]))
 
 
-def fourier_transform_1d(line: Array) -> Array:
+def fourier_transform_1d(line: ArrayT) -> ArrayT:
     """Return the spectrum of a line spread function, 1 at frequency zero.
 
     Parameters
@@ -62,8 +62,10 @@ def polynomial_fit(line_x: Array, line_y: Array, fit_degree: int = 3) -> np.poly
 
     Parameters
     ----------
-    line_x, line_y : array
-        Coordinates, ``[n]``, n > fit_degree.
+    line_x : array
+        Abscissae, ``[n]``, n > fit_degree.
+    line_y : array
+        Ordinates, ``[n]``.
     fit_degree : int
         Degree.
 
@@ -141,8 +143,10 @@ def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence
 
     Parameters
     ----------
-    line_x, line_y : array
-        Values across an edge, ``[n]`` each, as from :func:`roi`.
+    line_x : array
+        Values across an edge, ``[n]``, such as the first line of :func:`roi`.
+    line_y : array
+        Values across another edge, ``[n]``.
     px_size : sequence of float
         Size of a pixel along the two lines, e.g. in degrees.
 
@@ -171,12 +175,10 @@ def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence
 
 
 def _line(name: str, line):
-    line = _validate.array(name, line)
-    if line.ndim != 1 or line.shape[0] < 2:
-        raise ValueError(f"{name} must be [n] with at least two values, got {tuple(line.shape)}")
-    if "complex" in str(line.dtype):
-        raise TypeError(f"{name} must be real, got an array of {line.dtype}")
-    return _array.namespace(line).astype(line, _array.real_dtype(line), copy=False)
+    (line,) = _validate.reals(**{name: line})
+    if _validate.shaped(name, line, "n").shape[0] < 2:
+        raise ValueError(f"{name} must hold at least two values, got {line.shape[0]}")
+    return line
 
 
 def _scaled(line, low, high):

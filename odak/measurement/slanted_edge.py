@@ -12,7 +12,7 @@ _WINDOWS = ("hamming", "tukey")
 
 @dataclass(frozen=True)
 class SlantedEdge:
-    """What a slanted edge says about a camera.
+    """Spatial frequency response of a camera, measured at a slanted edge.
 
     Attributes
     ----------
@@ -24,8 +24,10 @@ class SlantedEdge:
         Degrees between the edge and the columns (or the rows, whichever is nearer), with sign.
     position : array
         Distance from the edge of the samples below, in units of the pixel pitch.
-    edge_spread, line_spread : array
-        Edge spread function, oversampled, and its derivative before the window.
+    edge_spread : array
+        Edge spread function, oversampled.
+    line_spread : array
+        Derivative of the edge spread function, before the window.
     """
 
     frequency: object
@@ -59,8 +61,8 @@ def slanted_edge_mtf(
     Parameters
     ----------
     image : array
-        ``[rows, columns]``, linear in light, with one edge between a dark and a bright side that crosses all rows or
-        all columns, ideally at about 5° to them; noise is allowed.
+        ``[rows, columns]``, linear in intensity, with one edge between a dark and a bright side that crosses all
+        rows or all columns, ideally at about 5° to them; noise is allowed.
     pixel_pitch : float
         Distance between pixels; frequencies are in cycles per its unit.
     oversampling : int
@@ -111,7 +113,7 @@ def slanted_edge_mtf(
     rows = _whole_shifts(edge)
     distance, angle = _distances(still.shape[1], edge[:rows])
     edge_spread, position = _average(image[:rows, :], distance, factor, correct_bins)
-    line_spread = _slope(edge_spread)
+    line_spread = _derivative(edge_spread)
     return _transform(edge_spread, line_spread, position, angle, pixel_pitch, factor, window, correct_bins)
 
 
@@ -122,35 +124,35 @@ def _runs_along_rows(still) -> bool:
 
 def _edge_curve(still, degree: int):
     """Return the column of the edge in each row, by two rounds of windowed centroids and a polynomial fit."""
-    slopes = np.diff(still, axis=1)
-    total = slopes.sum()
-    spread = np.abs(slopes).sum()
+    gradients = np.diff(still, axis=1)
+    total = gradients.sum()
+    spread = np.abs(gradients).sum()
     if min(still.shape) < 8 or not abs(total) > 0.02 * spread:
         raise ValueError(f"image must show one edge from dark to bright in at least 8 x 8 pixels, got {still.shape}")
-    slopes = slopes if total > 0 else -slopes
-    columns = np.arange(slopes.shape[1]) + 0.5
-    rows = np.arange(len(slopes))
+    gradients = gradients if total > 0 else -gradients
+    columns = np.arange(gradients.shape[1]) + 0.5
+    rows = np.arange(len(gradients))
     # The first round looks everywhere, the next ones within a window around the curve found before.
-    centre, half = np.full(len(slopes), columns.mean()), slopes.shape[1] / 2
+    centre, half = np.full(len(gradients), columns.mean()), gradients.shape[1] / 2
     for _ in range(4):
         away = (columns - centre[:, None]) / half
-        weight = slopes * np.where(np.abs(away) <= 1, 0.54 + 0.46 * np.cos(np.pi * away), 0)
+        weight = gradients * np.where(np.abs(away) <= 1, 0.54 + 0.46 * np.cos(np.pi * away), 0)
         area = weight.sum(axis=1)
         found = area > 0.1 * area.max()
         if found.sum() <= degree + 1:
             raise ValueError("image must show an edge in every row; none was found in most rows")
         place = (weight[found] @ columns) / area[found]
         centre = np.polynomial.Polynomial.fit(rows[found], place, degree)(rows)
-        half = max(min(half, _reach(slopes, columns, centre)), 4.0)
+        half = max(min(half, _reach(gradients, columns, centre)), 4.0)
     return centre
 
 
-def _reach(slopes, columns, centre) -> float:
+def _reach(gradients, columns, centre) -> float:
     """Half width that holds the edge's own blur several times over, and less of the noise beyond it."""
     mean = np.zeros(len(columns))
     shift = np.round(centre - centre.mean()).astype(int)
     index = np.clip(np.arange(len(columns)) + shift[:, None], 0, len(columns) - 1)
-    mean = np.take_along_axis(slopes, index, axis=1).mean(axis=0)
+    mean = np.take_along_axis(gradients, index, axis=1).mean(axis=0)
     wide = np.flatnonzero(mean > 0.1 * mean.max())
     return 3.0 * (wide[-1] - wide[0] + 1)
 
@@ -201,7 +203,7 @@ def _average(image, distance, factor: int, recentre: bool):
         # Pixels do not fall evenly into a bin: move each mean from where they lie to the bin's centre.
         summed = np.diff(np.concatenate(([0.0], np.cumsum(flat[order])))[edges])
         off = np.where(count > 0, position - summed / np.maximum(count, 1), 0) * factor
-        mean = mean + _slope(mean) * xp.asarray(off, device=device)
+        mean = mean + _derivative(mean) * xp.asarray(off, device=device)
     return mean, position
 
 
@@ -216,7 +218,7 @@ def _fill(mean, filled, count: int):
     return (1 - share) * take(low) + share * take(high)
 
 
-def _slope(edge_spread):
+def _derivative(edge_spread):
     xp = _array.namespace(edge_spread)
     inner = (edge_spread[2:] - edge_spread[:-2]) / 2
     return xp.concat((inner[:1], inner, inner[-1:]))

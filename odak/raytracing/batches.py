@@ -1,4 +1,4 @@
-"""Large batches in pieces that fit a processor's cache, and the question whether a graph follows the arrays."""
+"""Block-wise evaluation of large batches, in pieces that fit into a processor's cache."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -22,8 +22,8 @@ def piece_size(arrays: Sequence) -> int:
     return CHUNK * torch.get_num_threads()
 
 
-def is_followed(*values) -> bool:
-    """Say whether derivatives or a transform follow the arrays, so that NaN must not enter the arithmetic."""
+def needs_gradient(*values) -> bool:
+    """Return whether derivatives or transforms of the arrays are recorded: NaN must not enter the arithmetic then."""
     if "jax" in sys.modules and any(array_api_compat.is_jax_array(value) for value in values):
         return True
     tensors = [value for value in values if is_torch(value)]
@@ -31,18 +31,11 @@ def is_followed(*values) -> bool:
         return False
     import torch
 
+    from odak import _torch_private
+
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
         return True
-    return is_transformed(*tensors)
-
-
-def is_transformed(*tensors) -> bool:
-    """Say whether torch.func, forward-mode differentiation or torch.compile hold the tensors."""
-    import torch
-
-    if torch.compiler.is_compiling() or torch.autograd.forward_ad._current_level >= 0:
-        return True
-    return any(torch._C._functorch.is_functorch_wrapped_tensor(tensor) for tensor in tensors)
+    return _torch_private.is_transformed(*tensors)
 
 
 class Pieces(NamedTuple):
@@ -79,14 +72,14 @@ class Pieces(NamedTuple):
         ]
 
 
-def pieces(arrays: Sequence, ranks: Sequence[int]) -> Pieces | None:
+def pieces(arrays: Sequence, ranks: Sequence[int], size: int | None = None) -> Pieces | None:
     """Return how to cut arrays whose last `ranks` axes are no batch axes; None when the batch is small.
 
-    The batch is cut along its longest axis.
+    The batch is cut along its longest axis, into pieces of `size` elements, those of :func:`piece_size` by default.
     """
     batches = [tuple(a.shape[: a.ndim - rank]) if is_array(a) else () for a, rank in zip(arrays, ranks, strict=True)]
     shape = np.broadcast_shapes(*batches)
-    total, size = int(np.prod(shape)), piece_size(arrays)
+    total, size = int(np.prod(shape)), piece_size(arrays) if size is None else size
     if total <= size:
         return None
     axis = int(np.argmax(shape))
@@ -95,8 +88,8 @@ def pieces(arrays: Sequence, ranks: Sequence[int]) -> Pieces | None:
     return Pieces(shape, axis, step, tuple(len(b) >= behind and b[len(b) - behind] > 1 for b in batches))
 
 
-def in_pieces(function: Callable, ranks: Sequence[int], *arrays):
-    """Return ``function(*arrays)``, computed piece by piece where the batch is large and nothing follows it.
+def in_pieces(function: Callable, ranks: Sequence[int], *arrays, size: int | None = None):
+    """Return ``function(*arrays)``, computed piece by piece where the batch is large and no derivatives are recorded.
 
     Parameters
     ----------
@@ -106,19 +99,21 @@ def in_pieces(function: Callable, ranks: Sequence[int], *arrays):
         Number of axes of each array that do not belong to its batch.
     *arrays
         Arrays or numbers.
+    size : int, optional
+        Elements of a piece; by default as many as suit the cache.
     """
-    if is_followed(*arrays):
+    if needs_gradient(*arrays):
         return function(*arrays)
     # NaN marks the rays that are lost: no cause for NumPy's warnings.
     with np.errstate(all="ignore"):
-        return _run(function, ranks, arrays)
+        return _run(function, ranks, arrays, size)
 
 
-def _run(function, ranks, arrays):
+def _run(function, ranks, arrays, size):
     xp = namespace(*arrays)
     example = next((a for a in arrays if is_array(a)), None)
     on_host = str(getattr(device_of(example), "type", device_of(example))) == "cpu"
-    plan = pieces(arrays, ranks) if on_host else None
+    plan = pieces(arrays, ranks, size) if on_host else None
     if plan is None:
         return function(*arrays)
     whole = None

@@ -1,7 +1,7 @@
-"""Vectors as three arrays (x, y, z): arithmetic without strides, and NaN kept out of it where a graph follows.
+"""Arithmetic on vectors as tuples of three arrays (x, y, z), which need no strides.
 
-With ``followed``, a value under a mask runs on a dummy, so that no gradient turns NaN. Without, NaN runs through the
-arithmetic and marks the rays that are lost at no cost.
+Where derivatives are taken (`differentiable`), masked values are replaced by dummies before the arithmetic, so that no
+gradient becomes NaN. Elsewhere NaN passes through the arithmetic and marks lost rays at no cost.
 """
 
 import math
@@ -9,29 +9,33 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odak._array import is_torch, namespace
-from odak.raytracing.batches import is_followed
+from odak._array import is_array, is_torch, namespace
+from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import finite_rays, safe_divide, safe_sqrt
 
 Vector = tuple
+PI = math.pi
 
 
 class Lines(NamedTuple):
-    """Rays in components: namespace, start, direction, which rays are finite, and whether a graph follows."""
+    """Rays in components: namespace, start, direction, which rays are finite, and whether derivatives are taken."""
 
     xp: Any
     start: Vector
     direction: Vector
     kept: Any
-    followed: bool
+    differentiable: bool
 
 
 def lines(start, direction, *surface) -> Lines:
-    """Return rays in components, ready to meet a surface."""
-    followed, kept = is_followed(start, direction, *surface), True
-    if followed:
+    """Return rays, ``[..., 3]`` or tuples of finite components, as components for an intersection with a surface."""
+    if isinstance(start, tuple):
+        differentiable = needs_gradient(*start, *direction, *surface)
+        return Lines(namespace(*start, *direction), start, direction, True, differentiable)
+    differentiable, kept = needs_gradient(start, direction, *surface), True
+    if differentiable:
         start, direction, kept = finite_rays(start, direction)
-    return Lines(namespace(start, direction), split(start), split(direction), kept, followed)
+    return Lines(namespace(start, direction), split(start), split(direction), kept, differentiable)
 
 
 def split(vector) -> Vector:
@@ -50,7 +54,7 @@ def join(*vectors: Vector):
     xp = namespace(*(c for vector in vectors for c in vector))
     parts = xp.broadcast_arrays(*(c for vector in vectors for c in vector))
     shape = tuple(parts[0].shape)
-    if is_followed(*parts):
+    if needs_gradient(*parts):
         out = xp.stack(parts, axis=-1)
     else:
         # Three strided copies are several times faster than a stack.
@@ -85,36 +89,43 @@ def without(vector: Vector, axis: Vector) -> Vector:
     return along(vector, -dot(vector, axis), axis)
 
 
-def unit(vector: Vector, followed: bool) -> Vector:
-    """Return vector/|vector|; NaN for no length, unless a graph follows: then the vector itself."""
+def terms(coefficients) -> tuple:
+    """Return the numbers or arrays along the last axis of coefficients, or of a sequence of them."""
+    if is_array(coefficients):
+        return tuple(namespace(coefficients).unstack(coefficients, axis=-1))
+    return tuple(coefficients)
+
+
+def unit(vector: Vector, differentiable: bool) -> Vector:
+    """Return vector/|vector|; NaN for length 0, or the vector itself where derivatives are taken."""
     squared = dot(vector, vector)
-    if followed:
+    if differentiable:
         squared = namespace(squared).where(squared > 0, squared, 1.0)
     length = squared**0.5
     return vector[0] / length, vector[1] / length, vector[2] / length
 
 
-def divided(numerator, denominator, where, followed: bool):
-    """Return numerator/denominator; 0 instead of NaN and infinity where a graph follows."""
-    return safe_divide(numerator, denominator, where) if followed else numerator / denominator
+def quotient(numerator, denominator, where, differentiable: bool):
+    """Return numerator/denominator; 0 instead of NaN and infinity where derivatives are taken."""
+    return safe_divide(numerator, denominator, where) if differentiable else numerator / denominator
 
 
-def rooted(value, followed: bool):
-    """Return the square root; 0 instead of NaN for negative values where a graph follows."""
-    return safe_sqrt(value) if followed else value**0.5
+def square_root(value, differentiable: bool):
+    """Return the square root; 0 instead of NaN for negative values where derivatives are taken."""
+    return safe_sqrt(value) if differentiable else value**0.5
 
 
-def shown(value, where, followed: bool):
-    """Return `value` to go on with: NaN where `where` does not hold, or 0 where a graph follows."""
-    return namespace(value).where(where, value, 0.0 if followed else math.nan)
+def placeholder(value, where, differentiable: bool):
+    """Return `value`, and where `where` does not hold NaN, or 0 where derivatives are taken."""
+    return namespace(value).where(where, value, 0.0 if differentiable else math.nan)
 
 
-def hidden(value, where, followed: bool):
-    """Return results made from :func:`shown` with NaN where `where` does not hold."""
-    if not followed:
+def nan_outside(value, where, differentiable: bool):
+    """Return results made from :func:`placeholder` with NaN where `where` does not hold."""
+    if not differentiable:
         return value
     if isinstance(value, tuple):
-        return tuple(hidden(v, where, True) for v in value)
+        return tuple(nan_outside(v, where, True) for v in value)
     return namespace(value).where(where, value, math.nan)
 
 

@@ -1,4 +1,4 @@
-"""What happens at a surface: reflection, refraction and the Fresnel coefficients, on plain arrays of any rank."""
+"""Reflection, refraction, diffraction and Fresnel coefficients at surfaces, on plain arrays of any rank."""
 
 from typing import Any, NamedTuple
 
@@ -6,8 +6,7 @@ from odak._array import complex_dtype, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
-from odak.raytracing.intersections import status_array
-from odak.raytracing.status import RayStatus
+from odak.raytracing.intersections import RayStatus, status_array
 
 
 class Fresnel(NamedTuple):
@@ -38,12 +37,12 @@ def reflect_directions(direction, normal):
 
 def reflected(direction, normal) -> vec.Vector:
     """Return the components of :func:`reflect_directions`."""
-    xp, direction, normal, kept, followed = vec.lines(direction, normal)
+    xp, direction, normal, kept, differentiable = vec.lines(direction, normal)
     squared = vec.dot(normal, normal)
     exists = kept & (squared > 0) & (squared < xp.inf)
-    factor = vec.divided(2 * vec.dot(direction, normal), squared, exists, followed)
-    factor = vec.shown(factor, exists & (abs(factor) < xp.inf), followed)
-    return vec.hidden(vec.along(direction, -factor, normal), exists, followed)
+    factor = vec.quotient(2 * vec.dot(direction, normal), squared, exists, differentiable)
+    factor = vec.placeholder(factor, exists & (abs(factor) < xp.inf), differentiable)
+    return vec.nan_outside(vec.along(direction, -factor, normal), exists, differentiable)
 
 
 def refract_directions(direction, normal, n1, n2):
@@ -79,20 +78,50 @@ def refract_directions(direction, normal, n1, n2):
 def refracted(direction, normal, n1, n2) -> tuple:
     """Return the components of :func:`refract_directions`, which rays go through, and which exist."""
     # Indices that a graph follows make NaN as harmful as rays that it follows.
-    xp, direction, normal, kept, followed = vec.lines(direction, normal, n1, n2)
+    xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2)
     squared, length = vec.dot(normal, normal), vec.dot(direction, direction)
     exists = kept & (squared > 0) & (length > 0) & (squared + length < xp.inf)
-    normal = vec.unit(normal, followed)
+    normal = vec.unit(normal, differentiable)
     ratio = n1 / n2
     cosine = vec.dot(direction, normal)
     tangential = vec.along(direction, -cosine, normal)
     # |d|² − μ²|d_t|², from the tangential part itself: 1 − cos² would lose digits.
     inside = length - (ratio * ratio) * vec.dot(tangential, tangential)
     through = exists & (inside >= 0) & ((cosine != 0) | (ratio < 1))
-    root = vec.rooted(xp.where(exists, inside, 1.0) if followed else inside, followed)
-    root = xp.copysign(vec.shown(root, through, followed), cosine + 0.0)
+    root = vec.square_root(xp.where(exists, inside, 1.0) if differentiable else inside, differentiable)
+    root = xp.copysign(vec.placeholder(root, through, differentiable), cosine + 0.0)
     out = vec.along(vec.scaled(tangential, ratio), root, normal)
-    return vec.hidden(out, through, followed), through, exists
+    return vec.nan_outside(out, through, differentiable), through, exists
+
+
+def diffracted(direction, normal, n1, n2, gradient, reflects: bool = False) -> tuple:
+    """Return the components of diffracted directions, and which rays exist.
+
+    Parameters
+    ----------
+    direction, normal : array or tuple
+        Unit directions and normals, ``[..., 3]`` or tuples of components.
+    n1, n2 : array or float
+        Indices before and behind the surface.
+    gradient : tuple of array
+        Components of λ·∇φ/2π, the vacuum wavelength times the gradient of the phase in cycles.
+    reflects : bool
+        Take the reflected ray.
+
+    Notes
+    -----
+    The tangential part of the wave vector changes by that of the phase's gradient: n₂d'_t = n₁d_t + λ(∇φ)_t/2π. Without
+    a phase this is Snell's law (Spencer and Murty, J. Opt. Soc. Am. 52, 672 (1962), section on gratings).
+    """
+    xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2, *gradient)
+    cosine = vec.dot(direction, normal)
+    tangential = vec.along(vec.scaled(vec.without(direction, normal), n1), 1.0, vec.without(gradient, normal))
+    inside = n2 * n2 - vec.dot(tangential, tangential)
+    through = kept & (inside > 0)
+    root = vec.square_root(xp.where(through, inside, 1.0), differentiable)
+    root = xp.copysign(root, -cosine if reflects else cosine)
+    out = vec.along(tangential, root, normal)
+    return vec.nan_outside(vec.scaled(out, 1 / n2), through, True), through
 
 
 def fresnel(direction, normal, n1, n2) -> Fresnel:

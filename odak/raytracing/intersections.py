@@ -1,13 +1,14 @@
-"""Where rays meet planes, triangles, discs, spheres, cylinders and conics: closed forms on plain arrays of any rank.
+"""Intersections of rays with planes, triangles, discs, spheres, cylinders and conics, on plain arrays of any rank.
 
 Starts and directions are ``[..., 3]`` and broadcast against the surfaces' arrays, so that rays ``[m, 1, 3]`` and
 surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance counts lengths of the direction.
-Every result is a :class:`Hit`. A ray that meets nothing has NaN distance, point and normal, and zero gradients.
+Every result is a :class:`Hit`. A ray without an intersection has NaN distance, point and normal, and zero gradients.
 
-The formulas stand in :mod:`odak.raytracing.closed_forms`. Large batches go through them piece by piece, each of which
-stays in the processor's cache, unless a graph follows.
+The formulas stand in :mod:`odak.raytracing.closed_forms`. Large batches are evaluated piece by piece, unless
+derivatives are recorded.
 """
 
+from enum import IntEnum
 from typing import Any, NamedTuple
 
 from odak._array import namespace
@@ -15,11 +16,26 @@ from odak.raytracing import closed_forms
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.components import join
 from odak.raytracing.geometry import barycentric
-from odak.raytracing.status import RayStatus
+
+
+class RayStatus(IntEnum):
+    """Result of the intersection of a ray with a surface; arrays of statuses hold these numbers as int8.
+
+    HIT: the ray goes on. MISS: there is no intersection. TOTAL_INTERNAL_REFLECTION: there is no refracted or diffracted
+    ray. VIGNETTED: the intersection lies outside the aperture. NOT_CONVERGED: an iteration did not find the
+    intersection. NOT_AIMED: no ray from the field point through the point of the stop that was asked for was found.
+    """
+
+    HIT = 0
+    MISS = 1
+    TOTAL_INTERNAL_REFLECTION = 2
+    VIGNETTED = 3
+    NOT_CONVERGED = 4
+    NOT_AIMED = 5
 
 
 class Hit(NamedTuple):
-    """Where rays meet a surface.
+    """Intersections of rays with a surface.
 
     Attributes
     ----------
@@ -40,7 +56,7 @@ class Hit(NamedTuple):
 
     @property
     def hit(self):
-        """Which rays hit, bool ``[...]``."""
+        """Rays that intersect the surface, bool ``[...]``."""
         return self.status == int(RayStatus.HIT)
 
 
@@ -51,23 +67,23 @@ def status_array(hit, otherwise: RayStatus = RayStatus.MISS):
 
 
 def plane(start, direction, point, normal) -> Hit:
-    """Meet planes through `point` with `normal`; the distance is signed, negative behind the start.
+    """Intersect rays with planes through `point` with `normal`; the distance is signed, negative behind the start.
 
     A ray parallel to the plane within two units of rounding is a miss. The normal is returned as given.
     """
-    return in_pieces(lambda *a: _as_hit(closed_forms.plane(*a)), (1, 1, 1, 1), start, direction, point, normal)
+    return in_pieces(lambda *a: as_hit(closed_forms.plane(*a)), (1, 1, 1, 1), start, direction, point, normal)
 
 
 def triangle(start, direction, corners) -> Hit:
-    """Meet triangles ``[..., 3, 3]`` on either side; rims p0p1 and p0p2 belong to them, p1p2 does not.
+    """Intersect rays with triangles ``[..., 3, 3]`` on either side; rims p0p1 and p0p2 belong to them, p1p2 does not.
 
     Hits behind the start count: the distance is signed. A ray past the triangle keeps the plane's normal.
     """
-    return in_pieces(lambda *a: _as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
+    return in_pieces(lambda *a: as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
 
 
 def within(point, known, corners):
-    """Say whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
+    """Return whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
     return in_pieces(_within, (1, 0, 2), point, known, corners)
 
 
@@ -77,33 +93,35 @@ def _within(point, known, corners):
 
 
 def disc(start, direction, point, normal, centre, radius) -> Hit:
-    """Meet a plane within `radius` of `centre`; the rest misses. The distance is signed."""
+    """Intersect rays with a plane within `radius` of `centre`; the rest misses. The distance is signed."""
     ranks, arrays = (1, 1, 1, 1, 1, 0), (start, direction, point, normal, centre, radius)
-    return in_pieces(lambda *a: _as_hit(closed_forms.disc(*a)), ranks, *arrays)
+    return in_pieces(lambda *a: as_hit(closed_forms.disc(*a)), ranks, *arrays)
 
 
 def sphere(start, direction, centre, radius) -> Hit:
-    """Meet spheres: the nearest point ahead of the start, the exit when it starts inside; outward normals.
+    """Intersect rays with spheres at the nearest point ahead, the exit for a start inside; outward normals.
 
     Notes
     -----
     The discriminant is r² − |f − (f·d)d|², f = start − centre, which keeps its digits far away (Haines, Günther and
     Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a hit.
     """
-    return in_pieces(lambda *a: _as_hit(closed_forms.sphere(*a)), (1, 1, 1, 0), start, direction, centre, radius)
+    return in_pieces(lambda *a: as_hit(closed_forms.sphere(*a)), (1, 1, 1, 0), start, direction, centre, radius)
 
 
 def cylinder(start, direction, centre, radius, axis) -> Hit:
-    """Meet infinite cylinders about the line through `centre` along `axis`: nearest point ahead; outward normals.
+    """Intersect rays with infinite cylinders about lines through `centre` along `axis`; outward normals.
+
+    The nearest point ahead counts.
 
     A ray along the axis misses.
     """
     ranks, arrays = (1, 1, 1, 0, 1), (start, direction, centre, radius, axis)
-    return in_pieces(lambda *a: _as_hit(closed_forms.cylinder(*a)), ranks, *arrays)
+    return in_pieces(lambda *a: as_hit(closed_forms.cylinder(*a)), ranks, *arrays)
 
 
 def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> Hit:
-    """Meet the sheet of a conic of revolution that passes through the origin with its axis along z.
+    """Intersect rays with the sheet of a conic of revolution that passes through the origin with its axis along z.
 
     Parameters
     ----------
@@ -114,7 +132,7 @@ def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> H
     aperture : array, optional
         Distance from the axis beyond which the surface ends.
     ahead : bool
-        Take the nearest point ahead of the start; else, ahead or behind, the one nearest the vertex plane.
+        Take the nearest point ahead of the start; otherwise, ahead or behind, the one nearest to the vertex plane.
 
     Returns
     -------
@@ -123,22 +141,24 @@ def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> H
         of the sheet, measured by its coordinates and the aperture, is not a hit.
     """
 
-    def meet(start, direction, curvature, constant, aperture):
-        meeting, sheet = closed_forms.conic(start, direction, curvature, constant, aperture, ahead)
-        status = status_array(meeting.hit)
-        if aperture is not None:
-            status = status + namespace(sheet).astype(sheet & ~meeting.hit, status.dtype) * _BEYOND
-        return _as_hit(meeting, status)
+    def closed_form(start, direction, curvature, constant, aperture):
+        select = "ahead" if ahead else "vertex"
+        found, sheet = closed_forms.conic(start, direction, curvature, constant, aperture, select)
+        return as_hit(found, conic_status(found, sheet))
 
-    return in_pieces(meet, (1, 1, 0, 0, 0), start, direction, curvature, constant, aperture)
+    return in_pieces(closed_form, (1, 1, 0, 0, 0), start, direction, curvature, constant, aperture)
 
 
-_BEYOND = int(RayStatus.VIGNETTED) - int(RayStatus.MISS)
+def conic_status(found: closed_forms.Intersection, sheet):
+    """Return statuses of :func:`odak.raytracing.closed_forms.conic`: VIGNETTED on the sheet beyond the aperture."""
+    status = status_array(found.hit)
+    beyond = int(RayStatus.VIGNETTED) - int(RayStatus.MISS)
+    return status + namespace(sheet).astype(sheet & ~found.hit, status.dtype) * beyond
 
 
-def _as_hit(meeting: closed_forms.Meeting, status=None) -> Hit:
-    """Return a hit with its vectors joined."""
-    distance, point, normal, hit = meeting
+def as_hit(found: closed_forms.Intersection, status=None) -> Hit:
+    """Return a :class:`Hit` with the components of its vectors joined."""
+    distance, point, normal, hit = found
     point, normal = join(point), join(normal)
     if normal.shape != point.shape:
         normal = namespace(point).broadcast_to(normal, point.shape)

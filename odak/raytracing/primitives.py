@@ -14,7 +14,7 @@ PLANE_CORNERS = ((10.0, 10.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 0.0))
 _NONE = (0.0, 0.0, 0.0)
 
 
-def define_plane(point: Sequence[float], angles: Sequence[float] = _NONE) -> np.ndarray:
+def define_plane(point: Sequence[float] | Array, angles: Sequence[float] = _NONE) -> np.ndarray:
     """Return three points of a plane through `point`, tilted.
 
     Parameters
@@ -44,7 +44,7 @@ def define_plane(point: Sequence[float], angles: Sequence[float] = _NONE) -> np.
 
 def bring_plane_to_origin(
     point: Array,
-    plane: Array,
+    plane: Array | None,
     shape: Sequence[float] = (10.0, 10.0),
     center: Sequence[float] = _NONE,
     angles: Sequence[float] = _NONE,

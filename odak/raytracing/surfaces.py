@@ -1,21 +1,101 @@
-"""Surfaces given by their height, as parameters with a name, and where rays meet them."""
+"""Shapes of surfaces z = sag(x, y) with their vertex at the origin, and intersections of rays with them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
 
 from odak import _validate
-from odak._array import Array, cast, is_torch, namespace
-from odak.raytracing import arguments, intersections, sag
+from odak._array import Array, cast, is_array, is_readable, is_torch, namespace
+from odak.raytracing import arguments, closed_forms
+from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
-from odak.raytracing.geometry import dot, epsilon, finite_rays, masked, unit
-from odak.raytracing.intersections import Hit
-from odak.raytracing.status import RayStatus
+from odak.raytracing.components import terms
+from odak.raytracing.geometry import epsilon
+from odak.raytracing.intersections import Hit, RayStatus, as_hit, conic_status, status_array
 from odak.tools.transformation import apply_matrix, rotation_matrix
+from odak.tools.zernike import jacobi, noll_to_nm, zernike_norm
+
+
+class Sag(NamedTuple):
+    """Height of a surface and its first derivatives.
+
+    Attributes
+    ----------
+    height : array
+        z, ``[...]``; 0 where not defined.
+    slope_x, slope_y : array
+        ∂z/∂x and ∂z/∂y.
+    defined : array
+        Where the surface exists, bool.
+    """
+
+    height: Any
+    slope_x: Any
+    slope_y: Any
+    defined: Any
 
 
 @dataclass(frozen=True)
-class Conic:
+class Shape:
+    """Base class of the shapes of surfaces.
+
+    A shape is a frozen dataclass whose fields are its parameters: numbers, or arrays that broadcast against x and y. It
+    must define :meth:`sag`. Intersections, apertures, placement, optical systems, files, drawings and gradients follow
+    from it.
+
+    Notes
+    -----
+    Two variables of the class tell more: ``closed_form``, that the surface is the conic of :meth:`base` itself, and
+    ``ranks``, the number of axes of each parameter that belong to one surface (0 unless given); axes in front of them
+    are a batch.
+    """
+
+    closed_form: ClassVar[bool] = False
+    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        raise NotImplementedError(f"{type(self).__name__} must define sag(x, y)")
+
+    def base(self) -> tuple:
+        """Return curvature and conic constant of a conic near the surface, from which iterations start."""
+        return 0.0, 0.0
+
+    def curvatures(self) -> tuple:
+        """Return the curvatures at the vertex along x and along y, as first-order optics takes them."""
+        curvature, _ = self.base()
+        return curvature, curvature
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return where the surface reaches, bool; True for everywhere."""
+        return True
+
+    def parameters(self) -> tuple:
+        """Return the parameters in the order of the constructor."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+    @classmethod
+    def ranks_of_parameters(cls) -> tuple[int, ...]:
+        """Return how many axes of each parameter do not belong to a batch."""
+        return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
+
+
+@dataclass(frozen=True)
+class Plane(Shape):
+    """The plane z = 0."""
+
+    closed_form: ClassVar[bool] = True
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return zeros."""
+        zero = 0 * (x + y)
+        return Sag(zero, zero, zero, zero == 0)
+
+
+@dataclass(frozen=True)
+class Conic(Shape):
     """A conic of revolution.
 
     Parameters
@@ -30,17 +110,13 @@ class Conic:
     conic: Any = 0.0
     closed_form: ClassVar[bool] = True
 
-    def sag(self, x: Array, y: Array) -> sag.Sag:
-        """Return height and slopes at x, y; see :mod:`odak.raytracing.sag`."""
-        return sag.conic_sag(x, y, *self.parameters())
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y; see :func:`conic_sag`."""
+        return conic_sag(x, y, self.curvature, self.conic)
 
-    def base(self: Any) -> tuple:
-        """Return curvature and conic constant of the conic nearest to the surface."""
+    def base(self) -> tuple:
+        """Return curvature and conic constant."""
         return self.curvature, self.conic
-
-    def parameters(self: Any) -> tuple:
-        """Return the parameters in the order of the constructor."""
-        return tuple(getattr(self, field.name) for field in fields(self))
 
 
 @dataclass(frozen=True)
@@ -49,8 +125,10 @@ class EvenAsphere(Conic):
 
     Parameters
     ----------
-    curvature, conic : float or array
-        As in :class:`Conic`.
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
     coefficients : sequence or array
         a1, a2, … along the last axis.
     """
@@ -58,40 +136,56 @@ class EvenAsphere(Conic):
     coefficients: Any = ()
     closed_form: ClassVar[bool] = False
 
-    def sag(self, x: Array, y: Array) -> sag.Sag:
-        """Return height and slopes at x, y."""
-        return sag.even_asphere_sag(x, y, *self.parameters())
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y; see :func:`even_asphere_sag`."""
+        return even_asphere_sag(x, y, self.curvature, self.conic, self.coefficients)
+
+    def curvatures(self) -> tuple:
+        """Return c + 2·a1 twice."""
+        given = terms(self.coefficients)
+        curvature = self.curvature + 2 * given[0] if given else self.curvature
+        return curvature, curvature
 
 
 @dataclass(frozen=True)
-class ZernikeFreeform(EvenAsphere):
+class ZernikeFreeform(Conic):
     """A conic plus Zernike polynomials.
 
     Parameters
     ----------
-    curvature, conic : float or array
-        As in :class:`Conic`.
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
     coefficients : sequence or array
         Amplitudes in Noll's order from j = 1, each the polynomial's RMS over the disc.
     radius : float or array
         Radius of the disc.
     """
 
+    coefficients: Any = ()
     radius: Any = 1.0
+    closed_form: ClassVar[bool] = False
 
-    def sag(self, x: Array, y: Array) -> sag.Sag:
-        """Return height and slopes at x, y."""
-        return sag.zernike_sag(x, y, *self.parameters())
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y; see :func:`zernike_sag`."""
+        return zernike_sag(x, y, self.curvature, self.conic, self.coefficients, self.radius)
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        return _curvatures_by_differences(self, self.radius)
 
 
 @dataclass(frozen=True)
-class Toroid:
-    """A profile in y turned about an axis parallel to y.
+class Toroid(Shape):
+    """A profile in y rotated about an axis parallel to y.
 
     Parameters
     ----------
-    curvature_x, curvature_y : float or array
-        Curvatures at the vertex along x (that of the turning) and y (that of the profile).
+    curvature_x : float or array
+        Curvature at the vertex along x, that of the rotation; 0 for a cylinder.
+    curvature_y : float or array
+        Curvature at the vertex along y, that of the profile.
     conic : float or array
         Conic constant of the profile.
     coefficients : sequence or array
@@ -102,73 +196,575 @@ class Toroid:
     curvature_y: Any = 0.0
     conic: Any = 0.0
     coefficients: Any = ()
-    closed_form: ClassVar[bool] = False
 
-    parameters = Conic.parameters
-
-    def sag(self, x: Array, y: Array) -> sag.Sag:
-        """Return height and slopes at x, y."""
-        return sag.toroid_sag(x, y, *self.parameters())
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y; see :func:`toroid_sag`."""
+        return toroid_sag(x, y, self.curvature_x, self.curvature_y, self.conic, self.coefficients)
 
     def base(self) -> tuple:
         """Return the mean curvature and the constant of a sphere."""
         return (self.curvature_x + self.curvature_y) / 2, 0.0
 
+    def curvatures(self) -> tuple:
+        """Return both curvatures, that along y with 2·a1 added."""
+        given = terms(self.coefficients)
+        return self.curvature_x, self.curvature_y + 2 * given[0] if given else self.curvature_y
+
 
 @dataclass(frozen=True)
-class SplineFreeform:
+class SplineFreeform(Shape):
     """A conic plus a uniform cubic B-spline.
 
     Parameters
     ----------
     heights : array
-        Control points ``[n0, n1]``, at least 2 along each axis; the first axis is x.
+        Control points ``[n0, n1]``, at least 2 along each axis; the first axis is x. See :meth:`through`.
     size : sequence or array
         Extents along x and y. The surface ends there.
-    curvature, conic : float or array
-        As in :class:`Conic`.
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
     """
 
     heights: Any
     size: Any
     curvature: Any = 0.0
     conic: Any = 0.0
-    closed_form: ClassVar[bool] = False
+    ranks: ClassVar[Mapping[str, int]] = {"heights": 2, "size": 1}
 
-    base = Conic.base
-    parameters = Conic.parameters
+    @classmethod
+    def through(
+        cls, heights: Array, size: Sequence[float], curvature: float = 0.0, conic: float = 0.0
+    ) -> "SplineFreeform":
+        """Return the spline that passes through measured heights: a grid sag.
 
-    def sag(self, x: Array, y: Array) -> sag.Sag:
-        """Return height and slopes at x, y."""
-        return sag.spline_sag(x, y, *self.parameters())
+        Parameters
+        ----------
+        heights : array
+            ``[n0, n1]``, at x and y from −size/2 to size/2, first axis x.
+        size : sequence of float
+            Extents along x and y.
+        curvature, conic : float
+            Of a conic that is added.
 
-    def covers(self, x: Array, y: Array) -> Array:
-        """Say where the surface reaches, bool."""
-        width, height = sag.terms(self.size)
+        Returns
+        -------
+        SplineFreeform
+            Its control points solve the two tridiagonal systems of interpolation, in NumPy.
+        """
+        values = _validate.image("heights", arguments.floats("heights", heights))
+        for axis in (0, 1):
+            n = values.shape[axis]
+            matrix = (4 * np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1)) / 6
+            # The rim's control points are repeated beyond it.
+            matrix[0, 0] += 1 / 6
+            matrix[-1, -1] += 1 / 6
+            values = np.moveaxis(np.linalg.solve(matrix, np.moveaxis(values, axis, 0)), 0, axis)
+        return cls(values, [float(v) for v in _validate.several("size", size, 2)], curvature, conic)
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y; see :func:`spline_sag`."""
+        return spline_sag(x, y, self.heights, self.size, self.curvature, self.conic)
+
+    def base(self) -> tuple:
+        """Return curvature and conic constant."""
+        return self.curvature, self.conic
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        return _curvatures_by_differences(self, terms(self.size)[0])
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return whether x, y lie within the extents."""
+        width, height = terms(self.size)
         return (abs(x) <= width / 2) & (abs(y) <= height / 2)
 
 
-Surface = Conic | Toroid | SplineFreeform
+@dataclass(frozen=True)
+class OddAsphere(Conic):
+    """A conic plus all powers of the distance r from the axis, a1·r + a2·r² + a3·r³ and so on.
+
+    Parameters
+    ----------
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
+    coefficients : sequence or array
+        a1, a2, … along the last axis. A term a1 makes a cone, whose tip has no normal.
+    """
+
+    coefficients: Any = ()
+    closed_form: ClassVar[bool] = False
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        base = conic_sag(x, y, self.curvature, self.conic)
+        xp, squared = namespace(x, y), x * x + y * y
+        radius = xp.where(squared > 0, xp.where(squared > 0, squared, 1.0) ** 0.5, 0.0)
+        value, derivative = polynomial_in(radius, self.coefficients)
+        slope = derivative / xp.where(squared > 0, radius, 1.0)
+        return Sag(base.height + value, base.slope_x + slope * x, base.slope_y + slope * y, base.defined)
+
+    def curvatures(self) -> tuple:
+        """Return c + 2·a2 twice."""
+        given = terms(self.coefficients)
+        curvature = self.curvature + 2 * given[1] if len(given) > 1 else self.curvature
+        return curvature, curvature
+
+
+@dataclass(frozen=True)
+class Biconic(Shape):
+    """A surface whose sections along x and y are two different conics.
+
+    Parameters
+    ----------
+    curvature_x : float or array
+        Curvature at the vertex along x.
+    curvature_y : float or array
+        Curvature at the vertex along y.
+    conic_x : float or array
+        Conic constant of the section along x.
+    conic_y : float or array
+        Conic constant of the section along y.
+
+    Notes
+    -----
+    z = (c_x x² + c_y y²)/(1 + √(1 − (1 + k_x)c_x²x² − (1 + k_y)c_y²y²)).
+    """
+
+    curvature_x: Any = 0.0
+    curvature_y: Any = 0.0
+    conic_x: Any = 0.0
+    conic_y: Any = 0.0
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        xp = namespace(x, y)
+        cx, cy = self.curvature_x, self.curvature_y
+        bend_x, bend_y = (1 + self.conic_x) * cx * cx, (1 + self.conic_y) * cy * cy
+        inside = 1 - bend_x * x * x - bend_y * y * y
+        defined = inside > 0
+        root = xp.where(defined, inside, 1.0) ** 0.5
+        top, bottom = cx * x * x + cy * y * y, 1 + root
+        rise = top / (bottom * bottom * root)
+        slopes = (2 * cx * x / bottom + rise * bend_x * x, 2 * cy * y / bottom + rise * bend_y * y)
+        height, by_x, by_y = (xp.where(defined, value, 0.0) for value in (top / bottom, *slopes))
+        return Sag(height, by_x, by_y, defined)
+
+    def base(self) -> tuple:
+        """Return the mean curvature and the constant of a sphere."""
+        return (self.curvature_x + self.curvature_y) / 2, 0.0
+
+    def curvatures(self) -> tuple:
+        """Return both curvatures."""
+        return self.curvature_x, self.curvature_y
+
+
+@dataclass(frozen=True)
+class PolynomialFreeform(Conic):
+    """A conic plus a polynomial in x and y, Σ a_j·(x/R)^p·(y/R)^q.
+
+    Parameters
+    ----------
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
+    coefficients : sequence or array
+        In units of length, in the order x, y, x², xy, y², x³, …
+    radius : float or array
+        R.
+    """
+
+    coefficients: Any = ()
+    radius: Any = 1.0
+    closed_form: ClassVar[bool] = False
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        base = conic_sag(x, y, self.curvature, self.conic)
+        value, along_x, along_y = xy_polynomial(x / self.radius, y / self.radius, self.coefficients)
+        slopes = base.slope_x + along_x / self.radius, base.slope_y + along_y / self.radius
+        return Sag(base.height + value, *slopes, base.defined)
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        found = terms(self.coefficients)
+        scale = 2 / (self.radius * self.radius)
+        along_x = self.curvature + (scale * found[2] if len(found) > 2 else 0.0)
+        return along_x, self.curvature + (scale * found[4] if len(found) > 4 else 0.0)
+
+
+@dataclass(frozen=True)
+class ChebyshevFreeform(Conic):
+    """A conic plus products of Chebyshev polynomials, Σ a_ij·T_i(x/A)·T_j(y/B).
+
+    Parameters
+    ----------
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
+    coefficients : array
+        ``[n0, n1]``, the first axis i.
+    size : sequence or array
+        A and B, half the extents along x and y. The surface ends there.
+    """
+
+    coefficients: Any = ((0.0,),)
+    size: Any = (1.0, 1.0)
+    closed_form: ClassVar[bool] = False
+    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 2, "size": 1}
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        base = conic_sag(x, y, self.curvature, self.conic)
+        width, height = terms(self.size)
+        rows = [terms(row) for row in self._rows()]
+        tx, dx = _chebyshev(x / width, len(rows))
+        ty, dy = _chebyshev(y / height, len(rows[0]))
+        value = along_x = along_y = 0.0 * (x + y)
+        for i, row in enumerate(rows):
+            for j, coefficient in enumerate(row):
+                value = value + coefficient * tx[i] * ty[j]
+                along_x = along_x + coefficient * dx[i] * ty[j] / width
+                along_y = along_y + coefficient * tx[i] * dy[j] / height
+        return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
+
+    def _rows(self) -> tuple:
+        given = self.coefficients
+        return tuple(namespace(given).unstack(given, axis=-2)) if is_array(given) else tuple(given)
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        return _curvatures_by_differences(self, terms(self.size)[0])
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return whether x, y lie within the extents."""
+        width, height = terms(self.size)
+        return (abs(x) <= width) & (abs(y) <= height)
+
+
+def _chebyshev(u, count: int) -> tuple[list, list]:
+    """Return T_0 … T_(count − 1) and their derivatives."""
+    values, slopes = [1 + 0 * u, u], [0 * u, 1 + 0 * u]
+    for _ in range(2, count):
+        slopes.append(2 * values[-1] + 2 * u * slopes[-1] - slopes[-2])
+        values.append(2 * u * values[-1] - values[-2])
+    return values[:count], slopes[:count]
+
+
+@dataclass(frozen=True)
+class QbfsAsphere(Shape):
+    """A mild asphere by Forbes' polynomials of the departure from the best-fit sphere.
+
+    Parameters
+    ----------
+    curvature : float or array
+        Curvature of the sphere through the vertex and the rim.
+    coefficients : sequence or array
+        a_0, a_1, … in units of length; the mean square of the departure's slope along the normal is the sum of their
+        squares over R².
+    radius : float or array
+        R, the semi-diameter at which the departure vanishes.
+
+    Notes
+    -----
+    z = cr²/(1 + φ) + u²(1 − u²)/φ·Σ a_m·Q_m(u²), u = r/R, φ = √(1 − c²r²). Forbes, Opt. Express 15, 5218 (2007); the
+    recurrence is that of Opt. Express 18, 19700 (2010).
+    """
+
+    curvature: Any = 0.0
+    coefficients: Any = ()
+    radius: Any = 1.0
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        base = conic_sag(x, y, self.curvature, 0.0)
+        xp, scale = namespace(x, y), self.radius * self.radius
+        v = (x * x + y * y) / scale
+        inside = xp.where(base.defined, 1 - self.curvature * self.curvature * scale * v, 1.0)
+        total, derivative = _qbfs(v, terms(self.coefficients))
+        # Derivatives by v = u²: of v(1 − v), of 1/φ, and of the polynomial.
+        window, inverse = v * (1 - v), inside**-0.5
+        bent = self.curvature * self.curvature * scale / 2 * inverse / inside
+        height = window * inverse * total
+        slope = (1 - 2 * v) * inverse * total + window * (bent * total + inverse * derivative)
+        slope = xp.where(base.defined, 2 * slope / scale, 0.0)
+        height = base.height + xp.where(base.defined, height, 0.0)
+        return Sag(height, base.slope_x + slope * x, base.slope_y + slope * y, base.defined)
+
+    def base(self) -> tuple:
+        """Return the best-fit sphere."""
+        return self.curvature, 0.0
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        first = _qbfs(0.0 * self.radius, terms(self.coefficients))[0] if len(terms(self.coefficients)) else 0.0
+        value = self.curvature + 2 * first / (self.radius * self.radius)
+        return value, value
+
+
+def _qbfs(v, coefficients) -> tuple:
+    """Return Σ a_m·Q_m(v) of Forbes' slope-orthogonal polynomials, and the derivative by v."""
+    total = derivative = 0 * v
+    p = [(2 + 0 * v, 0 * v), (6 - 8 * v, -8 + 0 * v)]
+    f: list[float] = [2.0, 19**0.5 / 2]
+    g: list[float] = [-0.5]
+    h: list[float] = []
+    q: list = []
+    for m, coefficient in enumerate(coefficients):
+        if m >= len(p):
+            (a, da), (b, db) = p[-1], p[-2]
+            p.append(((2 - 4 * v) * a - b, (2 - 4 * v) * da - 4 * a - db))
+        if m >= 2:
+            h.append(-m * (m - 1) / (2 * f[m - 2]))
+            g.append(-(1 + g[m - 2] * h[m - 2]) / f[m - 1])
+            f.append((m * (m + 1) + 3 - g[m - 1] ** 2 - h[m - 2] ** 2) ** 0.5)
+        value, slope = p[m]
+        if m == 0:
+            found = (value / f[0], slope / f[0])
+        else:
+            a, da = q[m - 1]
+            value, slope = value - g[m - 1] * a, slope - g[m - 1] * da
+            if m > 1:
+                b, db = q[m - 2]
+                value, slope = value - h[m - 2] * b, slope - h[m - 2] * db
+            found = (value / f[m], slope / f[m])
+        q.append(found)
+        total, derivative = total + coefficient * found[0], derivative + coefficient * found[1]
+    return total, derivative
+
+
+@dataclass(frozen=True)
+class QconAsphere(Conic):
+    """A strong asphere by Forbes' polynomials of the departure from a conic.
+
+    Parameters
+    ----------
+    curvature : float or array
+        Vertex curvature of the conic.
+    conic : float or array
+        Conic constant of the conic.
+    coefficients : sequence or array
+        a_0, a_1, … in units of length.
+    radius : float or array
+        R, the semi-diameter.
+
+    Notes
+    -----
+    z = conic + u⁴·Σ a_m·Q_m(u²), u = r/R, Q_m(v) = P_m^(0, 4)(2v − 1), Jacobi's polynomials. Forbes, Opt. Express 15,
+    5218 (2007).
+    """
+
+    coefficients: Any = ()
+    radius: Any = 1.0
+    closed_form: ClassVar[bool] = False
+
+    def sag(self, x: Array, y: Array) -> Sag:
+        """Return height and derivatives at x, y."""
+        base = conic_sag(x, y, self.curvature, self.conic)
+        scale = self.radius * self.radius
+        v = (x * x + y * y) / scale
+        total = derivative = 0 * v
+        for m, coefficient in enumerate(terms(self.coefficients)):
+            total = total + coefficient * jacobi(m, 4, 2 * v - 1)
+            derivative = derivative + coefficient * _jacobi_derivative(m, 4, 2 * v - 1)
+        height = v * v * total
+        slope = 2 * (2 * v * total + 2 * v * v * derivative) / scale
+        return Sag(base.height + height, base.slope_x + slope * x, base.slope_y + slope * y, base.defined)
+
+
+def _jacobi_derivative(degree: int, m: int, s):
+    """Return the derivative of Jacobi's P_k^(0, m), ½·Σ_l (2l + m + 2)·P_l^(0, m + 1), l < k."""
+    return sum(((k + m / 2 + 1) * jacobi(k, m + 1, s) for k in range(degree)), start=0 * s)
+
+
+def _curvatures_by_differences(shape: Shape, length) -> tuple:
+    """Return the second derivatives at the vertex by central differences of the first ones."""
+    step = 1e-5 * length + 0 * sum(shape.base())
+    zero = 0 * step
+    right, left = shape.sag(step, zero), shape.sag(-step, zero)
+    above, below = shape.sag(zero, step), shape.sag(zero, -step)
+    return (right.slope_x - left.slope_x) / (2 * step), (above.slope_y - below.slope_y) / (2 * step)
+
+
+def radial_sag(squared, curvature, conic, coefficients=()) -> tuple:
+    """Return height, derivative by r² and domain of an even asphere at squared distances r² from the axis."""
+    xp = namespace(squared)
+    inside = 1 - (1 + conic) * (curvature * curvature) * squared
+    defined = inside > 0
+    root = xp.where(defined, inside, 1.0) ** 0.5
+    height, slope = curvature * squared / (1 + root), curvature / (2 * root)
+    value, derivative = polynomial_in(squared, coefficients) if coefficients else (0.0, 0.0)
+    return height + value, slope + derivative, defined
+
+
+def conic_sag(x, y, curvature=0.0, conic=0.0) -> Sag:
+    """Return z = cr²/(1 + √(1 − (1 + k)c²r²)): a plane for c = 0, a sphere for k = 0, a paraboloid for k = −1."""
+    return even_asphere_sag(x, y, curvature, conic)
+
+
+def even_asphere_sag(x, y, curvature=0.0, conic=0.0, coefficients=()) -> Sag:
+    """Return the conic's height plus a1·r² + a2·r⁴ + a3·r⁶ + …, ``coefficients[..., i]`` belonging to r^(2i + 2)."""
+    height, slope, defined = radial_sag(x * x + y * y, curvature, conic, terms(coefficients))
+    xp = namespace(height)
+    height, slope = xp.where(defined, height, 0.0), xp.where(defined, slope, 0.0)
+    return Sag(height, 2 * x * slope, 2 * y * slope, defined)
+
+
+def toroid_sag(x, y, curvature_x=0.0, curvature_y=0.0, conic=0.0, coefficients=()) -> Sag:
+    """Return the height of a profile in y rotated about an axis parallel to y at z = 1/c_x.
+
+    The profile is a conic of curvature c_y and constant `conic` plus a1·y² + a2·y⁴ + …; c_x = 0 gives a cylinder.
+    """
+    xp = namespace(x, y)
+    profile = even_asphere_sag(0 * x, y, curvature_y, conic, coefficients)
+    arm = 1 - curvature_x * profile.height
+    inside = arm * arm - (curvature_x * x) ** 2
+    defined = profile.defined & (inside > 0) & (arm > 0)
+    root = xp.where(defined, inside, 1.0) ** 0.5
+    # (1 − root)/c_x, written so that c_x may be zero.
+    rise = 2 * profile.height - curvature_x * (profile.height * profile.height - x * x)
+    height = xp.where(defined, rise / (1 + root), 0.0)
+    slope_y = arm * profile.slope_y / root
+    return Sag(height, xp.where(defined, curvature_x * x / root, 0.0), xp.where(defined, slope_y, 0.0), defined)
+
+
+def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> Sag:
+    """Return the conic's height plus Σ a_j·Z_j(x/R, y/R), Noll's order from j = 1, each of RMS 1 over the disc.
+
+    The polynomials go on beyond the disc of radius R. Noll, J. Opt. Soc. Am. 66, 207 (1976).
+    """
+    base = conic_sag(x, y, curvature, conic)
+    height, slope_x, slope_y = base.height, base.slope_x, base.slope_y
+    u, v = x / radius, y / radius
+    for j, coefficient in enumerate(terms(coefficients), start=1):
+        value, along_u, along_v = _zernike(j, u, v)
+        height = height + coefficient * value
+        slope_x = slope_x + coefficient * along_u / radius
+        slope_y = slope_y + coefficient * along_v / radius
+    return Sag(height, slope_x, slope_y, base.defined)
+
+
+def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
+    """Return the conic's height plus a uniform cubic B-spline.
+
+    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x), the rim's
+    repeated beyond it; ``size`` holds the two extents. de Boor, A Practical Guide to Splines (1978), chapter IX.
+    """
+    xp = namespace(x, y)
+    base = conic_sag(x, y, curvature, conic)
+    n0, n1 = heights.shape[-2:]
+    (i, weight_x, slope_x), (j, weight_y, slope_y) = (
+        _spline_weights(value, extent, n) for value, extent, n in zip((x, y), terms(size), (n0, n1), strict=True)
+    )
+    # One surface, or a batch of them whose axes stand before those of the positions.
+    flat = xp.reshape(heights, (*heights.shape[:-2], -1))
+    one = all(n == 1 for n in flat.shape[:-1])
+    flat = xp.reshape(flat, (-1,)) if one else xp.broadcast_to(flat, (*x.shape[:-1], n0 * n1))
+    value = along_x = along_y = 0.0 * x
+    for a in range(4):
+        for b in range(4):
+            index = xp.clip(i + (a - 1), 0, n0 - 1) * n1 + xp.clip(j + (b - 1), 0, n1 - 1)
+            if one:
+                control = xp.reshape(xp.take(flat, xp.reshape(index, (-1,)), axis=0), index.shape)
+            else:
+                control = xp.take_along_axis(flat, index, axis=-1)
+            value = value + control * weight_x[a] * weight_y[b]
+            along_x = along_x + control * slope_x[a] * weight_y[b]
+            along_y = along_y + control * weight_x[a] * slope_y[b]
+    return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
+
+
+def polynomial_in(s, coefficients):
+    """Return Σ a_i·s^(i + 1) and its derivative, by Horner's rule."""
+    value = slope = 0 * s
+    for coefficient in reversed(terms(coefficients)):
+        slope = slope * s + value + coefficient
+        value = (value + coefficient) * s
+    return value, slope
+
+
+def xy_polynomial(x, y, coefficients) -> tuple:
+    """Return Σ a_j·x^p·y^q in the order x, y, x², xy, y², x³, …, and its derivatives by x and by y."""
+    given = terms(coefficients)
+    value = along_x = along_y = 0.0 * (x + y)
+    powers_x, powers_y, j, degree = [1 + 0 * x], [1 + 0 * y], 0, 0
+    while j < len(given):
+        degree += 1
+        powers_x.append(powers_x[-1] * x)
+        powers_y.append(powers_y[-1] * y)
+        for q in range(degree + 1):
+            p = degree - q
+            if j < len(given):
+                value = value + given[j] * powers_x[p] * powers_y[q]
+                along_x = along_x + (given[j] * p * powers_x[p - 1] * powers_y[q] if p else 0.0)
+                along_y = along_y + (given[j] * q * powers_x[p] * powers_y[q - 1] if q else 0.0)
+            j += 1
+    return value, along_x, along_y
+
+
+def _zernike(j: int, u, v):
+    """Return the normalised Zernike polynomial of Noll's index j in Cartesian form, and its two derivatives.
+
+    Re or Im of (u + iv)^m times Jacobi's P_k^(0, m)(2ρ² − 1), whose derivative is ½·Σ_l (2l + m + 2)·P_l^(0, m + 1),
+    l < k (Christoffel and Darboux): no angle, hence no trouble at the centre.
+    """
+    n, signed = noll_to_nm(j)
+    m = abs(signed)
+    degree, s = (n - m) // 2, 2 * (u * u + v * v) - 1
+    radial = jacobi(degree, m, s)
+    slope = _jacobi_derivative(degree, m, s)
+    real, imaginary = u * 0 + 1, v * 0
+    lower = (real, imaginary)
+    for _ in range(m):
+        lower = (real, imaginary)
+        real, imaginary = real * u - imaginary * v, real * v + imaginary * u
+    wave, along_u, along_v = (
+        (real, m * lower[0], -m * lower[1]) if signed >= 0 else (imaginary, m * lower[1], m * lower[0])
+    )
+    norm = zernike_norm(n, signed)
+    return (
+        norm * wave * radial,
+        norm * (along_u * radial + 4 * u * wave * slope),
+        norm * (along_v * radial + 4 * v * wave * slope),
+    )
+
+
+def _spline_weights(value, extent, count: int):
+    """Return the cell of each position and the four cubic weights with their derivatives along the position."""
+    xp = namespace(value)
+    place = (value / extent + 0.5) * (count - 1)
+    cell = xp.clip(xp.floor(place), 0, count - 2)
+    u = place - cell
+    w = 1 - u
+    weights = (w**3 / 6, (3 * u**3 - 6 * u * u + 4) / 6, (3 * w**3 - 6 * w * w + 4) / 6, u**3 / 6)
+    scale = (count - 1) / extent
+    slopes = (-w * w / 2, (3 * u * u - 4 * u) / 2, (4 * w - 3 * w * w) / 2, u * u / 2)
+    return xp.astype(cell, xp.int64), weights, tuple(scale * slope for slope in slopes)
 
 
 def intersect_w_sag(
     ray: Array,
-    surface: Surface,
+    surface: Shape,
     center: Sequence[float] | None = None,
     angles: Sequence[float] | None = None,
     aperture: float | None = None,
     ahead: bool = True,
 ) -> Hit:
-    """Meet a surface given by its height.
+    """Intersect rays with a surface z = sag(x, y).
 
     Parameters
     ----------
     ray : array
         ``[2, 3]`` or ``[..., 2, 3]``. Directions need not be unit vectors.
-    surface : Conic, EvenAsphere, Toroid, ZernikeFreeform or SplineFreeform
-        The surface, its vertex at the origin and its axis along z.
+    surface : Shape
+        The surface, a Conic, EvenAsphere, Toroid or any other shape, its vertex at the origin and its axis along z.
     center : sequence of float, optional
-        Where its vertex is.
+        Position of its vertex.
     angles : sequence of float, optional
         Its rotation in degrees about X, Y and Z, applied in this order.
     aperture : float, optional
@@ -184,11 +780,11 @@ def intersect_w_sag(
 
     Notes
     -----
-    Conics are met in closed form: the nearest point ahead. The others by Newton's method, bracketed, from the conic
-    nearest to them, so that of several points the one next to that conic's is found.
+    Conics are intersected in closed form: the nearest point ahead. The others by Newton's method, bracketed, from the
+    conic nearest to them, so that of several points the one next to that conic's is found.
 
     A start that lies on the surface within rounding is not a hit. Near the vertex its own coordinates do not tell how
-    large that is: give `aperture` where rays leave a surface that they may meet again.
+    large that is: give `aperture` where rays leave a surface that they may intersect again.
 
     Examples
     --------
@@ -198,17 +794,33 @@ def intersect_w_sag(
     """
     ray = arguments.rays("ray", ray)
     start, direction = ray[..., 0, :], ray[..., 1, :]
-    if not isinstance(surface, Surface):
-        raise TypeError(f"surface must be a Conic, Toroid, SplineFreeform or one of their kinds, got {surface!r:.80}")
+    checked_shape("surface", surface)
     kinds = {field.name: getattr(surface, field.name) for field in fields(surface)}
     kinds = {name: arguments.floats(f"surface.{name}", value) for name, value in kinds.items()}
-    surface = type(surface)(**{name: value.astype(ray.dtype) for name, value in kinds.items()})
+    parameters = [value.astype(ray.dtype) for value in kinds.values()]
     center = None if center is None else arguments.finite_points("center", center)
     aperture = None if aperture is None else _validate.real("aperture", aperture)
     ahead = _validate.flag("ahead", ahead)
     matrix = None if angles is None else rotation_matrix(arguments.finite_points("angles", angles)).astype(ray.dtype)
     start, direction = to_local(start, direction, center, matrix)
-    return to_global(meet_sag(start, direction, surface, aperture, ahead), center, matrix)
+    function, axes = hits_of(type(surface), ahead)
+    return to_global(in_pieces(function, axes, start, direction, aperture, *parameters), center, matrix)
+
+
+def checked_shape(name: str, value) -> Shape:
+    """Return a shape after checking that it is one."""
+    if not isinstance(value, Shape):
+        raise TypeError(f"{name} must be a shape such as Conic, Toroid or SplineFreeform, got {value!r:.80}")
+    return value
+
+
+def hits_of(kind: type[Shape], ahead: bool = True):
+    """Return a function (start, direction, aperture, *parameters) → Hit in the surface's own frame, and its ranks."""
+
+    def hits(start, direction, aperture, *parameters):
+        return as_hit(*intersection(start, direction, kind(*parameters), aperture, "ahead" if ahead else "vertex"))
+
+    return hits, (1, 1, 0, *kind.ranks_of_parameters())
 
 
 def to_local(start, direction, center, matrix):
@@ -229,85 +841,108 @@ def to_global(hit: Hit, center, matrix) -> Hit:
     return Hit(hit.distance, point, normal, hit.status)
 
 
-def hit_on_sag(start, direction, distance, status, surface: Surface) -> Hit:
-    """Return the hit that belongs to known distances ``[...]``; differentiable in the arguments."""
-    xp = namespace(start, direction)
-    start, direction, _ = finite_rays(start, direction)
-    hit = status == int(RayStatus.HIT)
-    place = start + xp.where(hit, distance, 0.0)[..., None] * direction
-    held = xp.where(hit[..., None], place, 0.0)
-    slopes = surface.sag(held[..., 0], held[..., 1])
-    normal = unit(xp.stack((-slopes.slope_x, -slopes.slope_y, xp.ones_like(slopes.slope_x)), axis=-1))
-    return Hit(masked(distance, hit), masked(place, hit), masked(normal, hit), status)
-
-
-def ranks(surface: Surface | type[Surface]) -> tuple[int, ...]:
-    """Return how many axes of each parameter of a surface do not belong to a batch."""
-    return tuple(_RANKS.get(field.name, 0) for field in fields(surface))
-
-
-_RANKS = {"coefficients": 1, "heights": 2, "size": 1}
-
-
-def meet_sag(start, direction, surface: Surface, aperture=None, ahead: bool = True) -> Hit:
-    """Return where rays meet a surface in its own frame, without gradients; large batches piece by piece."""
-    kind = type(surface)
-
-    def meet(start, direction, aperture, *parameters):
-        held = kind(*parameters)
-        if kind.closed_form:
-            curvature, constant = held.base()
-            return intersections.conic(start, direction, curvature, constant, aperture, ahead)
-        return hit_on_sag(start, direction, *_solve(start, direction, held, aperture, ahead), held)
-
-    return in_pieces(meet, (1, 1, 0, *ranks(kind)), start, direction, aperture, *surface.parameters())
-
-
-def solve_sag(start, direction, surface: Surface, aperture=None, ahead: bool = True):
-    """Return distances ``[...]``, NaN unless hit, and int8 statuses, in the surface's own frame, without gradients."""
-    kind = type(surface)
-
-    def solve(start, direction, aperture, *parameters):
-        return _solve(start, direction, kind(*parameters), aperture, ahead)
-
-    return in_pieces(solve, (1, 1, 0, *ranks(kind)), start, direction, aperture, *surface.parameters())
-
-
-def _solve(start, direction, surface: Surface, aperture, ahead: bool):
-    xp = namespace(start, direction)
-    curvature, constant = surface.base()
-    if surface.closed_form:
-        hit = intersections.conic(start, direction, curvature, constant, aperture, ahead)
-        return hit.distance, hit.status
-    start, direction, kept = finite_rays(start, direction)
-    kept = kept & (dot(direction, direction) > 0)
-    seed = intersections.conic(start, direction, curvature, constant, None, ahead)
-    flat = intersections.conic(start, direction, 0 * start[..., 0], 0.0, None, False)
-    guess = xp.where(seed.hit, seed.distance, xp.where(flat.hit, flat.distance, 0.0))
-    distance, found, crossed = newton(start, direction, surface, guess)
-    place = start + distance[..., None] * direction
-    scale = abs(distance) * dot(direction, direction) ** 0.5 + dot(start, start) ** 0.5
-    if ahead:
-        # A start on the surface itself is not a hit.
-        scale = scale if aperture is None else scale + aperture
-        crossed = crossed & (distance * dot(direction, direction) ** 0.5 > 64 * epsilon(start) * scale)
-    inside = surface.covers(place[..., 0], place[..., 1]) if hasattr(surface, "covers") else crossed
-    if aperture is not None:
-        inside = inside & (place[..., 0] ** 2 + place[..., 1] ** 2 <= aperture * aperture)
-    status = xp.astype(~found, xp.int8) * int(RayStatus.NOT_CONVERGED)
-    status = xp.where(found & ~inside, status + int(RayStatus.VIGNETTED), status)
-    status = xp.where(crossed & kept, status, xp.ones_like(status) * int(RayStatus.MISS))
-    return masked(distance, status == int(RayStatus.HIT)), status
-
-
-def newton(start, direction, surface: Surface, guess, limit: int = 64):
-    """Solve z = height(x, y) along rays by Newton's method, kept within a bracket as soon as there is one.
+def intersection(start, direction, shape: Shape, aperture=None, select: str = "ahead"):
+    """Return the intersections of rays with a surface in its own frame, and their statuses.
 
     Parameters
     ----------
-    start, direction : array
-        ``[..., 3]``.
-    surface : Surface
+    start, direction : array or tuple
+        ``[..., 3]``, or tuples of three finite components.
+    shape : Shape
+        The surface.
+    aperture : float or array, optional
+        Distance from the axis at which it ends.
+    select : str
+        "ahead", "vertex" or "through", as in :func:`odak.raytracing.closed_forms.conic`.
+
+    Returns
+    -------
+    tuple
+        :class:`odak.raytracing.closed_forms.Intersection` and int8 statuses; differentiable.
+
+    Notes
+    -----
+    The distance found by iteration is followed by two steps of Newton's method that derivatives pass through: the first
+    carries the first derivatives of the implicit function theorem, the second the second and third ones.
+    """
+    if isinstance(shape, Plane) and aperture is None and select != "ahead":
+        found = closed_forms.vertex_plane(start, direction)
+        return found, status_array(found.hit)
+    curvature, conic = shape.base()
+    if shape.closed_form:
+        found, sheet = closed_forms.conic(start, direction, curvature, conic, aperture, select)
+        return found, conic_status(found, sheet)
+    xp, start, direction, kept, differentiable = vec.lines(start, direction, aperture, *shape.parameters())
+    kept = kept & xp.isfinite(sum(start) + sum(direction)) & (vec.dot(direction, direction) > 0)
+    start = tuple(xp.where(kept, value, 0.0) for value in start)
+    direction = tuple(xp.where(kept, value, dummy) for value, dummy in zip(direction, (0.0, 0.0, 1.0), strict=True))
+    with _without_graph(*start, *direction, *shape.parameters()):
+        distance, status = _solve(start, direction, shape, aperture, select)
+    status = xp.where(kept, status, xp.ones_like(status) * int(RayStatus.MISS))
+    hit = status == int(RayStatus.HIT)
+    distance = xp.where(hit, distance, 0.0)
+    for _ in range(2 if differentiable else 0):
+        error, slope, _ = _level(start, direction, shape, distance, hit)
+        regular = hit & (slope != 0)
+        distance = distance - xp.where(regular, error, 0.0) / xp.where(regular, slope, 1.0)
+    place = vec.along(start, distance, direction)
+    here = shape.sag(*(xp.where(hit, value, 0.0) for value in place[:2]))
+    normal = vec.unit((-here.slope_x, -here.slope_y, xp.ones_like(here.slope_x)), differentiable)
+    distance, place, normal = (vec.nan_outside(value, hit, True) for value in (distance, place, normal))
+    return closed_forms.Intersection(distance, place, normal, hit), status
+
+
+def _without_graph(*values):
+    if any(is_torch(value) for value in values):
+        import torch
+
+        return torch.no_grad()
+    # NaN marks the rays that are lost: no cause for NumPy's warnings.
+    return np.errstate(all="ignore")
+
+
+def _level(start, direction, shape: Shape, distance, where):
+    """Return z − sag at a distance along rays, its derivative by the distance, and the sag; at x = y = 0 elsewhere."""
+    xp = namespace(distance)
+    x, y, z = vec.along(start, distance, direction)
+    here = shape.sag(xp.where(where, x, 0.0), xp.where(where, y, 0.0))
+    slope = direction[2] - here.slope_x * direction[0] - here.slope_y * direction[1]
+    return xp.where(where, z - here.height, 0.0), slope, here
+
+
+def _solve(start, direction, shape: Shape, aperture, select: str):
+    """Return distances by iteration, and int8 statuses."""
+    xp = namespace(*start, *direction)
+    length = vec.dot(direction, direction) ** 0.5
+    curvature, conic = shape.base()
+    seed, _ = closed_forms.conic(start, direction, curvature, conic, None, select)
+    flat = closed_forms.vertex_plane(start, direction)
+    guess = xp.where(seed.hit, seed.distance, xp.where(flat.hit, flat.distance, 0.0))
+    distance, found, crossed = newton(start, direction, shape, guess)
+    x, y, _ = vec.along(start, distance, direction)
+    if select == "ahead":
+        # A start on the surface itself is not a hit.
+        scale = abs(distance) * length + vec.dot(start, start) ** 0.5 + (0.0 if aperture is None else aperture)
+        crossed = crossed & (distance * length > 64 * epsilon(length) * scale)
+    elif select == "through":
+        _, slope, here = _level(start, direction, shape, distance, found)
+        crossed = crossed & (~found | (here.defined & (slope * direction[2] > 0)))
+    inside = crossed & shape.covers(x, y)
+    if aperture is not None:
+        inside = inside & (x * x + y * y <= aperture * aperture)
+    status = xp.astype(~found, xp.int8) * int(RayStatus.NOT_CONVERGED)
+    status = xp.where(found & ~inside, status + int(RayStatus.VIGNETTED), status)
+    return distance, xp.where(crossed, status, xp.ones_like(status) * int(RayStatus.MISS))
+
+
+def newton(start, direction, shape: Shape, guess, limit: int = 64):
+    """Solve z = sag(x, y) along rays by Newton's method, kept within a bracket as soon as there is one.
+
+    Parameters
+    ----------
+    start, direction : tuple of array
+        Components, ``[...]`` each.
+    shape : Shape
         The surface.
     guess : array
         First distances, ``[...]``.
@@ -325,39 +960,42 @@ def newton(start, direction, surface: Surface, guess, limit: int = 64):
     one, by halving the way back to the best place so far, the first of which is the ray's point nearest to the axis,
     where a surface exists if anywhere.
     """
-    xp = namespace(start, direction)
-    dx, dy, dz = xp.unstack(direction, axis=-1)
-    across = dx * dx + dy * dy
-    aside = start[..., 0] * dx + start[..., 1] * dy
+    xp = namespace(guess, *start, *direction)
+    (dx, dy, dz), across = direction, direction[0] * direction[0] + direction[1] * direction[1]
+    aside = start[0] * dx + start[1] * dy
     best = xp.where(across > 0, -aside / xp.where(across > 0, across, 1.0), guess)
-    t, smallest = guess, xp.full_like(guess, xp.inf)
-    low, high = xp.full_like(guess, xp.nan), xp.full_like(guess, xp.nan)
-    done = crossed = xp.isnan(guess)
-    for step in range(limit):
-        x, y, z = xp.unstack(start + t[..., None] * direction, axis=-1)
-        here = surface.sag(x, y)
+    t, smallest = guess + 0 * best, xp.full_like(best, xp.inf)
+    low, high = xp.full_like(best, xp.nan), xp.full_like(best, xp.nan)
+    done = crossed = xp.isnan(t)
+    transformed = False
+    if is_torch(t):
+        from odak import _torch_private
+
+        transformed = _torch_private.is_transformed(t)
+    for step in range(min(limit, 32) if transformed else limit):
+        x, y, z = vec.along(start, t, direction)
+        here = shape.sag(x, y)
         error, slope = z - here.height, dz - here.slope_x * dx - here.slope_y * dy
         known = here.defined & xp.isfinite(error)
         low, high = xp.where(known & (error <= 0), t, low), xp.where(known & (error >= 0), t, high)
         better = known & (abs(error) < smallest)
         best, smallest = xp.where(better, t, best), xp.where(better, abs(error), smallest)
-        noise = 16 * epsilon(start) * (abs(x) + abs(y) + abs(z) + abs(start[..., 2]) + abs(here.height))
+        noise = 16 * epsilon(t) * (abs(x) + abs(y) + abs(z) + abs(start[2]) + abs(here.height))
         settled = done | (known & (abs(error) <= noise))
         crossed = crossed | (xp.isfinite(low) & xp.isfinite(high)) | settled
-        following = _next(xp, t, error, slope, best, better, low, high)
+        following = _next_distance(xp, t, error, slope, best, better, low, high)
         # One step further from within the noise: it brings the error down to rounding.
         polished = t - xp.where(slope == 0, 0.0, error) / xp.where(slope == 0, 1.0, slope)
         t, done = xp.where(done, t, xp.where(settled, polished, following)), settled
         # A ray without a bracket after 24 steps passes the surface by. On a GPU every look at the result waits for it,
         # so that it is taken every fourth time.
         over = done if step < 24 else done | ~crossed
-        if (step % 4 == 3 or not (is_torch(t) and t.is_cuda)) and bool(xp.all(over)):
+        if not transformed and (step % 4 == 3 or is_readable(t)) and bool(xp.all(over)):
             break
     return t, done, crossed
 
 
-def _next(xp, t, error, slope, best, better, low, high):
-    """Return the next distances to try."""
+def _next_distance(xp, t, error, slope, best, better, low, high):
     step = t - error / xp.where(slope == 0, 1.0, slope)
     bracketed = xp.isfinite(low) & xp.isfinite(high)
     usable = better & (slope != 0) & xp.isfinite(step)

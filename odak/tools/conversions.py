@@ -1,4 +1,4 @@
-"""Arrays from one library to the other."""
+"""Conversion of arrays between NumPy and PyTorch."""
 
 from typing import TYPE_CHECKING
 

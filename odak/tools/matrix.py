@@ -1,14 +1,14 @@
-"""Padding, cropping, quantising, filtering and blurring about the centre, for the arrays of any library."""
+"""Padding, cropping, quantisation, convolution, blur and band limits of the arrays of any library."""
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import Any
 
+import numpy as np
+
 from odak import _array, _validate
-from odak._array import Array
-from odak.tools._bands import create_empty_list, generate_bandlimits
-from odak.tools._filters import convolve2d, correlation_2d, smooth_pad
-from odak.tools._frame import frame, last_two
-from odak.tools._nonuniform import nufft2, nuifft2
+from odak._array import Array, ArrayT
+from odak.tools.nonuniform import nufft2, nuifft2
 
 __all__ = [
     "blur_gaussian",
@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 
-def zero_pad(field: Array, size: Sequence[int] | None = None, method: str = "center") -> Array:
+def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "center") -> ArrayT:
     """Surround a field with zeros.
 
     Sample ``n // 2`` of each axis is its centre, before and after, so that :func:`crop_center` gives the field back
@@ -59,7 +59,8 @@ def zero_pad(field: Array, size: Sequence[int] | None = None, method: str = "cen
     if _array.is_torch(field):
         import torch
 
-        return torch.nn.functional.pad(field, (left, right, top, bottom))
+        padded: Any = torch.nn.functional.pad(field, (left, right, top, bottom))
+        return padded
     xp, device = _array.namespace(field), _array.device_of(field)
 
     def zeros(height, width):
@@ -69,7 +70,7 @@ def zero_pad(field: Array, size: Sequence[int] | None = None, method: str = "cen
     return xp.concat([zeros(top, width), wide, zeros(bottom, width)], axis=-2)
 
 
-def crop_center(field: Array, size: Sequence[int] | None = None) -> Array:
+def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
     """Cut the centre out of a field: sample ``n // 2`` of each axis stays the centre.
 
     Parameters
@@ -100,7 +101,7 @@ def crop_center(field: Array, size: Sequence[int] | None = None) -> Array:
     return window if _array.is_torch(field) else _array.namespace(field).asarray(window, copy=True)
 
 
-def quantize(image_field: Array, bits: int = 4) -> Array:
+def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     """Return the 8-bit levels of an image as levels of fewer bits, the rest cut off.
 
     Parameters
@@ -169,16 +170,19 @@ def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequen
 
 
 def blur_gaussian(
-    field: Array, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
-) -> Array:
+    field: ArrayT, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
+) -> ArrayT:
     """Blur pictures that continue periodically by :func:`generate_2d_gaussian`.
 
     Parameters
     ----------
     field : array
         Real ``[..., H, W]``.
-    kernel_length, nsigma : sequence
-        As in :func:`generate_2d_gaussian`; the kernel must not be larger than the picture.
+    kernel_length : sequence of int
+        Intervals of the kernel along the columns and along the rows (in this order); an axis has one sample more than
+        that, and no more than the picture.
+    nsigma : sequence of float
+        Standard deviations from the centre of the kernel to its edge, along the columns and along the rows.
     normalize : bool
         Divide each result by its largest value, as this function has always done. False keeps the picture's sum.
 
@@ -225,3 +229,261 @@ def _gaussian(kernel_length, nsigma, xp, device):
         for count, width in zip((columns, rows), widths, strict=True)
     )
     return y[:, None] * x[None, :] / (xp.sum(y) * xp.sum(x))
+
+
+METHODS = ("center", "left", "left aligned")
+
+
+def frame(field, size: Sequence[int] | None, method: str) -> tuple[int, int, int, int]:
+    """Return height and width of the larger field, and the row and column where the smaller one begins in it."""
+    rows, columns = _validate.image("field", field).shape[-2:]
+    height, width = (2 * rows, 2 * columns) if size is None else last_two(size)
+    if height < rows or width < columns:
+        raise ValueError(f"size must be at least that of the field, {[rows, columns]}; got {[height, width]}")
+    if _validate.one_of("method", method, METHODS) != "center":
+        return height, width, 0, 0
+    return height, width, height // 2 - rows // 2, width // 2 - columns // 2
+
+
+def last_two(size) -> tuple[int, int]:
+    """Return the last two entries of a size as rows and columns."""
+    return _validate.size("size", tuple(size)[-2:] if isinstance(size, Iterable) else size)
+
+
+def convolve2d(field: ArrayT, kernel: Array) -> ArrayT:
+    """Convolve pictures that continue periodically with a kernel whose sample ``n // 2`` of each axis is its centre.
+
+    Parameters
+    ----------
+    field : array
+        ``[..., H, W]``.
+    kernel : array
+        ``[..., h, w]``, no larger than the field; leading axes broadcast.
+
+    Returns
+    -------
+    array
+        ``[..., H, W]``: Σ_j field[n + c − j]·kernel[j] with c = (h // 2, w // 2). Real when both are real, complex
+        otherwise, in the widest precision given (float64 from integers). Differentiable in both.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not an array.
+    ValueError
+        If the kernel is larger than the field.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import convolve2d
+    >>> convolve2d(np.eye(3), np.asarray([[0.0, 0, 0], [0, 1, 2], [0, 0, 0]])).round(12)
+    array([[1., 2., 0.],
+           [0., 1., 2.],
+           [2., 0., 1.]])
+    """
+    xp = _array.namespace(_validate.image("field", field), _validate.image("kernel", kernel))
+    size, small = tuple(field.shape[-2:]), tuple(kernel.shape[-2:])
+    if any(k > n for k, n in zip(small, size, strict=True)):
+        raise ValueError(f"kernel must be no larger than the field {list(size)}, got {list(small)}")
+    is_real = not any("complex" in str(value.dtype) for value in (field, kernel))
+    field, kernel = (_floating(value) for value in (field, kernel))
+    if not is_real:
+        field, kernel = _array.to_complex(field), _array.to_complex(kernel)
+    forward, back = (xp.fft.rfftn, xp.fft.irfftn) if is_real else (xp.fft.fftn, xp.fft.ifftn)
+    axes = (-2, -1)
+    result = back(forward(field, axes=axes) * forward(kernel, s=size, axes=axes), s=size, axes=axes)
+    # The transform takes the kernel's first sample for its centre.
+    return xp.roll(result, (-(small[0] // 2), -(small[1] // 2)), axis=axes)
+
+
+def correlation_2d(first_tensor: ArrayT, second_tensor: Array) -> ArrayT:
+    """Return the circular cross-correlation of two pictures, its zero shift at sample ``(n + 1) // 2`` of each axis.
+
+    Parameters
+    ----------
+    first_tensor : array
+        First picture, ``[..., H, W]``.
+    second_tensor : array
+        Second picture, ``[..., H, W]``; leading axes broadcast.
+
+    Returns
+    -------
+    array
+        Complex ``[..., H, W]``: sample (n + 1) // 2 + s holds Σ_j first[j + s]·conj(second[j]). Differentiable.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not an array.
+    ValueError
+        If their last two axes differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import correlation_2d
+    >>> correlation_2d(np.eye(2), np.asarray([[1.0, 2.0], [0.0, 0.0]])).real
+    array([[1., 2.],
+           [2., 1.]])
+    """
+    xp = _array.namespace(
+        _validate.image("first_tensor", first_tensor), _validate.image("second_tensor", second_tensor)
+    )
+    if tuple(first_tensor.shape[-2:]) != tuple(second_tensor.shape[-2:]):
+        raise ValueError(
+            f"second_tensor must have the rows and columns of first_tensor, {list(first_tensor.shape[-2:])}; "
+            f"got {list(second_tensor.shape[-2:])}"
+        )
+    axes = (-2, -1)
+    first, second = (xp.fft.fftn(_array.to_complex(value), axes=axes) for value in (first_tensor, second_tensor))
+    return xp.fft.ifftshift(xp.fft.ifftn(first * xp.conj(second), axes=axes), axes=axes)
+
+
+def smooth_pad(
+    field: ArrayT,
+    size: Sequence[int] | None = None,
+    method: str = "center",
+    smooth_factor: Sequence[float] | None = None,
+) -> ArrayT:
+    """Surround a field with its own border samples, fading to zero at the rim.
+
+    Parameters
+    ----------
+    field : array
+        Real or complex ``[..., H, W]``.
+    size : sequence of int, optional
+        Rows and columns of the result; by default twice those of the field.
+    method : {"center", "left", "left aligned"}
+        Put the field in the centre (sample ``n // 2`` stays the centre), or in the corner where rows and columns begin.
+    smooth_factor : sequence of float, optional
+        How steeply columns and rows (in this order) fade: cos(πu/2) to the power of 100^f at the share u of the way
+        to the rim. By default a raised cosine.
+
+    Returns
+    -------
+    array
+        ``[..., size[0], size[1]]`` of the same library, dtype and device; the content is exactly the field. Gradients
+        pass through the content, not through its copies in the border.
+
+    Raises
+    ------
+    TypeError
+        If `field` is not a real or complex floating array.
+    ValueError
+        If the size is smaller than the field, or an argument is not known.
+    """
+    height, width, top, left = frame(field, size, method)
+    xp, device = _array.namespace(field), _array.device_of(field)
+    if not xp.isdtype(field.dtype, ("real floating", "complex floating")):
+        raise TypeError(f"field must hold floating numbers, got {field.dtype}")
+    columns, rows = _factors(smooth_factor)
+    window, inside = 1.0, 1.0
+    for axis, start, total, factor in ((-2, top, height, rows), (-1, left, width, columns)):
+        n = field.shape[axis]
+        place = xp.arange(total, device=device) - start
+        field = xp.take(field, xp.clip(place, 0, n - 1), axis=axis)
+        line = xp.asarray(_fade(n, start, total, factor), dtype=xp.float64, device=device)
+        shape = (total, 1) if axis == -2 else (total,)
+        window = window * xp.reshape(line, shape)
+        inside = inside * xp.reshape(xp.astype((place >= 0) & (place < n), xp.float64), shape)
+    copies = field.detach() if _array.is_torch(field) else field
+    window = xp.astype(xp.astype(window, _array.real_dtype(field)), field.dtype)
+    return xp.where(inside > 0, field, copies * window)
+
+
+def _fade(n: int, start: int, total: int, factor: float | None) -> list[float]:
+    """Return the window along one axis: up before the content, 1 over it, down after it."""
+    after = total - n - start
+    if factor is None:
+        rise = [(1 - math.cos(math.pi * t / max(start - 1, 1))) / 2 for t in range(start)]
+        fall = [(1 + math.cos(math.pi * t / max(after - 1, 1))) / 2 for t in range(after)]
+        return rise + [1.0] * n + fall
+    power = 100.0 ** max(factor, 0.0)
+
+    def steps(count):
+        return [max(math.cos(math.pi / 2 * i / max(count - 1, 1)), 0.0) ** power for i in range(count)]
+
+    return steps(start)[::-1] + [1.0] * n + steps(after)
+
+
+def _factors(smooth_factor) -> tuple[float | None, float | None]:
+    if smooth_factor is None:
+        return None, None
+    factors = _validate.numbers(_validate.real("smooth_factor", smooth_factor))
+    if len(factors) != 2:
+        raise ValueError(f"smooth_factor must be two numbers, for columns and rows, got {smooth_factor!r}")
+    return factors[0], factors[1]
+
+
+def _floating(value):
+    xp = _array.namespace(value)
+    if xp.isdtype(value.dtype, ("real floating", "complex floating")):
+        return value
+    return xp.astype(value, xp.float64)
+
+
+def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list | int:
+    """Return nested lists of zeros, each list an object of its own.
+
+    Parameters
+    ----------
+    dimensions : sequence of int
+        Lengths from the outermost list to the innermost; none gives the number 0.
+
+    Returns
+    -------
+    list
+        Nested lists.
+
+    Examples
+    --------
+    >>> from odak.tools import create_empty_list
+    >>> create_empty_list([2, 3])
+    [[0, 0, 0], [0, 0, 0]]
+    """
+    if isinstance(dimensions, str) or not isinstance(dimensions, Iterable):
+        raise TypeError(f"dimensions must be a sequence of integers, got {dimensions!r:.80}")
+    lengths = [_validate.integer("dimensions", length) for length in dimensions]
+    return _nested(lengths)
+
+
+def generate_bandlimits(size: Sequence[int] = (512, 512), levels: int = 9) -> np.ndarray:
+    """Return masks of octave rings of frequencies, the zero frequency at sample ``n // 2``.
+
+    Parameters
+    ----------
+    size : sequence of int
+        Rows and columns.
+    levels : int
+        Number of rings; the first one reaches the highest frequency.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64 ``[levels, size[0], size[1]]``. Ring i is 1 in the box of the half-width n // 2^(i+1) about the centre,
+        without the box of half that width.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `size` is not two positive integers or `levels` not a positive one.
+    """
+    rows, columns = _validate.size("size", size)
+    masks = np.zeros((_validate.integer("levels", levels, minimum=1), rows, columns))
+    for i, mask in enumerate(masks):
+        (top, bottom, inner_top, inner_bottom), (left, right, inner_left, inner_right) = (
+            _edges(n, i) for n in (rows, columns)
+        )
+        mask[top:bottom, left:right] = 1
+        mask[inner_top:inner_bottom, inner_left:inner_right] = 0
+    return masks
+
+
+def _nested(lengths):
+    return [_nested(lengths[1:]) for _ in range(lengths[0])] if lengths else 0
+
+
+def _edges(n: int, level: int) -> tuple[int, int, int, int]:
+    centre, reach = n // 2, n // 2 ** (level + 1)
+    return centre - reach, centre + reach, int(centre - reach / 2), int(centre + reach / 2)

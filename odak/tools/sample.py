@@ -3,13 +3,15 @@
 Sizes, radii, centres and angles may be arrays of any library: the points are then of that library, and differentiable.
 """
 
+import math
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 import numpy as np
 
 from odak import _array, _validate
-from odak._array import Array
-from odak.tools._placing import all_of, numbers, on_disc, on_sphere, placed
+from odak._array import Array, ArrayT
+from odak.tools.transformation import apply_matrix, rotation_matrix
 
 __all__ = [
     "batch_of_rays",
@@ -27,8 +29,8 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 def random_sample_point_cloud(
-    point_cloud: Array, no: int, p: Sequence[float] | None = None, *, seed: int | np.random.Generator | None = None
-) -> Array:
+    point_cloud: ArrayT, no: int, p: Sequence[float] | None = None, *, seed: int | np.random.Generator | None = None
+) -> ArrayT:
     """Draw points from a cloud, with replacement.
 
     Parameters
@@ -78,6 +80,10 @@ def sphere_sample(
     radius: float | Array = 1.0,
     center: Sequence[float] | Array = _ORIGIN,
     k: Sequence[float] | Array = (1, 2),
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return points of a sphere on a grid of polar and azimuthal angles.
 
@@ -91,6 +97,12 @@ def sphere_sample(
         Its centre.
     k : sequence of float
         Spans of the two angles in units of π; the end of a span is left out.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -104,7 +116,7 @@ def sphere_sample(
     """
     rows, columns = _validate.size("no", no)
     i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
-    return on_sphere(i, j, (rows, columns), k, radius, center)
+    return _on_sphere(i, j, (rows, columns), k, radius, center, xp=xp, device=device, dtype=dtype)
 
 
 def sphere_sample_uniform(
@@ -112,6 +124,10 @@ def sphere_sample_uniform(
     radius: float | Array = 1.0,
     center: Sequence[float] | Array = _ORIGIN,
     k: Sequence[float] | Array = (1, 2),
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return the points of :func:`sphere_sample` in a sheared order of the two angles. They are not uniform in area.
 
@@ -119,8 +135,18 @@ def sphere_sample_uniform(
     ----------
     no : sequence of int
         Number of polar and of azimuthal angles, which must be equal.
-    radius, center, k
-        As in :func:`sphere_sample`.
+    radius : float
+        Radius of the sphere.
+    center : sequence of float
+        Its centre.
+    k : sequence of float
+        Spans of the two angles in units of π; the end of a span is left out.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -136,7 +162,9 @@ def sphere_sample_uniform(
     if rows != columns:
         raise ValueError(f"no must be two equal integers, got {no!r}")
     i, j = np.meshgrid(np.arange(rows), np.arange(rows), indexing="ij")
-    return on_sphere((j - i) % rows, (j + i) % rows, (rows, rows), k, radius, center)
+    return _on_sphere(
+        (j - i) % rows, (j + i) % rows, (rows, rows), k, radius, center, xp=xp, device=device, dtype=dtype
+    )
 
 
 def box_volume_sample(
@@ -144,6 +172,10 @@ def box_volume_sample(
     size: Sequence[float] | Array = (100.0, 100.0, 100.0),
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return the centres of the cells that a box is cut into.
 
@@ -156,7 +188,13 @@ def box_volume_sample(
     center : sequence of float
         Its centre.
     angles : sequence of float
-        Degrees by which it is turned about x, y and z, in this order, about its centre.
+        Degrees of its rotation about x, y and z, in this order, about its centre.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -179,7 +217,7 @@ def box_volume_sample(
         raise ValueError(f"no must be three integers, got {no!r}")
     counts = [_validate.side(f"no[{i}]", n) for i, n in enumerate(counts)]
     lines = [(np.arange(n) + 0.5) / n - 0.5 for n in counts]
-    return placed(all_of(*lines), numbers("size", size, 3), center, angles)
+    return _placed(_combinations(*lines), size, 3, center, angles, xp=xp, device=device, dtype=dtype)
 
 
 def circular_sample(
@@ -187,6 +225,10 @@ def circular_sample(
     radius: float | Array = 10.0,
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return points of a disc on a polar grid, equally far apart in radius and angle, without the centre.
 
@@ -199,7 +241,13 @@ def circular_sample(
     center : sequence of float
         Its centre.
     angles : sequence of float
-        Degrees by which it is turned out of the plane z = 0 about x, y and z, in this order.
+        Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -211,9 +259,9 @@ def circular_sample(
     ValueError, TypeError
         If an argument is not acceptable, naming it.
     """
-    turns, steps = _validate.size("no", no)
-    turn, distance = np.meshgrid(np.arange(1, turns + 1) / turns, np.arange(1, steps + 1) / steps, indexing="ij")
-    return placed(on_disc(distance, turn), radius, center, angles, "radius")
+    rows, columns = _validate.size("no", no)
+    cycles, distance = np.meshgrid(np.arange(1, rows + 1) / rows, np.arange(1, columns + 1) / columns, indexing="ij")
+    return _placed(_on_disc(distance, cycles), radius, 1, center, angles, xp=xp, device=device, dtype=dtype)
 
 
 def circular_uniform_random_sample(
@@ -223,6 +271,9 @@ def circular_uniform_random_sample(
     angles: Sequence[float] | Array = _ORIGIN,
     *,
     seed: int | np.random.Generator | None = None,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return random points of a disc, of equal density everywhere and independent of each other.
 
@@ -230,10 +281,20 @@ def circular_uniform_random_sample(
     ----------
     no : sequence of int
         Two integers; their product is the number of points.
-    radius, center, angles
-        As in :func:`circular_sample`.
+    radius : float
+        Radius of the disc.
+    center : sequence of float
+        Its centre.
+    angles : sequence of float
+        Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
     seed : int or numpy.random.Generator, optional
         Where the random numbers come from.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -246,8 +307,8 @@ def circular_uniform_random_sample(
         If an argument is not acceptable, naming it.
     """
     rows, columns = _validate.size("no", no)
-    share, turn = _generator(seed).random((2, rows * columns))
-    return placed(on_disc(np.sqrt(share), turn), radius, center, angles, "radius")
+    share, cycles = _generator(seed).random((2, rows * columns))
+    return _placed(_on_disc(np.sqrt(share), cycles), radius, 1, center, angles, xp=xp, device=device, dtype=dtype)
 
 
 def circular_uniform_sample(
@@ -255,6 +316,10 @@ def circular_uniform_sample(
     radius: float | Array = 10.0,
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return points of a disc on rings whose number of points grows with their radius.
 
@@ -262,8 +327,18 @@ def circular_uniform_sample(
     ----------
     no : sequence of int
         Number of rings, and number of points that the rim would hold.
-    radius, center, angles
-        As in :func:`circular_sample`.
+    radius : float
+        Radius of the disc.
+    center : sequence of float
+        Its centre.
+    angles : sequence of float
+        Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -280,7 +355,16 @@ def circular_uniform_sample(
     counts = rim * np.arange(rings) // rings
     ring = np.repeat(np.arange(rings), counts)
     step = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
-    return placed(on_disc(ring / rings, step * rings / (rim * ring)), radius, center, angles, "radius")
+    return _placed(
+        _on_disc(ring / rings, step * rings / (rim * ring)),
+        radius,
+        1,
+        center,
+        angles,
+        xp=xp,
+        device=device,
+        dtype=dtype,
+    )
 
 
 def grid_sample(
@@ -288,6 +372,10 @@ def grid_sample(
     size: Sequence[float] | Array = (100.0, 100.0),
     center: Sequence[float] | Array = _ORIGIN,
     angles: Sequence[float] | Array = _ORIGIN,
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
 ) -> Array:
     """Return points of a rectangle on a regular grid, its edges included.
 
@@ -300,7 +388,13 @@ def grid_sample(
     center : sequence of float
         Centre of the rectangle.
     angles : sequence of float
-        Degrees by which it is turned out of the plane z = 0 about x, y and z, in this order.
+        Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
+    xp : module, optional
+        Array library of the points where no array is given; NumPy by default.
+    device : optional
+        Device of the points; by default that of the first array given.
+    dtype : optional
+        Real dtype of the points; by default the widest of the floating arrays given, else the library's default.
 
     Returns
     -------
@@ -324,10 +418,8 @@ def grid_sample(
            [ 1.,  0.,  0.]])
     """
     lines = [np.linspace(-0.5, 0.5, n) if n > 1 else np.zeros(1) for n in _validate.size("no", no)]
-    size = numbers("size", size, 2)
-    xp = _array.namespace(size)
-    size = xp.concat([size, xp.ones_like(size[:1])])
-    return placed(all_of(*lines, np.zeros(1)), size, center, angles)
+    points = _combinations(*lines, np.zeros(1))
+    return _placed(points, size, 2, center, angles, xp=xp, device=device, dtype=dtype)
 
 
 def batch_of_rays(entry: Array, exit: Array) -> Array:
@@ -335,8 +427,10 @@ def batch_of_rays(entry: Array, exit: Array) -> Array:
 
     Parameters
     ----------
-    entry, exit : array
-        ``[n, 3]`` each, or ``[3]`` or ``[1, 3]`` for one point that belongs to all.
+    entry : array
+        Starts of the rays, ``[n, 3]``, or ``[3]`` or ``[1, 3]`` for a start that all share.
+    exit : array
+        Points that the rays pass, ``[n, 3]``, or ``[3]`` or ``[1, 3]`` for a point that all share.
 
     Returns
     -------
@@ -379,3 +473,48 @@ def batch_of_rays(entry: Array, exit: Array) -> Array:
 
 def _generator(seed):
     return np.random.default_rng(_validate.seed("seed", seed))
+
+
+def _on_sphere(i, j, no, k, radius, center, **where):
+    """Return the points of a sphere whose polar and azimuthal angles have the indices i and j."""
+    spans = _validate.numbers(_validate.real("k", k))
+    if len(spans) != 2:
+        raise ValueError(f"k must be two numbers, got {k!r}")
+    polar, azimuth = (span * math.pi * index.ravel() / n for span, index, n in zip(spans, (i, j), no, strict=True))
+    ring = np.sin(polar)
+    points = np.stack([ring * np.cos(azimuth), ring * np.sin(azimuth), np.cos(polar)], axis=-1)
+    return _placed(points, radius, 1, center, None, **where)
+
+
+def _on_disc(distance, cycles):
+    """Return points of the unit disc in z = 0 from distances and angles in units of 2π."""
+    angle = 2 * math.pi * cycles.ravel()
+    distance = distance.ravel()
+    return np.stack([distance * np.cos(angle), distance * np.sin(angle), np.zeros_like(angle)], axis=-1)
+
+
+def _combinations(*lines):
+    """Return all combinations of the coordinates of several axes, the first axis outer."""
+    return np.stack([line.ravel() for line in np.meshgrid(*lines, indexing="ij")], axis=-1)
+
+
+def _placed(points, scale, extents, center, angles, *, xp, device, dtype):
+    """Return points scaled, rotated about the origin and moved, as an array of the library of the arguments."""
+    xp, device, dtype = _array.placement(scale, center, angles, xp=xp, device=device, dtype=dtype)
+
+    def numbers(name, value, count):
+        value = xp.reshape(_array.converted(_validate.real(name, value), xp, device, dtype), (-1,))
+        if value.shape[0] != count:
+            raise ValueError(
+                f"{name} must be {'one number' if count == 1 else f'{count} numbers'}, got {value.shape[0]}"
+            )
+        return value
+
+    points = _array.converted(points, xp, device, dtype)
+    scale = numbers("radius" if extents == 1 else "size", scale, extents)
+    if extents == 2:
+        scale = xp.concat([scale, xp.ones_like(scale[:1])])
+    points = points * scale
+    if angles is not None:
+        points = apply_matrix(rotation_matrix(numbers("angles", angles, 3)), points)
+    return points + numbers("center", center, 3)

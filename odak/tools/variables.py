@@ -1,4 +1,4 @@
-"""Copies of dictionaries, checks of numbers, and group numbers for elements."""
+"""Copies of parts of dictionaries, checks of positive numbers, and random assignment to groups."""
 
 import math
 from collections.abc import Iterable, Sequence

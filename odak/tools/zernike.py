@@ -3,16 +3,18 @@
 import math
 
 from odak import _array, _validate
-from odak._array import Array
+from odak._array import Array, ArrayT
 
 
-def zernike_polynomial(n: int, m: int, rho: Array, theta: Array) -> Array:
+def zernike_polynomial(n: int, m: int, rho: ArrayT, theta: Array) -> ArrayT:
     """Return the Zernike polynomial R(ρ)·cos(mθ) for m ≥ 0, R(ρ)·sin(|m|θ) for m < 0, without a norm factor.
 
     Parameters
     ----------
-    n, m : int
-        Radial order n ≥ 0 and azimuthal frequency m, with |m| ≤ n and n − |m| even.
+    n : int
+        Radial order, n ≥ 0.
+    m : int
+        Azimuthal frequency, |m| ≤ n with n − |m| even.
     rho : array
         Distance from the centre as a share of the disc's radius. Beyond 1 the polynomial is taken as 0.
     theta : array
@@ -93,8 +95,8 @@ def jacobi(degree: int, beta: int, x):
     for k in range(2, degree + 1):
         s = 2 * k + beta
         scale = 2 * k * (k + beta) * (s - 2)
-        slope, shift, back = (s - 1) * s * (s - 2), -(s - 1) * beta**2, 2 * (k - 1) * (k + beta - 1) * s
-        before, value = value, (slope / scale * x + shift / scale) * value - back / scale * before
+        linear, constant, back = (s - 1) * s * (s - 2), -(s - 1) * beta**2, 2 * (k - 1) * (k + beta - 1) * s
+        before, value = value, (linear / scale * x + constant / scale) * value - back / scale * before
     return value
 
 
@@ -103,8 +105,10 @@ def zernike_norm(n: int, m: int) -> float:
 
     Parameters
     ----------
-    n, m : int
-        Indices as in :func:`zernike_polynomial`.
+    n : int
+        Radial order, n ≥ 0.
+    m : int
+        Azimuthal frequency, |m| ≤ n with n − |m| even.
 
     Returns
     -------

@@ -2,4 +2,4 @@
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(__name__, {"blender": (), "export": ("PLY_object",), "plotly": ()})
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,4 +1,4 @@
-"""What comes in: lists, arrays and tensors of any library, device and precision, as NumPy arrays to draw."""
+"""Conversion of lists, arrays and tensors of any library, device and precision to the NumPy arrays that are drawn."""
 
 import numpy as np
 
@@ -129,3 +129,8 @@ def image(name: str, value) -> np.ndarray:
     if found.ndim != 2 or 0 in found.shape:
         raise ValueError(f"{name} must be one image [rows, columns], not empty; got {shape}")
     return found
+
+
+def linear_light(coded: np.ndarray) -> np.ndarray:
+    """Return linear RGB of sRGB values from 0 to 1 (IEC 61966-2-1)."""
+    return np.where(coded <= 0.04045, coded / 12.92, ((np.maximum(coded, 0.0) + 0.055) / 1.055) ** 2.4)

@@ -1,4 +1,4 @@
-"""Rays and surfaces as meshes for other programs: PLY, OBJ and glTF."""
+"""Export of rays and surfaces as meshes in PLY, OBJ and glTF files."""
 
 import os
 from collections.abc import Sequence
@@ -9,9 +9,9 @@ import plyfile
 
 from odak import _validate
 from odak._array import Array
-from odak.tools._atomic import replacing
-from odak.tools._paths import validate_path
+from odak.tools.paths import replacing, validate_path
 from odak.visualize import _arrays
+from odak.visualize._arrays import linear_light
 
 __all__ = ["PLY_object"]
 
@@ -64,6 +64,8 @@ class PLY_object:
     def __init__(self):
         self._vertices: list[np.ndarray] = []
         self._faces: list[np.ndarray] = []
+        # Whether the triangles approximate a curved surface, which is shaded as one.
+        self._smooth: list[np.ndarray] = []
 
     @property
     def pnts(self) -> np.ndarray | None:
@@ -82,8 +84,10 @@ class PLY_object:
 
         Parameters
         ----------
-        point0, point1 : array
-            Where it starts and ends, ``[3]``.
+        point0 : array
+            Start ``[3]``.
+        point1 : array
+            End ``[3]``.
         k : float
             Side of the square.
         color : sequence of int
@@ -120,15 +124,28 @@ class PLY_object:
         rays : array
             ``[2, 3]`` or ``[m, 2, 3]``: starts and directions.
         distance : float or array
-            How far each is drawn: one number, or m.
-        k, color, perpendicular
-            As in :meth:`draw_a_ray`.
+            Length that is drawn: one number, or m.
+        k : float
+            Side of the square.
+        color : sequence of int
+            Red, green, blue from 0 to 255.
+        perpendicular : bool
+            Make the square perpendicular to the ray and centred on it; otherwise it lies in the x–y plane, with the ray
+            along one corner.
         """
         starts, ends = _arrays.reach(rays, distance)
         self._draw_prisms(starts, ends, k, color, perpendicular)
 
     def draw_triangles(self, triangles: Array, color: Sequence[int] = WHITE) -> None:
-        """Add triangles ``[3, 3]`` or ``[m, 3, 3]``."""
+        """Add triangles.
+
+        Parameters
+        ----------
+        triangles : array
+            Corners ``[3, 3]`` or ``[m, 3, 3]``.
+        color : sequence of int
+            Red, green, blue from 0 to 255.
+        """
         corners = _arrays.triangles("triangles", triangles)
         if not np.isfinite(corners).all():
             raise ValueError("triangles must have finite vertices")
@@ -139,8 +156,12 @@ class PLY_object:
 
         Parameters
         ----------
-        data_x, data_y, data_z : array
-            Points ``[m, n]``; x and y may be ``[n]`` and ``[m]``. Triangles at a point that is NaN are left out.
+        data_x : array
+            Abscissae ``[m, n]``, or ``[n]`` of the columns.
+        data_y : array
+            Ordinates ``[m, n]``, or ``[m]`` of the rows.
+        data_z : array
+            Heights ``[m, n]``. Triangles at a point that is NaN are left out.
         color : sequence of int
             Red, green, blue from 0 to 255.
         """
@@ -158,7 +179,7 @@ class PLY_object:
         here, right, below, across = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
         faces = np.stack([here, right, across, here, across, below], axis=-1).reshape(-1, 3)
         points, faces = _finite(points.reshape(-1, 3), faces)
-        self._append(points, faces, color)
+        self._append(points, faces, color, smooth=True)
 
     def save_PLY(self, savefn: str | os.PathLike = "out.ply", text: bool = True) -> None:
         """Write a PLY file.
@@ -166,7 +187,7 @@ class PLY_object:
         Parameters
         ----------
         savefn : str or os.PathLike
-            A ``.ply`` file; it appears whole or not at all.
+            A ``.ply`` file, written atomically.
         text : bool
             ASCII; little-endian binary otherwise, a third of the size.
 
@@ -189,7 +210,7 @@ class PLY_object:
         Parameters
         ----------
         savefn : str or os.PathLike
-            A ``.obj`` file; it appears whole or not at all.
+            A ``.obj`` file, written atomically.
 
         Raises
         ------
@@ -207,14 +228,14 @@ class PLY_object:
             stream.write(("\n".join(lines) + "\n").encode())
 
     def save_glTF(self, savefn: str | os.PathLike = "out.glb", unit: str = "mm") -> None:
-        """Write a binary glTF file, with colours, through the package trimesh.
+        """Write a binary glTF file by the package trimesh: normals, and a double-sided matt material for each colour.
 
         Parameters
         ----------
         savefn : str or os.PathLike
-            A ``.glb`` file; it appears whole or not at all.
+            A ``.glb`` file, written atomically.
         unit : str
-            Unit of what was drawn, "m", "mm", "um" or "nm": glTF is in metres.
+            Unit of the coordinates, "m", "mm", "um" or "nm"; glTF is in metres.
 
         Raises
         ------
@@ -230,12 +251,30 @@ class PLY_object:
             import trimesh
         except ImportError as error:
             raise ImportError("glTF needs the package trimesh: pip install trimesh") from error
+        from trimesh.visual.material import PBRMaterial
+
         places = np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64) * scale
-        mesh = trimesh.Trimesh(
-            places, faces["vertex_indices"], vertex_colors=_vertex_colors(vertices, faces), process=False
-        )
+        shades = np.stack([faces[name] for name in ("red", "green", "blue")], axis=-1)
+        smooth = np.concatenate(self._smooth)
+        parts, linear = trimesh.Scene(), {}
+        kinds = np.unique(np.column_stack([shades, smooth]), axis=0).tolist()
+        for *shade, curved in kinds:
+            chosen = faces["vertex_indices"][(shades == shade).all(-1) & (smooth == curved)]
+            name = "#{:02x}{:02x}{:02x}".format(*shade)
+            linear[name] = [*linear_light(np.array(shade) / 255).tolist(), 1.0]
+            mesh = trimesh.Trimesh(*_with_normals(places, chosen, curved), process=False)  # type: ignore[misc]
+            mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(name=name))
+            parts.add_geometry(mesh)
+
+        def set_materials(tree):
+            for material in tree["materials"]:
+                surface = {"baseColorFactor": linear[material["name"]], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+                material |= {"doubleSided": True, "pbrMetallicRoughness": surface}
+
         with replacing(path) as stream:
-            content: Any = mesh.export(file_type="glb")
+            content: Any = trimesh.exchange.gltf.export_glb(
+                parts, include_normals=True, tree_postprocessor=set_materials
+            )
             stream.write(content)
 
     def _draw_prisms(self, starts, ends, k, color, perpendicular) -> None:
@@ -251,7 +290,7 @@ class PLY_object:
         faces = PRISM + 8 * np.arange(len(places))[:, None, None]
         self._append(places.reshape(-1, 3), faces.reshape(-1, 3), color)
 
-    def _append(self, places: np.ndarray, corners: np.ndarray, color) -> None:
+    def _append(self, places: np.ndarray, corners: np.ndarray, color, *, smooth: bool = False) -> None:
         """Add vertices and faces whose indices count from the first of these vertices."""
         shade = _arrays.real_array("color", color).reshape(-1)
         if shade.shape != (3,) or not ((shade >= 0) & (shade <= 255) & (shade == np.round(shade))).all():
@@ -268,6 +307,7 @@ class PLY_object:
             faces[name] = value
         self._vertices.append(vertices)
         self._faces.append(faces)
+        self._smooth.append(np.full(len(corners), smooth))
 
     def _content(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self.pnts, self.tris
@@ -304,6 +344,26 @@ def _finite(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarr
     good = np.isfinite(points).all(-1)
     number = np.cumsum(good) - 1
     return points[good], number[faces[good[faces].all(-1)]]
+
+
+def _with_normals(places: np.ndarray, faces: np.ndarray, smooth: bool) -> tuple:
+    """Return vertices, faces, None for normals of faces, and unit normals at the vertices.
+
+    Flat triangles have vertices of their own; over a smooth surface normals are means weighted by area.
+    """
+    corners = places[faces]
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    if smooth:
+        used, faces = np.unique(faces, return_inverse=True)
+        places, faces = places[used], faces.reshape(-1, 3)
+        normals = np.zeros_like(places)
+        np.add.at(normals, faces.ravel(), np.repeat(across, 3, axis=0))
+    else:
+        places, faces = corners.reshape(-1, 3), np.arange(corners.size // 3).reshape(-1, 3)
+        normals = np.repeat(across, 3, axis=0)
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    normals = np.where(length > 0, normals / np.where(length > 0, length, 1.0), [0.0, 0.0, 1.0])
+    return places, faces, None, normals
 
 
 def _vertex_colors(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -1,25 +1,28 @@
-"""The propagation methods: one table of names, aliases, range of validity and how each is carried out."""
+"""The propagation methods: one table of names, aliases, range of validity, capabilities and how each is carried out."""
 
 import difflib
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 from odak import _array, _validate
-from odak.wave import far_field, stretched
+from odak._array import phasor_of_cycles
+from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
-from odak.wave.request import Request
+from odak.wave.convolution import convolve
+from odak.wave.fourier import chirp, convolve_with_chirp
 from odak.wave.sampling import PARAXIAL_TOLERANCE, SamplingReport, sampling_report
-from odak.wave.spectral import convolve
+from odak.wave.transfer_functions import Grid, Request, pitches
 
 _log = logging.getLogger("odak")
-_warned: set = set()
+_AXES = (-2, -1)
+_LENGTHS = ("field", "distance", "wavelength", "dx")
 
 
 @dataclass(frozen=True)
 class Method:
-    """A way to propagate.
+    """A propagation method and what it can do.
 
     Attributes
     ----------
@@ -34,7 +37,19 @@ class Method:
     kernel : callable, optional
         Transfer function ``kernel(grid)`` of the methods that have one.
     windowed : bool
-        Whether `apply` understands ``request.window`` and need not be given a padded field.
+        True if `apply` understands ``request.window`` and ``request.aperture``, so that the field need not be padded.
+    scalable : bool
+        True if `scale` and `samples` have a meaning: several samples per pixel, averages over pixels.
+    needs_distance : bool
+        True if a distance of zero is an error.
+    sets_own_pitch : bool
+        True if the pitch of the result follows from the geometry.
+    of_intensities : bool
+        True if the method takes and returns intensities.
+    takes_kernel : bool
+        True if the transfer function is the caller's.
+    differentiable : tuple of str
+        Arguments in which the result is differentiable.
     """
 
     name: str
@@ -43,6 +58,15 @@ class Method:
     failure: Callable[[SamplingReport], str | None]
     kernel: Callable | None = None
     windowed: bool = True
+    scalable: bool = False
+    needs_distance: bool = False
+    sets_own_pitch: bool = False
+    of_intensities: bool = False
+    takes_kernel: bool = False
+    differentiable: tuple[str, ...] = _LENGTHS
+
+
+# How each method is carried out.
 
 
 def _filter(build: Callable) -> Callable:
@@ -51,7 +75,7 @@ def _filter(build: Callable) -> Callable:
     def apply(field, request: Request):
         field = spread(field, request.scale)
         size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
-        return convolve(field, _masked(request.kernel_for(field, build, size), request.aperture, field))
+        return convolve(field, _times_aperture(request.kernel_for(field, build, size), request.aperture, field))
 
     return apply
 
@@ -68,7 +92,7 @@ def spread(field, scale: int):
     return xp.reshape(fine * mask, (*batch, rows * scale, columns * scale))
 
 
-def _masked(kernel, aperture, field):
+def _times_aperture(kernel, aperture, field):
     """Return kernel × centred aperture."""
     if not _array.is_array(aperture):
         return kernel if aperture == 1 else kernel * complex(aperture)
@@ -81,7 +105,7 @@ def _masked(kernel, aperture, field):
                     f"aperture must be a number or shaped like the grid of field, {tuple(kernel.shape[-2:])}, "
                     f"got {tuple(aperture.shape)}"
                 )
-        aperture = xp.fft.ifftshift(aperture, axes=(-2, -1))
+        aperture = xp.fft.ifftshift(aperture, axes=_AXES)
     return kernel * aperture
 
 
@@ -95,20 +119,105 @@ def _filter_by_given_kernel(field, request: Request):
         raise ValueError(
             f"kernel must have the shape [..., {size[0]}, {size[1]}] of the propagated field, got {tuple(kernel.shape)}"
         )
-    kernel = xp.fft.ifftshift(_array.cast(kernel, field), axes=(-2, -1))
-    return convolve(field, _masked(kernel, request.aperture, field))
+    kernel = xp.fft.ifftshift(_array.cast(kernel, field), axes=_AXES)
+    return convolve(field, _times_aperture(kernel, request.aperture, field))
 
 
 def _filter_intensity(field, request: Request):
+    """Return an intensity filtered by the autocorrelation of transfer function × pupil; the aperture is the pupil."""
     xp = _array.namespace(field)
-    return xp.abs(_filter(tf.incoherent_angular_spectrum)(field, request))
+    size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
+    if _array.is_array(request.aperture):
+        pupil = _times_aperture(request.kernel_for(field, tf.angular_spectrum, size), request.aperture, field)
+        kernel = tf.autocorrelation(pupil)
+    else:
+        kernel = request.kernel_for(field, tf.incoherent_angular_spectrum, size)
+    return xp.real(convolve(field, kernel))
 
 
-def _sum_rayleigh_sommerfeld(field, request: Request):
+def _convolve_rayleigh_sommerfeld(field, request: Request):
     """Return the linear convolution with the sampled kernel, on twice the field's grid."""
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.kernel_for(field, tf.rayleigh_sommerfeld, size)
-    return convolve(field, _masked(kernel, request.aperture, field))
+    return convolve(field, _times_aperture(kernel, request.aperture, field))
+
+
+def _fraunhofer(field, request: Request):
+    """Return the Fraunhofer pattern of a centred field (Goodman 2005, eq. 4-25)."""
+    xp = _array.namespace(field)
+    spectrum = xp.fft.fftn(xp.fft.ifftshift(field, axes=_AXES), axes=_AXES) * _fraunhofer_factor(field, request)
+    return xp.astype(xp.fft.fftshift(spectrum, axes=_AXES), field.dtype, copy=False)
+
+
+def _fraunhofer_inverse(field, request: Request):
+    """Return the field whose Fraunhofer pattern is given: the exact inverse, with the pitch of the source plane."""
+    xp = _array.namespace(field)
+    spectrum = xp.fft.ifftshift(field, axes=_AXES) / _fraunhofer_factor(field, request)
+    return xp.astype(xp.fft.fftshift(xp.fft.ifftn(spectrum, axes=_AXES), axes=_AXES), field.dtype, copy=False)
+
+
+def _fraunhofer_factor(field, request: Request):
+    """Return exp(ikz)/(iλz)·exp(ik(x² + y²)/(2z))·dx² on the output grid, whose pitch is λz/(N·dx), in FFT order."""
+    xp = _array.namespace(field)
+    grid = request.grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
+    fy, fx = grid.frequencies()
+    # With x = λz·f the quadratic phase is πλz·f².
+    cycles = tf.axial_cycles(grid) - 0.25 + grid.wavelength * grid.distance * (fx**2 + fy**2) / 2
+    amplitude = xp.astype(grid.pixel_area / (grid.wavelength * grid.distance), grid.dtype)
+    return grid.unfold(phasor_of_cycles(cycles, grid.dtype) * amplitude)
+
+
+def _extend_band(oversampling: int) -> Callable:
+    """Return an `apply` by the angular spectrum on `oversampling` times as many frequencies as samples.
+
+    Beyond the critical distance N·dx²/λ the phase of the transfer function changes by more than π between two
+    frequencies of the DFT's grid. A grid of the same number of points over the band |f| ≤ f_c = ½·sqrt(K/(λ|z|))
+    samples it without aliasing (Zhang, Zhang and Jin, Opt. Lett. 45, 1543 and 4416 (2020)). Both grids are uniform, so
+    that a chirp-z transform goes from one to the other exactly, without interpolation. With twice as many frequencies
+    nothing wraps around.
+    """
+
+    def apply(field, request: Request):
+        xp = _array.namespace(field)
+        rows, columns = field.shape[-2:]
+        counts = (oversampling * rows, oversampling * columns)
+        grid = request.grid(counts, xp, _array.device_of(field), field.dtype)
+        steps = [step * pitch for step, pitch in zip(_frequency_steps(grid), grid.pitch, strict=True)]
+        into = chirp(field, -steps[0], rows, -2) * chirp(field, -steps[1], columns, -1)
+        spectrum = convolve_with_chirp(field * into, -steps[1], counts[1], axis=-1)
+        spectrum = convolve_with_chirp(spectrum, -steps[0], counts[0], axis=-2)
+        # The chirps behind the transform to frequencies and before the one back are each other's inverse.
+        spectrum = spectrum * request.kernel_for(field, _band_extended_transfer, counts)
+        result = convolve_with_chirp(spectrum, steps[0], rows, axis=-2)
+        result = convolve_with_chirp(result, steps[1], columns, axis=-1)
+        out = xp.conj(into) * xp.astype(steps[0] * steps[1], field.dtype)
+        return xp.astype(result * out, field.dtype, copy=False)
+
+    return apply
+
+
+def _frequency_steps(grid: Grid):
+    """Return 2·f_c/K along rows and columns, f_c no higher than the Nyquist frequency 1/(2·dx)."""
+    xp, steps = grid.xp, []
+    for count, pitch in zip(grid.shape, grid.pitch, strict=True):
+        ratio = xp.abs(grid.distance) * grid.wavelength / (count * pitch**2)
+        steps.append(1 / (count * pitch * xp.sqrt(xp.where(ratio > 1, ratio, xp.ones_like(ratio)))))
+    return steps
+
+
+def _band_extended_transfer(grid: Grid):
+    """Return the angular-spectrum kernel, centred, at the frequencies of the extended band."""
+    frequencies = []
+    for axis, (count, step) in enumerate(zip(grid.shape, _frequency_steps(grid), strict=True)):
+        indices = grid.xp.arange(count, dtype=grid.xp.float64, device=grid.device) - count // 2
+        frequencies.append(grid.xp.reshape(indices, (-1, 1) if axis == 0 else (1, -1)) * step)
+    return tf.plane_wave_transfer(grid, *frequencies)
+
+
+# Transfer functions of a path that leads to a relay and back.
+
+
+# Where each method is valid.
 
 
 def _kernel_aliases(report: SamplingReport) -> str | None:
@@ -158,76 +267,85 @@ METHODS = (
         ("Band-limited Angular Spectrum", "BLAS"),
         _filter(tf.band_limited_angular_spectrum),
         _band_is_lost,
-        tf.band_limited_angular_spectrum,
+        kernel=tf.band_limited_angular_spectrum,
     ),
-    Method("Angular Spectrum", ("AS",), _filter(tf.angular_spectrum), _kernel_aliases, tf.angular_spectrum),
+    Method(
+        "Angular Spectrum",
+        ("AS",),
+        _filter(tf.angular_spectrum),
+        _kernel_aliases,
+        kernel=tf.angular_spectrum,
+    ),
     Method(
         "Transfer Function Fresnel",
         ("TR Fresnel", "TF Fresnel"),
         _filter(tf.transfer_function_fresnel),
         _first(_kernel_aliases, _not_paraxial),
-        tf.transfer_function_fresnel,
+        kernel=tf.transfer_function_fresnel,
     ),
     Method(
         "Impulse Response Fresnel",
         ("IR Fresnel",),
         _filter(tf.impulse_response_fresnel),
         _first(_response_aliases, _not_paraxial),
-        tf.impulse_response_fresnel,
+        kernel=tf.impulse_response_fresnel,
+        scalable=True,
+        needs_distance=True,
     ),
     Method(
         "Seperable Impulse Response Fresnel",
         ("Separable Impulse Response Fresnel", "Seperable IR Fresnel", "Separable IR Fresnel"),
         _filter(tf.impulse_response_fresnel),
         _first(_response_aliases, _not_paraxial),
-        tf.impulse_response_fresnel,
+        kernel=tf.impulse_response_fresnel,
+        scalable=True,
+        needs_distance=True,
     ),
     Method(
         "Incoherent Angular Spectrum",
         (),
         _filter_intensity,
         _kernel_aliases,
-        tf.incoherent_angular_spectrum,
+        kernel=tf.incoherent_angular_spectrum,
+        of_intensities=True,
     ),
     Method(
         "Fraunhofer",
         (),
-        far_field.fraunhofer_field,
+        _fraunhofer,
         _not_far,
         windowed=False,
+        needs_distance=True,
+        sets_own_pitch=True,
     ),
     Method(
         "Fraunhofer Inverse",
         (),
-        far_field.fraunhofer_source,
+        _fraunhofer_inverse,
         _not_far,
         windowed=False,
+        needs_distance=True,
+        sets_own_pitch=True,
     ),
-    Method(
-        "Rayleigh-Sommerfeld",
-        ("Rayleigh Sommerfeld", "RS"),
-        _sum_rayleigh_sommerfeld,
-        _sum_aliases,
-    ),
+    Method("Rayleigh-Sommerfeld", ("Rayleigh Sommerfeld", "RS"), _convolve_rayleigh_sommerfeld, _sum_aliases),
     Method(
         "Bandextended Angular Spectrum",
         ("Band-extended Angular Spectrum", "Band Extended Angular Spectrum", "BEAS"),
-        stretched.band_extended,
+        _extend_band(oversampling=1),
         _never,
         windowed=False,
     ),
     Method(
         "Adaptive Sampling Angular Spectrum",
         ("ASAS",),
-        stretched.adaptive_sampling,
+        _extend_band(oversampling=2),
         _never,
         windowed=False,
     ),
-    Method("custom", (), _filter_by_given_kernel, _never),
+    Method("custom", (), _filter_by_given_kernel, _never, takes_kernel=True, differentiable=("field", "kernel")),
 )
 _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (method.name, *method.aliases)}
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")
-DISTANCE_NEEDED = ("Fraunhofer", "Fraunhofer Inverse", "Impulse Response Fresnel", "Seperable Impulse Response Fresnel")
 
 
 def find_method(propagation_type: str) -> Method | None:
@@ -253,6 +371,21 @@ def find_method(propagation_type: str) -> Method | None:
     )
 
 
+def method_named(name: str) -> Method:
+    """Return the method of that name or alias; "auto" stands for no method and is refused."""
+    method = find_method(name)
+    if method is None:
+        raise ValueError("propagation_type must name a method here, got 'auto'")
+    return method
+
+
+def check_has_kernel(propagation_type: str) -> None:
+    """Raise ValueError for "custom", where the caller takes no kernel: it would leave every field as it is."""
+    method = find_method(propagation_type)
+    if method is not None and method.takes_kernel:
+        raise ValueError("propagation_type 'custom' needs a kernel, which only propagate_beam takes; got none")
+
+
 def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Method:
     """Return the method whose sampling criteria hold at every distance and wavelength asked for."""
     reports = _reports(shape, request, padded)
@@ -269,36 +402,38 @@ def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Met
 
 
 def warn_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> None:
-    """Log, once per method and grid, that a method is used where its criteria fail."""
+    """Issue a SamplingWarning where a method is used outside its criteria."""
+    for message in warnings_outside_range(method, shape, request, padded):
+        warn(message, SamplingWarning)
+
+
+def warnings_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> Iterator[str]:
+    """Yield a text for each of the criteria of a method that is not met."""
     for report in _reports(shape, request, padded):
         failure = method.failure(report)
-        if failure is None or (method.name, report.shape) in _warned:
-            continue
-        _warned.add((method.name, report.shape))
-        _log.warning(
-            "%s is outside its range on a %d x %d grid (dx = %.3g m, wavelength = %.4g m): %s. Use %s, or 'auto'.",
-            method.name,
-            *report.shape,
-            report.dx,
-            report.wavelength,
-            failure,
-            report.recommended,
-        )
+        if failure is not None:
+            rows, columns = report.shape
+            pitch = " x ".join(f"{value:.3g}" for value in sorted(set(pitches(report.dx))))
+            yield (
+                f"{method.name} is outside its range on a {rows} x {columns} grid (dx = {pitch} m, "
+                f"wavelength = {report.wavelength:.4g} m): {failure}. Use {report.recommended}, or 'auto'."
+            )
 
 
 def _reports(shape, request: Request, padded: bool) -> list[SamplingReport]:
     """Return the criteria at the extremes of the distances and wavelengths asked for; none while they are traced."""
-    if not all(_array.is_readable(value) for value in (request.dx, request.wavelength, request.distance)):
+    given = (*pitches(request.dx), request.wavelength, request.distance)
+    if not all(_array.is_readable(value) for value in given):
         return []
-    pairs = sorted(
-        {
-            (abs(z), wavelength, dx)
-            for z in _validate.numbers(request.distance)
-            for wavelength in _validate.numbers(request.wavelength)
-            for dx in _validate.numbers(request.dx)
-        },
-        key=lambda pair: pair[0] * pair[1],
+    rows, columns, wavelengths, distances = map(_validate.numbers, given)
+    per_axis = isinstance(request.dx, (tuple, list))
+    pairs = [(a, b) for a in rows for b in columns] if per_axis else [(a, a) for a in rows]
+    geometries = sorted(
+        {(abs(z), wavelength, pair) for z in distances for wavelength in wavelengths for pair in pairs},
+        key=lambda geometry: geometry[0] * geometry[1],
     )
     fine = tuple(request.scale * n for n in shape)
-    extremes = {pairs[0], pairs[-1]}
-    return [sampling_report(fine, dx / request.scale, wavelength, z, padded) for z, wavelength, dx in sorted(extremes)]
+    return [
+        sampling_report(fine, tuple(value / request.scale for value in pair), wavelength, z, padded)
+        for z, wavelength, pair in sorted({geometries[0], geometries[-1]})
+    ]

@@ -1,33 +1,101 @@
-"""The one way in to every propagation method: checks, padding, the method, cropping."""
+"""Propagation of scalar fields over any distance, by any method, for any array library.
 
+All functions take a complex field ``[..., rows, columns]`` sampled with pitch `dx`, the optical axis at index
+``n // 2``, and return the field after `distance`. They follow the input: NumPy arrays in, NumPy arrays out; torch
+tensors in, differentiable torch tensors out; complex64 in, complex64 out.
+"""
+
+import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from numbers import Number
+from typing import Any
 
 from odak import _array, _validate
+from odak._array import Array
+from odak._warnings import SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
-from odak.wave.methods import DISTANCE_NEEDED, choose_method, find_method, warn_outside_range
-from odak.wave.request import Request
-from odak.wave.spectral import upsample
+from odak.wave.convolution import upsample
+from odak.wave.methods import METHODS, choose_method, find_method, warnings_outside_range
+from odak.wave.transfer_functions import (
+    Request,
+    check_geometry,
+    make_grid,
+    pitches,
+    rayleigh_sommerfeld_response,
+    sample_counts,
+)
 
 
-def propagate(
-    field,
-    k,
-    distance,
-    dx,
-    wavelength,
-    propagation_type: str,
-    *,
-    kernel=None,
+def propagate_beam(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+    propagation_type: str = "IR Fresnel",
+    kernel: Array | None = None,
     zero_padding: bool | Sequence[bool] = (False, False, False),
-    aperture=1.0,
+    aperture: float | Array = 1.0,
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
-):
-    """Propagate a field; see :func:`odak.wave.propagate_beam` for the arguments."""
-    # Kernels, and warnings already given, are looked up: no graph of torch.compile can hold that.
+) -> Array:
+    """Propagate a field by the method named.
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]`` (a real one is taken as a field of phase zero).
+    k : float or None
+        Wave number 2π/wavelength; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back. An array broadcasts against the field's leading
+        axes; a torch tensor that requires grad makes the result differentiable in it, like `dx` and `wavelength`.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, a tuple or list (rows, columns), or an array with one pitch for each field of
+        the leading axes.
+    wavelength : float or array
+        Wavelength in metres; an array holds one per channel (leading axes of the field).
+    propagation_type : str
+        A name or alias of the table of methods ("Bandlimited Angular Spectrum", "IR Fresnel", …), in any case, or
+        "auto", which takes the method whose sampling criteria hold (see :func:`odak.wave.sampling_report`).
+    kernel : array, optional
+        Transfer function for "custom", centred (zero frequency at index n // 2).
+    zero_padding : sequence of bool
+        Pad the field to twice its size; pad the spectrum to twice its size (half the output pitch; no effect with
+        Fraunhofer); crop the centre half at the end.
+    aperture : float or array
+        Centred mask that multiplies the spectrum, of the propagated (padded) size. With "Incoherent Angular Spectrum"
+        it is the pupil of the coherent light: the optical transfer function is the autocorrelation of transfer function
+        times pupil, 1 at zero frequency, so that a number has no effect.
+    scale : int
+        Samples per pixel and axis, for the impulse-response methods: the result is `scale` times as large.
+    samples : sequence of int
+        Points across the source pixel (rows, columns) and the target sample (rows, columns) over which the
+        impulse-response methods average.
+
+    Returns
+    -------
+    array
+        Propagated field, complex64 from 32-bit input and complex128 from 64-bit input; real for
+        "Incoherent Angular Spectrum".
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it; an unknown `propagation_type` lists the known ones.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odak
+    >>> field = np.ones((8, 8), dtype=np.complex128)
+    >>> result = odak.wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9, "Angular Spectrum")
+    >>> bool(np.allclose(result, np.exp(2j * np.pi * 1e-3 / 532e-9)))
+    True
+    """
+    # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
     return _array.outside_graphs(
         _propagate, field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples
     )
@@ -37,55 +105,283 @@ def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zer
     field = _array.to_complex(_validate.image("field", field))
     if 0 in field.shape:
         raise ValueError(f"field must hold at least one field, got the shape {tuple(field.shape)}")
-    check_geometry(k, distance, dx, wavelength, tuple(field.shape[:-2]))
+    geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale)
+    arguments = (tuple(field.shape), *geometry, _plain_pair(zero_padding), _plain_pair(samples))
+    plain = kernel is None and all(type(value) in _PLAIN for value in arguments[1:])
+    method, request, (pad, fine, crop), warnings = _cached_plan(*arguments) if plain else _plan(*arguments, kernel)
+    for message in warnings:
+        warn(message, SamplingWarning)
+    if pad and not request.window:
+        field = zero_pad(field)
+    result = method.apply(field, request)
+    if fine and not method.sets_own_pitch:
+        result = upsample(_array.to_complex(result))
+    return crop_center(result) if crop and not request.window else result
+
+
+def _plan(shape, k, distance, dx, wavelength, propagation_type, aperture, scale, zero_padding, samples, kernel=None):
+    """Check the arguments of a propagation; return its method, request, padding and the warnings it deserves."""
+    check_geometry(k, distance, dx, wavelength, shape[:-2])
     _check_aperture(aperture)
     pad, fine, crop = padding_flags(zero_padding)
     request = Request(
         dx, wavelength, distance, aperture, kernel, _validate.integer("scale", scale, minimum=1), sample_counts(samples)
     )
-    shape = tuple(field.shape[-2:])
-    method = find_method(propagation_type) or choose_method(shape, request, pad)
+    method = find_method(propagation_type) or choose_method(shape[-2:], request, pad)
     _check_method(method, request)
-    warn_outside_range(method, shape, request, pad)
+    warnings = tuple(warnings_outside_range(method, shape[-2:], request, pad))
     window = method.windowed and pad and crop and not fine
-    if pad and not window:
-        field = zero_pad(field)
-    result = method.apply(field, replace(request, window=window))
-    if fine and method.name not in ("Fraunhofer", "Fraunhofer Inverse"):
-        result = upsample(_array.to_complex(result))
-    return crop_center(result) if crop and not window else result
+    return method, replace(request, window=window), (pad, fine, crop), warnings
 
 
-def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] = ()) -> None:
-    """Raise ValueError or TypeError unless the geometry is physical, fits a batch of fields, and k the wavelength."""
-    _validate.real("distance", distance)
-    _validate.real("dx", dx, positive=True)
-    _validate.real("wavelength", wavelength, positive=True)
-    shapes = {name: _shape(value) for name, value in (("distance", distance), ("dx", dx), ("wavelength", wavelength))}
-    for name, shape in shapes.items():
-        if 0 in shape:
-            raise ValueError(f"{name} must hold at least one number, got the shape {shape}")
-    if any(shapes.values()):
-        _validate.fitting(field=batch, **shapes)
-    if k is None:
-        return
-    _validate.real("k", k)
-    if not (_array.is_readable(k) and _array.is_readable(wavelength)):
-        return
-    numbers, lengths = _validate.numbers(k), _validate.numbers(wavelength)
-    if len(numbers) != len(lengths) and 1 not in (len(numbers), len(lengths)):
-        raise ValueError(f"k must be one number or one for each of {len(lengths)} wavelengths, got {len(numbers)}")
-    count = max(len(numbers), len(lengths))
-    for number, length in zip(*(v * count if len(v) == 1 else v for v in (numbers, lengths)), strict=True):
-        expected = 2 * math.pi / length
-        if not abs(number - expected) <= 1e-6 * expected:
+# Checks, criteria and the choice of a method take longer than the transforms of a small field: they are done once for
+# each set of plain arguments. Errors are not kept.
+_cached_plan = functools.lru_cache(maxsize=256, typed=True)(_plan)
+_PLAIN = (int, float, complex, bool, str, tuple, type(None))
+
+
+def _plain_pair(value):
+    """Return a short list or tuple of plain numbers as a tuple, which can be looked up; anything else as it is."""
+    if type(value) in (list, tuple) and len(value) <= 4 and all(type(entry) in (int, float, bool) for entry in value):
+        return tuple(value)
+    return list(value) if type(value) is tuple else value
+
+
+def angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
+    """Propagate by the angular spectrum of plane waves, exact for scalar fields (Goodman 2005, section 3.10).
+
+    Parameters
+    ----------
+    field, k, distance, dx, wavelength, aperture
+        As in :func:`propagate_beam`.
+    zero_padding : bool
+        Pad the spectrum, for half the output pitch.
+
+    Returns
+    -------
+    array
+        Propagated field.
+    """
+    return propagate_beam(
+        field, k, distance, dx, wavelength, "Angular Spectrum", zero_padding=zero_padding, aperture=aperture
+    )
+
+
+def band_limited_angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
+    """Propagate by the angular spectrum inside its alias-free band (Matsushima and Shimobaba 2009).
+
+    Parameters and result are those of :func:`angular_spectrum`.
+    """
+    return propagate_beam(
+        field, k, distance, dx, wavelength, "Bandlimited Angular Spectrum", zero_padding=zero_padding, aperture=aperture
+    )
+
+
+def incoherent_angular_spectrum(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
+    """Propagate an intensity by the incoherent transfer function, the autocorrelation of the coherent one.
+
+    Parameters are those of :func:`angular_spectrum`, `field` being an intensity; the result is real and keeps its sum.
+    """
+    return propagate_beam(
+        field, k, distance, dx, wavelength, "Incoherent Angular Spectrum", zero_padding=zero_padding, aperture=aperture
+    )
+
+
+def transfer_function_fresnel(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+) -> Array:
+    """Propagate by the Fresnel transfer function exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20).
+
+    Parameters and result are those of :func:`angular_spectrum`.
+    """
+    return propagate_beam(
+        field, k, distance, dx, wavelength, "Transfer Function Fresnel", zero_padding=zero_padding, aperture=aperture
+    )
+
+
+def impulse_response_fresnel(
+    field: Array,
+    k: Array,
+    distance: Array,
+    dx: Array,
+    wavelength: Array,
+    zero_padding: bool = False,
+    aperture: float | Array = 1.0,
+    scale: int = 1,
+    samples: Any = (1, 1, 1, 1),
+) -> Array:
+    """Propagate by the sampled Fresnel impulse response (Voelz 2011, eq. 4.21).
+
+    Parameters are those of :func:`angular_spectrum`; `scale` and `samples` are those of :func:`propagate_beam`.
+    """
+    return propagate_beam(
+        field,
+        k,
+        distance,
+        dx,
+        wavelength,
+        "Impulse Response Fresnel",
+        zero_padding=zero_padding,
+        aperture=aperture,
+        scale=scale,
+        samples=samples,
+    )
+
+
+# The impulse response of free space separates into x and y, and is always computed that way.
+seperable_impulse_response_fresnel = impulse_response_fresnel
+
+
+def custom(field: Array, kernel: Array | None, zero_padding: bool = False, aperture: float | Array = 1.0) -> Array:
+    """Filter a field by a centred transfer function of its own size.
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``.
+    kernel : array or None
+        Transfer function ``[..., rows, columns]``, zero frequency at index n // 2; None stands for ones.
+    zero_padding : bool
+        Pad the spectrum, for half the output pitch.
+    aperture : float or array
+        Centred mask that multiplies the spectrum (once).
+
+    Returns
+    -------
+    array
+        Filtered field.
+    """
+    return propagate_beam(
+        field, None, 0.0, 1.0, 1.0, "custom", kernel=kernel, zero_padding=zero_padding, aperture=aperture
+    )
+
+
+def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Propagate by the angular spectrum on a frequency grid stretched to the alias-free band (Zhang et al. 2020).
+
+    Parameters and result are those of :func:`angular_spectrum`. Opt. Lett. 45, 1543; computed by chirp-z transforms.
+    """
+    return propagate_beam(field, k, distance, dx, wavelength, "Bandextended Angular Spectrum")
+
+
+def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Propagate by the angular spectrum with frequencies doubled, and stretched beyond twice the critical distance.
+
+    Parameters and result are those of :func:`angular_spectrum`. Zhang, Zhang and Jin, Opt. Lett. 45, 4416 (2020).
+    """
+    return propagate_beam(field, k, distance, dx, wavelength, "Adaptive Sampling Angular Spectrum")
+
+
+def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Propagate by the first Rayleigh–Sommerfeld integral, as a linear convolution with its sampled kernel.
+
+    Parameters and result are those of :func:`angular_spectrum`. The kernel is z/(2πr²)·(1/r − ik)·exp(ikr)
+    (Goodman 2005, eq. 3-40), on twice the grid (Shen and Wang 2006), so that nothing wraps around.
+    """
+    return propagate_beam(field, k, distance, dx, wavelength, "Rayleigh-Sommerfeld")
+
+
+def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Return :func:`rayleigh_sommerfeld` by the direct double sum, in double precision: an oracle for small fields.
+
+    Memory grows with the square of the number of pixels; 64 × 64 takes 270 MB.
+    """
+    field = _validate.image("field", field)
+    check_geometry(k, distance, dx, wavelength)
+    xp = _array.namespace(field)
+    rows, columns = field.shape[-2:]
+    device = _array.device_of(field)
+    dy, dx = pitches(dx)
+    y = xp.arange(rows, dtype=xp.float64, device=device) * dy
+    x = xp.arange(columns, dtype=xp.float64, device=device) * dx
+    squared_y, squared_x = (y[:, None] - y[None, :]) ** 2, (x[:, None] - x[None, :]) ** 2
+    squared = squared_y[:, None, :, None] + squared_x[None, :, None, :]
+    distance = _array.cast(distance, squared)
+    kernel = rayleigh_sommerfeld_response(distance, squared, _array.cast(wavelength, squared)) * (dy * dx)
+    kernel = xp.reshape(kernel, (rows * columns, rows * columns))
+    source = xp.reshape(xp.astype(field, xp.complex128), (*field.shape[:-2], rows * columns, 1))
+    return xp.reshape(xp.matmul(kernel, source), field.shape)
+
+
+def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Propagate to the far field: exp(ikz)/(iλz)·exp(ikr²/(2z))·F{u}·dx² (Goodman 2005, eq. 4-25).
+
+    Parameters and result are those of :func:`angular_spectrum`; the output pitch is λ·z/(N·dx) along an axis of N.
+    """
+    return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer")
+
+
+def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+    """Return the field whose :func:`fraunhofer` pattern is given; `dx` is the pitch of the plane returned.
+
+    Parameters and result are those of :func:`angular_spectrum`.
+    """
+    return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer Inverse")
+
+
+def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavelength: float) -> Array:
+    """Return the centre of a Fraunhofer pattern that spans the same width as the field it came from.
+
+    Parameters
+    ----------
+    field : array
+        Fraunhofer pattern ``[..., rows, columns]``.
+    distance, dx, wavelength : float
+        As given to :func:`fraunhofer`, in metres.
+
+    Returns
+    -------
+    array
+        The centre int(m·N) samples of each axis, m = N·dx²/(λ·z) being the ratio of the two widths.
+
+    Raises
+    ------
+    ValueError
+        If the pattern spans less than the field (m > 1), so that there is nothing to cut.
+    """
+    field = _validate.image("field", field)
+    check_geometry(None, distance, dx, wavelength)
+    _validate.real("distance", distance, nonzero=True)
+    sizes = [
+        int(n * pitch**2 / (wavelength * abs(distance)) * n)
+        for n, pitch in zip(field.shape[-2:], pitches(dx), strict=True)
+    ]
+    for n, size in zip(field.shape[-2:], sizes, strict=True):
+        if not 1 <= size <= n:
             raise ValueError(
-                f"k must be 2π/wavelength = {expected:.9g} for wavelength {length!r}, or None; got {number!r}"
+                f"distance must let the field's width span 1 to {n} samples of the pattern, {distance!r} gives {size}"
             )
-
-
-def _shape(value) -> tuple[int, ...]:
-    return (len(value),) if isinstance(value, (list, tuple)) else tuple(getattr(value, "shape", ()))
+    return crop_center(field, sizes)
 
 
 def _check_aperture(aperture) -> None:
@@ -99,19 +395,15 @@ def _check_aperture(aperture) -> None:
 
 
 def _check_method(method, request: Request) -> None:
-    if request.kernel is not None and method.name != "custom":
+    if request.kernel is not None and not method.takes_kernel:
         raise ValueError(f"kernel is for propagation_type 'custom' only, got it with {method.name!r}")
-    if request.scale != 1 and "Impulse Response" not in method.name:
+    if request.scale != 1 and not method.scalable:
         raise ValueError(f"scale is for the impulse-response methods only, got {request.scale} with {method.name!r}")
     if not method.windowed and (_array.is_array(request.aperture) or request.aperture != 1):
         raise ValueError(
             f"aperture needs a method with a transfer function on the field's grid, got it with {method.name!r}"
         )
-    if (
-        method.name in DISTANCE_NEEDED
-        and _array.is_readable(request.distance)
-        and 0 in _validate.numbers(request.distance)
-    ):
+    if method.needs_distance and _array.is_readable(request.distance) and 0 in _validate.numbers(request.distance):
         raise ValueError(f"distance must not be zero for {method.name!r}")
 
 
@@ -125,11 +417,57 @@ def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
     return pad, fine, crop
 
 
-def sample_counts(samples, name: str = "samples") -> tuple[int, int, int, int]:
-    """Return the four sample counts of an impulse response as integers."""
-    listed = isinstance(samples, Iterable) and not isinstance(samples, str)
-    counts = tuple(samples) if listed else (samples,)
-    if len(counts) != 4:
-        raise ValueError(f"{name} must be four counts [source rows, columns, target rows, columns], got {samples!r}")
-    a, b, c, d = (_validate.whole(name, count, minimum=1) for count in counts)
-    return a, b, c, d
+def get_propagation_kernel(
+    nu: int,
+    nv: int,
+    dx: float = 8e-6,
+    wavelength: float = 515e-9,
+    distance: float = 0.0,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    scale: int = 1,
+    samples: Sequence[int] = (1, 1, 1, 1),
+    *,
+    xp: Any = None,
+    device: Any = None,
+    dtype: Any = None,
+) -> Array:
+    """Return the centred transfer function of a method.
+
+    Parameters
+    ----------
+    nu, nv : int
+        Rows and columns.
+    dx, wavelength, distance : float
+        Pixel pitch, wavelength and distance in metres (distance and wavelength may be arrays: leading axes).
+    propagation_type : str
+        A method that has a transfer function.
+    scale : int
+        Samples per pixel, for the impulse-response methods; 1 for the others.
+    samples : sequence of int
+        Aperture samples of the impulse-response methods, see :func:`odak.wave.propagate_beam`.
+    xp, device, dtype : optional
+        Array namespace (NumPy), device, and complex dtype (complex64).
+
+    Returns
+    -------
+    array
+        ``[..., nu·scale, nv·scale]``, zero frequency at index n // 2.
+
+    Raises
+    ------
+    ValueError
+        If the method has no transfer function, or an argument is outside its range.
+    """
+    method = find_method(propagation_type)
+    if method is None or method.kernel is None:
+        names = ", ".join(repr(m.name) for m in METHODS if m.kernel)
+        raise ValueError(
+            f"propagation_type must be a method with a transfer function ({names}), got {propagation_type!r}"
+        )
+    _validate.real("distance", distance)
+    if method.needs_distance and 0 in _validate.numbers(distance):
+        raise ValueError(f"distance must not be zero for {method.name!r}")
+    scale = _validate.integer("scale", scale, minimum=1)
+    scale = scale if method.scalable else 1
+    grid = make_grid(nu, nv, dx, wavelength, distance, scale, samples, xp=xp, device=device, dtype=dtype)
+    return grid.xp.fft.fftshift(method.kernel(grid), axes=(-2, -1))

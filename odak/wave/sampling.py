@@ -1,4 +1,4 @@
-"""What the sampling of a field allows: the criteria that decide between propagation methods, as data."""
+"""Sampling criteria of a propagation, and the method that they recommend."""
 
 import math
 from collections.abc import Sequence
@@ -19,15 +19,20 @@ class SamplingReport:
     ----------
     shape : tuple of int
         Rows and columns of the grid on which a transfer function is sampled: the field's, or twice it if padded.
-    dx, wavelength, distance : float
-        The geometry asked about.
-    nyquist : float
-        Highest frequency of the grid, 1/(2·dx).
+    dx : float or tuple of float
+        Pixel pitch, a pair (rows, columns) where the two differ.
+    wavelength : float
+        Wavelength.
+    distance : float
+        Propagation distance.
+    nyquist : float or tuple of float
+        Highest frequency of the grid, 1/(2·dx); a pair where the pitches differ.
     critical_distance : tuple of float
         N·dx²/λ. Up to here a transfer function is sampled finely enough; from here on an impulse response is
         (Voelz, Computational Fourier Optics, 2011, section 5.3).
     response_distance : float
-        2·N·dx²/λ of the field's longer side: from here on the Rayleigh–Sommerfeld kernel is sampled finely enough.
+        2·N·dx²/λ, the larger of the two axes of the field: from here on the Rayleigh–Sommerfeld kernel is sampled
+        finely enough.
     band_limit : tuple of float
         Highest alias-free frequency of the angular-spectrum kernel (Matsushima and Shimobaba 2009, eq. 13).
     kept_band : tuple of float
@@ -45,10 +50,10 @@ class SamplingReport:
     """
 
     shape: tuple[int, int]
-    dx: float
+    dx: float | tuple[float, float]
     wavelength: float
     distance: float
-    nyquist: float
+    nyquist: float | tuple[float, float]
     critical_distance: tuple[float, float]
     response_distance: float
     band_limit: tuple[float, float]
@@ -65,7 +70,11 @@ class SamplingReport:
 
 
 def sampling_report(
-    shape: Sequence[int], dx: float, wavelength: float, distance: float, zero_padding: bool = False
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float,
+    distance: float,
+    zero_padding: bool = False,
 ) -> SamplingReport:
     """Return the sampling criteria of a propagation and the method they recommend.
 
@@ -73,8 +82,8 @@ def sampling_report(
     ----------
     shape : sequence of int
         Rows and columns of the field.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
     distance : float
@@ -102,34 +111,39 @@ def sampling_report(
     0.26
     """
     shape = _validate.size("shape", shape)
-    dx = float(_validate.real("dx", dx, positive=True))
+    if not isinstance(dx, (tuple, list)):
+        dx = (_validate.real("dx", dx, positive=True),) * 2
+    rows, columns = (float(value) for value in _validate.several("dx", dx, 2, positive=True))
     wavelength = float(_validate.real("wavelength", wavelength, positive=True))
     distance = float(_validate.real("distance", distance))
-    return _report(shape, dx, wavelength, distance, _validate.flag("zero_padding", zero_padding))
+    return _report(shape, (rows, columns), wavelength, distance, _validate.flag("zero_padding", zero_padding))
 
 
 @lru_cache(maxsize=1024)
-def _report(shape, dx, wavelength, distance, zero_padding) -> SamplingReport:
+def _report(shape, pitch, wavelength, distance, zero_padding) -> SamplingReport:
     z = abs(distance)
     grid = tuple(2 * n if zero_padding else n for n in shape)
-    nyquist = 1 / (2 * dx)
-    critical = tuple(n * dx**2 / wavelength for n in grid)
-    limit = tuple(1 / (wavelength * math.hypot(2 * z / (n * dx), 1)) for n in grid)
-    response = 2 * max(shape) * dx**2 / wavelength
+    nyquist = tuple(1 / (2 * d) for d in pitch)
+    critical = tuple(n * d**2 / wavelength for n, d in zip(grid, pitch, strict=True))
+    limit = tuple(1 / (wavelength * math.hypot(2 * z / (n * d), 1)) for n, d in zip(grid, pitch, strict=True))
+    response = 2 * max(n * d**2 for n, d in zip(shape, pitch, strict=True)) / wavelength
+    square = pitch[0] == pitch[1]
     recommended, reason = _recommend(z, min(critical), response)
     return SamplingReport(
         shape=grid,
-        dx=dx,
+        dx=pitch[0] if square else pitch,
         wavelength=wavelength,
         distance=distance,
-        nyquist=nyquist,
+        nyquist=nyquist[0] if square else nyquist,
         critical_distance=critical,
         response_distance=response,
         band_limit=limit,
-        kept_band=tuple(min(1.0, value / nyquist) for value in limit),
-        fresnel_number=tuple((n * dx / 2) ** 2 / wavelength / z if z else math.inf for n in shape),
-        fraunhofer_distance=2 * (max(shape) * dx) ** 2 / wavelength,
-        paraxial_error=_paraxial_error(z, wavelength, [min(nyquist, value) for value in limit]),
+        kept_band=tuple(min(1.0, value / most) for value, most in zip(limit, nyquist, strict=True)),
+        fresnel_number=tuple(
+            (n * d / 2) ** 2 / wavelength / z if z else math.inf for n, d in zip(shape, pitch, strict=True)
+        ),
+        fraunhofer_distance=2 * max(n * d for n, d in zip(shape, pitch, strict=True)) ** 2 / wavelength,
+        paraxial_error=_paraxial_error(z, wavelength, map(min, nyquist, limit)),
         recommended=recommended,
         reason=reason,
     )

@@ -1,20 +1,18 @@
 """Propagation to a tilted plane: the angular spectrum in the plane's own coordinates."""
 
-import logging
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
+
+import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.wave.frequency_box import GUARD, Window, carry_to_offset, column, make_window, to_window
-from odak.wave.grid import Grid
-from odak.wave.nonuniform import spectrum_at
-from odak.wave.propagation import check_geometry
-from odak.wave.rays import Rays
-from odak.wave.request import Request
-from odak.wave.transfer_functions import plane_wave_transfer
+from odak._warnings import AccuracyWarning, warn
+from odak.wave.fourier import spectrum_along, spectrum_at, to_line
+from odak.wave.transfer_functions import Grid, Request, check_geometry, plane_wave_transfer
+from odak.wave.windows import GUARD, Rays, Window, carry_to_offset, column, make_window, to_window
 
-_log = logging.getLogger("odak")
 # Cosine of 88 degrees.
 GRAZING = 0.035
 
@@ -23,26 +21,45 @@ def propagate_to_tilted_plane(
     field: Array,
     wavelength: float | Array,
     distance: float | Array,
-    dx: float | Array,
+    dx: float | Sequence[float] | Array,
     angles: Any = (0.0, 0.0, 0.0),
     window_shape: Sequence[int] | None = None,
-    window_dx: Array = None,
+    window_dx: Array | None = None,
     offset: Any = (0.0, 0.0),
     guard: float = GUARD,
+    source_angles: Any = (0.0, 0.0, 0.0),
 ) -> Array:
     """Propagate a field to a plane that is rotated about the point where the optical axis meets it.
+
+    The plane of the field may be tilted too: from a tilted modulator to a plane, from one side of a prism to another,
+    or from a mirror off the axis.
 
     Parameters
     ----------
     field : array
         Complex field ``[..., rows, columns]``.
-    wavelength, distance, dx : float or array
-        As in :func:`odak.wave.propagate_to_window`, in metres. The distance is that of the rotation's centre.
-    angles : sequence of three floats or arrays
-        Rotation in degrees about the x axis (columns), then y (rows), then z (light), right-handed, the axes fixed.
-        (θ, 0, 0) takes the rows of larger y further away; (0, θ, 0) brings the columns of larger x nearer.
-    window_shape, window_dx, offset, guard
-        As in :func:`odak.wave.propagate_to_window`, along the rows and columns of the tilted plane.
+    wavelength : float or array
+        Wavelength in metres; an array broadcasts against the field's leading axes.
+    distance : float or array
+        Distance of the rotation's centre in metres; an array broadcasts against the field's leading axes.
+    dx : float, pair of float or array
+        Pixel pitch of the field in metres, in the forms of :func:`odak.wave.propagate_to_window`.
+    angles : sequence of three floats or arrays, or array
+        Rotation in degrees about the x axis (columns), then y (rows), then z (direction of propagation),
+        right-handed, the axes fixed. (θ, 0, 0) takes the rows of larger y further away; (0, θ, 0) brings the columns
+        of larger x nearer. An array ``[3, 3]`` is a rotation matrix, whose columns are the plane's unit vectors along
+        its columns, its rows and its normal.
+    window_shape : sequence of int, optional
+        Rows and columns of the window; by default those of the field.
+    window_dx : float, pair of float or array, optional
+        Pixel pitch along the rows and columns of the tilted plane; by default that of the field.
+    offset : sequence of two floats or arrays
+        Place (y, x) of the window's sample ``n // 2`` in the tilted plane, in metres from the rotation's centre.
+    guard : float
+        Margin for diffraction around the rays, see :func:`odak.wave.propagate_to_window`.
+    source_angles : sequence of three floats or arrays, or array
+        Rotation of the field's plane about the origin, in the same form as `angles`; `distance` and `angles` remain
+        those of the optical axis, along z.
 
     Returns
     -------
@@ -53,19 +70,21 @@ def propagate_to_tilted_plane(
     Raises
     ------
     ValueError, TypeError
-        If an argument is outside its range, naming it; if the plane is turned by 90° or more from the light.
+        If an argument is outside its range, naming it; if the planes are tilted by 90° or more to each other.
 
     Notes
     -----
     Matsushima, Schimmel and Wyrowski, J. Opt. Soc. Am. A 20, 1755 (2003): a plane wave stays one on any plane. Its
     frequencies rotate, and the spectrum is multiplied by the Jacobian f_z/f_z'. The field's spectrum is needed between
     the frequencies of its grid; a non-uniform Fourier transform finds it to about 1e-7 (complex64) or 1e-12
-    (complex128), so that no interpolation error is seen. Waves that decay are left out.
+    (complex128), so that no interpolation error is seen; for a rotation about x or y alone it is needed along one axis
+    only, which is quicker. Waves that decay are left out.
 
-    The field turns fast along a tilted plane, sin θ/λ cycles per metre. The samples are right whatever their pitch;
-    to show that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
+    Along a tilted plane the phase changes by sin θ/λ cycles per metre. The samples are right whatever their pitch; to
+    resolve that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
 
-    Beyond 88° light travels along the plane without end and is cut: the field there may be wrong, and that is logged.
+    Beyond 88° waves that travel along the plane are cut off, the field there may be wrong, and an AccuracyWarning is
+    issued.
 
     Examples
     --------
@@ -76,25 +95,67 @@ def propagate_to_tilted_plane(
     (32, 32)
     """
     field = _array.to_complex(_validate.image("field", field))
-    check_geometry(None, distance, dx, wavelength)
+    check_geometry(None, distance, dx, wavelength, tuple(field.shape[:-2]))
     xp = _array.namespace(field)
-    request = Request(dx, wavelength, distance)
-    grid = request.grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
-    window = make_window(field, window_shape, window_dx, dx, offset, guard, _rotated_axes(angles, grid))
+    grid = Request(dx, wavelength, distance).grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
+    axes, straight = _rotated_axes("angles", angles, grid), _is_unrotated(source_angles)
+    window = make_window(field, window_shape, window_dx, dx, offset, guard, axes)
+    if not straight:
+        grid, window = _seen_from(_rotated_axes("source_angles", source_angles, grid), grid, window)
     rays = Rays.between(grid, window)
-    if rays.numbers().axes[2][2].min() < 1e-3:
-        raise ValueError(f"angles must turn the plane's normal by less than 90 degrees from the axis, got {angles!r}")
-    if rays.numbers().axes[2][2].min() < GRAZING:
-        _log.warning("angles %r graze the plane: light along it is cut, and the field there may be wrong", angles)
+    least = rays.numbers().axes[2][2].min()
+    if least < 1e-3:
+        raise ValueError(
+            f"angles and source_angles must tilt the planes by less than 90 degrees, got {angles!r}, {source_angles!r}"
+        )
+    if least < GRAZING:
+        warn(
+            f"angles {angles!r} tilt the plane by more than 88 degrees: waves along it are cut off, and the field "
+            "there may be wrong",
+            AccuracyWarning,
+        )
     lines = rays.lines()
     (fy, fx), transfer = _transfer(grid, window, rays, lines)
-    return to_window(spectrum_at(field, fy * grid.dx, fx * grid.dx) * transfer, lines, window, grid)
+    dy, dx = grid.pitch
+    kept = _axis_kept(angles) if straight else None
+    if kept == -2:
+        spectrum = spectrum_along(to_line(field, lines[0]), fx * dx, -1)
+    elif kept == -1:
+        spectrum = spectrum_along(to_line(field, lines[1]), fy * dy, -2)
+    else:
+        spectrum = spectrum_at(field, fy * dy, fx * dx)
+    return to_window(spectrum * transfer, lines, window, grid)
 
 
-def _rotated_axes(angles, grid: Grid) -> tuple:
+def _is_zero(value) -> bool:
+    """Say whether an angle is a plain zero; a tensor may require the derivative there."""
+    return not _array.is_array(value) and value == 0
+
+
+def _is_unrotated(angles) -> bool:
+    return not _array.is_array(angles) and isinstance(angles, (tuple, list)) and all(map(_is_zero, angles))
+
+
+def _axis_kept(angles) -> int | None:
+    """Return the axis (-2 or -1) whose frequencies a rotation about y or x alone leaves as they are, or None."""
+    if _array.is_array(angles) or not _is_zero(angles[2]):
+        return None
+    return -2 if _is_zero(angles[0]) else -1 if _is_zero(angles[1]) else None
+
+
+def _rotated_axes(name: str, angles, grid: Grid) -> tuple:
     """Return the plane's unit vectors (x, y, z) along its columns, its rows and its normal: the columns of Rz·Ry·Rx."""
     xp = grid.xp
-    turns = [column(angle, grid) * (xp.pi / 180) for angle in _validate.several("angles", angles, 3)]
+    if _array.is_array(angles) and angles.ndim == 2:
+        matrix = _array.cast(_validate.real(name, angles), grid.wavelength)
+        if tuple(matrix.shape) != (3, 3):
+            raise ValueError(f"{name} must be three angles or a rotation matrix [3, 3], got {tuple(matrix.shape)}")
+        if _array.is_readable(matrix):
+            numbers = np.asarray(_validate.numbers(matrix)).reshape(3, 3)
+            if np.abs(numbers @ numbers.T - np.eye(3)).max() > 1e-6 or np.linalg.det(numbers) < 0:
+                raise ValueError(f"{name} must be a rotation matrix, orthogonal and of determinant 1")
+        return tuple(tuple(xp.reshape(matrix[k, axis], (1, 1)) for k in range(3)) for axis in range(3))
+    turns = [column(angle, grid) * (xp.pi / 180) for angle in _validate.several(name, angles, 3)]
     (cx, cy, cz), (sx, sy, sz) = ([function(turn) for turn in turns] for function in (xp.cos, xp.sin))
     return (
         (cz * cy, sz * cy, -sy),
@@ -103,10 +164,36 @@ def _rotated_axes(angles, grid: Grid) -> tuple:
     )
 
 
+def _seen_from(source, grid: Grid, window: Window) -> tuple[Grid, Window]:
+    """Return the grid and the window in the coordinates of a field's plane with the axes `source`.
+
+    The centre of the target plane lies at `distance` on the optical axis. Along the normal of the source it is met by
+    another point of the same plane, from which the centre is an offset within the plane.
+    """
+
+    def dot(a, b):
+        return sum(p * q for p, q in zip(a, b, strict=True))
+
+    axes = tuple(tuple(dot(target, own) for own in source) for target in window.axes)
+    centre = [grid.distance * own[2] for own in source]
+    distance = dot(centre, axes[2]) / axes[2][2]
+    rest = (centre[0], centre[1], centre[2] - distance)
+    offset = tuple(
+        _array.cast(given, grid.wavelength) + _scalar(dot(rest, axes[k]))
+        for given, k in zip(window.offset, (1, 0), strict=True)
+    )
+    return replace(grid, distance=distance), replace(window, offset=offset, axes=axes)
+
+
+def _scalar(value):
+    """Return a length ``[..., 1, 1]`` as ``[...]``."""
+    return _array.namespace(value).reshape(value, value.shape[:-2])
+
+
 def _transfer(grid: Grid, window: Window, rays: Rays, lines):
-    """Return the field's frequencies (y, x) of the plane waves in the box, and what each is multiplied by."""
+    """Return the field's frequencies (y, x) of the plane waves on the lines, and the factor of each."""
     xp = grid.xp
-    v, u = (line.cycles(grid.dx) / grid.dx for line in lines)
+    v, u = (line.cycles(pitch) / pitch for line, pitch in zip(lines, grid.pitch, strict=True))
     squared = 1 / grid.wavelength**2 - v**2 - u**2
     meets = squared > (1e-3 / grid.wavelength) ** 2
     # Any frequency will do for what is left out.
@@ -116,7 +203,8 @@ def _transfer(grid: Grid, window: Window, rays: Rays, lines):
     fx, fy, fz = (u * a + v * b + w * n for a, b, n in zip(*window.axes, strict=True))
     weight = rays.weight(window.guard, (v / w, u / w)) * safe * (fz / w)
     # Of the two edges of the band that a sampled field holds, one counts.
-    edges = [(f * grid.dx >= -0.5 - 1e-9) & (f * grid.dx < 0.5 - 1e-9) for f in (fy, fx)]
+    cycles = [f * pitch for f, pitch in zip((fy, fx), grid.pitch, strict=True)]
+    edges = [(f >= -0.5 - 1e-9) & (f < 0.5 - 1e-9) for f in cycles]
     held = (fz > 0) & edges[0] & edges[1]
     fy, fx = (xp.where(held, f, xp.zeros_like(f)) for f in (fy, fx))
     kernel = plane_wave_transfer(grid, fy, fx) * xp.astype(xp.where(held, weight, 0 * weight), grid.dtype)

@@ -1,6 +1,7 @@
 """Point sources and point detectors: fields summed over the paths between them."""
 
 import math
+from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
@@ -10,7 +11,7 @@ _CHUNK_BYTES = 1 << 26
 
 def electric_field_per_plane_wave(
     amplitude: float | Array, opd: float | Array, k: float, phase: float | Array = 0, w: float = 0, t: float = 0
-) -> Array:
+) -> Any:
     """Return A·exp(i(−ω·t + k·opd + phase))/opd².
 
     Parameters

@@ -1,7 +1,15 @@
 """A valid value for each argument: by the argument's name, and for single calls where the name is not enough."""
 
+import contextlib
 import copy
+import doctest
+import functools
 import inspect
+import io
+import os
+import sys
+import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -25,19 +33,54 @@ def arguments(path: str, function: Callable, folder: Path) -> dict[str, Any]:
     """Return valid arguments for the call `path`, made anew; LookupError where one is not known."""
     found = {}
     for parameter in parameters_of(function):
-        value = sample(path, parameter, folder)
+        value = sample(path, parameter, folder, example(function))
         if value is MISSING:
             raise LookupError(f"test/api_sweep/examples has no valid {parameter.name!r} for {path}")
         found[parameter.name] = value
     return found
 
 
-def sample(path: str, parameter: inspect.Parameter, folder: Path) -> Any:
-    """Return a valid value for one argument, or MISSING."""
+@functools.cache
+def example(function: Callable) -> dict[str, Any]:
+    """Return the arguments that the example in the docstring of a function or class gives to it, at its first call."""
+    inner = inspect.unwrap(function.__init__ if inspect.isclass(function) else function)
+    parsed = doctest.DocTestParser().get_examples(inspect.getdoc(function) or "")
+    found: dict[str, Any] = {}
+    if not parsed or not hasattr(inner, "__code__"):
+        return found
+    defaults = {name: p.default for name, p in inspect.signature(function).parameters.items()}
+
+    def note(frame, event, _):
+        if event == "call" and frame.f_code is inner.__code__ and not found:
+            given = {name: frame.f_locals[name] for name in defaults if name in frame.f_locals}
+            found.update({name: value for name, value in given.items() if value is not defaults[name]})
+
+    namespace = dict(vars(sys.modules[inner.__module__]))
+    with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings(), tempfile.TemporaryDirectory() as folder:
+        warnings.simplefilter("ignore")
+        before = os.getcwd()
+        os.chdir(folder)
+        try:
+            for statement in parsed:
+                sys.setprofile(note)
+                with contextlib.suppress(OSError):  # of a file that is the reader's
+                    exec(compile(statement.source, "<example>", "single"), namespace)
+                sys.setprofile(None)
+                if found:
+                    break
+        finally:
+            sys.setprofile(None)
+            os.chdir(before)
+    return found
+
+
+def sample(path: str, parameter: inspect.Parameter, folder: Path, shown: dict[str, Any]) -> Any:
+    """Return a valid value for one argument, or MISSING: from the tables, its default, or what the example shows."""
     for table in (examples.BY_CALL.get(path, {}), *_by_prefix(examples.BY_NAME, path, {})):
         if parameter.name in table:
             return _made(table[parameter.name], folder)
-    return MISSING if parameter.default is parameter.empty else copy.deepcopy(parameter.default)
+    value = shown.get(parameter.name, MISSING) if parameter.default is parameter.empty else parameter.default
+    return _made(value, folder)
 
 
 def is_positive(path: str, name: str) -> bool:
@@ -78,5 +121,9 @@ def _made(value, folder):
     if isinstance(value, Build):
         return value.function(folder)
     if isinstance(value, torch.Tensor):
-        return value.clone()
-    return copy.deepcopy(value) if isinstance(value, (numpy.ndarray, list, dict, tuple)) else value
+        return value.detach().clone().requires_grad_(value.requires_grad)
+    if isinstance(value, torch.Generator):
+        return value.clone_state()
+    return (
+        copy.deepcopy(value) if isinstance(value, (numpy.ndarray, numpy.random.Generator, list, dict, tuple)) else value
+    )

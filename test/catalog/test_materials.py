@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak import catalog
+from odak import ArgumentWarning, catalog
 from odak.catalog import materials
 from odak.catalog.dispersion import LINE_C, LINE_D, LINE_F
 
@@ -130,8 +130,8 @@ def test_wavelength_out_of_range():
 
 
 def test_unknown_material_names_the_nearest():
-    with pytest.raises(ValueError, match="'SK16' is not a known material; the nearest known are N-SK16"):
-        catalog.refractive_index("SK16", 0.5e-6)
+    with pytest.raises(ValueError, match="'N-SK166' is not a known material; the nearest known are N-SK16"):
+        catalog.refractive_index("N-SK166", 0.5e-6)
     with pytest.raises(ValueError, match=r"'@@@' is not a known material\. Add it"):
         catalog.material("@@@")
     with pytest.raises(TypeError, match="name must be a string"):
@@ -219,3 +219,108 @@ def test_the_abbe_number_uses_the_lines_of_its_definition():
 
 def test_nothing_has_no_dispersion():
     assert catalog.abbe_number("vacuum") == math.inf
+
+
+def test_makers_catalogues():
+    """Published n_d and ν_d of data sheets; every glass has its source; names that makers share are asked about."""
+    published = {
+        "ohara:S-BSL7": (1.51633, 64.14),
+        "S-TIH53": (1.84666, 23.78),
+        "hoya:FCD1": (1.49700, 81.61),
+        "J-LAK02": (1.67000, 57.35),
+        "K-SFLD6": (1.80518, 25.43),
+        "H-K9L": (1.51680, 64.20),
+        "schott:N-SF11": (1.78472, 25.68),
+    }
+    for name, (nd, vd) in published.items():
+        found = catalog.material(name)
+        assert found.nd == pytest.approx(nd, abs=2e-5) and found.vd == pytest.approx(vd, abs=0.03)
+        assert "catalog" in found.source
+    names = {maker: catalog.material_names(maker) for maker in catalog.glass_makers()}
+    assert sum(map(len, names.values())) >= 1600
+    for maker, group in names.items():
+        for name in group[::17]:
+            found = catalog.material(name)
+            assert found.source and found is catalog.material(f"{maker}:{name.rpartition(':')[2]}")
+            assert 1 < catalog.refractive_index(found, sum(found.range) / 2, unit="um") < 5
+    shared = [key for key in ("F2", "BAF10") if len(materials._makers_of(key.casefold())) > 1]
+    twice = next(
+        name.rpartition(":")[2]
+        for name in names["hoya"]
+        if ":" in name and materials._key(name.rpartition(":")[2]) not in materials._catalogue()
+    )
+    with pytest.raises(ValueError, match=f"several makers: say which, one of .*{twice}"):
+        catalog.material(twice)
+    assert shared == [] or catalog.material(shared[0]).name == shared[0]
+    with pytest.raises(ValueError, match="maker in"):
+        catalog.material("oharra:S-BSL7")
+    near = catalog.nearest_materials(1.58913, 61.2, 5, makers=["ohara"])
+    assert "L-BAL35" in near
+
+
+def test_a_model_glass_reproduces_its_statements_and_comes_near_the_real_one():
+    lines = {"g": 0.4358343, "F": 0.4861327, "d": 0.5875618, "C": 0.6562725}
+    real = catalog.material("N-BK7")
+    partial = {name: real.index(line) for name, line in lines.items()}
+    spread = partial["F"] - partial["C"]
+    deviation = (partial["g"] - partial["F"]) / spread - (0.6438 - 0.001682 * real.abbe_number())
+    model = catalog.model_glass(partial["d"], real.abbe_number(), deviation)
+    modelled = {name: model.index(line) for name, line in lines.items()}
+    assert modelled["d"] == pytest.approx(partial["d"], abs=1e-13)
+    assert modelled["F"] - modelled["C"] == pytest.approx(spread, abs=1e-13)
+    assert modelled["g"] - modelled["F"] == pytest.approx(partial["g"] - partial["F"], abs=1e-13)
+    for line in (0.45, 0.55, 0.7):
+        assert model.index(line) == pytest.approx(real.index(line), abs=2e-4)
+    with pytest.raises(ValueError, match="nd must be above 1"):
+        catalog.model_glass(0.9, 50)
+
+
+AGF = """CC a catalogue
+NM SCHOTTISH 1 0 1.5168 64.17 0 1 -1
+CD 2.271176 -0.009700709 0.0110971 4.622809E-005 1.616105E-005 -8.285043E-007
+LD 0.35 2.5
+NM SELL 2 0 1.5168 64.17 0 1
+CD 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653
+LD 0.3 2.5
+NM CONRADY 5 0 1.5064 60 0 1
+CD 1.49 0.0085 0.0003
+LD 0.4 0.8
+NM HANDBOOK 8 0 0 0 0 1
+CD 1.2 1.3 0.01 0.01
+LD 0.4 2.0
+NM STRANGE 3 0 1.5 60 0 1
+CD 1.5 0 0 0 0 0
+LD 0.4 2.0
+"""
+
+
+def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
+    from odak.catalog import material_files
+
+    monkeypatch.setattr(materials, "_found", {})
+    path = tmp_path / "mine.agf"
+    path.write_text(AGF, encoding="utf-16")
+    with pytest.warns(ArgumentWarning, match="left out STRANGE"):
+        names = catalog.load_materials(path)
+    assert names == ("SCHOTTISH", "SELL", "CONRADY", "HANDBOOK")
+    assert catalog.material("sell").index(0.5875618) == pytest.approx(1.5168, abs=2e-6)
+    assert catalog.material("SCHOTTISH").index(0.5875618) == pytest.approx(1.5168, abs=2e-5)
+    wave = 0.6
+    assert catalog.material("CONRADY").index(wave) == pytest.approx(1.49 + 0.0085 / wave + 0.0003 / wave**3.5)
+    handbook = (1.2 + 1.3 * wave**2 / (wave**2 - 0.01) - 0.01 * wave**2) ** 0.5
+    assert catalog.material("HANDBOOK").index(wave) == pytest.approx(handbook)
+    path.write_text(AGF.replace("1.5168 64.17 0 1\n", "1.6168 64.17 0 1\n"))
+    with pytest.raises(ValueError, match=r"SELL states nd = 1.6168 but its formula gives 1.5168"):
+        material_files.read_agf(path)
+    entry = tmp_path / "Malitson.yml"
+    entry.write_text(
+        "REFERENCES: |\n    I. H. Malitson, J. Opt. Soc. Am. 55, 1205 (1965)\nDATA:\n  - type: formula 1\n"
+        "    wavelength_range: 0.21 6.7\n"
+        "    coefficients: 0 0.6961663 0.0684043 0.4079426 0.1162414 0.8974794 9.896161\n"
+    )
+    assert catalog.load_materials(entry) == ("Malitson",)
+    assert catalog.material("Malitson").index(0.5875618) == pytest.approx(1.45846, abs=1e-5)
+    assert catalog.material("Malitson").relative_to == "vacuum"
+    entry.write_text("DATA:\n  - type: tabulated n\n")
+    with pytest.raises(ValueError, match="must hold formula 1, 2, 3 or 5"):
+        material_files.read_entry(entry)

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.ndimage import correlate1d
 
-from odak.cli import metrics
+from odak.cli import report as metrics
 
 
 def test_psnr_of_a_constant_error():

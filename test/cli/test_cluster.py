@@ -2,14 +2,17 @@
 
 import json
 import os
+import time
+import types
 
 import numpy as np
 import pytest
 import torch
 from command import COLUMNS, ROWS, SMALL, read_report, run
 from PIL import Image
-from running_cluster import cluster
+from running_cluster import cluster, start_scheduler, start_workers, stop, tls_options
 
+from odak.cli import cluster as many
 from odak.cli import main
 
 
@@ -65,6 +68,23 @@ def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
     assert "0 computed, 3 skipped, 0 failed" in result.stdout
 
 
+def test_over_tls(folder, tmp_path):
+    pytest.importorskip("cryptography")
+    assert main(["certificates", str(tmp_path / "tls")]) == 0
+    files = tls_options(tmp_path / "tls")
+    scheduler, address = start_scheduler("--protocol", "tls", *files)
+    workers = []
+    try:
+        workers += start_workers(address, 1, *files)
+        result = run(folder, "--output", tmp_path / "out", *SMALL, "--cluster", address, *files)
+        assert "3 computed, 0 skipped, 0 failed" in result.stdout
+        options = ["--cluster", address, "--timeout", "0.5"]
+        run(folder, "--output", tmp_path / "refused", *SMALL, *options, expect=1)
+    finally:
+        stop(scheduler, *workers)
+    assert main(["certificates", str(tmp_path / "tls")]) == 2
+
+
 def test_what_is_done_is_skipped_and_nothing_else(folder, tmp_path):
     def again(*options):
         run(folder, "--output", tmp_path / "out", *SMALL, "--quiet", *options)
@@ -84,9 +104,10 @@ def test_what_is_done_is_skipped_and_nothing_else(folder, tmp_path):
     picture.putpixel((0, 0), 255 - picture.getpixel((0, 0)))
     picture.save(folder / "frame2.png")
     assert again() == ["frame2"]
-    assert again("--seed", "1") == everything
-    assert again("--seed", "1") == []
-    assert again("--seed", "1", "--again") == everything
+    seeded = ("--initial-phase", "normal", "--seed", "1")
+    assert again(*seeded) == everything
+    assert again(*seeded) == []
+    assert again(*seeded, "--again") == everything
 
 
 def test_a_picture_that_fails_is_named_and_the_rest_is_done(folder, tmp_path, capsys):
@@ -96,7 +117,7 @@ def test_a_picture_that_fails_is_named_and_the_rest_is_done(folder, tmp_path, ca
     assert code == 1
     assert "3 computed, 0 skipped, 1 failed" in said.out
     (line,) = [line for line in said.err.splitlines() if line.startswith("odak: ")]
-    assert line.startswith("odak: frame3: InputError:") and "frame3.png" in line and "odak-hologram-" not in line
+    assert line.startswith("odak: frame3: ") and "frame3.png" in line and "odak-hologram-" not in line
     assert list(summary_of(tmp_path / "out")["failed"]) == ["frame3"]
     assert not (tmp_path / "out" / "frame3").exists()
     Image.fromarray(np.full((ROWS, COLUMNS), 128, np.uint8)).save(folder / "frame3.png")
@@ -121,6 +142,28 @@ def test_depth_maps_are_found_by_name(folder, tmp_path):
     assert "--depth-map has no picture named 'frame2'" in result.stderr
 
 
+def test_folders_are_watched_for_new_and_changed_pictures(folder, tmp_path, monkeypatch):
+    looks = []
+
+    def sleep(_):
+        looks.append(sorted(path.name for path in (tmp_path / "out").glob("frame*")))
+        if len(looks) == 3:
+            Image.fromarray(np.full((ROWS, COLUMNS), 90, np.uint8)).save(folder / "frame11.png")
+        if len(looks) == 6:
+            Image.fromarray(np.full((ROWS, COLUMNS), 120, np.uint8)).save(folder / "frame2.png")
+        if len(looks) == 9:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(many, "time", types.SimpleNamespace(sleep=sleep, perf_counter=time.perf_counter))
+    said = run(folder, "-o", tmp_path / "out", *SMALL, "--watch")
+    counts = [line.partition(" in ")[0] for line in said.stdout.splitlines() if "computed" in line]
+    assert counts == ["3 computed, 0 skipped, 0 failed", *["1 computed, 0 skipped, 0 failed"] * 2]
+    # A picture is taken once it has not changed between two looks.
+    assert looks[0] == [] and len(looks[1]) == 3 and len(looks[4]) == 4
+    result = run(folder / "frame1.png", "-o", tmp_path, *SMALL, "--watch", expect=2)
+    assert "--watch needs folders" in result.stderr
+
+
 def test_shipped_pictures_by_name(tmp_path):
     run("photo", "chart", "--output", tmp_path, *SMALL, "--grey", "--quiet")
     assert summary_of(tmp_path)["computed"] == ["photo", "chart"]
@@ -136,12 +179,19 @@ def test_shipped_pictures_by_name(tmp_path):
         (["--iterations", "0"], "--iterations must be at least 1"),
         (["missing.png"], "IMAGE not found"),
         (["."], "different names"),
+        (["--cluster", "tcp://10.1.2.3:8786"], "or say --trusted-network if"),
+        (["--cluster", "tls://10.1.2.3:8786", "--tls-cert", "a.pem"], "--tls-key go together"),
+        (["summary.json.png"], "'the file summary.json of this command' and "),
+        (["FRAME1.png"], "different names"),
         (["empty"], "IMAGE is a directory without pictures"),
     ],
 )
 def test_bad_input_is_code_2(arguments, message, folder, tmp_path, monkeypatch):
     monkeypatch.chdir(folder)
     os.mkdir("empty")
+    if arguments[0].endswith(".png") and arguments[0] != "missing.png":
+        arguments = [str(tmp_path / arguments[0])]
+        Image.new("L", (COLUMNS, ROWS), 9).save(arguments[0])
     result = run(folder, *arguments, "--output", tmp_path / "out", expect=2)
     assert message in result.stderr
 
@@ -155,9 +205,10 @@ def test_a_cluster_that_is_not_there_is_code_1(folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["somewhere"], "ADDRESS must be that of a scheduler, such as tcp://10.0.0.1:8786; got 'somewhere'"),
+        (["somewhere"], "ADDRESS must be that of a scheduler, such as tls://10.0.0.1:8786; got 'somewhere'"),
         (["tcp://127.0.0.1:1", "--workers", "0"], "--workers must be at least 1"),
         (["tcp://127.0.0.1:1", "--memory-limit", "-1"], "--memory-limit must be positive"),
+        (["tcp://10.1.2.3:8786"], "ADDRESS 'tcp://10.1.2.3:8786' lies beyond this machine"),
         (["tcp://127.0.0.1:1", "--tls-cert", "a.pem"], "--tls-ca-file, --tls-cert and --tls-key go together"),
     ],
 )

@@ -22,9 +22,9 @@ def test_help_needs_no_torch():
 def test_help_states_units_and_defaults():
     text = " ".join(CliRunner().invoke(app, ["hologram", "--help"]).stdout.split())
     for part in (
-        "metres. [default: 8e-06]",
+        "(8um). [default: (8um)]",
         "[default: 1080, 1920]",
-        "6.38e-07",
+        "638nm",
         "[default: (sgd; multiplane for more than one plane)]",
         "radians",
         "1 to 16",
@@ -54,13 +54,14 @@ def test_unknown_commands_are_code_2(capsys):
     assert "paint" in capsys.readouterr().err
 
 
-def test_unexpected_failures_are_not_hidden(monkeypatch):
-    from odak.cli import run as module
+def test_unexpected_failures_are_not_hidden(monkeypatch, tmp_path):
+    from odak.cli import hologram as module
 
-    def broken(job):
+    def broken(job, _):
         raise RuntimeError("a bug")
 
     monkeypatch.setattr(module, "run", broken)
+    monkeypatch.chdir(tmp_path)
     with pytest.raises(RuntimeError, match="a bug"):
         main(["hologram"])
     assert CliRunner().invoke(app, ["hologram"]).exit_code == 1

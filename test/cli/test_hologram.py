@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 import torch
 from command import COLUMNS, ROWS, SMALL, angular_spectrum_intensity, pixels, read_report, run
-from PIL import Image
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image, ImageOps
 
-from odak.cli import main
+from odak.cli import main, pictures
+from odak.cli.job import PRESETS, parse_length
 
 
 def psnr_of(intensity, target):
@@ -42,7 +45,8 @@ def colour_file(tmp_path_factory):
 
 @pytest.mark.parametrize("method", ["sgd", "gs", "double-phase"])
 def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, tmp_path):
-    run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL)
+    options = [*SMALL] if method != "double-phase" else [part for part in SMALL if part not in ("--iterations", "5")]
+    run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *options)
     report = read_report(tmp_path)
     names = {"hologram_532nm.png", "reconstruction.png", "comparison.png", "report.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
@@ -87,6 +91,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "bits": 8,
         "device": "cpu",
         "quiet": True,
+        "preset": None,
     }
     assert report["versions"]["torch"] == torch.__version__
     assert {"odak", "numpy", "python"} <= set(report["versions"])
@@ -106,7 +111,7 @@ def test_more_iterations_show_the_picture_better(grey_file, tmp_path):
 def test_the_same_seed_gives_the_same_pattern(grey_file, tmp_path):
     patterns = []
     for seed in ("3", "3", "4"):
-        run(grey_file, "--output", tmp_path, *SMALL, "--initial-phase", "uniform", "--seed", seed, "--quiet")
+        run(grey_file, "--output", tmp_path, *SMALL, "--initial-phase", "uniform", "--seed", seed, "--quiet", "--again")
         patterns.append((tmp_path / "hologram_532nm.png").read_bytes())
     assert patterns[0] == patterns[1] != patterns[2]
 
@@ -211,14 +216,134 @@ def test_what_is_printed(grey_file, tmp_path):
     assert quiet.stdout == quiet.stderr == ""
 
 
-def test_comparison_shows_three_panels(grey_file, tmp_path):
+def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
     run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
-    sheet = pixels(tmp_path / "comparison.png")
+    sheet = pixels(tmp_path / "comparison.png").astype(int)
     target = pixels(grey_file)
-    assert np.array_equal(sheet[52 : 52 + ROWS, 12 : 12 + COLUMNS, 0], target)
-    pattern = pixels(tmp_path / "hologram_532nm.png").astype(int)
-    left = 12 + 2 * (240 + 12)
-    assert np.abs(sheet[52 : 52 + ROWS, left : left + COLUMNS, 0].astype(int) - pattern).max() <= 1
+    found = [
+        (row, column)
+        for row in range(sheet.shape[0] - ROWS)
+        for column in (16, 16 + 316)
+        if np.array_equal(sheet[row : row + ROWS, column : column + COLUMNS, 0], target)
+    ]
+    ((top, left),) = found
+    assert left == 16
+    # The phase below the reconstruction, in the colours of its bar, which begins and ends alike.
+    phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
+    colours = pictures._coloured(phase / (2 * np.pi), pictures.PHASE_COLOURS)
+    lower = next(
+        row
+        for row in range(top + ROWS, sheet.shape[0] - ROWS)
+        if np.array_equal(sheet[row : row + ROWS, 332 : 332 + COLUMNS], colours)
+    )
+    bar = sheet[lower + ROWS + 8 + 6, 333 : 332 + 299]
+    assert np.abs(bar[0] - bar[-1]).max() < 8 and np.ptp(bar[:, 2]) > 100
+
+
+@given(st.lists(st.text("abc MW_.", min_size=1, max_size=90), min_size=4, max_size=4), st.integers(4, 700))
+@settings(max_examples=30, deadline=None)
+def test_captions_stay_within_their_panels(captions, width):
+    panels = [pictures.picture_panel(caption, torch.zeros(1, 8, width)) for caption in captions]
+    cell = max(width, pictures.NARROWEST)
+    font, _ = pictures._typeset(captions, cell)
+    for caption in captions:
+        broken = pictures._broken(caption, font, cell).split("\n")
+        assert all(font.getlength(line) <= cell for line in broken) and "".join(broken).replace(
+            " ", ""
+        ) == caption.replace(" ", "")
+    assert pictures.sheet([panels[:2], panels[2:]]).width == 2 * (cell + 16) + 16
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_photographs_are_turned_upright(orientation, tmp_path):
+    from odak.cli.target import read_picture
+
+    image = Image.fromarray((np.arange(12).reshape(3, 4) * 20).astype(np.uint8))
+    exif = image.getexif()
+    exif[0x0112] = orientation
+    image.save(tmp_path / "photo.png", exif=exif)
+    with Image.open(tmp_path / "photo.png") as stored:
+        upright = np.asarray(ImageOps.exif_transpose(stored))
+    assert np.array_equal(np.round(read_picture(tmp_path / "photo.png")[0].numpy() * 255), upright)
+
+
+@pytest.mark.parametrize(
+    ("text", "metres"),
+    [
+        *(("8e-6", 8e-6), ("8um", 8e-6), ("6.4µm", 6.4e-6), ("6.4 μm", 6.4e-6), ("532nm", 532e-9), ("15cm", 0.15)),
+        *(("4mm", 4e-3), ("1m", 1.0), ("2e2nm", 2e-7), ("-3mm", -3e-3), (".5m", 0.5)),
+    ],
+)
+def test_lengths_have_units(text, metres):
+    assert parse_length(text) == pytest.approx(metres, rel=1e-15)
+
+
+def test_units_and_short_options(grey_file, tmp_path):
+    options = ["-o", tmp_path, "-w", "532nm", "-d", "3mm", "--pixel-pitch", "8um", "--iterations", "2", "--quiet"]
+    run(grey_file, *options, "--resolution", ROWS, COLUMNS)
+    parameters = read_report(tmp_path)["parameters"]
+    lengths = [parameters["wavelengths"][0], parameters["distance"], parameters["pixel_pitch"]]
+    assert lengths == pytest.approx([532e-9, 3e-3, 8e-6], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("options", "question"),
+    [
+        (
+            ["--pixel-pitch", "8"],
+            "--pixel-pitch 8 is 8 metres, larger than the pixels of any modulator; did you mean 8um?",
+        ),
+        (["--pixel-pitch", "8e-9"], "below half a wavelength; did you mean 8um?"),
+        (["--distance", "150"], "resolves 7.4e-06 points across the whole picture; did you mean 150mm?"),
+        (["--distance", "10um"], "the light of a pixel reaches its neighbours only beyond 0.00012 metres"),
+    ],
+)
+def test_doubtful_lengths_are_warned_of(options, question, grey_file, tmp_path):
+    said = run(grey_file, "-o", tmp_path, *SMALL, *options, "--quiet")
+    assert question.replace("7.4e-06", "0.0074") in said.stderr
+    (line,) = [line for line in said.stderr.splitlines() if "metres" in line and "warning" in line]
+    assert line.startswith("odak: warning: --") and line[15:] in read_report(tmp_path)["warnings"]
+
+
+def test_the_last_loss_stays_visible(grey_file, tmp_path):
+    said = run(grey_file, "-o", tmp_path, *SMALL)
+    loss = read_report(tmp_path)["channels"][0]["final_loss"]
+    assert f"loss {loss:.4g}" in said.stderr and loss > 0
+
+
+def test_a_second_run_is_skipped_and_other_results_are_named(grey_file, tmp_path, monkeypatch):
+    run(grey_file, "-o", tmp_path, *SMALL)
+    before = (tmp_path / "report.json").read_text()
+    said = run(grey_file, "-o", tmp_path, *SMALL)
+    assert "holds the result of this very run already; --again" in said.stdout
+    assert (tmp_path / "report.json").read_text() == before
+    run(grey_file, "-o", tmp_path, *SMALL, "--again")
+    assert (tmp_path / "report.json").read_text() != before
+    said = run(grey_file, "-o", tmp_path, *SMALL, "--iterations", "3")
+    assert (
+        "holds hologram_532nm.png, reconstruction.png, comparison.png, report.json of another run, to be" in said.stderr
+    )
+    # A pattern that another run replaced is not taken for that of the report.
+    (tmp_path / "hologram_532nm.png").write_bytes((tmp_path / "reconstruction.png").read_bytes())
+    assert "PSNR" in run(grey_file, "-o", tmp_path, *SMALL, "--iterations", "3").stdout
+    assert "already" not in run(grey_file, "-o", tmp_path, *SMALL, "--iterations", "4").stdout
+
+
+def test_names_of_outputs_are_settled_before_computing(grey_file, tmp_path, capsys, monkeypatch):
+    from odak.cli import hologram
+
+    (tmp_path / "comparison.png").mkdir()
+    monkeypatch.setattr(hologram, "_compute_plane", lambda *_: pytest.fail("computed"))
+    assert main(["hologram", str(grey_file), "-o", str(tmp_path), *SMALL]) == 2
+    assert "--output holds a folder where the file comparison.png is to be written" in capsys.readouterr().err
+
+
+def test_presets_of_modulators(grey_file, tmp_path):
+    run(grey_file, "-o", tmp_path, "--preset", "HOLOEYE-LETO-3", *SMALL, "--quiet")
+    parameters = read_report(tmp_path)["parameters"]
+    assert (parameters["pixel_pitch"], parameters["resolution"], parameters["bits"]) == (6.4e-6, [ROWS, COLUMNS], 8)
+    assert parameters["preset"] == "holoeye-leto-3"
+    assert all(preset.source.startswith("https://") for preset in PRESETS.values())
 
 
 BAD = {
@@ -226,7 +351,7 @@ BAD = {
     "directory": (["."], "directory"),
     "negative wavelength": (["--wavelength", "-1"], "--wavelength"),
     "wavelength not a number": (["--wavelength", "nan"], "--wavelength"),
-    "wavelength in nanometres": (["--wavelength", "532"], "metres"),
+    "wavelength in nanometres": (["--wavelength", "532"], "did you mean 532nm?"),
     "two wavelengths": (["--wavelength", "5e-7", "--wavelength", "6e-7"], "--wavelength"),
     "equal wavelengths": (["--wavelength", "5e-7"] * 3, "--wavelength"),
     "grey with three": (["--grey", *["--wavelength", "5e-7"] * 3], "--grey"),
@@ -242,9 +367,21 @@ BAD = {
     "no bits": (["--bits", "0"], "--bits"),
     "many bits": (["--bits", "17"], "--bits"),
     "resolution": (["--resolution", "8", "8"], "--resolution"),
-    "device": (["--device", "abacus"], "--device"),
+    "device": (["--device", "abacus"], "--device must be one of those of this machine (auto, cpu"),
+    "unit": (["--distance", "15 feet"], "'15 feet' is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm"),
+    "shipped picture": (["phto"], "Did you mean 'photo'?"),
+    "preset": (["--preset", "holoeye-pluto"], "Did you mean 'holoeye-pluto-2.1'?"),
+    "iterations of double phase": (
+        ["--method", "double-phase", "--iterations", "9"],
+        "--iterations has no effect with",
+    ),
+    "step size of gs": (["--method", "gs", "--learning-rate", "0.1"], "--learning-rate has no effect with --method gs"),
+    "brightness of gs": (["--method", "gs", "--no-scale"], "--scale has no effect with --method gs"),
+    "seed without noise": (["--seed", "3"], "--seed has no effect with --initial-phase flat"),
+    "volume without planes": (["--volume-depth", "2mm"], "--volume-depth has no effect without --planes"),
+    "timeout without cluster": (["--timeout", "3"], "--timeout has no effect without --cluster"),
     "not an integer": (["--bits", "few"], "--bits"),
-    "unknown option": (["--magic"], "--magic"),
+    "unknown option": (["--wavelenth", "1"], "--wavelength"),
 }
 
 

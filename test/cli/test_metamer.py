@@ -48,19 +48,24 @@ def test_three_pictures(file, tmp_path):
     shade = np.round(np.log2(pooling.clip(1)) / np.log2(pooling.max()) * 255)
     assert abs(pixels(tmp_path / "pooling_map.png") - shade).max() <= 1
     sheet = pixels(tmp_path / "comparison.png")
-    assert np.array_equal(sheet[52 : 52 + ROWS, 12 : 12 + COLUMNS], picture)
-    assert np.array_equal(sheet[52 : 52 + ROWS, 264 : 264 + COLUMNS], metamer)
+    (top,) = (
+        row
+        for row in range(sheet.shape[0] - ROWS)
+        if np.array_equal(sheet[row : row + ROWS, 16 : 16 + COLUMNS], picture)
+    )
+    assert np.array_equal(sheet[top : top + ROWS, 332 : 332 + COLUMNS], metamer)
 
 
 def test_iterations_lower_the_loss_and_the_seed_reproduces(file, tmp_path):
     losses = []
-    for iterations in (0, 5):
+    for iterations in (0, 20):
         out = run(file, "--output", tmp_path / str(iterations), *VIEW, "--iterations", iterations).stdout
         losses.append(float(out.split("metameric loss ")[1].split(",")[0]))
-    assert losses[1] < losses[0]
-    quiet = run(file, "--output", tmp_path / "again", *VIEW, "--quiet")
+    # Noise of full contrast leaves little room within RGB; photographs gain far more.
+    assert losses[1] < 0.5 * losses[0]
+    quiet = run(file, "--output", tmp_path / "again", *VIEW, "--quiet", "--iterations", 0)
     assert quiet.output == ""
-    run(file, "--output", tmp_path / "other", *VIEW, "--quiet", "--seed", 1)
+    run(file, "--output", tmp_path / "other", *VIEW, "--quiet", "--seed", 1, "--iterations", 0)
     first, again, other = (pixels(tmp_path / name / "metamer.png") for name in ("0", "again", "other"))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)

@@ -6,7 +6,14 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from odak.cli import app, main
-from odak.learn.raytracing.system import load_system, rms_spot, sample_systems, write_zmx
+from odak.learn.raytracing.system import (
+    layout_figure,
+    load_system,
+    rms_spot,
+    sample_systems,
+    trace_fields,
+    write_zmx,
+)
 from odak.learn.raytracing.system.drawing import COLOURS
 
 
@@ -25,23 +32,40 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
         assert sum(field["statuses"].values()) == 3 * 37
     assert report["system"]["source"] and set(report["definitions"]) >= {"rms_spot", "strehl"}
     for picture in ("layout.png", "spots.png"):
-        pixels = np.asarray(Image.open(tmp_path / picture)).reshape(-1, 3).astype(int)
+        pixels = np.asarray(Image.open(tmp_path / picture).convert("RGB")).reshape(-1, 3).astype(int)
         for colour in COLOURS[:3]:
             assert (abs(pixels - colour).sum(-1) < 60).sum() > 20, (picture, colour)
 
 
-def test_rays_in_the_layout_end_where_they_are_traced_to(tmp_path):
-    """The plane is drawn a tenth higher than the image of the outermost field."""
-    assert main(["trace", "cooke_triplet", "--output", str(tmp_path), "--quiet"]) == 0
-    pixels = np.asarray(Image.open(tmp_path / "layout.png")).astype(int)
-    dark = abs(pixels - 20).sum(-1) < 300
-    # The image plane is the rightmost long dark column.
-    column = max(x for x in range(pixels.shape[1]) if dark[:, x].sum() > 100)
-    rows = np.flatnonzero(dark[:, column])
-    red = abs(pixels - np.asarray(COLOURS[2])).sum(-1) < 120
-    tip = np.flatnonzero(red[:, column - 4]).mean()
-    middle = (rows[0] + rows[-1]) / 2
-    assert (middle - tip) / ((rows[-1] - rows[0]) / 2) == pytest.approx(1 / 1.1, abs=0.02)
+def test_rays_in_the_layout_end_where_they_are_traced_to():
+    lens = load_system("cooke_triplet")
+    (axes,) = layout_figure(lens, count=3).axes
+    rays = [line.get_xydata() for line in axes.get_lines() if line.get_color() == tuple(v / 255 for v in COLOURS[2])]
+    heights = trace_fields(lens, "y", 3).y[lens.reference, 2]
+    ends = sum(float(item.thickness) for item in lens.surfaces)
+    assert len(rays) == 3
+    for line, height in zip(rays, heights.tolist(), strict=True):
+        np.testing.assert_allclose(line[-1], [ends, height], atol=1e-12)
+
+
+def test_glasses_and_kinds_of_figures(tmp_path, capsys):
+    catalogue = tmp_path / "own.agf"
+    catalogue.write_text(
+        "NM MYGLASS 2 0 1.5168 64.17 0 1\nCD 1.03961212 0.00600069867 0.231792344 0.0200179144 "
+        "1.01046945 103.560653\nLD 0.3 2.5\n"
+    )
+    lens = tmp_path / "lens.zmx"
+    write_zmx(load_system("singlet"), lens)
+    lens.write_text(lens.read_text().replace("GLAS N-BK7", "GLAS MYGLASS"))
+    out = tmp_path / "out"
+    assert main(["trace", str(lens), "--output", str(out), "--glasses", str(catalogue), "--figures", "svg"]) == 0
+    report = json.loads((out / "report.json").read_text())
+    assert report["system"]["surfaces"][0]["material"] == "MYGLASS"
+    assert {"layout.svg", "spots.svg", "fans.svg", "transfer.svg"} <= set(report["figures"])
+    page = (out / "report.html").read_text()
+    assert page.count("<svg") >= 4 and "MYGLASS" in page and "Seidel" in page and "src=" not in page
+    assert main(["trace", str(lens), "--glasses", str(tmp_path / "none.agf")]) == 2
+    assert "--glasses" in capsys.readouterr().err
 
 
 def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys):
@@ -59,6 +83,7 @@ def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys):
         (["nothing.zmx"], "must be a file"),
         (["singlet", "--rings", "0"], "--rings must be 1 to 100"),
         (["singlet", "--aim", "high"], "--aim must be paraxial or real"),
+        (["singlet", "--figures", "bmp"], "--figures must be one of png, svg, pdf"),
         (["singlet", "--output", "/proc/none"], "--output cannot be written to"),
     ],
 )

@@ -30,6 +30,8 @@ def _case(path):
     return pytest.param(path, id=name, marks=marks)
 
 
+# A page shows a training that is interrupted.
+@pytest.mark.filterwarnings("ignore::odak.ConvergenceWarning")
 @pytest.mark.parametrize("path", [_case(path) for path in make_pictures.pages()])
 def test_page_prints_what_it_shows(path, tmp_path):
     for block, printed in make_pictures.run_page(path, tmp_path):
@@ -60,3 +62,9 @@ def test_blocks_are_read_with_their_output(tmp_path):
     assert (first.code, first.line, first.expected) == ("print(1)\n", 2, "1\n")
     assert (second.code, second.line, second.expected) == ("x = 2\n", 10, "")
     assert [printed for _, printed in make_pictures.run_page(page, tmp_path)] == ["1\n", ""]
+
+
+@pytest.mark.parametrize("path", sorted(make_pictures.DOCS.rglob("*.md")), ids=lambda path: path.stem)
+def test_code_fits_its_column(path):
+    blocks = make_pictures.read_blocks(path)
+    assert all(len(line) <= 88 for block in blocks for line in block.code.splitlines()), path

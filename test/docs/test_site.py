@@ -1,7 +1,9 @@
 """The built site: links resolve, pictures have words, browsers have nothing to complain of, phones can read it."""
 
+import asyncio
 import functools
 import http.server
+import json
 import os
 import re
 import subprocess
@@ -15,14 +17,16 @@ import pytest
 pytest.importorskip("mkdocs", reason="what builds the site is not installed: pip install -r docs/requirements.txt")
 
 from bs4 import BeautifulSoup
-from documentation import ROOT
+from documentation import ROOT, script
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 # A page inside a frame as wide as a phone, and what it says of itself: how many pixels it is wider than that.
 PHONE = """<!doctype html><title>phone</title><iframe src="/{}" width="390" height="800"></iframe>
 <script>onmessage = event => document.documentElement.dataset.overflow = event.data</script>"""
+WALK = Path(__file__).with_name("walk.html")
 PROBE = b"""<script>addEventListener("load", () => setTimeout(() =>
 parent.postMessage(document.documentElement.scrollWidth - innerWidth, "*"), 300))</script>"""
+ROLE = re.compile(r":(?:func|meth|class|mod|attr|data|exc|obj|ref):`?\w?")
 READ_IN_A_BROWSER = ("index.html", "guides", "notes", "course", "where_to_begin", "installation")
 
 
@@ -92,12 +96,36 @@ def _text_without_code(node):
     return "".join(text for text in node.find_all(string=True) if text.find_parent(["pre", "code"]) is None)
 
 
+def test_no_role_and_no_tex_command_is_printed(site):
+    for page in pages(site):
+        soup = soup_of(page)
+        role = ROLE.search(_text_without_code(soup) + "".join(node.get_text() for node in soup.select(".doc code")))
+        assert role is None, f"{page.relative_to(site)} prints {role[0]}"
+        for formula in soup.find_all("math"):
+            assert "\\" not in formula.get_text(), f"{page.relative_to(site)}: {formula.get_text()}"
+
+
+def test_every_public_name_has_one_entry_and_earlier_anchors_stay(site):
+    reference = script("reference")
+    listed = [
+        heading["id"]
+        for page in pages(site)
+        for heading in soup_of(page).select("h3.doc-heading")
+        if heading["id"] in reference.entries()
+    ]
+    assert sorted(listed) == sorted(reference.entries())
+    for page, anchor, path in reference.former_anchors():
+        assert soup_of(site / "reference" / page / "index.html").find(id=anchor), f"{page}: {anchor}, now {path}"
+
+
 @pytest.fixture(scope="module")
 def address(site):
     class Handler(http.server.SimpleHTTPRequestHandler):
         def do_GET(self):
             if self.path.startswith("/phone/"):
                 body = PHONE.format(self.path.removeprefix("/phone/")).encode()
+            elif self.path.startswith("/walk/"):
+                body = WALK.read_text(encoding="utf-8").replace("WIDTH", self.path.removeprefix("/walk/")).encode()
             else:
                 path, _ = file_of(site, site / "index.html", self.path.lstrip("/"))
                 if path.suffix != ".html" or not path.is_file():
@@ -145,6 +173,32 @@ def test_browser_has_nothing_to_complain_of_and_a_phone_can_read_it(site, addres
         if overflow is None or int(overflow[1]) > 0:
             complaints.append(f"{name}: wider than a phone by {overflow and overflow[1]} px")
     assert not complaints, "\n".join(complaints)
+
+
+async def walked(url):
+    """Return the report of a walk through the site in a real browser."""
+    import choreographer
+
+    from odak.visualize.plotly import find_browser
+
+    async with choreographer.Browser(path=find_browser(), headless=True, enable_sandbox=False) as browser:
+        tab = await browser.create_tab(url)
+        for _ in range(240):
+            await asyncio.sleep(0.5)
+            expression = {"expression": "document.documentElement.dataset.report || ''"}
+            answer = await tab.send_command("Runtime.evaluate", params=expression)
+            if answer["result"]["result"]["value"]:
+                return json.loads(answer["result"]["result"]["value"])
+    raise TimeoutError(url)
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1400, 390])
+def test_a_reader_walks_from_home_to_the_course(address, width):
+    pytest.importorskip("choreographer")
+    report = asyncio.run(walked(f"{address}walk/{width}"))
+    assert not report["faults"], "\n".join(report["faults"])
+    assert len(report["steps"]) == 9, report["steps"]
 
 
 def test_every_chapter_is_in_the_site(site):

@@ -92,10 +92,13 @@ def _check(names, folder):
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::odak.DeviceWarning")
 def test_as_printed(tmp_path, monkeypatch):
     _check(_run(WALK_THROUGH, tmp_path, monkeypatch), tmp_path)
 
 
+# It asks for CUDA, which the machine that tests need not have.
+@pytest.mark.filterwarnings("ignore::odak.DeviceWarning")
 def test_at_a_tenth_of_the_size(tmp_path, monkeypatch):
     text = WALK_THROUGH
     for printed, small in SMALL.items():

@@ -136,18 +136,3 @@ def test_batches_and_precision(as_array):
     np.testing.assert_allclose(np.asarray(out)[1, 0, :, 3], single, atol=1e-6)
     assert "complex128" in str(jones.polarizer(as_array(np.asarray([1.0, 2.0]))).dtype)
     assert tuple(jones.electricfield(angles, 1.0).shape) == (3, 2, 2)
-
-
-def test_errors_name_the_argument():
-    with pytest.raises(ValueError, match=r"field must be \[2\] or \[..., 2, k\], got \(3, 1\)"):
-        jones.linearpolarizer(np.ones((3, 1)))
-    with pytest.raises(ValueError, match="matrix must be"):
-        jones.apply_matrix(np.eye(4), np.ones(2))
-    with pytest.raises(TypeError, match="angle must be real"):
-        jones.polarizer(np.asarray([1j]))
-    with pytest.raises(ValueError, match="retardance must be finite"):
-        jones.retarder(float("nan"))
-    with pytest.raises(ValueError, match="Did you mean 'right'"):
-        jones.circular_polarizer("rigth")
-    with pytest.raises(ValueError, match="at least one"):
-        jones.cascade()

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from manager_tasks import divide, exit_quietly, fail_at_first
 
 from odak import manager
+from odak._warnings import MissingPackageWarning
 from odak.manager import Failure, TaskError, agent, backends
-from odak.manager.failures import describe
+from odak.manager.distribute import describe
 
 
 def serial(compute, jobs, **options):
@@ -140,6 +141,9 @@ def test_progress_is_shown_unless_it_is_not_wanted(capsys):
         ({"workers": 2, "cluster": False}, ValueError, "workers are processes of this machine"),
         ({"workers": 2, "cluster": "tcp://127.0.0.1:1"}, ValueError, "they need cluster='local' or server=True"),
         ({"threads": 1.5}, TypeError, "threads must be an integer"),
+        ({"cluster": "tcp://10.1.2.3:8786"}, ValueError, "beyond this machine, and plain TCP"),
+        ({"cluster": "10.1.2.3:8786"}, ValueError, "or say trusted_network=True"),
+        ({"security": 3}, TypeError, "security must be a distributed.Security, a folder or True, got int"),
         ({"depends": [3]}, TypeError, "depends must be modules, functions or paths, got int"),
         ({"depends": "missing.py"}, ValueError, "depends names a file that is not there"),
         ({"depends": "notes.txt"}, ValueError, "not allowed"),
@@ -150,6 +154,19 @@ def test_arguments_are_checked(arguments, error, message):
         agent(**{"compute": divide, **arguments})
 
 
+def test_map_with_shared_arguments():
+    with agent(cluster=False, verbose=False) as work:
+        assert work.map(divide, [6, 8], shared={"b": 2}) == [3, 4] == work.results
+        assert work.map(abs, iter([-1, 2])) == [1, 2] and work.jobs == []
+        with pytest.raises(TaskError, match="1 of 2 tasks failed"):
+            work.map(divide, [1, "one"], shared={"b": 2})
+        with pytest.raises(ValueError, match="compute must be given"):
+            work.submit((1,))
+        for arguments, message in (((3, [1]), "function must be callable"), ((abs, 1), "items must be an iterable")):
+            with pytest.raises(TypeError, match=message):
+                work.map(*arguments)
+
+
 def test_tasks_are_checked():
     work = serial(divide, [])
     with pytest.raises(TypeError, match="args must be a list or tuple of positional arguments, got int"):
@@ -158,14 +175,14 @@ def test_tasks_are_checked():
         work.run(on_failure="ignore")
 
 
-def test_without_dask_tasks_run_here(monkeypatch, caplog):
+def test_without_dask_tasks_run_here(monkeypatch):
     monkeypatch.setattr(backends, "has_dask", lambda: False)
-    monkeypatch.setattr("odak.manager.machine.has_dask", lambda: False)
-    work = agent(divide, verbose=False)
+    monkeypatch.setattr("odak.manager.server.has_dask", lambda: False)
+    with pytest.warns(MissingPackageWarning, match="Dask is not installed"):
+        work = agent(divide, verbose=False)
     work.submit((6, 3))
     assert work.run() == [2]
     assert work.client is None and work.slots() == 1
-    assert "Dask is not installed" in caplog.text
     for call in (lambda: agent(divide, "local"), lambda: agent(divide, "tcp://127.0.0.1:1"), manager.start_server):
         with pytest.raises(ImportError, match=r"pip install 'dask\[distributed\]'"):
             call()

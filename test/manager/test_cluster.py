@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import time
 import types
 from concurrent.futures import CancelledError
 
@@ -14,6 +15,7 @@ from manager_tasks import (
     await_mark,
     crash,
     divide,
+    end_process,
     exit_quietly,
     fail_at_first,
     hologram,
@@ -21,13 +23,14 @@ from manager_tasks import (
     nap,
     page_faults,
     raise_selfish,
+    stop_at_first,
     threads,
-    where,
+    weighted_sum,
 )
-from running_cluster import cluster, wait_for
+from running_cluster import cluster, start_scheduler, start_workers, stop, wait_for
 
-from odak.manager import Failure, TaskError, agent
-from odak.manager.machine import Share
+from odak.manager import Failure, TaskError, agent, backends
+from odak.manager.server import Share
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system")
@@ -216,8 +219,9 @@ def test_tasks_for_a_gpu_go_to_the_worker_that_has_it():
     with_gpu = {"cls": distributed.Worker, "options": {**worker["options"], "resources": {"GPU": 1}}}
     scheduler = {"cls": distributed.Scheduler, "options": {"port": 0, "dashboard_address": "127.0.0.1:0"}}
     with distributed.SpecCluster(scheduler=scheduler, workers={"cpu": worker, "gpu": with_gpu}) as there:
-        with spread(there, where, [(index,) for index in range(20)], gpu=True) as work:
-            assert set(work.run()) == {"gpu"}
+        with spread(there, nap, [(0.01, index) for index in range(20)], gpu=True) as work:
+            assert [value for value, _ in work.run()] == list(range(20))
+            assert {record["worker"] for record in work.records} == {there.workers["gpu"].address}
         assert there.status.name == "running"
 
 
@@ -230,8 +234,8 @@ def test_tasks_for_a_gpu_go_to_the_worker_that_has_it():
     ],
 )
 def test_each_gpu_has_one_worker(gpus, workers, expected, monkeypatch):
-    monkeypatch.setattr("odak.manager.machine.visible_gpus", lambda: gpus)
-    monkeypatch.setattr("odak.manager.machine.cores", lambda: 12)
+    monkeypatch.setattr("odak.manager.server.visible_gpus", lambda: gpus)
+    monkeypatch.setattr("odak.manager.server.cores", lambda: 12)
     parts = Share(workers, name="desk").parts()
     assert [(part["env"].get("CUDA_VISIBLE_DEVICES"), part["resources"]) for part in parts] == expected
     assert [part["name"] for part in parts] == [f"desk-{index}" for index in range(len(parts))]
@@ -240,7 +244,7 @@ def test_each_gpu_has_one_worker(gpus, workers, expected, monkeypatch):
 
 
 def test_gpus_are_named_as_the_environment_names_them(monkeypatch):
-    from odak.manager import machine
+    from odak.manager import server as machine
 
     monkeypatch.setattr(machine.shutil, "which", lambda _: "/usr/bin/nvidia-smi")
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
@@ -250,18 +254,89 @@ def test_gpus_are_named_as_the_environment_names_them(monkeypatch):
     assert machine.visible_gpus() == ["GPU-abc", "GPU-def"]
 
 
-@pytest.mark.slow
-def test_a_task_that_ends_its_worker_runs_on_another(address, tmp_path):
+def test_a_task_that_ends_its_process_is_named_and_isolated(address):
+    jobs = [(index, index == 17) for index in range(60)]
+    with spread(address, end_process, jobs) as work:
+        work.connect()
+        begin = time.monotonic()
+        results = work.run(on_failure="return")
+        seconds = time.monotonic() - begin
+    (failure,) = [result for result in results if isinstance(result, Failure)]
+    assert [result for result in results if not isinstance(result, Failure)] == [i for i in range(60) if i != 17]
+    assert (failure.index, failure.arguments) == (17, (17, True)) and isinstance(failure.error, ChildProcessError)
+    assert "exit code 3" in str(failure.error) and failure.attempts == 2 and seconds < 30
+
+
+def test_the_tasks_that_travel_with_it_are_not_charged(address, tmp_path):
+    jobs = [(99, tmp_path / "always"), *((0, tmp_path / f"never {index}") for index in range(5))]
+    with spread(address, crash, jobs, retries=0, chunk=3) as work:
+        always, *never = work.run(on_failure="return")
+    assert isinstance(always, Failure) and "SIGKILL" in str(always.error) and always.attempts == 4
+    assert never == [0] * 5
+    assert sorted(record["index"] for record in work.records) == [0, 0, 0, 0, 1, 2, 3, 4, 5]
+
+
+def test_a_task_whose_process_is_killed_runs_again(address, tmp_path):
     with spread(address, crash, [(2, tmp_path / "twice")], retries=0) as work:
         assert work.run() == [2]
-        wait_for(lambda: work.slots() == 2)
+
+
+def test_a_stopped_process_is_replaced(address, tmp_path):
+    with spread(address, stop_at_first, [(tmp_path / "mark",)], retries=0) as work:
+        assert work.run() == ["the second time"]
+
+
+def test_lost_groups_are_no_attempts():
+    class Forgetful(backends.Serial):
+        def wait(self):
+            group, jobs = self._started.popleft()
+            if len(group) > 1:
+                return [(group, backends.Lost("gone"))]
+            self._started.appendleft((group, jobs))
+            return super().wait()
+
+    work = agent(divide, cluster=False, retries=0, chunk=4, verbose=False)
+    work._backend = Forgetful()
+    for index in range(10):
+        work.submit((index,))
+    assert work.run() == list(range(10))
 
 
 @pytest.mark.slow
-def test_a_task_that_ends_every_worker_is_given_up(address, tmp_path):
-    jobs = [(99, tmp_path / "always"), *((0, tmp_path / f"never {index}") for index in range(5))]
-    with spread(address, crash, jobs, retries=1, chunk=3) as work:
-        always, *never = work.run(on_failure="return")
-        wait_for(lambda: work.slots() == 2)
-    assert isinstance(always, Failure) and type(always.error).__name__ == "KilledWorker"
-    assert not any(isinstance(result, Failure) for result in never)
+@pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP"])
+def test_workers_killed_from_outside_lose_nothing(name):
+    scheduler, address = start_scheduler()
+    workers = start_workers(address, 3)
+    try:
+        with spread(address, nap, [(0.05, index) for index in range(200)]) as work:
+            work.connect()
+            processes = list(work.client.run(os.getpid).values())
+            for _ in work.as_completed():
+                if len(work.records) in (20, 60):
+                    os.kill(processes.pop(), getattr(signal, name))
+            assert [value for value, _ in work.results] == list(range(200))
+    finally:
+        stop(scheduler, *workers)
+
+
+@pytest.mark.slow
+def test_all_workers_but_one_gone_for_good(address):
+    scheduler, address = start_scheduler()
+    workers = start_workers(address, 3)
+    try:
+        with spread(address, nap, [(0.05, index) for index in range(200)]) as work:
+            for _ in work.as_completed():
+                if len(work.records) in (30, 80):
+                    gone = workers.pop()
+                    gone.kill()
+                    stop(gone)
+            assert [value for value, _ in work.results] == list(range(200))
+    finally:
+        stop(scheduler, *workers)
+
+
+def test_shared_arguments_travel_once(address):
+    picture = torch.rand(500, 500)
+    with spread(address, None, []) as work:
+        sums = work.map(weighted_sum, range(40), shared={"picture": picture})
+    assert sums == [float((index * picture).sum()) for index in range(40)]

@@ -1,18 +1,20 @@
 """Workers of this machine, with a scheduler here and for one elsewhere: starting, ending, being killed."""
 
+import ipaddress
 import os
-import shutil
 import signal
 import subprocess
 import sys
 import textwrap
 import time
+from pathlib import Path
 
 import pytest
-from manager_tasks import divide, nap
-from running_cluster import TEST, program, start_scheduler, start_workers, stop, wait_for
+from manager_tasks import divide, nap, search_path
+from running_cluster import TEST, program, start_scheduler, start_workers, stop, tls_options, wait_for
 
-from odak.manager import agent, start_server
+from odak.manager import agent, make_certificates, start_server
+from odak.manager.server import check_transport
 
 pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system")
@@ -73,9 +75,10 @@ def test_a_plain_script_uses_all_cores_by_default_and_leaves_nothing_behind():
         assert [square for square, _ in results] == [value**2 for value in range(40)]
         print(*{process for _, process in results}, *work.client.run(os.getpid).values())
     """
+    # Two workers, and the process beside each in which its tasks run.
     with script(code) as running:
         processes = set(map(int, running.communicate(timeout=120)[0].split()))
-    assert running.returncode == 0 and len(processes) == 2 and running.pid not in processes
+    assert running.returncode == 0 and len(processes) == 4 and running.pid not in processes
     wait_for(lambda: not any(map(alive, processes)))
 
 
@@ -147,29 +150,190 @@ def test_the_program_of_the_workers_killed():
         assert time.monotonic() - start < 30
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl to make certificates with")
 def test_certificates(tmp_path, pair):
-    from distributed import Security
-
-    key, cert = tmp_path / "key.pem", tmp_path / "cert.pem"
-    made = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=odak"]
-    subprocess.run([*made, "-keyout", key, "-out", cert], check=True, capture_output=True)
-    files = ("--tls-ca-file", cert, "--tls-cert", cert, "--tls-key", key)
+    pytest.importorskip("cryptography")
+    folder = make_certificates(tmp_path / "certificates")
+    assert {path.name: path.stat().st_mode & 0o777 for path in folder.iterdir()} == dict.fromkeys(
+        ("ca.pem", "cert.pem", "key.pem"), 0o600
+    )
+    with pytest.raises(ValueError, match=r"holds ca\.pem, cert\.pem, key.pem already"):
+        make_certificates(folder)
+    files = tls_options(folder)
     _, address, _ = pair(("--protocol", "tls", *files), files)
     assert address.startswith("tls://")
-    roles = {
-        f"tls_{role}_{kind}": str(file)
-        for role in ("client", "worker")
-        for kind, file in (("cert", cert), ("key", key))
-    }
-    security = Security(tls_ca_file=str(cert), require_encryption=True, **roles)
-    with agent(divide, address, security=security, verbose=False) as work:
+    with agent(divide, address, security=folder, verbose=False) as work:
         work.submit((3, 2))
         assert work.run() == [1.5]
-    for stranger in (address.replace("tls", "tcp"), address):
-        with agent(divide, stranger, timeout=1.0, verbose=False) as work, pytest.raises((OSError, TypeError)):
+    other = make_certificates(tmp_path / "other")
+    for stranger, security in ((address.replace("tls", "tcp"), None), (address, None), (address, other)):
+        with (
+            agent(divide, stranger, timeout=1.0, security=security, verbose=False) as work,
+            pytest.raises((OSError, TypeError)),
+        ):
             work.connect()
+    with pytest.raises(ValueError, match=r"lacks ca\.pem, cert\.pem"):
+        agent(divide, address, security=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("address", "refused"),
+    [
+        ("tcp://127.0.0.1:8786", False),
+        ("tcp://[::1]:8786", False),
+        ("localhost:8786", False),
+        ("inproc://10.1.2.3/7/1", False),
+        ("tls://10.1.2.3:8786", False),
+        ("127.3.2.1", False),
+        ("0.0.0.0", True),
+        ("", True),
+        ("::", True),
+        ("tcp://[2001:db8::1]:8786", True),
+        ("tcp://10.1.2.3:8786", True),
+        ("10.1.2.3:8786", True),
+        ("ws://10.1.2.3:8786", True),
+        ("tcp://no.such.host.invalid:8786", True),
+    ],
+)
+def test_plain_tcp_stays_on_this_machine_unless_the_network_is_trusted(address, refused):
+    check_transport("address", address, trusted_network=True)
+    if refused:
+        with pytest.raises(ValueError, match="lies beyond this machine, and plain TCP"):
+            check_transport("address", address, trusted_network=False)
+    else:
+        check_transport("address", address, trusted_network=False)
+
+
+def test_a_server_beyond_this_machine_needs_certificates():
+    with pytest.raises(ValueError, match=r"host '0\.0\.0\.0' lies beyond this machine"):
+        start_server(host="0.0.0.0", port=0, workers=1)
+    with agent(divide, server=True, host="0.0.0.0", verbose=False) as work, pytest.raises(ValueError, match="host"):
+        work.connect()
+
+
+@pytest.fixture
+def address():
+    scheduler, address = start_scheduler()
+    yield address
+    stop(scheduler)
+
+
+def descendants(process):
+    """Return a process and all that it started, directly or not."""
+    parents = {}
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                stat = (folder / "stat").read_text()
+            except OSError:
+                continue
+            parents[int(folder.name)] = int(stat.rpartition(")")[2].split()[1])
+    found = {process}
+    while grown := {child for child, parent in parents.items() if parent in found} - found:
+        found |= grown
+    return found
+
+
+def listening(processes):
+    """Return the addresses on which processes listen, from the tables of the kernel."""
+    sockets = set()
+    for process in processes:
+        for entry in Path(f"/proc/{process}/fd").iterdir():
+            try:
+                target = os.readlink(entry)
+            except OSError:
+                continue
+            if target.startswith("socket:["):
+                sockets.add(target[8:-1])
+    found = []
+    for table in ("tcp", "tcp6"):
+        file = Path(f"/proc/net/{table}")
+        for line in file.read_text().splitlines()[1:] if file.exists() else ():
+            words = line.split()
+            if words[3] == "0A" and words[9] in sockets:
+                data = bytes.fromhex(words[1].partition(":")[0])
+                quads = [data[start : start + 4][::-1] for start in range(0, len(data), 4)]
+                found.append(str(ipaddress.ip_address(b"".join(quads))))
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="no /proc")
+def test_all_that_is_started_listens_on_loopback_alone():
+    code = """
+        import sys, time
+        from odak.manager import agent
+
+        work = agent(abs, "local", workers=2, verbose=False)
+        work.submit((-3,))
+        assert work.run() == [3]
+        print("ready", flush=True)
+        time.sleep(600)
+    """
+    with script(code) as running:
+        assert running.stdout.readline() == "ready\n"
+        processes = descendants(running.pid)
+        found = listening(processes)
+        running.kill()
+    # The script, the program of the workers, two workers, and a process for the task.
+    assert len(processes) >= 5 and len(found) >= 5
+    assert set(found) == {"127.0.0.1"}
+
+
+POISON = "raise SystemExit(open('poisoned', 'a').write(__name__ + chr(10)) and 'poisoned')"
+POISONED = (
+    *("uuid", "json", "pickle", "multiprocessing", "asyncio", "socket", "logging", "tempfile", "random", "struct"),
+    *("numpy", "torch", "dask", "distributed", "tornado", "msgpack", "cloudpickle", "psutil", "yaml", "typing"),
+    *("runpy", "importlib", "zipfile", "array", "bpy", "mathutils", "site", "sitecustomize", "usercustomize", "odak"),
+)
+
+
+@pytest.fixture
+def poisoned(tmp_path, monkeypatch):
+    """Make the current folder one whose modules leave a mark when they are imported; return it."""
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    for name in POISONED:
+        (folder / f"{name}.py").write_text(POISON)
+    monkeypatch.chdir(folder)
+    yield folder
+    assert not (folder / "poisoned").exists(), (folder / "poisoned").read_text()
+
+
+def test_no_process_imports_from_the_current_folder(poisoned, monkeypatch):
+    monkeypatch.syspath_prepend("")
+    with agent(nap, workers=2, verbose=False) as work:
+        for index in range(4):
+            work.submit((0.01, index))
+        assert [value for value, _ in work.run()] == [0, 1, 2, 3]
+        path = work.map(search_path, [0])[0]
+    assert "" not in path and str(poisoned) not in map(os.path.realpath, path)
+
+
+def test_a_worker_of_the_command_line_imports_nothing_from_the_current_folder(address, poisoned):
+    command = [sys.executable, "-I", "-m", "odak", "worker", address, "--workers", "1"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as worker:
+        try:
+            assert "joined" in worker.stdout.readline()
+            with agent(lambda: __import__("sys").path, address, verbose=False) as work:
+                work.submit(())
+                assert str(poisoned) not in map(os.path.realpath, work.run()[0])
+        finally:
+            # Not an interrupt, which a test run in the background ignores and its children with it.
+            worker.terminate()
+
+
+def test_the_modules_of_the_current_folder_travel_with_the_tasks(poisoned, monkeypatch):
+    (poisoned / "my_helpers.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
+    monkeypatch.syspath_prepend(str(poisoned))
+    # What the test itself imports from now on must not come from there first.
+    sys.path.append(sys.path.pop(0))
+    import my_helpers
+
+    try:
+        with agent(lambda value: my_helpers.triple(value), workers=1, verbose=False) as work:
+            work.submit((2,))
+            assert work.run() == [6]
+    finally:
+        del sys.modules["my_helpers"]
 
 
 def test_workers_that_cannot_join():

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 import odak.raytracing as rt
 from odak.raytracing import interfaces, intersections
-from odak.raytracing.status import RayStatus
+from odak.raytracing.intersections import RayStatus
 from odak.tools import rotate_points
 
 Z_AXIS = [[0, 0, 0], [0, 0, 1]]

@@ -7,7 +7,7 @@ import torch
 import odak.learn.raytracing as learn
 import odak.raytracing as rt
 from odak.raytracing import interfaces
-from odak.raytracing.status import RayStatus
+from odak.raytracing.intersections import RayStatus
 
 X, Y, Z = np.eye(3)
 HIT, MISS, REFLECTED = RayStatus.HIT, RayStatus.MISS, RayStatus.TOTAL_INTERNAL_REFLECTION

@@ -2,10 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
+import odak.learn.raytracing as learned
 import odak.raytracing as rt
+from odak import AccuracyWarning, ConvergenceWarning
 from odak.tools import rotate_points
 
 numbers = st.floats(-10, 10, allow_nan=False)
@@ -138,3 +141,22 @@ def test_a_lost_ray_does_not_seem_to_pass_another_by(number):
         with np.errstate(invalid="ignore"):
             point, distances = rt.calculate_intersection_of_two_rays(*rays)
         assert np.isnan(point).any() and np.isnan(distances).all()
+
+
+@pytest.mark.parametrize("face", [rt, learned], ids=["numpy", "torch"])
+def test_angles_that_make_no_direction_are_warned_about(face):
+    make = np.asarray if face is rt else torch.tensor
+    with pytest.warns(AccuracyWarning, match="length 1, got one of length 1.414"):
+        face.create_ray(make([0.0, 0.0, 0.0]), make([[90.0, 90.0, 0.0], [0.0, 0.0, 90.0]]))
+    face.create_ray(make([0.0, 0.0, 0.0]), make([90.0, 45.02, 45.0]))
+    face.create_ray(make([0.0, 0.0, 0.0]), make([float("nan"), 0.0, 0.0]))
+
+
+def test_a_surface_that_is_not_reached_is_warned_about():
+    with pytest.warns(ConvergenceWarning, match="1 rays did not reach an error of 1e-08"):
+        rt.intersect_parametric(
+            [[0, 0, -5], [0, 0, 1]],
+            None,
+            lambda points, _: np.sign(points[:, 2]) + 0.5 * (points[:, 2] == 0),
+            rt.get_sphere_normal,
+        )

@@ -17,9 +17,9 @@ from odak import tools
 from odak.learn.models import save_weights, train
 from odak.learn.raytracing.system import load_system, save_system, write_zmx
 from odak.learn.tools import save_torch_tensor
-from odak.learn.tools._checkpoints import write_checkpoint
+from odak.learn.tools.checkpoints import write_checkpoint
 from odak.learn.wave import training
-from odak.tools import _atomic, asset
+from odak.tools import asset, paths
 
 STAGES = ("before the first byte", "half-way", "before the move", "after the move")
 
@@ -60,7 +60,7 @@ def die():
 
 def die_at(stage):
     """Let the next file that is written kill this process."""
-    written, moved = _atomic._File.write, os.replace
+    written, moved = paths._File.write, os.replace
 
     def write(self, data):
         if stage == "before the first byte":
@@ -76,7 +76,7 @@ def die_at(stage):
         moved(*names)
         die()
 
-    _atomic._File.write = write
+    paths._File.write = write
     if "move" in stage:
         os.replace = replace
 
@@ -132,16 +132,18 @@ def trained(checkpoint=None, pause=0.0, epochs=12, **options):
 
 def descended(checkpoint=None, pause=0.0, solver="adam", iterations=30, **options):
     """Descend a bowl whose centre shakes; return the place."""
-    place = torch.linspace(-1, 1, 999, dtype=torch.float64).requires_grad_()
+    place, draw = torch.linspace(-1, 1, 999, dtype=torch.float64).requires_grad_(), torch.Generator().manual_seed(5)
 
     def gradient(iteration):
         time.sleep(pause)
-        loss = (place - torch.rand(999, dtype=torch.float64)).square().mean()
+        loss = (place - torch.rand(999, dtype=torch.float64, generator=draw)).square().mean()
         loss.backward()
         return loss.detach()
 
-    options = training.Options(progress=False, checkpoint=checkpoint, checkpoint_every=1, seed=5, **options)
-    training.minimise({"x": place}, gradient, iterations, training.constant(0.1), options, solver=solver)
+    options = training.Options(progress=False, checkpoint=checkpoint, checkpoint_every=1, **options)
+    training.minimise(
+        {"x": place}, gradient, iterations, training.constant(0.1), options, solver=solver, generators=[draw]
+    )
     return [place.detach()]
 
 

@@ -1,7 +1,7 @@
 """Wrong and unusual arguments to everything public: a correct result, or an error that names the argument.
 
-The walk finds the calls by itself. A new one needs valid arguments in `test/api_sweep/examples`, unless the names of
-its arguments are known there already.
+The walk finds the calls by itself. Valid arguments of a new one come from the example in its docstring; otherwise they
+are entered in `test/api_sweep/examples`, unless the names of its arguments are known there already.
 """
 
 import inspect
@@ -10,7 +10,7 @@ import pytest
 import torch
 from api_sweep import contract, hostile, samples, walk
 
-from odak.wave.kernel_cache import kernels
+from odak.wave.transfer_functions import kernels
 
 CALLABLES = walk.public_callables()
 

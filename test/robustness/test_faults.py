@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
@@ -16,9 +17,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import faults
 from faults import STAGES, WRITERS
 
-from odak import tools
+from odak import ConvergenceWarning, tools
 from odak.cli import main
-from odak.tools import _atomic
+from odak.tools import paths
 
 STRAY = re.compile(r"\.[0-9a-f]{16}\.part")
 needs_kill = pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked and killed by Unix means")
@@ -55,7 +56,7 @@ class TestFullDisk:
     @pytest.fixture(params=[0, 100], ids=["at once", "after 100 bytes"])
     def full(self, request, monkeypatch):
         """Let files take so many bytes and no more."""
-        whole, room = _atomic._File.write, request.param
+        whole, room = paths._File.write, request.param
 
         def write(file, data):
             view = memoryview(data).cast("B")
@@ -67,7 +68,7 @@ class TestFullDisk:
             return whole(file, data)
 
         def fill():
-            monkeypatch.setattr(_atomic._File, "write", write)
+            monkeypatch.setattr(paths._File, "write", write)
 
         return fill
 
@@ -180,7 +181,7 @@ class TestInterrupted:
     @pytest.mark.parametrize("run", ["adam", "lbfgs", "network"])
     @pytest.mark.parametrize("number", [1, 4])
     def test_while_the_checkpoint_is_written(self, run, number, tmp_path, monkeypatch):
-        path, whole, count = str(tmp_path / "run.pt"), _atomic._File.write, []
+        path, whole, count = str(tmp_path / "run.pt"), paths._File.write, []
         unbroken = faults.RUNS[run]()
 
         def write(file, data):
@@ -189,8 +190,11 @@ class TestInterrupted:
                 raise KeyboardInterrupt
             return whole(file, data)
 
-        monkeypatch.setattr(_atomic._File, "write", write)
-        faults.RUNS[run](path)
+        monkeypatch.setattr(paths._File, "write", write)
+        with warnings.catch_warnings():
+            # An interrupted training says so.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            faults.RUNS[run](path)
         monkeypatch.undo()
         assert len(count) >= number and os.listdir(tmp_path) == ["run.pt"]
         assert torch.load(path, weights_only=True)["done"] < 30

@@ -58,7 +58,7 @@ def test_every_pin_names_one_version():
 def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""
     modules = {"pillow": "PIL", "array-api-compat": "array_api_compat"}
-    brought_along = {"distributed", "cloudpickle", "choreographer"}  # by dask[distributed] and kaleido
+    brought_along = {"distributed", "cloudpickle", "psutil", "choreographer"}  # by dask[distributed] and kaleido
     declared = {modules.get(name, name) for name in declared_names()} | {"odak"} | brought_along
     found = set()
     for path in (ROOT / "odak").rglob("*.py"):

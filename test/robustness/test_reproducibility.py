@@ -7,6 +7,7 @@ import pytest
 import representatives
 import torch
 from representatives import DISTANCE, DX, WAVELENGTH, pattern, representative
+from tolerances import transforms_bound
 
 import odak
 from odak.learn import models, perception, wave
@@ -47,12 +48,16 @@ def test_threads_do_not_change_a_propagation(method):
         odak.wave.clear_kernel_cache()
         return wave.propagate_beam(field, None, DISTANCE, DX, WAVELENGTH, method)
 
-    agree_on_threads(run, 1e-7)
+    # Two transforms of the padded field, and two more in the kernel of the incoherent method.
+    agree_on_threads(run, transforms_bound(torch.float32, 240 * 300, 4))
 
 
 def test_threads_do_not_change_a_large_propagation():
     field = torch.polar(torch.ones(600, 520), 6 * pattern(600, 520))
-    agree_on_threads(lambda: wave.propagate_beam(field, None, DISTANCE, DX, WAVELENGTH), 1e-7)
+    agree_on_threads(
+        lambda: wave.propagate_beam(field, None, DISTANCE, DX, WAVELENGTH),
+        transforms_bound(torch.float32, 1200 * 1040, 2),
+    )
 
 
 @pytest.mark.parametrize("solver", ["adam", "lbfgs"])

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import ndimage, signal
 
-from odak.tools import _nonuniform
+from odak.tools import nonuniform
 from odak.tools.matrix import (
     convolve2d,
     correlation_2d,
@@ -44,13 +44,6 @@ def test_complex_convolution_and_every_library(random, as_array):
     result = convolve2d(as_array(field.real.astype(np.float32)), as_array(kernel.astype(np.float32)))
     assert np.asarray(result).dtype == np.float32
     assert np.asarray(convolve2d(as_array(np.eye(3, dtype=np.int64)), as_array(kernel[:3, :3]))).dtype == np.float64
-
-
-def test_convolution_refuses():
-    with pytest.raises(ValueError, match=r"kernel must be no larger than the field \[2, 2\], got \[3, 1\]"):
-        convolve2d(np.ones((2, 2)), np.ones((3, 1)))
-    with pytest.raises(TypeError, match="kernel must be an array"):
-        convolve2d(np.ones((2, 2)), 3)
 
 
 @pytest.mark.parametrize("shape", [(6, 8), (5, 7)])
@@ -108,7 +101,7 @@ def test_soft_border_factors_and_gradient():
 
 
 def test_nonuniform_transforms_at_the_uniform_places_are_ffts(random, monkeypatch):
-    monkeypatch.setattr(_nonuniform, "_BLOCK", 64)
+    monkeypatch.setattr(nonuniform, "_BLOCK", 64)
     field = random.random((6, 5)) + 1j * random.random((6, 5))
     frequencies = np.meshgrid(2 * np.pi * np.fft.fftfreq(6), 2 * np.pi * np.fft.fftfreq(5), indexing="ij")
     centred = np.roll(field, (3, 2), (0, 1))
@@ -127,7 +120,7 @@ def test_nonuniform_transforms_are_adjoint(random):
 
 def test_large_transform_asks_for_finufft(monkeypatch):
     monkeypatch.setitem(sys.modules, "finufft", None)
-    monkeypatch.setattr(_nonuniform, "_LARGEST_SUM", 10)
+    monkeypatch.setattr(nonuniform, "_LARGEST_SUM", 10)
     with pytest.raises(ImportError, match="pip install finufft"):
         nufft2(np.ones((2, 3)), np.ones(6), np.ones(6))
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from odak.tools import _images
+from odak.tools import images
 from odak.tools.file import load_image, resize_image, save_image
 
 CHANNELS = {2: 3, 4: 2, 6: 4}
@@ -188,12 +188,6 @@ def test_what_cannot_be_saved(tmp_path, name, image, options, reason):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("image", [np.zeros((2, 2), complex), [["a"]], np.zeros((2, 2), object)])
-def test_only_real_numbers_are_saved(tmp_path, image):
-    with pytest.raises(TypeError, match="img must hold real numbers"):
-        save_image(tmp_path / "a.png", image)
-
-
 @pytest.mark.parametrize("name, shape, depth", [("a.png", (4, 4), 8), ("a.png", (4, 4, 3), 16), ("a.jpg", (4, 4), 8)])
 def test_a_failing_encoder_leaves_the_old_file(tmp_path, monkeypatch, name, shape, depth):
     path = tmp_path / name
@@ -203,7 +197,7 @@ def test_a_failing_encoder_leaves_the_old_file(tmp_path, monkeypatch, name, shap
         (image if depth == 16 else stream).write(b"half of")
         raise OSError("disk full")
 
-    monkeypatch.setattr(*((_images._deep_colour, "write_png") if depth == 16 else (Image.Image, "save")), fail)
+    monkeypatch.setattr(*((images, "_write_deep_png") if depth == 16 else (Image.Image, "save")), fail)
     with pytest.raises(ValueError, match=rf"Failed to save image '.*{name}': disk full"):
         save_image(path, np.zeros(shape), color_depth=depth)
     assert path.read_bytes() == b"old"
@@ -306,11 +300,9 @@ def test_resizing_keeps_type_input_and_constants(dtype):
     assert not np.shares_memory(same, picture)
 
 
-@pytest.mark.parametrize(
-    "size, kind", [([3], ValueError), ([3, 0], ValueError), (4, ValueError), ([2.5, 2], TypeError)]
-)
-def test_resizing_refuses(size, kind):
-    with pytest.raises(kind, match="target_size"):
-        resize_image(np.ones((4, 4)), size)
+def test_one_axis_is_a_column(tmp_path):
+    line = np.asarray([0.0, 100.0, 255.0])
+    save_image(tmp_path / "a.png", line)
+    assert load_image(tmp_path / "a.png").tolist() == [[0], [100], [255]]
     with pytest.raises(ValueError, match="img must be"):
-        resize_image(np.ones((4, 4, 4, 4)), [2, 2])
+        save_image(tmp_path / "a.png", np.empty(0))

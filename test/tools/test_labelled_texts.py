@@ -62,9 +62,10 @@ def test_markdown_lines(written):
 
 
 def test_the_module_and_its_class_are_both_reached_by_one_name(written):
-    import odak.tools.latex as module
+    import odak.tools.latex
+    from odak.tools.latex import latex
 
-    assert module is odak.tools.latex
+    assert latex is odak.tools.latex
     name = written("a.tex", "x\n")
     assert isinstance(odak.tools.latex(name), odak.tools.latex.latex)
     with pytest.raises(FileNotFoundError):

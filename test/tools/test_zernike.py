@@ -123,10 +123,3 @@ def test_there_is_no_such_polynomial(n, m, error, message):
         zernike_polynomial(n, m, np.ones(2), np.zeros(2))
     with pytest.raises(error, match=message):
         zernike_norm(n, m)
-
-
-def test_indices_are_checked():
-    with pytest.raises(ValueError, match="j must be at least 1"):
-        noll_to_nm(0)
-    with pytest.raises(ValueError, match="j must be at least 0"):
-        osa_to_nm(-1)

@@ -16,12 +16,12 @@ def opened(monkeypatch, tmp_path):
     """Return the pages that showing would have opened; keep them in the test's folder, on a desk without a display."""
     import webbrowser
 
-    from odak.visualize.plotly import _pages
+    from odak.visualize.plotly import figures
 
     addresses = []
     monkeypatch.setattr(webbrowser, "open", lambda address, *a, **k: addresses.append(address))
-    monkeypatch.setattr(_pages, "_folder", tmp_path)
-    monkeypatch.setattr(_pages.page.renderers, "default", "browser")
+    monkeypatch.setattr(figures, "_folder", tmp_path)
+    monkeypatch.setattr(figures.page.renderers, "default", "browser")
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER"):
         monkeypatch.delenv(name, raising=False)
     return addresses

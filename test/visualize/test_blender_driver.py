@@ -6,6 +6,7 @@ import logging
 import os
 import re
 import stat
+import subprocess
 import sys
 import time
 import types
@@ -15,13 +16,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from odak import DeviceWarning
 from odak.visualize import blender
-from odak.visualize.blender import locate, runner
+from odak.visualize.blender import process as blender_process
 
 # Stands in for a Python with bpy: answers the question for it, and does what the variable PRETEND says otherwise.
 PRETENDER = """#!/bin/sh
-if [ "$1" = "-c" ]; then exit {probe}; fi
 for last; do :; done
+case "$last" in *"find_spec('bpy')"*) exit {probe};; esac
 echo "arguments: $@"
 {body}
 """
@@ -53,7 +55,7 @@ def _no_bpy(monkeypatch):
     """Let there be no Blender but those of a test."""
     found = importlib.util.find_spec
     monkeypatch.setattr(importlib.util, "find_spec", lambda name, *rest: None if name == "bpy" else found(name, *rest))
-    for variable in (locate.PYTHON_VARIABLE, locate.PROGRAM_VARIABLE):
+    for variable in (blender_process.PYTHON_VARIABLE, blender_process.PROGRAM_VARIABLE):
         monkeypatch.delenv(variable, raising=False)
     monkeypatch.setenv("PATH", os.defpath)
 
@@ -102,6 +104,19 @@ def test_this_python_is_told_apart_from_one_with_bpy():
         blender.find_blender(sys.executable)
 
 
+def test_no_module_of_the_current_folder_is_imported(tmp_path, monkeypatch):
+    for name in ("bpy", "json", "importlib", "site", "runpy", "uuid"):
+        (tmp_path / f"{name}.py").write_text("open('poisoned', 'w').close()")
+    script = tmp_path / "script.py"
+    script.write_text("import json, sys, uuid\nprint(json.dumps(sys.argv[1:]), __name__)")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(blender.BlenderNotFoundError, match="without the package bpy"):
+        blender.find_blender(sys.executable)
+    command = blender.Blender("python", sys.executable).command(str(script), "a", "b")
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    assert said == '["a", "b"] __main__\n' and not (tmp_path / "poisoned").exists()
+
+
 def test_a_named_one_never_gives_way_to_another(program, tmp_path):
     program("path/blender")
     with pytest.raises(blender.BlenderNotFoundError, match="ODAK_BLENDER names"):
@@ -111,7 +126,8 @@ def test_a_named_one_never_gives_way_to_another(program, tmp_path):
 def test_commands_open_no_window_and_run_nobody_elses_settings(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", "/somewhere")
     python, program = blender.Blender("python", "/p/python"), blender.Blender("program", "/p/blender")
-    assert python.command("d.py", "a", "b") == ["/p/python", "d.py", "a", "b"]
+    words = python.command("d.py", "a", "b")
+    assert words[:3] == ["/p/python", "-I", "-c"] and words[-3:] == ["d.py", "a", "b"]
     words = program.command("d.py", "a", "b")
     assert words[:3] == ["/p/blender", "--background", "--factory-startup"]
     assert words[-5:] == ["--python", "d.py", "--", "a", "b"]
@@ -121,13 +137,13 @@ def test_commands_open_no_window_and_run_nobody_elses_settings(monkeypatch):
 
 def test_file_appears_whole_and_progress_is_logged(program, picture, tmp_path, caplog):
     body = 'echo "Mem: 1M | Sample 3/4"; echo "odak: the CPU renders"; printf content > "$last"'
-    with caplog.at_level(logging.DEBUG, logger="odak"):
+    warns = pytest.warns(DeviceWarning, match="Blender: the CPU renders")
+    with caplog.at_level(logging.DEBUG, logger="odak"), warns:
         path = picture.render(tmp_path / "a.png", blender=program("blender", body), verbose=False)
     assert (tmp_path / "a.png").read_text() == "content"
     assert path == str(tmp_path / "a.png")
     levels = {record.getMessage(): record.levelname for record in caplog.records}
     assert levels["Blender: Mem: 1M | Sample 3/4"] == "DEBUG"
-    assert levels["Blender: the CPU renders"] == "WARNING"
     (called,) = [text for text in levels if "arguments:" in text]
     assert "--background --factory-startup --python-exit-code 1 --python" in called
     assert re.search(r"driver\.py -- \S*scene\.json \S*out\.png", called)
@@ -175,7 +191,7 @@ def test_file_that_breaks_off_leaves_the_old_one(program, picture, tmp_path, mon
 
     (tmp_path / "a.png").write_text("old")
     path = program("blender", 'printf content > "$last"')
-    monkeypatch.setattr(runner.shutil, "copyfileobj", break_off)
+    monkeypatch.setattr(blender_process.shutil, "copyfileobj", break_off)
     with pytest.raises(OSError, match="disk full"):
         picture.render(tmp_path / "a.png", blender=path, verbose=False)
     assert (tmp_path / "a.png").read_text() == "old"
@@ -212,7 +228,7 @@ def test_folder_must_exist(program, picture, tmp_path):
 def driver(monkeypatch):
     """Return the driver's functions, without a Blender."""
     monkeypatch.setattr(sys, "path", list(sys.path))
-    spec = importlib.util.spec_from_file_location("driver", runner.DRIVER)
+    spec = importlib.util.spec_from_file_location("driver", blender_process.DRIVER)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
@@ -240,6 +256,6 @@ def test_driver_refuses_other_arrays(driver):
 
 def test_driver_runs_nothing_that_it_reads():
     """No eval, exec, import by name or shell; texts of a scene reach Blender as names of things alone."""
-    source = Path(runner.DRIVER).read_text(encoding="utf-8")
+    source = Path(blender_process.DRIVER).read_text(encoding="utf-8")
     assert not re.search(r"\b(eval|exec|compile|__import__|import_module|system|subprocess|socket|pickle)\(", source)
     assert "use_scripts=False" in source

@@ -1,17 +1,17 @@
 """Renders in Blender, held against closed forms and against odak's own rays."""
 
-import logging
 import math
 import subprocess
 
 import numpy as np
 import pytest
 
+from odak import DeviceWarning
 from odak.raytracing.boundary import intersect_w_circle, intersect_w_sphere, intersect_w_surface, refract
 from odak.raytracing.primitives import define_circle, define_plane, define_sphere
 from odak.tools import load_image
 from odak.visualize import blender
-from odak.visualize.blender import libblend, session
+from odak.visualize.blender import commands, libblend
 
 pytestmark = pytest.mark.blender
 
@@ -233,9 +233,37 @@ def test_default_look_lights_what_faces_the_camera():
     picture = blender.scene(unit="mm", resolution=(48, 64), samples=32, device="cpu")
     picture.add_sphere(radius=3.0)
     seen = shoot(picture).mean(-1)
-    assert seen[0, 0] == pytest.approx(0.25, abs=0.01)
-    assert 0.7 < seen[24, 32] < 1.05
-    assert seen.max() < 1.1
+    # The backdrop grows brighter from the bottom to the top, and a white surface is neither dark nor overexposed.
+    assert 0.15 < seen[-1, 0] < seen[24, 0] < seen[0, 0] < 0.9
+    assert 0.6 < seen[24, 32] < 1.1
+    assert seen[8:40, 24:40].max() < 1.3
+
+
+def test_glass_is_seen_in_the_studio():
+    picture = blender.scene(unit="mm", resolution=(48, 64), samples=32, device="cpu")
+    ball = picture.add_sphere(radius=3.0, material="N-BK7")
+    picture.add_camera([0, 0, -20], [0, 0, 0], fov=40)
+    seen = shoot(picture).mean(-1)
+    picture.remove(ball)
+    picture.add_sphere([0, 0, 1e3], radius=1e-3)
+    empty = shoot(picture).mean(-1)
+    inside = np.hypot(*(np.indices((48, 64)) - np.array([23.5, 31.5])[:, None, None])) < 11
+    assert np.abs(seen - empty)[inside].mean() > 0.1 > 5 * np.abs(seen - empty)[:, :8].mean()
+    # A ball inverts what is behind it: bright below, dark above.
+    assert seen[30:33, 30:34].mean() > seen[15:18, 30:34].mean() + 0.1
+
+
+def test_edges_of_lenses_are_ground():
+    levels = {}
+    for ground in (True, False):
+        picture = blender.scene(unit="mm", resolution=(40, 40), samples=64, device="cpu")
+        picture.set_background("white", 0.5)
+        lens = picture.add_lens([51.5, -51.5], 8.0, 25.0, ground=ground)
+        assert lens.ground == (256 if ground else 0)
+        picture.add_camera([40, 0, 4], [0, 0, 4], projection="orthographic", width=3.0)
+        levels[ground] = shoot(picture)
+    # Under light of 0.5 from all sides a matt surface shows half its reflectance, the same everywhere.
+    assert np.allclose(levels[True].mean((0, 1)), 0.5 * np.array([0.55, 0.58, 0.6]), rtol=0.02)
 
 
 def test_picture_hangs_upright_and_colours_stay_what_they_are(tmp_path):
@@ -308,13 +336,12 @@ def test_exr_is_written_and_denoising_runs(tmp_path):
     assert path == str(tmp_path / "a.exr")
 
 
-def test_without_a_gpu_the_cpu_renders_with_one_warning(caplog):
+def test_without_a_gpu_the_cpu_renders_with_one_warning():
     picture = scene_of((4, 4), samples=1)
     picture.add_sphere()
-    with caplog.at_level(logging.INFO, logger="odak"):
+    with pytest.warns(DeviceWarning, match="no device for 'hip'; the CPU renders") as said:
         assert shoot(picture, device="hip", resolution=(4, 6), samples=2).shape == (4, 6, 3)
-    said = [record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING]
-    assert said == ["Blender: there is no device for 'hip'; the CPU renders"]
+    assert len(said) == 1
 
 
 def test_errors_inside_blender_are_told(tmp_path):
@@ -328,7 +355,7 @@ def test_errors_inside_blender_are_told(tmp_path):
 
 
 def test_older_commands_draw_and_render(tmp_path):
-    session.stop()
+    commands.stop()
     blender.init(headless=True)
     scene = blender.prepare(resolution=[80, 60], device="CPU", intensity=1.0, world_color=[0.2, 0.2, 0.2])
     scene.samples = 8
@@ -346,8 +373,8 @@ def test_older_commands_draw_and_render(tmp_path):
     blender.render(str(tmp_path / "depth.png"), exit=True)
     grey = load_image(str(tmp_path / "depth.png"))
     assert grey[30, 40].max() < 10 and grey[0, 0].min() == 255
-    assert session.current().scene.objects == []
-    session.stop()
+    assert commands.current().scene.objects == []
+    commands.stop()
 
 
 def _square(folder):

@@ -17,7 +17,7 @@ from odak.learn.raytracing import planar_mesh, triangle_mesh
 from odak.learn.raytracing.system import load_system, optical_system, surface
 from odak.tools import save_image, write_PLY
 from odak.visualize import blender
-from odak.visualize.blender import materials
+from odak.visualize.blender import render_materials as materials
 
 ROD = 16  # vertices of a rod
 LINE = [[[0.0, 0, 0], [0, 0, 1]], [[1.0, 0, 0], [0, 0.6, 0.8]]]
@@ -268,6 +268,33 @@ def test_lights_are_as_strong_as_the_law_says():
         assert point.power / (4 * math.pi * d**2) == pytest.approx(0.75 * math.pi)
         assert area.power / (math.pi * d**2) == pytest.approx(0.75 * math.pi)
         assert sun.power == pytest.approx(0.75 * math.pi)
+
+
+def test_an_empty_scene_is_refused():
+    picture = blender.scene()
+    for draw in (picture.render, picture.render_depth):
+        with pytest.raises(ValueError, match="the scene is empty"):
+            draw()
+
+
+@pytest.mark.parametrize("unit", ["m", "mm"])
+def test_a_scene_without_lights_and_background_is_lit_by_the_studio(unit):
+    picture = blender.scene(unit=unit)
+    picture.add_sphere([1, 2, 3], radius=2.0)
+    camera = picture._view((480, 640))
+    lights, background = picture._lighting(camera)
+    up = np.asarray(camera.axes[1])
+    assert np.allclose(background["gradient"]["up"], up)
+    for light in lights:
+        towards = np.subtract(light.location, [1, 2, 3])
+        assert not light.visible and np.allclose(light.axes[2], towards / np.linalg.norm(towards))
+        # Outside of the picture, and as bright on a white surface whatever the unit is.
+        place = camera.project(np.asarray(light.location), (480, 640))
+        assert np.isnan(place).any() or not ((place > 0) & (place < [640, 480])).all()
+        value = light.power / (math.pi * np.linalg.norm(towards) * picture.metres) ** 2
+        assert 0.2 < value < 0.7
+    picture.add_light([0, 0, 50])
+    assert picture._lighting(camera) == (picture.lights, {"color": [1.0, 1.0, 1.0], "strength": 0.25})
 
 
 def test_system_is_drawn_in_the_units_of_the_scene():

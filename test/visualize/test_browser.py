@@ -2,7 +2,6 @@
 
 import io
 import os
-import re
 import stat
 import subprocess
 import sys
@@ -139,7 +138,8 @@ def test_a_lens_system_is_seen_from_the_side(tmp_path):
     picture = system_show(load_system("cooke_triplet"), show=False)
     image = pixels(picture, tmp_path)
     assert image.shape == (600, 1100, 3)
-    colours = [tuple(map(int, re.findall(r"\d+", trace.line.color))) for trace in picture.fig.data if trace.showlegend]
+    codes = [trace.line.color.removeprefix("#") for trace in picture.fig.data if trace.showlegend]
+    colours = [tuple(int(code[i : i + 2], 16) for i in (0, 2, 4)) for code in codes]
     # Where the fields' rays end, at the right: the field of 20 degrees highest.
     image[:, 960:] = 255  # the legend
     places = [np.argwhere(is_near(image, colour, 60)) for colour in colours]

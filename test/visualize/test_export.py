@@ -1,6 +1,8 @@
 """Meshes of rays and surfaces, read back by other readers."""
 
+import json
 import os
+import struct
 
 import numpy as np
 import plyfile
@@ -133,18 +135,70 @@ def test_holes_of_a_surface_stay_holes():
     assert len(mesh.tris) == 2 * 20 * 30 - 6 and mesh.tris["vertex_indices"].max() == len(mesh.pnts) - 1
 
 
-def test_obj_and_gltf_are_read_back_with_their_colours(tmp_path):
+def test_obj_is_read_back_with_its_colours(tmp_path):
     mesh = PLY_object()
     mesh.draw_a_ray([0.0, 0.0, 0.0], [0.0, 3.0, 50.0], k=2.0, color=[255, 0, 51])
     mesh.draw_triangles(np.eye(3) * 7, color=[0, 102, 255])
     mesh.save_OBJ(tmp_path / "mesh.obj")
+    found = trimesh.load(tmp_path / "mesh.obj", force="mesh", process=False)
+    assert found.triangles == pytest.approx(places(mesh)[mesh.tris["vertex_indices"]], rel=1e-6)
+    shades = np.asarray(found.visual.vertex_colors)[found.faces][:, 0, :3]
+    assert shades[0].tolist() == [255, 0, 51] and shades[12].tolist() == [0, 102, 255]
+
+
+def parts_of(path):
+    """Return, for each primitive of a binary glTF file, its material, triangles and the normals at their corners."""
+    content = path.read_bytes()
+    assert content[:4] == b"glTF" and struct.unpack_from("<I", content, 8) == (len(content),)
+    (length,) = struct.unpack_from("<I", content, 12)
+    tree, data = json.loads(content[20 : 20 + length]), content[28 + length :]
+
+    def numbers(index):
+        accessor = tree["accessors"][index]
+        start = tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+        kind = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor["componentType"]]
+        return np.frombuffer(data, kind, accessor["count"] * width, start).reshape(-1, width)
+
+    for mesh in tree["meshes"]:
+        for part in mesh["primitives"]:
+            faces = numbers(part["indices"]).reshape(-1, 3)
+            normals = numbers(part["attributes"]["NORMAL"])[faces]
+            yield tree["materials"][part["material"]], numbers(part["attributes"]["POSITION"])[faces], normals
+
+
+def test_gltf_has_linear_colours_normals_and_two_sides(tmp_path):
+    mesh = PLY_object()
+    mesh.draw_a_ray([0.0, 0.0, 0.0], [0.0, 3.0, 50.0], k=2.0, color=[255, 0, 128])
+    mesh.draw_triangles(np.eye(3) * 7, color=[3, 102, 255])
+    x, y, z = surface()
+    mesh.draw_surface(x, y, z, color=[255, 0, 128])
     mesh.save_glTF(tmp_path / "mesh.glb", unit="mm")
-    assert (tmp_path / "mesh.glb").read_bytes().startswith(b"glTF")
-    for name, scale in (("mesh.obj", 1.0), ("mesh.glb", 1e-3)):
-        found = trimesh.load(tmp_path / name, force="mesh", process=False)
-        assert found.triangles == pytest.approx(scale * places(mesh)[mesh.tris["vertex_indices"]], rel=1e-6)
-        shades = np.asarray(found.visual.vertex_colors)[found.faces][:, 0, :3]
-        assert shades[0].tolist() == [255, 0, 51] and shades[12].tolist() == [0, 102, 255]
+    found, corners = {}, []
+    for material, triangles, normals in parts_of(tmp_path / "mesh.glb"):
+        assert material["doubleSided"] is True
+        surface_of = material["pbrMetallicRoughness"]
+        assert surface_of["metallicFactor"] == 0.0 and surface_of["roughnessFactor"] == 1.0
+        found[len(triangles)] = surface_of["baseColorFactor"], triangles, normals
+        corners.append(triangles)
+    # IEC 61966-2-1: 128 is 0.2158605, 3 is 0.0009106, 102 is 0.1328683.
+    assert found[12][0] == pytest.approx([1, 0, 0.2158605, 1], rel=1e-5)
+    assert found[1][0] == pytest.approx([0.000910584, 0.1328683, 1, 1], rel=1e-5)
+    both = np.concatenate(corners)
+    wanted = 1e-3 * places(mesh)[mesh.tris["vertex_indices"]]
+    order = [np.lexsort(np.round(values.reshape(len(values), -1), 7).T) for values in (both, wanted)]
+    assert both[order[0]] == pytest.approx(wanted[order[1]], abs=1e-8)
+    for count in (1, 12):
+        _, triangles, normals = found[count]
+        across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+        across /= np.linalg.norm(across, axis=-1, keepdims=True)
+        assert normals == pytest.approx(np.repeat(across[:, None], 3, axis=1), abs=1e-5)
+    _, triangles, normals = found[2 * 20 * 30]
+    # The gradient of 0.2·(x² + y²), inside of the rim.
+    exact = np.concatenate([-0.4 * 1e3 * triangles[..., :2], np.ones_like(triangles[..., :1])], axis=-1)
+    exact /= np.linalg.norm(exact, axis=-1, keepdims=True)
+    inside = np.abs(triangles[..., :2]).max(-1) < 0.9e-3
+    assert np.abs(normals - exact)[inside].max() < 2e-3
 
 
 def test_what_cannot_be_saved_or_drawn(tmp_path, monkeypatch):

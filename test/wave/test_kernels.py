@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from odak.wave import get_propagation_kernel
-from odak.wave.kernels import make_grid, separable_impulse_response
+from odak.wave.transfer_functions import make_grid, separable_impulse_response
 
 
 def test_defaults_are_the_documented_ones():

@@ -167,3 +167,13 @@ def test_bad_lamps():
         disk_source(1.5)
     with pytest.raises(ValueError, match="rings"):
         disk_source(1e-3, 0)
+
+
+def test_rectangular_pixels(random):
+    y, x = (np.arange(n) - n // 2 for n in (48, 48))
+    field = np.exp(-((y[:, None] / 4) ** 2) - (x / 5) ** 2) * (1 + 0j)
+    options = {"spectrum": 550e-9, "source": disk_source(2e-3, 2, 5), "distance": 2e-3}
+    window = {"window_shape": (20, 20), "window_dx": 4e-6}
+    expected = propagate_partially_coherent(field, **options, dx=4e-6, **window)
+    found = propagate_partially_coherent(field[:, ::2], **options, dx=(4e-6, 8e-6), **window)
+    np.testing.assert_allclose(found, expected, atol=1e-6 * expected.max())

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import odak
-from odak.wave.chirp_z import fourier_sum
+from odak.wave.fourier import fourier_sum
 
 
 def test_report_gives_the_criteria():

@@ -240,3 +240,12 @@ def test_a_start_that_is_not_finite_is_refused(random):
     start[1, 2] = np.nan
     with pytest.raises(ValueError, match="initial_phase must be finite"):
         weighted_gerchberg_saxton(np.ones((4, 4)), 2, initial_phase=start)
+
+
+def test_rectangular_pixels():
+    """Columns of twice the pitch: the fields of the spots' lenses are every second column of those on square pixels."""
+    points = np.array([[-2e-4, 1e-4, 0.05], [1e-4, 2e-4, 0.06]])
+    fine, _ = spot_hologram(points[:1], (32, 64), 532e-9, 8e-6, 1, seed=1)
+    coarse, spots = spot_hologram(points[:1], (32, 32), 532e-9, (8e-6, 16e-6), 1, seed=1)
+    np.testing.assert_allclose(coarse, fine[:, ::2], atol=1e-9)
+    assert abs(spots[0]) ** 2 == pytest.approx(1)

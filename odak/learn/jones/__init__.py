@@ -6,32 +6,4 @@ gradient. Plain numbers give tensors on `device` in torch's default precision, o
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "elements": (
-            "apply_matrix",
-            "cascade",
-            "circular_polarizer",
-            "diattenuator",
-            "electricfield",
-            "half_wave_plate",
-            "linearpolarizer",
-            "mirror",
-            "polarizer",
-            "quarter_wave_plate",
-            "retarder",
-            "reverse",
-            "rotator",
-        ),
-        "stokes_vectors": (
-            "degree_of_polarization",
-            "depolarizer",
-            "field_from_stokes",
-            "mueller",
-            "polarization_ellipse",
-            "stokes",
-            "stokes_ellipse",
-        ),
-    },
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

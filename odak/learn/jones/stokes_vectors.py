@@ -1,8 +1,6 @@
 """Stokes vectors, Mueller matrices and the polarisation ellipse of tensors; see :mod:`odak.jones.stokes_vectors`."""
 
-import torch
-
-from odak.jones import stokes_vectors as core
+from odak.jones import stokes_vectors
 from odak.jones.stokes_vectors import (
     PolarizationEllipse,
     degree_of_polarization,
@@ -12,7 +10,7 @@ from odak.jones.stokes_vectors import (
     stokes,
     stokes_ellipse,
 )
-from odak.learn._tensors import checked_device
+from odak.learn._face import torch_face
 
 __all__ = [
     "PolarizationEllipse",
@@ -25,27 +23,4 @@ __all__ = [
     "stokes_ellipse",
 ]
 
-
-def depolarizer(
-    kept: complex | torch.Tensor = 0.0, *, device: torch.device | None = None, dtype: torch.dtype | None = None
-) -> torch.Tensor:
-    """Return the Mueller matrix of an ideal depolariser; see :func:`odak.jones.depolarizer`.
-
-    Parameters
-    ----------
-    kept : number or torch.Tensor
-        Share of the degree of polarisation that is left, 0 … 1.
-    device, dtype : optional
-        Device and real dtype of the result; by default those of the tensor given, else torch's defaults.
-
-    Returns
-    -------
-    torch.Tensor
-        Real ``[..., 4, 4]``.
-    """
-    if dtype not in (None, torch.float32, torch.float64):
-        raise TypeError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
-    if not isinstance(kept, torch.Tensor):
-        core.depolarizer(kept)
-        kept = torch.as_tensor(kept, dtype=torch.get_default_dtype())
-    return core.depolarizer(kept.to(device=checked_device("device", device), dtype=dtype))
+depolarizer = torch_face(stokes_vectors.depolarizer)

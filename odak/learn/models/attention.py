@@ -1,4 +1,4 @@
-"""Attention over pixels, over channels and over space, and a gate between two pictures."""
+"""Attention layers: non-local, channel, spatial, and gated by a second image."""
 
 import functools
 from collections.abc import Sequence
@@ -10,8 +10,8 @@ from torch.nn.functional import scaled_dot_product_attention
 from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
-from odak.learn.models.arguments import activation_module, channels, kernel, pictures
-from odak.learn.models.convolution_layers import convolution_layer
+from odak.learn.models._inputs import activation_module, channels, images, kernel
+from odak.learn.models.convolutions import convolution_layer
 
 _RELU = nn.ReLU()
 _POOLS = ("avg", "max")
@@ -19,12 +19,12 @@ _SCORE_BYTES = 1 << 26
 
 
 class residual_attention_layer(nn.Module):
-    """A picture weighted, pixel by pixel, by what it has in common with another one (Oktay et al. 2018).
+    """Attention gate: an image weighted pixel by pixel by a function of itself and a second image (Oktay et al. 2018).
 
     Parameters
     ----------
     input_channels : int
-        Channels of both pictures.
+        Channels of both images.
     output_channels : int
         Channels of the weights: 1, or `input_channels`.
     kernel_size : int
@@ -37,7 +37,7 @@ class residual_attention_layer(nn.Module):
     Raises
     ------
     ValueError
-        If the weights could not multiply the picture.
+        If `output_channels` is neither 1 nor `input_channels`.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class residual_attention_layer(nn.Module):
         Parameters
         ----------
         x0, x1 : torch.Tensor
-            Pictures ``[B, input_channels, H, W]``.
+            Images ``[B, input_channels, H, W]``.
 
         Returns
         -------
@@ -75,26 +75,24 @@ class residual_attention_layer(nn.Module):
             ``[B, input_channels, H, W]``.
         """
         convolution: Any = self.convolution0[0]
-        x0, x1 = (
-            pictures(name, x, convolution.in_channels, convolution.weight) for name, x in (("x0", x0), ("x1", x1))
-        )
+        x0, x1 = (images(name, x, convolution.in_channels, convolution.weight) for name, x in (("x0", x0), ("x1", x1)))
         _validate.fitting(x0=x0, x1=x1)
         return self.final_layer(self.convolution0(x0) + self.convolution1(x1)) * x0
 
 
 class non_local_layer(nn.Module):
-    """A picture plus a mean over all its pixels, weighted by their likeness (Wang et al. 2018, equation 1).
+    """Non-local layer: an image plus a similarity-weighted mean over all its pixels (Wang et al. 2018, equation 1).
 
-    Weights are exp(xᵢ·xⱼ / N), normalized over j, of the features themselves, N = H·W; the batch normalization at the
-    end starts from zero, so that an untrained layer changes nothing. The N × N weights are not kept: what a large
-    picture needs grows with N.
+    The weights are exp(xᵢ·xⱼ / N), normalized over j, with the features xᵢ themselves and N = H·W. The batch
+    normalization at the end starts from zero, so that an untrained layer is the identity. The N × N weights are not
+    stored: memory grows linearly with N.
 
     Parameters
     ----------
     input_channels : int
-        Channels of the picture.
+        Channels of the image.
     bottleneck_channels : int
-        Channels of what is averaged.
+        Channels of the averaged features.
     kernel_size : int
         Edge of the two convolutions in pixels, odd.
     bias : bool
@@ -115,17 +113,17 @@ class non_local_layer(nn.Module):
         nn.init.zeros_(last.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the picture plus its weighted mean, ``[B, input_channels, H, W]``."""
-        x = pictures("x", x, self.g.in_channels, self.g.weight)
-        tokens, values = (picture.flatten(2).mT for picture in (x, self.g(x)))
+        """Return the image plus its weighted mean, ``[B, input_channels, H, W]``."""
+        x = images("x", x, self.g.in_channels, self.g.weight)
+        tokens, values = (image.flatten(2).mT for image in (x, self.g(x)))
         mean = _attend(tokens, values)
         return self.W_z(mean.mT.unflatten(2, x.shape[2:])) + x
 
 
 def _attend(tokens, values):
-    """Return softmax(tokens·tokensᵀ / N)·values for ``[B, N, C]``, by rows whose weights fit in memory.
+    """Return softmax(tokens·tokensᵀ / N)·values for ``[B, N, C]``, in blocks of rows whose weights fit in memory.
 
-    Kernels that never form the weights exist for some devices, dtypes and sizes only; rows serve them all.
+    Fused kernels that never form the weights exist for some devices, dtypes and sizes only.
     """
     batch, count = tokens.shape[:2]
     rows = max(1, _SCORE_BYTES // (max(batch, 1) * count * tokens.element_size()))
@@ -138,13 +136,13 @@ def _attend(tokens, values):
 
 
 def _rows(queries, keys, values):
-    # With an axis of heads: the memory-saving kernels take four axes.
+    # With an axis of heads: the fused kernels take four axes.
     heads = (tensor[:, None] for tensor in (queries, keys, values))
     return scaled_dot_product_attention(*heads, scale=1 / keys.shape[1])[:, 0]
 
 
 class channel_gate(nn.Module):
-    """A picture whose channels are weighted by what they hold on the whole (Woo et al. 2018, equation 2).
+    """Channel attention: channels weighted by a function of their global pools (Woo et al. 2018, equation 2).
 
     Parameters
     ----------
@@ -153,7 +151,7 @@ class channel_gate(nn.Module):
     reduction_ratio : int
         The hidden layer has max(1, C // reduction_ratio) features.
     pool_types : sequence of {"avg", "max"}
-        Global pools; what the hidden layer makes of each is added.
+        Global pools; the scores computed from each are added.
 
     Raises
     ------
@@ -173,18 +171,18 @@ class channel_gate(nn.Module):
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the pictures ``[B, C, H, W]`` with each channel times its weight between 0 and 1."""
+        """Return the images ``[B, C, H, W]`` with each channel times its weight between 0 and 1."""
         first: Any = self.mlp[1]
-        x = pictures("x", x, first.in_features, first.weight)
+        x = images("x", x, first.in_features, first.weight)
         pools: dict[str, Any] = {"avg": torch.mean, "max": torch.amax}
         scores: Any = sum(self.mlp(pools[name](x, dim=(2, 3))) for name in self.pool_types)
         return x * torch.sigmoid(scores)[:, :, None, None]
 
 
 class spatial_gate(nn.Module):
-    """A picture whose pixels are weighted by the largest and the mean of their channels (Woo et al. 2018, equation 3).
+    """Spatial attention: pixels weighted by a function of the maximum and mean over channels (Woo et al. 2018, eq. 3).
 
-    The weights come of one 7 × 7 convolution and a sigmoid.
+    The weights are the sigmoid of one 7 × 7 convolution.
     """
 
     def __init__(self):
@@ -197,19 +195,19 @@ class spatial_gate(nn.Module):
         Parameters
         ----------
         x : torch.Tensor
-            Pictures ``[B, C, H, W]``.
+            Images ``[B, C, H, W]``.
 
         Returns
         -------
         torch.Tensor
             ``[B, 2, H, W]``, the maximum first.
         """
-        x = pictures("x", x)
+        x = images("x", x)
         return torch.stack([x.amax(dim=1), x.mean(dim=1)], dim=1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the pictures ``[B, C, H, W]`` with each pixel times its weight between 0 and 1."""
-        x = pictures("x", x, None, self.spatial.model[0].weight)
+        """Return the images ``[B, C, H, W]`` with each pixel times its weight between 0 and 1."""
+        x = images("x", x, None, self.spatial.model[0].weight)
         return x * torch.sigmoid(self.spatial(self.channel_pool(x)))
 
 
@@ -221,7 +219,7 @@ class convolutional_block_attention(nn.Module):
     gate_channels : int
         Number of channels.
     reduction_ratio : int
-        How many times fewer features the hidden layer of the channel gate has.
+        Ratio of the channels to the features of the hidden layer of the channel gate.
     pool_types : sequence of {"avg", "max"}
         Global pools of the channel gate.
     no_spatial : bool
@@ -244,6 +242,6 @@ class convolutional_block_attention(nn.Module):
             self.spatial_gate = spatial_gate()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the gated pictures, ``[B, gate_channels, H, W]``."""
+        """Return the gated images, ``[B, gate_channels, H, W]``."""
         gated = self.channel_gate(x)
         return gated if self.no_spatial else self.spatial_gate(gated)

@@ -1,30 +1,43 @@
-"""Gaussians whose places, sizes and heights are learned: flat ones on a picture, and ones in space."""
+"""Sums of Gaussians whose positions, sizes and heights are learned: images in two dimensions, densities in three."""
 
+import itertools
 import logging
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from numbers import Integral
+from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import nn
+from torch.autograd.function import once_differentiable
+from torch.utils.checkpoint import checkpoint
 
 from odak import _validate
-from odak.learn._tensors import trainable
-from odak.learn.models.gaussian_sums import sum_of_soft_gaussians
-from odak.learn.models.gaussian_volume import gaussian_3d_volume, whole_number
+from odak._warnings import ArgumentWarning, warn
+from odak.learn._tensors import checked_device, tensor, trainable
+from odak.learn.models._inputs import features
+from odak.learn.models.training import train
 from odak.learn.models.weights import EXTENSIONS, load_weights, save_weights
+from odak.learn.tools.function import evaluate_3d_gaussians
 from odak.log import logger as _log
-from odak.tools._paths import validate_path
+from odak.tools.paths import validate_path
 
 __all__ = ["gaussian_2d", "gaussian_3d_volume", "gaussians_2d"]
 
+# Number of Gaussians up to which the default widths are used as they are; more of them are narrower, so that together
+# they cover the same area.
+_FEW = 10
+# Samples of an image, times Gaussians, of the linear system that sets the first heights.
+_SYSTEM = 1 << 22
 _RANGES = {"widths": (0.1, 0.5), "offsets": (-1.0, 1.0), "rotations": (0.0, 2 * math.pi), "alphas": (0.1, 0.2)}
 
 
 class gaussian_2d(nn.Module):
-    """Flat Gaussians, each with a softly limited height: tanh(α·exp(−(u/w₀)² − (v/w₁)²)).
+    """Two-dimensional Gaussians of limited height: tanh(α·exp(−(u/w₀)² − (v/w₁)²)).
 
-    A point is first turned by ρ, then shifted: u = x·cos ρ − y·sin ρ + o₀ and v = x·sin ρ + y·cos ρ + o₁.
+    A point is first rotated by ρ, then shifted: u = x·cos ρ − y·sin ρ + o₀ and v = x·sin ρ + y·cos ρ + o₁.
 
     Parameters
     ----------
@@ -58,7 +71,7 @@ class gaussian_2d(nn.Module):
 
     def __init__(self, number_of_elements: int = 10):
         super().__init__()
-        self.number_of_elements = whole_number("number_of_elements", number_of_elements)
+        self.number_of_elements = _positive_integer("number_of_elements", number_of_elements)
         shapes = {"widths": (2, 1), "offsets": (2, 1), "rotations": (1,), "alphas": (1,)}
         for name, shape in shapes.items():
             self.register_parameter(name, nn.Parameter(torch.empty(*shape, self.number_of_elements)))
@@ -66,40 +79,127 @@ class gaussian_2d(nn.Module):
 
     @torch.no_grad()
     def initialize_parameters_uniformly(self, ranges: Mapping[str, tuple[float, float]] | None = None) -> None:
-        """Draw the parameters anew, from normal distributions whatever the name says.
+        """Draw new parameters; despite the name of the method, from normal distributions.
+
+        For an image use :meth:`initialize_from_image`.
 
         Parameters
         ----------
         ranges : dict, optional
             Range (a, b) of "widths", "offsets", "rotations" and "alphas", of mean (a + b)/2 and standard deviation
-            (b − a)/4; those not given are (0.1, 0.5), (−1, 1), (0, 2π) and (0.1, 0.2).
+            (b − a)/4; the defaults are (0.1, 0.5), (−1, 1), (0, 2π) and (0.1, 0.2). The default of the widths is
+            multiplied by √(10/N) for N above 10, so that the sum of the Gaussians does not grow with N.
 
         Raises
         ------
         ValueError
-            If a name is unknown or a range does not ascend.
+            If a name is unknown or a range is not ascending.
         """
         if not isinstance(ranges, (Mapping, type(None))):
             raise TypeError(f"ranges must be a dict, got {type(ranges).__name__}")
         ranges = {} if ranges is None else dict(ranges)
         if unknown := sorted(set(ranges) - set(_RANGES)):
             raise ValueError(f"ranges must be of {', '.join(_RANGES)}; got {', '.join(map(repr, unknown))}")
-        for name, (low, high) in {**_RANGES, **ranges}.items():
+        narrower = min(1.0, math.sqrt(_FEW / self.number_of_elements))
+        default = _RANGES | {"widths": tuple(narrower * end for end in _RANGES["widths"])}
+        for name, (low, high) in {**default, **ranges}.items():
             for end in (low, high):
                 _validate.real(f"ranges[{name!r}]", end)
             if not low <= high:
                 raise ValueError(f"ranges[{name!r}] must ascend, got {(low, high)}")
             getattr(self, name).normal_((low + high) / 2, (high - low) / 4)
 
+    @torch.no_grad()
+    def initialize_from_image(
+        self,
+        image: torch.Tensor,
+        x: torch.Tensor | None = None,
+        y: torch.Tensor | None = None,
+        *,
+        seed: int | None = None,
+    ) -> None:
+        """Set the parameters so that the sum of the Gaussians approximates an image.
+
+        Centres are drawn with a probability that grows with the gradient of the image, widths follow from the distance
+        to the nearest centres, and the heights are the least-squares solution for the image.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Intensities ``[H, W]``.
+        x : torch.Tensor, optional
+            Abscissae of the pixels ``[H, W]``; by default −1 to 1 along the columns.
+        y : torch.Tensor, optional
+            Ordinates of the pixels ``[H, W]``; by default −1 to 1 along the rows.
+        seed : int, optional
+            Seed of the centres; drawn from torch's generator by default.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ or the image has fewer than two rows or columns.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from odak.learn.models import gaussian_2d
+        >>> y, x = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 40), indexing="ij")
+        >>> image = 0.8 * torch.exp(-((x - 0.2) ** 2 + y**2) / 0.1)
+        >>> gaussians = gaussian_2d(100)
+        >>> gaussians.initialize_from_image(image, seed=0)
+        >>> bool((gaussians.total(x, y)[..., 0] - image).square().mean() < 1e-3)
+        True
+        """
+        image = features("image", image)
+        if image.ndim != 2 or min(image.shape) < 2:
+            raise ValueError(f"image must be [H, W] with at least two rows and columns, got {list(image.shape)}")
+        rows, columns = image.shape
+        image = image.detach().to(self.alphas)
+        grid = torch.meshgrid(torch.linspace(-1, 1, rows), torch.linspace(-1, 1, columns), indexing="ij")
+        y, x = (found if given is None else given for given, found in zip((y, x), grid, strict=True))
+        x, y = (features(name, value).detach().to(self.alphas) for name, value in (("x", x), ("y", y)))
+        _validate.alike(image=image, x=x, y=y)
+        for name, value in (("image", image), ("x", x), ("y", y)):
+            _validate.real(name, value)
+        generator = torch.Generator()
+        generator.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
+        slopes = torch.gradient(image)
+        weight = torch.hypot(*slopes)
+        # A fifth of the centres are spread evenly, so that even parts of the image are covered.
+        weight = weight + 0.25 * weight.mean() + torch.finfo(weight.dtype).tiny
+        count = self.number_of_elements
+        chosen = torch.multinomial(
+            weight.flatten().cpu(), count, replacement=count > image.numel(), generator=generator
+        )
+        chosen = chosen.to(image.device)
+        centres = torch.stack([x.flatten()[chosen], y.flatten()[chosen]], dim=-1)
+        step = ((x.max() - x.min()) / columns + (y.max() - y.min()) / rows) / 2
+        nearest = torch.cdist(centres, centres).topk(min(4, count), largest=False).values[:, 1:]
+        spread = nearest.mean(-1) if count > 1 else (x.max() - x.min())[None] / 4
+        width = (1.2 * spread).clamp(min=float(1.2 * step), max=float(x.max() - x.min()) / 2)
+        self.widths.copy_(width.expand(2, 1, -1))
+        self.offsets.copy_(-centres.T[:, None])
+        self.rotations.zero_()
+        samples = torch.arange(0, image.numel(), max(1, -(-image.numel() * count // _SYSTEM)), device=image.device)
+        self.alphas.fill_(1.0)
+        # Values of the Gaussians without the limit of the height.
+        unit = torch.atanh(self(x.flatten()[samples, None], y.flatten()[samples, None]).clamp(max=1 - 1e-6))
+        gram = unit.T @ unit
+        gram.diagonal().add_(1e-3 * gram.diagonal().mean())
+        heights = torch.linalg.solve(gram.double(), (unit.T @ image.flatten()[samples]).double())
+        self.alphas.copy_(torch.atanh(heights.clamp(-0.9, 0.9))[None])
+
     def forward(self, x: torch.Tensor, y: torch.Tensor, residual: float = 1e-6) -> torch.Tensor:
         """Return the value of each Gaussian at points.
 
         Parameters
         ----------
-        x, y : torch.Tensor
-            Coordinates ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
+        x : torch.Tensor
+            Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
+        y : torch.Tensor
+            Ordinates, of a shape that broadcasts against that of `x`.
         residual : float
-            Without effect; kept for callers that pass it.
+            Without effect; accepted for compatibility.
 
         Returns
         -------
@@ -113,9 +213,21 @@ class gaussian_2d(nn.Module):
         return torch.tanh(self.alphas * torch.exp(-u.square() - v.square()))
 
     def total(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """Return the sum of :meth:`forward` over the Gaussians ``[..., 1]``, in memory that does not grow with N.
+        """Return the sum of :meth:`forward` over the Gaussians ``[..., 1]``, in memory independent of N.
 
-        Far Gaussians are left out where they are below rounding error. Differentiable once, in the coordinates too.
+        Gaussians below rounding error are left out. Differentiable once, in the parameters and the coordinates.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
+        y : torch.Tensor
+            Ordinates, of a shape that broadcasts against that of `x`.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., 1]``.
         """
         x, y = torch.broadcast_tensors(*_coordinates(x, y))
         cosine, sine = self.rotations[0].cos(), self.rotations[0].sin()
@@ -126,14 +238,14 @@ class gaussian_2d(nn.Module):
 
 
 class gaussians_2d(nn.Module):
-    """A picture as a sum of flat Gaussians, see :class:`gaussian_2d`.
+    """An image as a sum of two-dimensional Gaussians, see :class:`gaussian_2d`.
 
     Parameters
     ----------
     number_of_elements : int
         Number of Gaussians.
     logger : logging.Logger, optional
-        Where to log; the package's own by default.
+        Logger for messages; the package's own by default.
 
     Attributes
     ----------
@@ -166,10 +278,12 @@ class gaussians_2d(nn.Module):
 
         Parameters
         ----------
-        x, y : torch.Tensor
-            Coordinates ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
+        x : torch.Tensor
+            Abscissae ``[..., 1]``, or ``[...]`` with a last axis of another length, such as a grid ``[H, W]``.
+        y : torch.Tensor
+            Ordinates, of a shape that broadcasts against that of `x`.
         test : bool
-            Keep nothing for gradients.
+            Compute without gradients.
 
         Returns
         -------
@@ -178,6 +292,29 @@ class gaussians_2d(nn.Module):
         """
         with torch.set_grad_enabled(torch.is_grad_enabled() and not _validate.flag("test", test)):
             return self.model.total(x, y)
+
+    def initialize_from_image(
+        self,
+        image: torch.Tensor,
+        x: torch.Tensor | None = None,
+        y: torch.Tensor | None = None,
+        *,
+        seed: int | None = None,
+    ) -> None:
+        """Set the parameters so that the sum approximates an image, see :meth:`gaussian_2d.initialize_from_image`.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Intensities ``[H, W]``.
+        x : torch.Tensor, optional
+            Abscissae of the pixels ``[H, W]``; by default −1 to 1 along the columns.
+        y : torch.Tensor, optional
+            Ordinates of the pixels ``[H, W]``; by default −1 to 1 along the rows.
+        seed : int, optional
+            Seed of the centres; drawn from torch's generator by default.
+        """
+        self.model.initialize_from_image(image, x, y, seed=seed)
 
     def save_weights(self, weights_filename: str | os.PathLike) -> None:
         """Write the parameters to a ``.pt`` or ``.pth`` file, whole or not at all.
@@ -203,7 +340,7 @@ class gaussians_2d(nn.Module):
         weights_filename : str or os.PathLike, optional
             ``.pt`` or ``.pth`` file; None does nothing.
         device : torch.device or str
-            Device to read the tensors to on their way; the parameters stay on theirs.
+            Device that the file is read to; the parameters stay on their own device.
 
         Raises
         ------
@@ -221,10 +358,532 @@ class gaussians_2d(nn.Module):
 def _coordinates(x, y):
     for name, coordinate in (("x", x), ("y", y)):
         if not isinstance(coordinate, torch.Tensor) or coordinate.is_complex():
-            raise TypeError(f"x and y must be tensors, real ones; got {type(coordinate).__name__} for {name}")
+            raise TypeError(f"x and y must be real tensors, got {type(coordinate).__name__} for {name}")
     x, y = (
         coordinate if coordinate.ndim and coordinate.shape[-1] == 1 else coordinate.unsqueeze(-1)
         for coordinate in (trainable(x), trainable(y))
     )
     _validate.fitting(x=x, y=y)
     return x, y
+
+
+# Neighbouring points that share one list of the Gaussians near them.
+_RUN = 512
+# Values computed at once: on a CPU they fit in the cache of a core, on a GPU they occupy it.
+_PART = {"cpu": 1 << 18, "cuda": 1 << 25}
+_CELLS = 1024
+
+
+def sum_of_soft_gaussians(points: torch.Tensor, rows: torch.Tensor, alphas: torch.Tensor) -> torch.Tensor:
+    """Return Σ tanh(α·exp(−u² − v²)) at points, u = A·x + B·y + C and v = D·x + E·y + F.
+
+    Memory grows neither with the number of points times that of Gaussians nor in the backward pass, which computes the
+    values again, part by part.
+
+    Parameters
+    ----------
+    points : torch.Tensor
+        ``[p, 2]``.
+    rows : torch.Tensor
+        A, B, C, D, E and F of each Gaussian ``[n, 6]``.
+    alphas : torch.Tensor
+        ``[n]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[p]``; differentiable once in all three. Terms below the dtype's rounding error are left out.
+    """
+    dtype = torch.promote_types(points.dtype, torch.promote_types(rows.dtype, torch.float32))
+    with torch.autocast(rows.device.type, enabled=False):
+        return _Sum.apply(points.to(dtype), rows.to(dtype), alphas.to(dtype))
+
+
+class _Sum(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx, points, rows, alphas):
+        ctx.save_for_backward(points, rows, alphas)
+        result = points.new_zeros(len(points))
+        for places, near, (values, v) in _parts(points, rows, alphas, 2):
+            _exponentials(points[places], rows[near], values, v)
+            total = values.mul_(alphas[near, None]).tanh_().sum(0)
+            result.index_add_(0, places, total)
+        return result
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx, gradient):
+        points, rows, alphas = ctx.saved_tensors
+        gradients = [torch.zeros_like(tensor) for tensor in (points, rows, alphas)]
+        for places, near, (values, u, v) in _parts(points, rows, alphas, 3):
+            at, six, alpha = points[places], rows[near], alphas[near, None]
+            _exponentials(at, six, values, v, u)
+            factor = (1 - (alpha * values).tanh_().square_()).mul_(gradient[places]).mul_(values)
+            gradients[2].index_add_(0, near, factor.sum(1))
+            factor.mul_(-2 * alpha)
+            coordinates = torch.cat([at, torch.ones_like(at[:, :1])], dim=1).T
+            products = (u.mul_(factor), v.mul_(factor))
+            gradients[1].index_add_(0, near, torch.cat([coordinates @ product.T for product in products]).T)
+            if ctx.needs_input_grad[0]:
+                gradients[0].index_add_(0, places, products[0].T @ six[:, :2] + products[1].T @ six[:, 3:5])
+        return tuple(gradients)
+
+
+def _exponentials(points, rows, out, v, u=None):
+    """Write exp(−u² − v²) ``[n, p]`` to `out`, v to `v`, and u to `u` if that is given."""
+    x, y = points.unbind(-1)
+    u = out if u is None else u
+    for target, (along_x, along_y, offset) in ((u, rows[:, :3].T[..., None]), (v, rows[:, 3:].T[..., None])):
+        torch.addcmul(offset, along_x, x, out=target).addcmul_(along_y, y)
+    torch.mul(u, u, out=out).neg_().addcmul_(v, v, value=-1)
+    # Exponentials that underflow take ten times as long as others.
+    out.clamp_(min=math.log(torch.finfo(out.dtype).tiny)).exp_()
+
+
+def _parts(points, rows, alphas, count):
+    """Yield indices of some points and of the Gaussians near them, and `count` buffers ``[Gaussians, points]``."""
+    boxes = _boxes(rows, alphas)
+    at_once = max(1, _PART.get(points.device.type, _PART["cuda"]) // _RUN)
+    memory = points.new_empty(count, at_once * _RUN)
+    for places in _compact_runs(points, boxes):
+        low, high = points[places].aminmax(dim=0)
+        # With these comparisons a Gaussian with NaN is kept.
+        far = ((boxes[0] > high) | (boxes[1] < low)).any(-1)
+        for near in (~far).nonzero()[:, 0].split(at_once):
+            if len(near):
+                shape = len(near), len(places)
+                yield places, near, [part[: shape[0] * shape[1]].view(shape) for part in memory]
+
+
+def _boxes(rows, alphas):
+    """Return the lower and upper corners ``[n, 2]`` of the boxes outside which terms are below rounding error."""
+    six, size = rows.double(), alphas.double().abs()
+    reach = (size.clamp_min(1).log() - math.log(torch.finfo(rows.dtype).eps)).sqrt()
+    inverse = torch.linalg.inv_ex(torch.stack([six[:, :2], six[:, 3:5]], dim=1)).inverse
+    centre = -(inverse @ six[:, [2, 5], None])[..., 0]
+    half = inverse.square().sum(-1).sqrt() * reach[:, None]
+    return centre - half, centre + half
+
+
+def _compact_runs(points, boxes):
+    """Return indices of points in runs, ordered along a Z-shaped curve unless most Gaussians cover most points."""
+    order = torch.arange(len(points), device=points.device)
+    if len(points) <= _RUN:
+        return (order,) if len(points) else ()
+    low, high = points.double().aminmax(dim=0)
+    width = (high - low).clamp_min(torch.finfo(torch.float64).tiny)
+    covered = (torch.minimum(boxes[1], high) - torch.maximum(boxes[0], low)).clamp_min(0) / width
+    if bool(covered.prod(-1).mean() < 0.5):
+        cells = ((points - low) / width.max() * (_CELLS - 1)).nan_to_num(0.0).long()
+        order = torch.argsort(_interleaved(cells[:, 0]) | (_interleaved(cells[:, 1]) << 1))
+    return order.split(_RUN)
+
+
+def _interleaved(number):
+    """Return integers below 2¹⁶ with a zero between each two of their bits (Morton 1966)."""
+    for shift, mask in ((8, 0x00FF00FF), (4, 0x0F0F0F0F), (2, 0x33333333), (1, 0x55555555)):
+        number = (number | (number << shift)) & mask
+    return number
+
+
+# Read-only, for it is a default argument.
+DEFAULT_WEIGHTS = MappingProxyType(
+    {
+        "content": MappingProxyType({"l2": 1.0, "l1": 0.0}),
+        "alpha": MappingProxyType({"smaller": 0.0, "larger": 0.0, "threshold": (0.0, 1.0)}),
+        "scale": MappingProxyType({"smaller": 0.0, "larger": 0.0, "threshold": (0.0, 1.0)}),
+        "angle": 0.0,
+        "center": 0.0,
+        "utilization": MappingProxyType({"l2": 0.0, "percentile": 0}),
+    }
+)
+
+
+def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, weights: Mapping) -> torch.Tensor:
+    """Return the weighted sum of the terms whose weight is not zero.
+
+    - content: l2·(mean squared difference) + l1·(mean absolute difference);
+    - scale, alpha: smaller·Σ|p| over p < threshold[0], larger·Σp over p > threshold[1];
+    - angle, center: Σ|p| over |p| > 1;
+    - utilization: l2·(epoch_id/epoch_count)·(spread + gap). The spread is the sum of the standard deviations of the
+      columns of the centres, of the scales, and of the alphas. The gap is the sum of the differences between the
+      standard deviations, and between the means, of the `percentile` per cent of Gaussians of lowest and highest
+      |alpha|, over the same seven; with fewer than two Gaussians on each side it is left out.
+
+    Parameters
+    ----------
+    model : gaussian_3d_volume
+        The Gaussians.
+    estimate, ground_truth : torch.Tensor
+        Densities ``[n]``.
+    epoch_id, epoch_count : int
+        Index of the epoch and number of epochs; the weight of "utilization" grows with their ratio.
+    weights : dict
+        Weights as in :data:`DEFAULT_WEIGHTS`, which complete those left out.
+
+    Raises
+    ------
+    ValueError
+        If a weight has an unknown name, or the percentile is not from 0 to 100.
+    """
+    weights = complete_weights(weights)
+    progress = epoch_id / _validate.integer("epoch_count", epoch_count, minimum=1)
+    content, use = weights["content"], weights["utilization"]
+    terms: list[tuple[float, Callable[..., torch.Tensor]]] = [
+        (content["l2"], lambda: model.l2_loss(estimate, ground_truth)),
+        (content["l1"], lambda: model.l1_loss(estimate, ground_truth)),
+        (weights["angle"], lambda: _outside(model.angles)),
+        (weights["center"], lambda: _outside(model.centers)),
+        (use["l2"], lambda: progress * _utilization(model, use["percentile"])),
+    ]
+    for name, values in (("scale", model.scales), ("alpha", model.alphas)):
+        low, high = weights[name]["threshold"]
+        terms.append((weights[name]["smaller"], lambda v=values, at=low: v.abs().where(v < at, 0).sum()))
+        terms.append((weights[name]["larger"], lambda v=values, at=high: v.where(v > at, 0).sum()))
+    # A function of the parameters, so that a loss without terms has a gradient: zero.
+    loss = 0 * model.alphas.sum()
+    for weight, term in terms:
+        if weight != 0:
+            loss = loss + weight * term()
+    return loss
+
+
+def complete_weights(weights: Mapping, argument: str = "weights") -> dict:
+    """Return the weights with the defaults for those left out; raise TypeError or ValueError that names `argument`."""
+    if not isinstance(weights, Mapping):
+        raise TypeError(f"{argument} must be a dict of {', '.join(DEFAULT_WEIGHTS)}; got {type(weights).__name__}")
+    _refuse_unknown(argument, weights, DEFAULT_WEIGHTS)
+    whole = dict(DEFAULT_WEIGHTS)
+    for name, value in weights.items():
+        default = DEFAULT_WEIGHTS[name]
+        if isinstance(default, Mapping):
+            if not isinstance(value, Mapping):
+                raise ValueError(f"{argument}[{name!r}] must be a dict of {', '.join(default)}; got {value!r}")
+            _refuse_unknown(f"{argument}[{name!r}]", value, default)
+            value = {**default, **value}
+        whole[name] = value
+    return whole
+
+
+def _refuse_unknown(name, given, known):
+    if unknown := sorted(set(given) - set(known)):
+        raise ValueError(f"{name} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")
+
+
+def _outside(values):
+    return values.abs().where(values.abs() > 1, 0).sum()
+
+
+def _utilization(model, percentile):
+    if not 0 <= percentile <= 100:
+        raise ValueError(f"weights['utilization']['percentile'] must be from 0 to 100, got {percentile!r}")
+    columns = torch.cat([model.centers, model.scales, model.alphas], dim=1)
+    count = len(columns)
+    total = columns.std(dim=0).sum() if count > 1 else columns.sum() * 0
+    some = int(percentile / 100 * count)
+    if some < 2:
+        return total
+    order = model.alphas.detach().abs()[:, 0].argsort()
+    low, high = columns[order[:some]], columns[order[-some:]]
+    return total + (low.std(0) - high.std(0)).abs().sum() + (low.mean(0) - high.mean(0)).abs().sum()
+
+
+_EXTENSIONS = (".pth", ".pt", ".bin")
+_COLUMNS = {"centers": 3, "angles": 3, "scales": 3, "alphas": 1}
+# Pairs of a point and a Gaussian computed at once.
+_PAIRS = 1 << 20
+
+
+def _positive_integer(name: str, value) -> int:
+    """Return a positive integer; raise ValueError for anything else."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < 1:
+        raise ValueError(f"{name} must be a positive integer, got {value!r}")
+    return int(value)
+
+
+class gaussian_3d_volume(nn.Module):
+    """A density in space as a mean of Gaussians, see :func:`odak.learn.tools.evaluate_3d_gaussians`.
+
+    Parameters
+    ----------
+    number_of_elements : int
+        Number N of Gaussians.
+    initial_centers, initial_angles, initial_scales, initial_alphas : torch.Tensor, optional
+        First parameters, see :meth:`initialize_parameters`.
+
+    Attributes
+    ----------
+    centers, scales : torch.nn.Parameter
+        Centres and standard deviations along the Gaussians' own axes ``[N, 3]``.
+    angles : torch.nn.Parameter
+        Rotations about x, y and z in units of 180° ``[N, 3]``.
+    alphas : torch.nn.Parameter
+        Weights ``[N, 1]``.
+    l1_loss, l2_loss : torch.nn.Module
+        Mean absolute and mean squared difference.
+
+    Raises
+    ------
+    ValueError
+        If the number is not a positive integer, or a shape is wrong.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import gaussian_3d_volume
+    >>> gaussian_3d_volume(10)(torch.zeros(5, 3)).shape
+    torch.Size([5])
+    """
+
+    centers: nn.Parameter
+    scales: nn.Parameter
+    angles: nn.Parameter
+    alphas: nn.Parameter
+
+    def __init__(
+        self,
+        number_of_elements: int = 10,
+        initial_centers: torch.Tensor | None = None,
+        initial_angles: torch.Tensor | None = None,
+        initial_scales: torch.Tensor | None = None,
+        initial_alphas: torch.Tensor | None = None,
+    ):
+        super().__init__()
+        self.number_of_elements = _positive_integer("number_of_elements", number_of_elements)
+        given = (initial_centers, initial_angles, initial_scales, initial_alphas)
+        self._take(dict(zip(_COLUMNS, given, strict=True)), prefix="initial_")
+        self.l2_loss, self.l1_loss = nn.MSELoss(), nn.L1Loss()
+
+    def initialize_parameters(
+        self,
+        centers: torch.Tensor | None = None,
+        angles: torch.Tensor | None = None,
+        scales: torch.Tensor | None = None,
+        alphas: torch.Tensor | None = None,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        """Replace all parameters, by the given ones or by random ones.
+
+        Parameters
+        ----------
+        centers, angles : torch.Tensor, optional
+            ``[N, 3]``; drawn from a standard normal distribution by default.
+        scales : torch.Tensor, optional
+            ``[N, 3]``; drawn uniformly from 0 to 1 by default.
+        alphas : torch.Tensor, optional
+            ``[N, 1]`` or ``[N]``; drawn uniformly from 0 to 1 by default.
+        device : torch.device or str
+            Device of the parameters.
+
+        Raises
+        ------
+        ValueError
+            If a shape is wrong.
+        """
+        self._take({"centers": centers, "angles": angles, "scales": scales, "alphas": alphas}, device)
+
+    def _take(self, given, device="cpu", prefix: str = ""):
+        device = checked_device("device", device)
+        for name, value in given.items():
+            shape = (self.number_of_elements, _COLUMNS[name])
+            if value is None:
+                value = torch.randn(shape) if name in ("centers", "angles") else torch.rand(shape)
+            value = tensor(prefix + name, value).detach().clone()
+            value = value if value.is_floating_point() else value.float()
+            if name == "alphas" and value.shape == shape[:1]:
+                value = value[:, None]
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{prefix}{name} must be {list(shape)}, got {list(value.shape)}")
+            self.register_parameter(name, nn.Parameter(value.to(device)))
+
+    def forward(self, points: torch.Tensor, test: bool = False) -> torch.Tensor:
+        """Return the density at points.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            ``[n, 3]``.
+        test : bool
+            Compute without gradients.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[n]``. Large numbers of points are computed in parts, and again in the backward pass.
+        """
+        at_once = max(1, _PAIRS // self.number_of_elements)
+        points = features("points", points, 3)
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not _validate.flag("test", test)):
+            if len(points) <= at_once:
+                return self._density(points)
+            parts = points.split(at_once)
+            options: dict[str, Any] = {"use_reentrant": False, "preserve_rng_state": False}
+            return torch.cat([checkpoint(self._density, part, **options) for part in parts])
+
+    def _density(self, points):
+        return evaluate_3d_gaussians(points, self.centers, self.scales, 180 * self.angles, self.alphas).mean(dim=1)
+
+    def evaluate(
+        self,
+        estimate: torch.Tensor,
+        ground_truth: torch.Tensor,
+        epoch_id: int = 0,
+        epoch_count: int = 1,
+        weights: Mapping = DEFAULT_WEIGHTS,
+    ) -> torch.Tensor:
+        """Return the loss of an estimate, with penalties on the parameters.
+
+        Parameters
+        ----------
+        estimate, ground_truth : torch.Tensor
+            Densities ``[n]``.
+        epoch_id, epoch_count : int
+            The weight of "utilization" grows with epoch_id/epoch_count.
+        weights : dict
+            Weights of the terms, see :func:`odak.learn.models.gaussians.volume_loss`; the defaults
+            complete those left out.
+
+        Returns
+        -------
+        torch.Tensor
+            A number.
+
+        Raises
+        ------
+        ValueError
+            If a weight has an unknown name, or the percentile is not one.
+        """
+        _check_same_samples("estimate", estimate, ground_truth)
+        _validate.integer("epoch_id", epoch_id)
+        _validate.integer("epoch_count", epoch_count, minimum=1)
+        return volume_loss(self, estimate, ground_truth, epoch_id, epoch_count, weights)
+
+    def optimize(
+        self,
+        points: torch.Tensor,
+        ground_truth: torch.Tensor,
+        loss_weights: Mapping,
+        learning_rate: float = 1e-2,
+        number_of_epochs: int = 10,
+        scheduler_power: float = 1,
+        save_at_every: int = 1,
+        max_norm: float | None = None,
+        weights_filename: str | os.PathLike | None = None,
+        *,
+        verbose: bool = True,
+    ) -> None:
+        """Fit the density to samples by AdamW, the learning rate falling to zero.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            Positions of the samples ``[n, 3]``.
+        ground_truth : torch.Tensor
+            Densities at these positions ``[n]``.
+        loss_weights : dict
+            Weights of the terms of the loss, see :func:`odak.learn.models.gaussians.volume_loss`.
+        learning_rate : float
+            Learning rate at the start.
+        number_of_epochs : int
+            Number of steps.
+        scheduler_power : float
+            The rate falls as (1 − epoch/epochs)^power.
+        save_at_every : int
+            Epochs between two writings of the file.
+        max_norm : float, optional
+            Largest norm of the gradient.
+        weights_filename : str or os.PathLike, optional
+            File to write the parameters to; without one nothing is written.
+        verbose : bool
+            Show a progress bar.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is outside its range.
+        FloatingPointError
+            If the loss is not finite.
+        """
+        epochs = _validate.integer("number_of_epochs", number_of_epochs)
+        every = _validate.integer("save_at_every", save_at_every, minimum=1)
+        _validate.real("learning_rate", learning_rate, positive=True)
+        if _validate.real("scheduler_power", scheduler_power) < 0:
+            raise ValueError(f"scheduler_power must be at least 0, got {scheduler_power}")
+        if weights_filename is not None:
+            validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
+        complete_weights(loss_weights, "loss_weights")
+        points = features("points", points, 3).to(self.centers.device)
+        _check_same_samples("points", points[..., 0], ground_truth)
+        ground_truth = trainable(ground_truth.to(self.centers.device))
+        steps = itertools.count()
+
+        def loss(model, batch):
+            return model.evaluate(model(batch[0]), batch[1], next(steps), epochs, loss_weights)
+
+        def save(epoch, history):
+            if weights_filename is not None and epoch % every == 0:
+                self.save_weights(weights_filename)
+
+        train(
+            self,
+            loss,
+            [(points, ground_truth)],
+            epochs,
+            optimizer=lambda parameters: torch.optim.AdamW(parameters, lr=learning_rate),
+            scheduler=lambda made: torch.optim.lr_scheduler.PolynomialLR(made, epochs, scheduler_power),
+            max_norm=max_norm,
+            callback=save,
+            progress=_validate.flag("verbose", verbose),
+            description="Gaussians",
+        )
+
+    def save_weights(self, weights_filename: str | os.PathLike) -> None:
+        """Write the parameters to a ``.pth``, ``.pt`` or ``.bin`` file, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If the path is not acceptable or its folder does not exist.
+        """
+        validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
+        save_weights(self, weights_filename, extensions=_EXTENSIONS)
+
+    def load_weights(
+        self,
+        weights_filename: str | os.PathLike | None = None,
+        device: torch.device | str | None = "cpu",
+    ) -> None:
+        """Read the parameters from a file of :meth:`save_weights`, and switch to evaluation.
+
+        Parameters
+        ----------
+        weights_filename : str or os.PathLike, optional
+            ``.pth``, ``.pt`` or ``.bin`` file; None does nothing. If there is no such file the parameters stay as they
+            are, with an :class:`odak.ArgumentWarning`.
+        device : torch.device or str
+            Device that the file is read to; the parameters stay on their own device.
+
+        Raises
+        ------
+        ValueError
+            If the path is not acceptable, or the file is broken, would run code or holds other parameters.
+        """
+        if weights_filename is None:
+            return
+        validate_path(weights_filename, _EXTENSIONS, name="weights_filename")
+        try:
+            load_weights(self, weights_filename, device=device, extensions=_EXTENSIONS)
+        except FileNotFoundError:
+            warn(f"there is no file {os.fspath(weights_filename)!r}: the Gaussians stay as they are", ArgumentWarning)
+
+
+def _check_same_samples(name, samples, ground_truth):
+    for key, value in ((name, samples), ("ground_truth", ground_truth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{key} must be a tensor, got {type(value).__name__}")
+    if samples.shape != ground_truth.shape:
+        raise ValueError(
+            f"{name} and ground_truth must hold as many samples, got {list(samples.shape)} and "
+            f"{list(ground_truth.shape)}"
+        )
+    _validate.one_device(**{name: samples, "ground_truth": ground_truth})

@@ -1,7 +1,10 @@
-"""The loop that trains networks: batches, validation, the best weights, early stopping, interruption, checkpoints."""
+"""Training of networks: batches, validation, the best weights, early stopping, interruption and checkpoints."""
 
+import copy
+import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import torch
@@ -9,14 +12,51 @@ from torch import nn
 from tqdm import tqdm
 
 from odak import _validate
+from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import checked_device
-from odak.learn.models.training_run import TrainingHistory, TrainingRun
-from odak.learn.tools._checkpoints import own_randomness
-from odak.learn.tools._memory import advising_on_memory
+from odak.learn.tools.checkpoints import (
+    own_randomness,
+    randomness,
+    read_checkpoint,
+    set_randomness,
+    taking_up,
+    write_checkpoint,
+)
+from odak.learn.tools.device import advising_on_memory
+from odak.tools.paths import validate_path
 
 __all__ = ["TrainingHistory", "train"]
 
-_LESS_MEMORY = "use smaller batches, mixed_precision=True or device='cpu'; a checkpoint written so far can be taken up"
+_PARTS = ("done", "model", "best", "history", "optimizer", "scheduler", "scaler", "randomness", "generators")
+
+
+@dataclass
+class TrainingHistory:
+    """Losses of the epochs of a training.
+
+    Attributes
+    ----------
+    training : list of float
+        Mean loss of the training batches in each epoch, taken while the weights change.
+    validation : list of float
+        Mean loss of the validation batches after each epoch; empty without such batches.
+    best_epoch : int
+        Epoch with the lowest validation loss, or training loss without validation. Epochs count from 1; 0 means that
+        none was completed.
+    best_loss : float
+        Loss of that epoch.
+    finished : bool
+        True if the training was completed; False after a KeyboardInterrupt.
+    """
+
+    training: list[float] = field(default_factory=list)
+    validation: list[float] = field(default_factory=list)
+    best_epoch: int = 0
+    best_loss: float = math.inf
+    finished: bool = False
+
+
+_LESS_MEMORY = "use smaller batches, mixed_precision=True or device='cpu'; the training continues from its checkpoint"
 
 
 def train(
@@ -52,12 +92,12 @@ def train(
         ``loss(model, batch)`` is a tensor with one number. For validation it is called with the model in evaluation
         mode and without gradients.
     batches : iterable
-        Training batches, gone through once an epoch: a list or a ``torch.utils.data.DataLoader``. Tensors in tuples,
+        Training batches, iterated once per epoch: a list or a ``torch.utils.data.DataLoader``. Tensors in tuples,
         lists and dictionaries are moved to the device.
     epochs : int
-        Number of epochs. A checkpoint may be taken up with more of them.
+        Number of epochs. A training may be continued from a checkpoint with more of them.
     validation : iterable, optional
-        Batches that tell which epoch is best; without them the training loss does.
+        Batches whose mean loss determines the best epoch; by default the training loss does.
     optimizer : torch.optim.Optimizer or callable, optional
         The optimizer, or ``optimizer(parameters)`` that makes it; Adam by default.
     learning_rate : float
@@ -67,21 +107,22 @@ def train(
     max_norm : float, optional
         Largest norm of the gradient; a longer one is shortened to it.
     patience : int, optional
-        Stop after so many epochs in a row without a new best.
+        Stop after this number of consecutive epochs without improvement.
     seed : int, optional
-        Seed of all that torch draws meanwhile: the order of a DataLoader, dropout, noise. By default it is drawn from
-        torch's generator. That generator is otherwise left alone.
+        Seed of what torch draws during the training: the order of a DataLoader, dropout, noise. By default it is drawn
+        from torch's generator, whose state is otherwise restored at the end. Trainings in several threads of one
+        process share that generator and do not repeat.
     device : torch.device or str, optional
         Device to move the model to; by default it stays where its parameters are.
     mixed_precision : bool
         Compute the loss in half precision where that is safe, with scaled gradients. On CUDA only; elsewhere it has no
         effect.
     checkpoint : path, optional
-        File to keep the state in (``.pt``, ``.pth``). If it is there, the training goes on from it, to the same result
-        bit for bit on a CPU. On a GPU some of torch's operations add in an order that varies from run to run.
+        File of the state of the training (``.pt``, ``.pth``). If it exists the training continues from it, to the same
+        result bit for bit on a CPU. On a GPU some of torch's operations add in an order that varies from run to run.
     checkpoint_every : int
-        Epochs between two writings of that file; it is written at the end too. An interruption within an epoch goes
-        back to the last one written.
+        Epochs between two writings of that file; it is also written at the end. After an interruption within an epoch
+        the training continues from the last one written.
     callback : callable, optional
         ``callback(epoch, history)`` after each epoch, the first being 1; returning True stops.
     progress : bool
@@ -92,7 +133,7 @@ def train(
     Returns
     -------
     TrainingHistory
-        Losses of the epochs, and which was best. After a KeyboardInterrupt its ``finished`` is False and the model has
+        Losses of the epochs and the best epoch. After a KeyboardInterrupt its ``finished`` is False and the model has
         the best weights so far.
 
     Raises
@@ -102,7 +143,7 @@ def train(
     TypeError
         If the loss is not a tensor with one number.
     FloatingPointError
-        If the training loss of an epoch is not finite; the model has the best weights of those before.
+        If the training loss of an epoch is not finite; the model has the best weights of the epochs before.
 
     Examples
     --------
@@ -151,3 +192,277 @@ def _device_of(model) -> torch.device:
     if first is None:
         raise ValueError(f"model must have parameters to train, {type(model).__name__} has none")
     return first.device
+
+
+class TrainingRun:
+    """State of a training: the model, the number of epochs done, and the best weights so far."""
+
+    epochs: int
+    patience: int | None
+    max_norm: float | None
+    callback: Callable | None
+
+    def __init__(self, model, loss, batches, validation, device, mixed_precision):
+        self.model, self.loss, self.batches, self.validation = model, loss, batches, validation
+        self.device = device
+        self.mixed = _validate.flag("mixed_precision", mixed_precision) and device.type == "cuda"
+        self.scaler = torch.amp.GradScaler("cuda", enabled=self.mixed)
+        self.history = TrainingHistory()
+        self.done = 0
+        self.best = None
+        self.saved = None
+        self.torn = self.stopped = False
+
+    def choose_optimizer(self, optimizer, learning_rate, scheduler):
+        """Take or construct the optimizer, then the scheduler."""
+        if optimizer is None:
+            rate = _validate.real("learning_rate", learning_rate, positive=True)
+            optimizer = torch.optim.Adam(self.model.parameters(), lr=rate)
+        elif not isinstance(optimizer, torch.optim.Optimizer):
+            optimizer = optimizer(self.model.parameters())
+        self.optimizer = optimizer
+        # Read before the scheduler is constructed, which changes these numbers.
+        self.about = {
+            "weights": {name: list(value.shape) for name, value in self.model.state_dict().items()},
+            "optimizer": type(optimizer).__name__,
+            "optimizer's settings": [_plain(group) for group in optimizer.param_groups],
+            "number of batches": _length(self.batches),
+            "number of generators": len(self._generators()),
+            "mixed precision": self.mixed,
+        }
+        self.scheduler = None if scheduler is None else scheduler(optimizer)
+        self.about["scheduler"] = None if scheduler is None else type(self.scheduler).__name__
+
+    def choose_checkpoint(self, checkpoint, every):
+        """Set the path of the checkpoint and the number of epochs between two writings."""
+        self.checkpoint = None if checkpoint is None else validate_path(checkpoint, (".pt", ".pth"), name="checkpoint")
+        self.checkpoint_every = _validate.integer("checkpoint_every", every, minimum=1)
+        if self.checkpoint is not None and not os.path.isdir(os.path.dirname(self.checkpoint)):
+            raise ValueError(f"the folder of checkpoint {self.checkpoint!r} does not exist")
+
+    def steps(self, epochs) -> int | None:
+        """Return the number of batches in so many epochs where it is known."""
+        length = _length(self.batches)
+        return None if length is None else epochs * length
+
+    def go(self, bar):
+        """Train until the end, an interruption or a stop, and set the final weights of the model."""
+        try:
+            with bar:
+                bar.update(self.steps(self.done) or 0)
+                while not self._over():
+                    self._epoch(bar)
+        except KeyboardInterrupt:
+            self._save()
+            warn(
+                f"training interrupted after {self.done} of {self.epochs} epochs: the model has the weights of epoch "
+                f"{self.history.best_epoch}",
+                ConvergenceWarning,
+            )
+        else:
+            self.history.finished = True
+            self._save()
+        finally:
+            if not self.history.finished or self.validation is not None or self.patience is not None:
+                self._take_best()
+            self.model.eval()
+
+    def _over(self) -> bool:
+        waited = self.done - self.history.best_epoch
+        return self.done >= self.epochs or self.stopped or (self.patience is not None and waited >= self.patience)
+
+    def _epoch(self, bar):
+        self.torn = True
+        training = self._mean_over(self.batches, "batches", self._step, bar)
+        if not math.isfinite(training):
+            raise FloatingPointError(
+                f"the training loss of epoch {self.done + 1} is {training}: lower the learning rate"
+            )
+        judged = training
+        if self.validation is not None:
+            judged = self._mean_over(self.validation, "validation", self._validation_loss)
+            self.history.validation.append(judged)
+        self.history.training.append(training)
+        self.done += 1
+        if judged < self.history.best_loss:
+            self.history.best_epoch, self.history.best_loss = self.done, judged
+            self.best = copy.deepcopy(self.model.state_dict())
+        self._schedule(judged)
+        self.randomness, self.torn = self._random_state(), False
+        bar.set_postfix(loss=f"{judged:.3g}", best=f"{self.history.best_loss:.3g}", refresh=False)
+        if self.callback is not None:
+            self.stopped = self.callback(self.done, self.history) is True
+            self.randomness = self._random_state()
+        if self.done % self.checkpoint_every == 0:
+            self._save()
+
+    def _mean_over(self, batches, name, value_of, bar=None) -> float:
+        """Return the mean loss over batches, read from the device once at the end."""
+        self.model.train(bar is not None)
+        total, count = torch.zeros((), dtype=torch.float64, device=self.device), 0
+        for batch in batches:
+            total += value_of(_moved(batch, self.device)).detach()
+            count += 1
+            if bar is not None:
+                bar.update()
+        if count == 0:
+            raise ValueError(
+                f"{name} was empty in epoch {self.done + 1}; a list or a DataLoader can be iterated once per epoch"
+            )
+        return float(total / count)
+
+    def _step(self, batch) -> torch.Tensor:
+        self.optimizer.zero_grad(set_to_none=True)
+        with torch.enable_grad():
+            value = self._value(batch)
+            self.scaler.scale(value).backward()
+        if self.max_norm is not None:
+            self.scaler.unscale_(self.optimizer)
+            nn.utils.clip_grad_norm_(self.model.parameters(), self.max_norm)
+        self.scaler.step(self.optimizer)
+        self.scaler.update()
+        return value
+
+    @torch.no_grad()
+    def _validation_loss(self, batch) -> torch.Tensor:
+        return self._value(batch)
+
+    def _value(self, batch) -> torch.Tensor:
+        with torch.autocast(self.device.type, enabled=self.mixed):
+            value = self.loss(self.model, batch)
+        if not isinstance(value, torch.Tensor) or value.numel() != 1:
+            found = list(value.shape) if isinstance(value, torch.Tensor) else type(value).__name__
+            raise TypeError(f"loss(model, batch) must be a tensor with one number, got {found}")
+        return value.reshape(())
+
+    def _schedule(self, judged):
+        if isinstance(self.scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau):
+            self.scheduler.step(judged)
+        elif self.scheduler is not None:
+            self.scheduler.step()
+
+    def _take_best(self):
+        if self.best is not None:
+            self.model.load_state_dict(self.best)
+
+    def _random_state(self):
+        return randomness(self.device), [generator.get_state() for generator in self._generators()]
+
+    def _generators(self) -> list[torch.Generator]:
+        """Return the generators that the batches draw from besides torch's own."""
+        found: list[torch.Generator] = []
+        for batches in (self.batches, self.validation):
+            sampler = getattr(batches, "sampler", None)
+            holders = (batches, sampler, getattr(getattr(batches, "batch_sampler", None), "sampler", None))
+            for generator in (getattr(holder, "generator", None) for holder in holders):
+                if isinstance(generator, torch.Generator) and not any(generator is other for other in found):
+                    found.append(generator)
+        return found
+
+    def _save(self):
+        """Write the checkpoint, unless an epoch is incomplete or it is written already."""
+        if self.checkpoint is None or self.torn or self.saved == self.done:
+            return
+        states, generators = self.randomness
+        history = {"training": self.history.training, "validation": self.history.validation}
+        best = {"best_epoch": self.history.best_epoch, "best_loss": self.history.best_loss}
+        state = {
+            "about": self.about,
+            "done": self.done,
+            "model": self.model.state_dict(),
+            "best": self.best,
+            "history": history | best,
+            "optimizer": self.optimizer.state_dict(),
+            "scheduler": None if self.scheduler is None else self.scheduler.state_dict(),
+            "scaler": self.scaler.state_dict(),
+            "randomness": states,
+            "generators": generators,
+        }
+        write_checkpoint(self.checkpoint, state)
+        self.saved = self.done
+
+    def resume(self):
+        """Continue from the checkpoint, if it exists."""
+        self.randomness = self._random_state()
+        if self.checkpoint is None or not os.path.exists(self.checkpoint):
+            return
+        # Read to the CPU, where Adam keeps its step counters; the other tensors are copied to the device.
+        state = read_checkpoint(self.checkpoint, torch.device("cpu"), _PARTS, self.about, "a training")
+        with taking_up(self.checkpoint):
+            self._take_up(state)
+
+    def _take_up(self, state):
+        self.model.load_state_dict(state["model"])
+        self.optimizer.load_state_dict(state["optimizer"])
+        if self.scheduler is not None:
+            self.scheduler.load_state_dict(state["scheduler"])
+        self.scaler.load_state_dict(state["scaler"])
+        self.best, self.done = state["best"], _validate.integer("done", state["done"])
+        self.saved = self.done
+        self.history = TrainingHistory(**state["history"])
+        set_randomness(state["randomness"], self.device)
+        for generator, before in zip(self._generators(), state["generators"], strict=True):
+            generator.set_state(before.to("cpu"))
+        self.randomness = self._random_state()
+
+
+def _moved(batch, device):
+    """Return a batch with its tensors on the device."""
+    if isinstance(batch, torch.Tensor):
+        return batch.to(device, non_blocking=True)
+    if isinstance(batch, dict):
+        return {name: _moved(part, device) for name, part in batch.items()}
+    if isinstance(batch, (list, tuple)):
+        parts = [_moved(part, device) for part in batch]
+        return type(batch)(*parts) if hasattr(batch, "_fields") else type(batch)(parts)
+    return batch
+
+
+def _length(batches) -> int | None:
+    return len(batches) if hasattr(batches, "__len__") else None
+
+
+def _plain(group: dict) -> dict:
+    return {name: value for name, value in group.items() if isinstance(value, (bool, int, float, str, tuple))}
+
+
+REDUCTIONS = ("sum", "mean", "none")
+
+
+def errors(reduction: str) -> tuple[torch.nn.MSELoss, torch.nn.L1Loss]:
+    """Return torch's squared and absolute error with a reduction: "sum", "mean" or "none"."""
+    reduction = _validate.one_of("reduction", reduction, REDUCTIONS)
+    return torch.nn.MSELoss(reduction=reduction), torch.nn.L1Loss(reduction=reduction)
+
+
+def weighted_errors(
+    l2: torch.nn.MSELoss,
+    l1: torch.nn.L1Loss,
+    input_data: torch.Tensor,
+    ground_truth: torch.Tensor,
+    weights: Sequence[float],
+) -> torch.Tensor:
+    """Return weights[0]·squared error + weights[1]·absolute error.
+
+    Parameters
+    ----------
+    l2, l1 : torch.nn.Module
+        The two errors, from :func:`errors`.
+    input_data, ground_truth : torch.Tensor
+        Tensors of one shape.
+    weights : sequence of float
+        Two numbers.
+
+    Raises
+    ------
+    ValueError
+        If the shapes differ, or there are not two weights.
+    """
+    for name, value in (("input_data", input_data), ("ground_truth", ground_truth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+    _validate.alike(input_data=input_data, ground_truth=ground_truth)
+    if not hasattr(weights, "__len__") or len(weights) != 2:
+        raise ValueError(f"weights must be two numbers, squared error first; got {weights!r:.80}")
+    weights = _validate.several("weights", weights, 2)
+    return weights[0] * l2(input_data, ground_truth) + weights[1] * l1(input_data, ground_truth)

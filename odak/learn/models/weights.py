@@ -1,4 +1,4 @@
-"""Weights of modules in files: written whole or not at all, read without running code, checked before use."""
+"""Reading and writing of the weights of modules: without execution of code, checked before they are loaded."""
 
 import itertools
 import os
@@ -9,10 +9,8 @@ from torch import nn
 
 from odak._validate import texts
 from odak.learn._tensors import checked_device
-from odak.learn.tools._checkpoints import first_line
-from odak.learn.tools._torch_files import read_torch_file
-from odak.tools._atomic import replacing
-from odak.tools._paths import validate_path
+from odak.learn.tools.checkpoints import first_line, read_torch_file
+from odak.tools.paths import replacing, validate_path
 
 EXTENSIONS = (".pt", ".pth")
 
@@ -20,16 +18,16 @@ _LISTED = 20
 
 
 def save_weights(module: nn.Module, filename: str | os.PathLike, *, extensions: Iterable[str] = EXTENSIONS) -> None:
-    """Write the state dict of a module to a file, which appears whole or not at all.
+    """Write the state dict of a module to a file, atomically.
 
     Parameters
     ----------
     module : torch.nn.Module
         Module whose parameters and buffers are written.
     filename : str or os.PathLike
-        File to write; an older one stays as it was until the new one is complete.
+        File to write; an existing one stays as it is until the new one is complete.
     extensions : iterable of str
-        Extensions accepted.
+        Accepted extensions.
 
     Raises
     ------
@@ -49,19 +47,19 @@ def load_weights(
 ) -> None:
     """Read a state dict from a file into a module, and put the module in evaluation mode.
 
-    A file that does not fit leaves the module as it was.
+    If the file does not fit, the module stays unchanged.
 
     Parameters
     ----------
     module : torch.nn.Module
-        Module to fill; it stays on its device and keeps its dtype.
+        Module to load the weights into; it keeps its device and dtype.
     filename : str or os.PathLike
         File of :func:`save_weights`, or of ``torch.save(module.state_dict(), …)``.
     device : torch.device or str, optional
-        Device to read the tensors to on their way; by default the module's own, so that a file written on a GPU can
-        be read without one.
+        Device that the file is read to; by default that of the module, so that a file written on a GPU can be read
+        without one.
     extensions : iterable of str
-        Extensions accepted.
+        Accepted extensions.
 
     Raises
     ------
@@ -73,28 +71,28 @@ def load_weights(
     """
     path = validate_path(filename, texts("extensions", extensions))
     module, device = _module(module), checked_device("device", device)
-    take_state(module, read_state(path, _device_of(module) if device is None else device), path)
+    set_state(module, read_state(path, _device_of(module) if device is None else device), path)
 
 
-def take_state(module: nn.Module, state: dict, path: str) -> None:
-    """Fill a module with a state dict that came from a file, and put it in evaluation mode.
+def set_state(module: nn.Module, state: dict, path: str) -> None:
+    """Load a state dict read from a file into a module, and put the module in evaluation mode.
 
     Parameters
     ----------
     module : torch.nn.Module
-        Module to fill; one that the state does not fit stays as it was.
+        Module to load the state into; it stays unchanged if the state does not fit.
     state : dict
-        Names with a tensor each.
+        Tensors by name.
     path : str
-        The file, for the error.
+        Path of the file, for error messages.
 
     Raises
     ------
     ValueError
         If the keys or shapes are not those of the module.
     """
-    if misfits := _misfits(module.state_dict(), state):
-        raise ValueError(f"{path!r} does not fit {type(module).__name__}: {'; '.join(misfits)}")
+    if differences := _differences(module.state_dict(), state):
+        raise ValueError(f"{path!r} does not fit {type(module).__name__}: {'; '.join(differences)}")
     module.load_state_dict(state)
     module.eval()
 
@@ -108,7 +106,7 @@ def read_state(path: str, device: torch.device | str | None) -> dict:
     except Exception as error:
         raise ValueError(f"{path!r} cannot be read as weights: {first_line(error)}") from error
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
-        raise ValueError(f"{path!r} holds no state dict: names with a tensor each")
+        raise ValueError(f"{path!r} holds no state dict (tensors by name)")
     return state
 
 
@@ -117,9 +115,9 @@ def _device_of(module) -> torch.device:
     return torch.device("cpu") if first is None else first.device
 
 
-def _misfits(wanted: dict, found: dict) -> list[str]:
-    """Describe what keeps one state dict from taking the place of another."""
-    # Older files of batch norms count no batches; torch starts that count at zero.
+def _differences(wanted: dict, found: dict) -> list[str]:
+    """Describe the differences in keys and shapes between two state dicts."""
+    # Older files of batch norms have no counter of batches; torch then starts it at zero.
     missing = [key for key in wanted if key not in found and not key.endswith("num_batches_tracked")]
     unexpected = [key for key in found if key not in wanted]
     reshaped = [

@@ -1,4 +1,4 @@
-"""What people with a colour-vision deficiency see: Brettel, Viénot and Machado."""
+"""Simulation of colour-vision deficiencies (Brettel, Viénot, Machado) and losses for viewers who have one."""
 
 import functools
 import json
@@ -10,11 +10,10 @@ from torch import nn
 
 from odak import _array, _validate
 from odak.learn._precision import in_own_precision
+from odak.learn.perception.color_conversion import srgb_decoded, srgb_encoded
 from odak.learn.perception.color_matrices import as_pictures, mix, rows
-from odak.learn.perception.cvd_loss_functions import cvd_loss
-from odak.learn.perception.pixel_blocks import by_values
-from odak.learn.perception.pixel_formulas import decoded, decoded_slopes, encoded, encoded_slopes
 from odak.learn.perception.util import check_values
+from odak.learn.tools.matrix import blur_gaussian
 
 DEFICIENCIES = ("protan", "deutan", "tritan")
 METHODS = ("Machado", "Brettel", "Vienot")
@@ -43,14 +42,14 @@ def simulate_color_vision_deficiency(
     *,
     linear: bool = False,
 ) -> torch.Tensor:
-    """Return what somebody with a colour-vision deficiency sees, for somebody without one.
+    """Simulate, for observers of normal colour vision, how a picture appears with a colour-vision deficiency.
 
     Parameters
     ----------
     image : torch.Tensor
         sRGB ``[..., 3, H, W]``.
     deficiency : {"protan", "deutan", "tritan"}
-        Which cones differ: L, M or S.
+        Cones that differ: L, M or S.
     severity : float or torch.Tensor
         0 (none) … 1 (a dichromat). May require a gradient.
     method : {"Machado", "Brettel", "Vienot"}
@@ -58,7 +57,7 @@ def simulate_color_vision_deficiency(
         planes, the method for tritan. Viénot et al. (1999): one plane, protan and deutan only. The last two are for
         dichromats; a severity below 1 mixes them with the picture.
     linear : bool
-        Take and return linear light in place of sRGB.
+        Take and return linear intensities in place of sRGB.
 
     Returns
     -------
@@ -76,7 +75,7 @@ def simulate_color_vision_deficiency(
     -----
     Brettel, Viénot and Mollon, J. Opt. Soc. Am. A 14, 2647 (1997), its neutral axis being the display's white; Viénot,
     Brettel and Mollon, Color Res. Appl. 24, 243 (1999), without its reduction of contrast; Machado, Oliveira and
-    Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291 (2009). All act on linear light.
+    Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291 (2009). All act on linear intensities.
     """
     image = as_pictures("image", image)
     deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
@@ -84,24 +83,30 @@ def simulate_color_vision_deficiency(
     severity, linear = _checked_severity(severity, image), _validate.flag("linear", linear)
     if method == "Vienot" and deficiency == "tritan":
         raise ValueError("method 'Vienot' is for protan and deutan; take 'Brettel' for tritan")
-    light = image if linear else by_values(decoded, image, decoded_slopes)
+    light = image if linear else srgb_decoded(image)
     if method == "Machado":
         seen = mix(_machado_matrix(deficiency, severity), light)
     else:
         dichromat = _vienot(deficiency, light) if method == "Vienot" else _brettel(deficiency, light)
         seen = torch.lerp(light, dichromat, severity)
-    return seen if linear else by_values(encoded, seen, encoded_slopes)
+    return seen if linear else srgb_encoded(seen)
 
 
 class CVDLoss(nn.Module):
-    """What a picture loses for a viewer with a colour-vision deficiency: :func:`cvd_loss` of what that viewer sees.
+    """Contrast and colour lost to a viewer with a colour-vision deficiency: :func:`cvd_loss` of the simulated picture.
 
     Parameters
     ----------
-    deficiency, severity, method
-        As in :func:`simulate_color_vision_deficiency`.
-    alpha, beta : float
-        Weights of local contrast and of colour.
+    deficiency : {"protan", "deutan", "tritan"}
+        Cones that differ: L, M or S.
+    severity : float
+        0 (none) to 1 (a dichromat).
+    method : {"Machado", "Brettel", "Vienot"}
+        Method of :func:`simulate_color_vision_deficiency`.
+    alpha : float
+        Weight of local contrast.
+    beta : float
+        Weight of colour.
 
     Raises
     ------
@@ -139,7 +144,7 @@ class CVDLoss(nn.Module):
         image : torch.Tensor
             sRGB ``[B, 3, H, W]`` as shown, sides at least 4.
         target : torch.Tensor, optional
-            What should be seen; the image itself by default.
+            Picture that should be seen; the image itself by default.
 
         Returns
         -------
@@ -214,3 +219,242 @@ def _brettel(deficiency, light):
     side = mix(rows((edge @ _RGB_TO_LMS)[None]), light)
     seen = [mix(rows(_array.outside_graphs(_onto_plane, deficiency, tuple(anchor))), light) for anchor in (short, long)]
     return torch.where(side > 0, *seen)
+
+
+_SMALLEST = 4
+
+
+def extract_local_patches(
+    image: torch.Tensor, patch_size: int = 4, stride: int = 2
+) -> tuple[torch.Tensor, list[tuple[int, int]]]:
+    """Cut pictures into patches.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``.
+    patch_size : int
+        Side p of a patch in pixels.
+    stride : int
+        Step from one patch to the next in pixels.
+
+    Returns
+    -------
+    tuple
+        Patches ``[B, C·p·p, N]``, row by row, each channel after channel; and the N top left corners (x, y).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image is not ``[B, C, H, W]`` of real floats, or the patch is larger than it.
+    """
+    image = _checked("image", image)
+    patch_size = _validate.integer("patch_size", patch_size, minimum=1)
+    stride = _validate.integer("stride", stride, minimum=1)
+    rows, columns = image.shape[-2:]
+    if patch_size > min(rows, columns):
+        raise ValueError(f"patch_size must be at most the image's {rows} x {columns}, got {patch_size}")
+    corners = [
+        (x, y) for y in range(0, rows - patch_size + 1, stride) for x in range(0, columns - patch_size + 1, stride)
+    ]
+    return nn.functional.unfold(image, patch_size, stride=stride), corners
+
+
+def compute_local_contrast_similarity(
+    patch_x: torch.Tensor, patch_y: torch.Tensor, epsilon: float = 1e-8
+) -> torch.Tensor:
+    """Return the similarity of the contrasts of patches: (2σₓσᵧ + ε)/(σₓ² + σᵧ² + ε), σ being deviations plus ε.
+
+    Parameters
+    ----------
+    patch_x, patch_y : torch.Tensor
+        Patches ``[D, N]`` of one shape.
+    epsilon : float
+        Keeps the ratio apart from 0/0.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[N]``, 1 for equal contrast. Differentiable, with finite gradients for flat patches.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the patches are not ``[D, N]`` of real floats and one shape.
+    """
+    for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
+        if not isinstance(patch, torch.Tensor) or not patch.is_floating_point():
+            kind = getattr(patch, "dtype", type(patch).__name__)
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if patch_x.shape != patch_y.shape or patch_x.ndim != 2:
+        raise ValueError(
+            f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
+        )
+    _validate.one_device(patch_x=patch_x, patch_y=patch_y)
+    _validate.number("epsilon", epsilon, positive=True)
+    return _similarity(patch_x, patch_y, 0, epsilon)
+
+
+def local_contrast_loss(
+    image: torch.Tensor, simulated_image: torch.Tensor, patch_size: int = 4, stride: int = 2, epsilon: float = 1e-8
+) -> torch.Tensor:
+    """Return the change of local contrast by a simulation (equation 5): the mean of 1 − similarity over patches.
+
+    Parameters
+    ----------
+    image, simulated_image : torch.Tensor
+        ``[B, C, H, W]`` of one shape, sides at least 4.
+    patch_size : int
+        Side of a patch in pixels.
+    stride : int
+        Step from one patch to the next in pixels.
+    epsilon : float
+        Added to deviations and to both sides of the ratio of similarity, which is then defined for flat patches.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes; exactly 0 for equal pictures.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the pictures are not as said, or the patch is larger than they are.
+    """
+    image, simulated_image = _checked_pair(image, simulated_image)
+    _validate.number("epsilon", epsilon, positive=True)
+    return _contrast_lost(image, simulated_image, patch_size, stride, epsilon)
+
+
+def color_information_loss(
+    image: torch.Tensor, simulated_image: torch.Tensor, kernel_size: int = 5, sigma: float = 1.0
+) -> torch.Tensor:
+    """Return the change of colour by a simulation (equation 6): the mean absolute difference of blurred pictures.
+
+    Parameters
+    ----------
+    image, simulated_image : torch.Tensor
+        ``[B, C, H, W]`` of one shape, sides at least 4.
+    kernel_size : int
+        Side of the blur's kernel, in pixels.
+    sigma : float
+        Its width. :func:`odak.learn.tools.blur_gaussian` does not normalise: a kernel of 5 and σ = 1 sums
+        to 0.639, so that an offset of 0.1 counts as 0.06.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes; exactly 0 for equal pictures.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the pictures are not as said, or the kernel is not acceptable.
+    """
+    image, simulated_image = _checked_pair(image, simulated_image)
+    kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
+    sigma = float(_validate.number("sigma", sigma, least=0))
+    return _colour_lost(image, simulated_image, kernel_size, sigma)
+
+
+def cvd_loss(
+    image: torch.Tensor,
+    simulated_image: torch.Tensor,
+    alpha: float = 15.0,
+    beta: float = 1.0,
+    lc_patch_size: int = 4,
+    lc_stride: int = 2,
+    ci_kernel_size: int = 5,
+    ci_sigma: float = 1.0,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return α·(local contrast) + β·(colour), and both (equation 3).
+
+    Parameters
+    ----------
+    image, simulated_image : torch.Tensor
+        ``[B, C, H, W]`` of one shape, sides at least 4.
+    alpha : float
+        Weight of local contrast.
+    beta : float
+        Weight of colour.
+    lc_patch_size : int
+        Side of the patches of :func:`local_contrast_loss` in pixels.
+    lc_stride : int
+        Step between these patches in pixels.
+    ci_kernel_size : int
+        Side of the kernel of :func:`color_information_loss` in pixels.
+    ci_sigma : float
+        Width of this kernel in pixels.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Total, contrast and colour, without axes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import cvd_loss
+    >>> picture = torch.linspace(0, 1, 48).reshape(1, 3, 4, 4)
+    >>> [term.item() for term in cvd_loss(picture, picture)]
+    [0.0, 0.0, 0.0]
+    """
+    alpha, beta = _validate.number("alpha", alpha), _validate.number("beta", beta)
+    lc_patch_size = _validate.integer("lc_patch_size", lc_patch_size, minimum=1)
+    lc_stride = _validate.integer("lc_stride", lc_stride, minimum=1)
+    ci_kernel_size = _validate.integer("ci_kernel_size", ci_kernel_size, minimum=1)
+    ci_sigma = float(_validate.number("ci_sigma", ci_sigma, least=0))
+    image, simulated_image = _checked_pair(image, simulated_image)
+    contrast = _contrast_lost(image, simulated_image, lc_patch_size, lc_stride, 1e-8)
+    colour = _colour_lost(image, simulated_image, ci_kernel_size, ci_sigma)
+    return alpha * contrast + beta * colour, contrast, colour
+
+
+def _contrast_lost(image, simulated_image, patch_size, stride, epsilon):
+    patches = [extract_local_patches(picture, patch_size, stride)[0] for picture in (image, simulated_image)]
+    return (1 - _similarity(*patches, 1, epsilon)).mean()
+
+
+def _colour_lost(image, simulated_image, kernel_size, sigma):
+    # The blur is linear: one of the difference does for two.
+    return blur_gaussian(image - simulated_image, (kernel_size, kernel_size), (sigma, sigma)).abs().mean()
+
+
+def _similarity(one, two, axis, epsilon):
+    one, two = (_deviation(patches, axis) + epsilon for patches in (one, two))
+    return (2 * one * two + epsilon) / (one**2 + two**2 + epsilon)
+
+
+def _deviation(patches, axis):
+    """Return population standard deviations, with a gradient of 0 where there is none."""
+    variance = patches.var(axis, correction=0)
+    # NaN stays NaN.
+    none = variance <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, variance).sqrt())
+
+
+def _checked(name, image):
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if image.ndim != 4:
+        raise ValueError(f"{name} must be [B, C, H, W], got {tuple(image.shape)}")
+    return image
+
+
+def _checked_pair(image, simulated_image):
+    for name, picture in (("image", image), ("simulated_image", simulated_image)):
+        check_values(**{name: _checked(name, picture)})
+    if image.shape != simulated_image.shape or min(image.shape[-2:]) < _SMALLEST:
+        raise ValueError(
+            f"image and simulated_image must have one shape, sides at least {_SMALLEST}; "
+            f"got {tuple(image.shape)} and {tuple(simulated_image.shape)}"
+        )
+    _validate.one_device(image=image, simulated_image=simulated_image)
+    dtype = torch.promote_types(image.dtype, simulated_image.dtype)
+    return image.to(dtype), simulated_image.to(dtype)

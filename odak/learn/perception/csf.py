@@ -1,15 +1,18 @@
-"""The eye's contrast sensitivity (Barten) and a loss that counts differences in multiples of what can just be seen."""
+"""Contrast sensitivity of the eye (Barten 1999, castleCSF) and a loss weighted by it."""
 
+import functools
+import importlib.util
+import json
 import math
+from pathlib import Path
 
 import torch
 from torch import nn
 
 from odak import _array, _validate
 from odak.learn._tensors import tensor
+from odak.learn.perception.color_conversion import srgb_decoded
 from odak.learn.perception.color_matrices import as_pictures
-from odak.learn.perception.pixel_blocks import by_values
-from odak.learn.perception.pixel_formulas import decoded, decoded_slopes
 from odak.learn.perception.util import check_loss_inputs
 
 SIGNAL_TO_NOISE = 3.0
@@ -55,7 +58,7 @@ def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float =
 def contrast_sensitivity(
     frequency: torch.Tensor | float, luminance: torch.Tensor | float = 100.0, size: torch.Tensor | float = 60.0
 ) -> torch.Tensor:
-    """Return how sensitive the eye is to gratings: one over the modulation that is seen half of the time.
+    """Return the contrast sensitivity of the eye: 1 over the modulation of a grating that is seen half of the time.
 
     Parameters
     ----------
@@ -114,7 +117,7 @@ class CSFLoss(nn.Module):
     black_luminance : float
         Of black, in cd/m².
     encoding : {"sRGB", "linear"}
-        How pictures hold light.
+        Encoding of the pictures.
 
     Raises
     ------
@@ -192,7 +195,7 @@ class CSFLoss(nn.Module):
         return (weights * sensitivity**2 * power).sum((-2, -1)).mean()
 
     def _luminance(self, picture):
-        light = by_values(decoded, picture, decoded_slopes) if self.encoding == "sRGB" else picture
+        light = srgb_decoded(picture) if self.encoding == "sRGB" else picture
         if picture.shape[-3] == 3:
             red, green, blue = light.unbind(-3)
             light = (_BT709_LUMINANCE[0] * red + _BT709_LUMINANCE[1] * green + _BT709_LUMINANCE[2] * blue)[
@@ -253,3 +256,87 @@ def _check_range(name, picture):
     if _array.is_readable(picture) and bool(((picture.detach() < -1) | (picture.detach() > 2)).any()):
         low, high = picture.detach().aminmax()
         raise ValueError(f"{name} must be about 0 … 1, got {float(low):.3g} … {float(high):.3g}")
+
+
+PACKAGE, MODULE = "cvvdp", "pycvvdp"
+TABLES = ("vvdp_data", "csf_lut_weber_fixed_size.json")
+CHANNELS = ("achromatic", "red-green", "violet-yellow")
+FLICKERS = (0, 5)
+
+
+def castle_contrast_sensitivity(
+    frequency: torch.Tensor | float,
+    luminance: torch.Tensor | float = 100.0,
+    channel: str = "achromatic",
+    temporal_frequency: int = 0,
+) -> torch.Tensor:
+    """Return how sensitive the eye is to gratings of brightness or colour.
+
+    Parameters
+    ----------
+    frequency : torch.Tensor or float
+        In cycles per degree, positive; taken as 0.1 below that and as 64 above.
+    luminance : torch.Tensor or float
+        Mean of the grating, in cd/m²; taken as 0.005 below that and as 10 000 above.
+    channel : {"achromatic", "red-green", "violet-yellow"}
+        Direction in which the grating varies; flicker is known for the first alone.
+    temporal_frequency : {0, 5}
+        In hertz.
+
+    Returns
+    -------
+    torch.Tensor
+        Sensitivity of the broadcast shape, float64 of plain numbers: one over the contrast, as ColorVideoVDP defines
+        it, that can just be seen in a patch of 1.5° radius. Differentiable in frequency and luminance.
+
+    Raises
+    ------
+    ImportError
+        If the package with the tables is missing; the message says what to install.
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Ashraf, Mantiuk, Chapiro and Wuerger, J. Vis. 24, 5 (2024). Logarithms are interpolated linearly between 32
+    frequencies and 32 luminances. :func:`odak.learn.perception.contrast_sensitivity` needs no table.
+    """
+    channel = _validate.one_of("channel", channel, CHANNELS)
+    if temporal_frequency not in FLICKERS or (temporal_frequency and channel != CHANNELS[0]):
+        raise ValueError(
+            f"temporal_frequency must be 0, or 5 for the achromatic channel, got {temporal_frequency!r} for {channel!r}"
+        )
+    frequency, luminance = _numbers(frequency=frequency, luminance=luminance)
+    frequency, luminance = torch.broadcast_tensors(frequency, luminance)
+    tables = _tables()
+    values = tables[f"o{temporal_frequency}_c{CHANNELS.index(channel) + 1}"].to(frequency)
+    rows, down = _place(luminance.log10(), tables["L_bkg"].log10().to(frequency))
+    columns, across = _place(frequency.log10(), tables["rho"].log10().to(frequency))
+    near, far = (torch.lerp(values[rows + step, columns], values[rows + step, columns + 1], across) for step in (0, 1))
+    return 10 ** torch.lerp(near, far, down)
+
+
+def _place(value, knots):
+    """Return between which knots values lie, and how far from the lower one, 0 to 1."""
+    value = value.clamp(knots[0], knots[-1])
+    index = (torch.searchsorted(knots, value.detach().contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
+    return index, (value - knots[index]) / (knots[index + 1] - knots[index])
+
+
+def _tables():
+    # Found without importing the package, which takes seconds and needs much else.
+    spec = importlib.util.find_spec(MODULE)
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError(
+            f"castle_contrast_sensitivity needs the tables of the package {PACKAGE}: pip install {PACKAGE}"
+        )
+    return _read(Path(next(iter(spec.submodule_search_locations))).joinpath(*TABLES))
+
+
+@functools.lru_cache(maxsize=2)
+def _read(path):
+    tables = json.loads(path.read_text(encoding="utf-8"))
+    with torch.inference_mode(False):
+        return {
+            name: torch.tensor(value, dtype=torch.float64) for name, value in tables.items() if isinstance(value, list)
+        }

@@ -1,23 +1,324 @@
-"""A display seen by three kinds of cones: from the spectra of its primaries to opponent colours."""
+"""Spectra of displays and observers, and the cone responses and opponent colours that a display causes."""
 
+import csv
+import functools
 import os
 from collections.abc import Sequence
+from importlib import resources
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from scipy.optimize import least_squares
 from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import checked_device, floating
 from odak.learn.perception.color_matrices import as_pictures, mix
-from odak.learn.perception.spectra import (
-    BACKLIGHT_GAUSSIANS,
-    CONE_GAUSSIANS,
-    cone_fundamentals,
-    gaussian_lines,
-    read_spectra,
-)
-from odak.learn.perception.spectrum_fit import fitted_spectrum
+
+CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
+BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))
+_TABLES = {
+    "CIE 170": "cone_fundamentals_cie_170_2_degree.csv",
+    "CIE 1931": "observer_cie_1931_2_degree.csv",
+    "D65": "illuminant_cie_d65.csv",
+}
+
+
+def cone_fundamentals(wavelengths: torch.Tensor | Sequence[float], source: str = "CIE 170") -> torch.Tensor:
+    """Return how strongly the L, M and S cones respond to light of equal power.
+
+    Parameters
+    ----------
+    wavelengths : torch.Tensor or sequence of float
+        In nanometres.
+    source : {"CIE 170", "Gaussian"}
+        Table for fields of 2°, CIE 170-1:2006, that is Stockman and Sharpe, Vision Res. 40, 1711 (2000), or the
+        Gaussians of :class:`display_color_hvs`, which are rough: symmetric, and too wide.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[3, S]``, each with a maximum of 1 over all wavelengths; float64, or the precision of a tensor given. The
+        table is linear between whole nanometres and 0 outside 390 … 830 nm.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the wavelengths are not a list of real numbers, or the source is not known.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import cone_fundamentals
+    >>> [round(value, 2) for value in cone_fundamentals([442.0, 543.0, 570.0]).diagonal().tolist()]
+    [0.04, 1.0, 0.0]
+    """
+    if _validate.one_of("source", source, ("CIE 170", "Gaussian")) == "Gaussian":
+        return gaussian_lines(_checked_axis("wavelengths", wavelengths), CONE_GAUSSIANS)
+    return _from_table("CIE 170", wavelengths)
+
+
+def color_matching_functions(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
+    """Return the colour-matching functions x̄, ȳ, z̄ of the CIE 1931 standard observer (2°).
+
+    Parameters
+    ----------
+    wavelengths : torch.Tensor or sequence of float
+        In nanometres.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[3, S]``, float64 or the precision of a tensor given; linear between whole nanometres, 0 outside 360 … 830 nm.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the wavelengths are not a list of real numbers.
+
+    Notes
+    -----
+    CIE 018:2019.
+    """
+    return _from_table("CIE 1931", wavelengths)
+
+
+def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
+    """Return the relative power of CIE standard illuminant D65, 100 at 560 nm (CIE 015:2018).
+
+    Parameters
+    ----------
+    wavelengths : torch.Tensor or sequence of float
+        In nanometres.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[S]``, float64 or the precision of a tensor given; linear between multiples of 5 nm, 0 outside 300 … 780 nm.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the wavelengths are not a list of real numbers.
+    """
+    return _from_table("D65", wavelengths)[0]
+
+
+def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
+    """Return CIE 1931 XYZ of spectra of light, by the trapezium rule.
+
+    Parameters
+    ----------
+    spectrum : torch.Tensor
+        Power per nanometre ``[..., S]``.
+    wavelengths : torch.Tensor or sequence of float
+        In nanometres, rising, S of them.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3]``: ∫ spectrum·x̄ dλ and so on, not scaled. Differentiable in the spectrum.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the numbers of samples differ or the wavelengths do not rise.
+    """
+    if not isinstance(spectrum, torch.Tensor) or not spectrum.is_floating_point():
+        kind = getattr(spectrum, "dtype", type(spectrum).__name__)
+        raise TypeError(f"spectrum must be a tensor of real floats, got {kind}")
+    axis = _checked_axis("wavelengths", wavelengths).to(spectrum)
+    if spectrum.ndim == 0 or spectrum.shape[-1] != len(axis) or len(axis) < 2 or not bool((axis.diff() > 0).all()):
+        raise ValueError(
+            f"wavelengths must rise, one for each sample of the spectrum, got {len(axis)} for {tuple(spectrum.shape)}"
+        )
+    return torch.trapezoid(spectrum[..., None, :] * color_matching_functions(axis), axis)
+
+
+def read_spectra(path: str | os.PathLike, wavelengths: torch.Tensor | Sequence[float] | None = None) -> torch.Tensor:
+    """Read measured spectra from a text file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        Each line holds a wavelength in nanometres and one value per spectrum, parted by commas, semicolons, tabs or
+        spaces. Lines that do not begin with a number are titles or comments.
+    wavelengths : torch.Tensor or sequence of float, optional
+        Where the spectra are wanted; 400, 401 … 700 nm by default.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[P, S]``, float32 or the precision of a tensor given; linear between lines, 0 outside them.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If the file holds fewer than two lines of numbers, lines of different lengths, or a wavelength twice.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import display_color_hvs, read_spectra
+    >>> display = display_color_hvs(primaries_spectrum=read_spectra("display.csv"))  # doctest: +SKIP
+    """
+    lines = _number_lines(_checked_path(path))
+    if len(lines) < 2 or len({len(line) for line in lines}) != 1 or len(lines[0]) < 2:
+        raise ValueError(f"{path} must hold two or more lines of a wavelength and as many values each")
+    table = np.array(sorted(lines))
+    if not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0).all():
+        raise ValueError(f"{path} must hold finite numbers, and each wavelength once")
+    wanted = torch.linspace(400, 700, 301) if wavelengths is None else _checked_axis("wavelengths", wavelengths)
+    return _interpolated(table, wanted)
+
+
+def gaussian_lines(wavelengths: torch.Tensor, lines: Sequence[tuple[float, float]]) -> torch.Tensor:
+    """Return Gaussians exp(−(λ − μ)²/(4σ²)) scaled to a largest sample of 1, ``[lines, S]``.
+
+    The exponent holds ½ twice, so that σ√2 is the standard deviation; stored results depend on it.
+    """
+    centres, widths = (torch.tensor(column, dtype=wavelengths.dtype) for column in zip(*lines, strict=True))
+    exponent = -(((wavelengths - centres[:, None]) / (2 * widths[:, None])) ** 2)
+    # Relative to the largest, so that a narrow line between samples is not 0/0.
+    return torch.exp(exponent - exponent.amax(-1, keepdim=True))
+
+
+def _checked_axis(name, wavelengths):
+    _validate.real(name, wavelengths)
+    axis = torch.as_tensor(wavelengths, dtype=None if isinstance(wavelengths, torch.Tensor) else torch.float64)
+    if axis.ndim != 1 or len(axis) == 0:
+        raise ValueError(f"{name} must be a list of numbers, got {tuple(axis.shape)}")
+    return axis if axis.is_floating_point() else axis.double()
+
+
+def _from_table(name, wavelengths):
+    return _interpolated(_table(name), _checked_axis("wavelengths", wavelengths))
+
+
+def _interpolated(table, axis):
+    places = axis.detach().cpu().double().numpy()
+    values = [np.interp(places, table[:, 0], column, left=0.0, right=0.0) for column in table[:, 1:].T]
+    return torch.from_numpy(np.stack(values)).to(axis)
+
+
+@functools.cache
+def _table(name):
+    folder = resources.files("odak.learn.perception").joinpath("data")
+    return np.array(_numbers_of(folder.joinpath(_TABLES[name]).read_text(encoding="utf-8")))
+
+
+def _checked_path(path):
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"path must be a string or a path, got {type(path).__name__}")
+    if "\0" in os.fspath(path):
+        raise ValueError(f"path must not hold a null byte, got {path!r}")
+    return Path(path)
+
+
+def _number_lines(path):
+    try:
+        return _numbers_of(path.read_text(encoding="utf-8-sig"))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is not a UTF-8 text of numbers: {error}") from error
+
+
+def _numbers_of(text):
+    lines = []
+    for words in csv.reader(text.replace(";", ",").replace("\t", ",").splitlines()):
+        words = [word for cell in words for word in cell.split()]
+        try:
+            lines.append([float(word) for word in words] if words else None)
+        except ValueError:
+            continue
+    return [line for line in lines if line]
+
+
+FIRST, LAST, LINES = 400, 700, 3
+_SMALLEST_WIDTH, _BETWEEN, _CLOSE = 0.5, 0.01, 1e-3
+
+
+def fitted_spectrum(dataset) -> torch.Tensor:
+    """Return the sum of three Gaussians nearest to a measured spectrum.
+
+    Parameters
+    ----------
+    dataset : torch.Tensor or numpy.ndarray
+        Wavelengths in nanometres and values, ``[N, 2]`` or ``[2, N]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[301]``, float32, at 400, 401 … 700 nm, in units of the largest value measured there.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the data are not two columns of finite numbers, or nothing was measured between 400 and 700 nm.
+
+    Notes
+    -----
+    Least squares at the wavelengths measured, one line after the other: each starts at the peak of what those before
+    left over, with the width of that peak, and all lines are fitted together again. A line that meets every measured
+    value to a thousandth is the last.
+    """
+    axis = np.linspace(FIRST, LAST, LAST - FIRST + 1)
+    table = _checked(dataset)
+    values = np.interp(axis, table[:, 0], table[:, 1], left=0.0, right=0.0)
+    if values.max() <= 0:
+        raise ValueError(f"dataset must have positive values between {FIRST} and {LAST} nm")
+    largest = values.max()
+    values = values / largest
+    inside = (table[:, 0] >= FIRST) & (table[:, 0] <= LAST)
+    places, measured = table[inside, 0], table[inside, 1] / largest
+    share = np.sqrt(len(axis) / max(1, len(places)))
+    # Between what was measured the broken line counts little: it cuts the peaks of narrow lines.
+    weight = np.where((axis >= table[0, 0]) & (axis <= table[-1, 0]), _BETWEEN, 1.0)
+
+    def apart(parameters):
+        lines = weight * (_curve(parameters, axis) - values)
+        return np.concatenate([share * (_curve(parameters, places) - measured), lines])
+
+    parameters = np.empty(0)
+    while len(parameters) < 3 * LINES and np.abs(apart(parameters)).max() > _CLOSE * share:
+        left = values - _curve(parameters, axis)
+        parameters = np.append(parameters, _start(left, axis))
+        parameters = least_squares(apart, parameters, max_nfev=200).x
+    return torch.from_numpy(_curve(parameters, axis)).float()
+
+
+def _curve(parameters, axis):
+    heights, centres, widths = parameters.reshape(-1, 3).T[..., None]
+    widths = np.maximum(np.abs(widths), _SMALLEST_WIDTH)
+    return (heights * np.exp(-(((axis - centres) / widths) ** 2) / 2)).sum(0)
+
+
+def _start(left, axis):
+    """Return height, centre and width of the largest peak: its area is height·width·√2π."""
+    peak = int(np.argmax(np.abs(left)))
+    same = np.sign(left) == np.sign(left[peak])
+    # Up to where the curve changes its sign on either side.
+    low = peak - int(np.argmin(np.append(same[: peak + 1][::-1], False)))
+    high = peak + int(np.argmin(np.append(same[peak:], False)))
+    area = np.abs(left[low + 1 : high]).sum()
+    width = area / (abs(left[peak]) * np.sqrt(2 * np.pi)) if left[peak] else 10.0
+    return left[peak], axis[peak], max(width, 1.0)
+
+
+def _checked(dataset):
+    if not isinstance(dataset, (torch.Tensor, np.ndarray)):
+        raise TypeError(f"dataset must be a tensor or an array, got {type(dataset).__name__}")
+    if "complex" in str(dataset.dtype):
+        raise TypeError(f"dataset must be real, got {dataset.dtype}")
+    table = dataset.detach().cpu().double().numpy() if isinstance(dataset, torch.Tensor) else dataset
+    if table.ndim != 2 or 2 not in table.shape or table.size < 4:
+        raise ValueError(f"dataset must be [N, 2] or [2, N], got {tuple(table.shape)}")
+    table = (table if table.shape[1] == 2 else table.T).astype(float)
+    if not np.isfinite(table).all():
+        raise ValueError("dataset must hold finite numbers")
+    return table[np.argsort(table[:, 0])]
+
 
 FIRST, LAST = 400, 700
 OPPONENT = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))

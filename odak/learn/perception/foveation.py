@@ -1,7 +1,7 @@
-"""How coarsely an eye pools what it sees, pixel by pixel: maps for flat screens and for equirectangular pictures.
+"""Pooling regions that grow with eccentricity: maps of their size, blur over them, and a loss of blurred pictures.
 
-A flat screen stands upright in front of the eye, its centre on the axis. Width and distance share one unit, whatever
-it is. The gaze is (x, y) from the top-left corner, 0 to 1 across the picture; it may lie beside it. Angles are radians.
+A flat screen stands upright in front of the eye, its centre on the axis. Width and distance share one unit. The gaze is
+(x, y) from the top-left corner, 0 to 1 across the picture; it may lie beside it. Angles are in radians.
 """
 
 import math
@@ -9,9 +9,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import torch
+from torch import nn
 
 from odak import _array, _validate
 from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.pooling import MipSampler
+from odak.learn.perception.util import check_loss_inputs, check_values
 
 MODES = ("quadratic", "linear")
 # Cones that graze the screen, or look behind it, are cut short here.
@@ -26,14 +30,16 @@ def make_3d_location_map(
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
-    """Return where each pixel is, seen from the eye.
+    """Return the position of each pixel relative to the eye.
 
     Parameters
     ----------
     image_pixel_size : sequence of int
         Rows and columns of the picture, whose pixels are square.
-    real_image_width, real_viewing_distance : float
-        Width of the picture and distance of the eye from its centre, in one unit.
+    real_image_width : float
+        Width of the picture.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -75,8 +81,16 @@ def make_eccentricity_distance_maps(
     ----------
     gaze_location : sequence of float
         (x, y), 0 to 1 from the top-left corner.
-    image_pixel_size, real_image_width, real_viewing_distance, dtype, device
-        As for :func:`make_3d_location_map`.
+    image_pixel_size : sequence of int
+        Rows and columns of the picture, whose pixels are square.
+    real_image_width : float
+        Width of the picture.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -124,12 +138,16 @@ def make_pooling_size_map_pixels(
         Rows and columns.
     alpha : float
         Pooling diameter over eccentricity ("linear") or over its square in radians ("quadratic").
-    real_image_width, real_viewing_distance : float
-        Width of the picture and distance of the eye from its centre, in one unit.
+    real_image_width : float
+        Width of the picture.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
     mode : str
         "quadratic" or "linear".
-    dtype, device
-        As for :func:`make_3d_location_map`.
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -177,8 +195,22 @@ def make_pooling_size_map_lod(
 
     Parameters
     ----------
-    gaze_location, image_pixel_size, alpha, real_image_width, real_viewing_distance, mode, dtype, device
-        As for :func:`make_pooling_size_map_pixels`.
+    gaze_location : sequence of float
+        (x, y), 0 to 1 from the top-left corner.
+    image_pixel_size : sequence of int
+        Rows and columns of the picture, whose pixels are square.
+    alpha : float
+        Pooling diameter over eccentricity ("linear") or over its square in radians ("quadratic").
+    real_image_width : float
+        Width of the picture.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
+    mode : str
+        "quadratic" or "linear".
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -214,8 +246,10 @@ def make_radial_map(
         Rows and columns.
     gaze : sequence of float
         (x, y), 0 to 1 from the top-left corner.
-    dtype, device
-        As for :func:`make_3d_location_map`.
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -248,8 +282,14 @@ def make_equi_pooling_size_map_pixels(
         (yaw, pitch) in radians. Yaw runs from −π to π over the columns, pitch from −π/2 to π/2 down the rows.
     image_pixel_size : sequence of int
         Rows and columns.
-    alpha, mode, dtype, device
-        As for :func:`make_pooling_size_map_pixels`.
+    alpha : float
+        Pooling angle over eccentricity ("linear") or over its square in radians ("quadratic").
+    mode : str
+        "quadratic" or "linear".
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -288,8 +328,18 @@ def make_equi_pooling_size_map_lod(
 
     Parameters
     ----------
-    gaze_angles, image_pixel_size, alpha, mode, dtype, device
-        As for :func:`make_equi_pooling_size_map_pixels`.
+    gaze_angles : sequence of float
+        (yaw, pitch) in radians.
+    image_pixel_size : sequence of int
+        Rows and columns.
+    alpha : float
+        Pooling angle over eccentricity ("linear") or over its square in radians ("quadratic").
+    mode : str
+        "quadratic" or "linear".
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where the map is made.
 
     Returns
     -------
@@ -348,3 +398,284 @@ def _length(vectors):
 
 def _level(pixels):
     return torch.log2(1e-6 + pixels).clamp_min(0)
+
+
+class RadiallyVaryingBlur(nn.Module):
+    """Blur of pictures over regions as wide as the eye's pooling regions.
+
+    The map of levels is kept for the last picture size, gaze and viewing geometry.
+
+    Attributes
+    ----------
+    lod_map, lod_fraction : torch.Tensor or None
+        Level of the MIP pyramid of each pixel ``[H, W]``, and its fractional part; None before the first use.
+    size, n_channels, alpha, real_image_width, real_viewing_distance, centre, mode, equi
+        What the map was made for.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        for name in ("lod_map", "lod_fraction"):
+            self.register_buffer(name, None, persistent=False)
+        self._key: tuple | None = None
+        self._sampler: Any = None
+        self.equi: bool | None = None
+
+    def forward(
+        self,
+        image: torch.Tensor,
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        centre: Sequence[float] | None = None,
+        mode: str = "quadratic",
+        equi: bool = False,
+    ) -> torch.Tensor:
+        """Return :meth:`blur`."""
+        return self.blur(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)
+
+    def blur(
+        self,
+        image: torch.Tensor,
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        centre: Sequence[float] | None = None,
+        mode: str = "quadratic",
+        equi: bool = False,
+    ) -> torch.Tensor:
+        """Blur a picture; differentiable in it.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Real floats ``[B, C, H, W]``.
+        alpha : float
+            Growth of the pooling regions with eccentricity, see
+            :func:`odak.learn.perception.make_pooling_size_map_pixels`.
+        real_image_width : float
+            Width of the picture.
+        real_viewing_distance : float
+            Distance of the eye from the picture's centre, in the same unit.
+        centre : sequence of float, optional
+            Gaze: (x, y), 0 to 1 from the top-left corner, the picture's centre by default. With `equi` (yaw, pitch) in
+            radians, (0, 0) by default.
+        mode : str
+            "quadratic" or "linear".
+        equi : bool
+            Take the picture for an equirectangular one; width and distance then mean nothing.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, H, W]``, in the input's precision: between two levels of a chain of 2 × 2 means, each enlarged
+            bilinearly. A constant stays what it is, and so does every pixel of level 0.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture has not four axes of real floats, or an argument makes no map.
+        """
+        if not isinstance(image, torch.Tensor) or image.ndim != 4 or not image.is_floating_point():
+            raise ValueError("image must be a tensor of real floats [B, C, H, W]")
+        equi = _validate.flag("equi", equi)
+        centre = _point("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre)
+        return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)(image)
+
+    def sampler(
+        self,
+        image: torch.Tensor,
+        alpha: float,
+        real_image_width: float,
+        real_viewing_distance: float,
+        centre: Sequence[float],
+        mode: str,
+        equi: bool,
+    ) -> MipSampler:
+        """Return the sampler that blurs pictures of one size, precision and geometry, kept from the last call.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            One of the pictures ``[B, C, …, H, W]``.
+        alpha : float
+            Growth of the pooling regions with eccentricity.
+        real_image_width : float
+            Width of the picture.
+        real_viewing_distance : float
+            Distance of the eye from the picture's centre, in the same unit.
+        centre : sequence of float
+            Gaze: (x, y), or (yaw, pitch) with `equi`.
+        mode : str
+            "quadratic" or "linear".
+        equi : bool
+            Whether the pictures are equirectangular.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture has not four axes or more, or an argument makes no map.
+        """
+        if not isinstance(image, torch.Tensor) or _validate.image("image", image).ndim < 4:
+            raise ValueError(f"image must be a tensor [B, C, ..., H, W], got {getattr(image, 'shape', image)!r:.80}")
+        geometry = (alpha, real_image_width, real_viewing_distance, _point("centre", centre), mode)
+        geometry = (*geometry, _validate.flag("equi", equi))
+        size = tuple(image.shape[-2:])
+        self.n_channels = image.shape[1]
+        key = (size, geometry, image.dtype, image.device)
+        if key == self._key:
+            return self._sampler
+        # A map made in inference mode could not be used with autograd later.
+        with torch.inference_mode(False), torch.no_grad():
+            lod = level_map(size, *geometry, dtype=torch.float64, device=image.device)
+            self._sampler = MipSampler(lod, image.dtype)
+            self.lod_map, self.lod_fraction = lod.to(image.dtype), (lod % 1).to(image.dtype)
+        self._key, self.size = key, size
+        self.alpha, self.real_image_width, self.real_viewing_distance = geometry[:3]
+        self.centre, self.mode, self.equi = geometry[3:]
+        return self._sampler
+
+
+def level_map(
+    size: Sequence[int],
+    alpha: float,
+    real_image_width: float,
+    real_viewing_distance: float,
+    centre: Sequence[float],
+    mode: str,
+    equi: bool,
+    *,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
+) -> torch.Tensor:
+    """Return the MIP level of each pixel, of a flat or an equirectangular picture.
+
+    Parameters
+    ----------
+    size : sequence of int
+        Rows and columns.
+    alpha : float
+        Growth of the pooling regions with eccentricity.
+    real_image_width : float
+        Width of the picture.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
+    centre : sequence of float
+        Gaze: (x, y), or (yaw, pitch) with `equi`.
+    mode : str
+        "quadratic" or "linear".
+    equi : bool
+        Whether the picture is equirectangular.
+    dtype : torch.dtype
+        Precision of the map.
+    device : torch.device, optional
+        Where it is made.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[H, W]``.
+    """
+    mode = _validate.one_of("mode", mode, MODES)
+    options: dict[str, Any] = {"dtype": dtype, "device": device}
+    if equi:
+        return make_equi_pooling_size_map_lod(centre, size, alpha, mode, **options)
+    return make_pooling_size_map_lod(centre, size, alpha, real_image_width, real_viewing_distance, mode, **options)
+
+
+class BlurLoss(nn.Module):
+    """Mean squared distance from the target as blurred for a gaze.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    alpha : float
+        Growth of the eye's pooling regions with eccentricity.
+    real_image_width, real_viewing_distance : float
+        Width of the picture as shown and distance of the eye from its centre, in one unit.
+    mode : str
+        "quadratic" or "linear" growth.
+    blur_source : bool
+        Blur the image as well as the target.
+    equi : bool
+        Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Attributes
+    ----------
+    target, blur, loss_func
+        The last target, the blur and the mean squared error.
+
+    Notes
+    -----
+    A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye only cannot tell.
+    """
+
+    _place: torch.Tensor
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        mode: str = "quadratic",
+        blur_source: bool = False,
+        equi: bool = False,
+    ) -> None:
+        super().__init__()
+        device = checked_device("device", device)
+        self.register_buffer("_place", torch.empty(0, device=device), persistent=False)
+        self.alpha, self.mode = _growth(alpha, mode)
+        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
+        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+        self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
+        self.blur = RadiallyVaryingBlur().to(device)
+        self.target: torch.Tensor | None = None
+        self.loss_func = nn.MSELoss()
+
+    @property
+    def device(self) -> torch.device:
+        """Where the loss was last moved to."""
+        return self._place.device
+
+    def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
+        """Return a picture ``[B, C, H, W]`` blurred for a gaze (x, y), 0 to 1 from the top-left corner."""
+        gaze = _point("gaze", gaze)
+        return self.blur.blur(
+            image, self.alpha, self.real_image_width, self.real_viewing_distance, gaze, self.mode, self.equi
+        )
+
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1 in any colour space.
+        gaze : sequence of float
+            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable in both; 0 for equal pictures with `blur_source` only.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures cannot be compared or an argument makes no map.
+        """
+        check_loss_inputs("BlurLoss", image, target)
+        as_pictures("image", image, None), as_pictures("target", target, None)
+        pictures: dict[str, Any] = {"BlurLoss ERROR: image": image, "BlurLoss ERROR: target": target}
+        check_values(**pictures)
+        self.target = target.detach()
+        if self.blur_source:
+            image = self.blur_image(image, gaze)
+        return self.loss_func(image, self.blur_image(target, gaze))

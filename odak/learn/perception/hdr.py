@@ -1,18 +1,17 @@
 """Absolute luminance as signals and back: PQ, HLG and PU21, differentiable.
 
 Luminance is in candelas per square metre. Every function works element by element on tensors of any shape unless it
-needs the three channels. Values are those of the standards; gradients are finite everywhere. Where the true slope at
-black is infinite (PQ, the square root of HLG) the gradient is that of a small luminance instead; docstrings name it.
+needs the three channels. Values are those of the standards; gradients are finite everywhere. Where the true
+derivative at black is infinite (PQ, the square root of HLG) the gradient is that of a small luminance, which the
+docstrings name.
 """
 
-import functools
 import math
 
 import torch
 
 from odak import _validate
 from odak.learn.perception.color_matrices import in_float64
-from odak.learn.perception.pixel_blocks import by_values
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -21,13 +20,13 @@ _C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
 _PQ_FLOOR = 1e-9
 _PQ_POWER = _PQ_FLOOR**_M1
 _PQ_RATIO = (_C1 + _C2 * _PQ_POWER) / (1 + _C3 * _PQ_POWER)
-_PQ_SLOPE = _M2 * _PQ_RATIO ** (_M2 - 1) * (_C2 - _C1 * _C3) / (1 + _C3 * _PQ_POWER) ** 2
-_PQ_SLOPE *= _M1 * _PQ_POWER / _PQ_FLOOR
+_PQ_DERIVATIVE = _M2 * _PQ_RATIO ** (_M2 - 1) * (_C2 - _C1 * _C3) / (1 + _C3 * _PQ_POWER) ** 2
+_PQ_DERIVATIVE *= _M1 * _PQ_POWER / _PQ_FLOOR
 
 _HLG_A = 0.17883277
 _HLG_B, _HLG_C = 1 - 4 * _HLG_A, 0.5 - _HLG_A * math.log(4 * _HLG_A)
 _HLG_FLOOR = 1e-6
-_HLG_SLOPE = 0.5 * math.sqrt(3 / _HLG_FLOOR)
+_HLG_DERIVATIVE = 0.5 * math.sqrt(3 / _HLG_FLOOR)
 _BT2020_LUMA = (0.2627, 0.6780, 0.0593)
 _DARKEST = 1e-9
 
@@ -70,7 +69,7 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
     [0.5081, 1.0]
     """
-    return by_values(_pq_encoded, _floats("luminance", luminance))
+    return _pq_encoded(_floats("luminance", luminance))
 
 
 def pq_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -91,7 +90,7 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     TypeError
         If the signal is not a tensor of real floats.
     """
-    return by_values(_pq_decoded, _floats("signal", signal))
+    return _pq_decoded(_floats("signal", signal))
 
 
 def hlg_encode(light: torch.Tensor) -> torch.Tensor:
@@ -112,7 +111,7 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     TypeError
         If the light is not a tensor of real floats.
     """
-    return by_values(_hlg_encoded, _floats("light", light))
+    return _hlg_encoded(_floats("light", light))
 
 
 def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -133,7 +132,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     TypeError
         If the signal is not a tensor of real floats.
     """
-    return by_values(_hlg_decoded, _floats("signal", signal))
+    return _hlg_decoded(_floats("signal", signal))
 
 
 def hlg_system_gamma(peak_luminance: float) -> float:
@@ -242,7 +241,7 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     of 256 where white of 100 cd/m² is the peak.
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    return by_values(functools.partial(_pu21_encoded, p=p), _floats("luminance", luminance))
+    return _pu21_encoded(_floats("luminance", luminance), p)
 
 
 def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
@@ -266,11 +265,11 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
         If the values are not a tensor of real floats or the variant is not known.
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    return by_values(functools.partial(_pu21_decoded, p=p), _floats("values", values))
+    return _pu21_decoded(_floats("values", values), p)
 
 
 def _pq_encoded(luminance):
-    return _with_bounded_slope(_pq_signal, luminance.clamp(0, PQ_PEAK) / PQ_PEAK, _PQ_FLOOR, _PQ_SLOPE)
+    return _with_bounded_gradient(_pq_signal, luminance.clamp(0, PQ_PEAK) / PQ_PEAK, _PQ_FLOOR, _PQ_DERIVATIVE)
 
 
 def _pq_decoded(signal):
@@ -281,7 +280,7 @@ def _pq_decoded(signal):
 
 
 def _hlg_encoded(light):
-    return _with_bounded_slope(_hlg_signal, light.clamp_min(0), _HLG_FLOOR, _HLG_SLOPE)
+    return _with_bounded_gradient(_hlg_signal, light.clamp_min(0), _HLG_FLOOR, _HLG_DERIVATIVE)
 
 
 def _hlg_decoded(signal):
@@ -317,11 +316,11 @@ def _hlg_signal(light):
     return torch.where(light > 1 / 12, bright, (3 * light).sqrt())
 
 
-def _with_bounded_slope(function, value, floor, slope):
-    """Return function(value) with the gradient `slope` for values below `floor`."""
+def _with_bounded_gradient(function, value, floor, derivative):
+    """Return function(value) with the gradient `derivative` for values below `floor`."""
     with torch.no_grad():
         exact = function(value.detach())
-    dark = exact + slope * (value - value.detach())
+    dark = exact + derivative * (value - value.detach())
     return torch.where(value < floor, dark, function(value.clamp_min(floor)))
 
 

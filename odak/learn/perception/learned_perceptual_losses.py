@@ -1,19 +1,15 @@
 """ColorVideoVDP, FovVideoVDP and LPIPS through the packages of their authors, imported when first constructed."""
 
 import contextlib
-import functools
 import importlib
-import logging
 import warnings
 
 import torch
 from torch import nn
 
-from odak import _validate
+from odak import _validate, _warnings
 from odak.learn._tensors import checked_device
 from odak.learn.perception.util import checked_pair
-
-_log = logging.getLogger("odak")
 
 
 class _Wrapper(nn.Module):
@@ -31,7 +27,7 @@ class _Wrapper(nn.Module):
             message = f"{type(self).__name__} needs the package {self._package} ({error}): pip install {self._package}"
             if required:
                 raise ImportError(message) from error
-            _warn_once(f"{message}. Until then its value is not a number.")
+            _warnings.warn(f"{message}. Until then its value is not a number.", _warnings.MissingPackageWarning)
             self.available = False
 
     def _import(self):
@@ -217,11 +213,6 @@ class LPIPS(_Wrapper):
             with _quietly():
                 self.lpips = self._import().LPIPS(net="squeeze", verbose=False).requires_grad_(False)
         return self.lpips.to(device)
-
-
-@functools.cache
-def _warn_once(message):
-    _log.warning(message)
 
 
 @contextlib.contextmanager

@@ -18,8 +18,8 @@ KEPT = ("data", "steerable_pyramid_taps.json")
 GRID = 24
 FOOT = 0.55
 # How much an ideal response counts beside one of flatness. Less: flatter, but less like the ideal; see the notes.
-PULL, BAND_PULL = 0.1, 0.2
-ALIASING, SUMS, FLOOR, SPLIT = 3.0, 100.0, 0.01, 0.3
+PULL, BAND_PULL = 0.05, 0.15
+ALIASING, SUMS, FLOOR, SPLIT = 3.0, 100.0, 0.01, 1.0
 STEPS, TOLERANCE, DAMPING = 100, 1e-6, 1e-9
 
 
@@ -76,7 +76,7 @@ def steering(n_orientations: int, angles: np.ndarray) -> np.ndarray:
 
 
 @functools.lru_cache(maxsize=64)
-def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, np.ndarray]:
+def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool = False) -> dict[str, np.ndarray]:
     """Return filters whose pyramid reconstructs a picture nearly perfectly.
 
     Parameters
@@ -85,6 +85,8 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, n
         Number K ≥ 1 of orientations.
     sizes : tuple of int
         Odd sizes of the low-pass "l", the first low-pass "l0", the high-pass residual "h0" and the bands.
+    bilinear : bool
+        For a pyramid whose levels are halved by 2 × 2 means and enlarged bilinearly, rather than by "l".
 
     Returns
     -------
@@ -97,17 +99,18 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int]) -> dict[str, n
     Starts from the linear least-squares fit to the ideal responses of Portilla and Simoncelli (2000). Minimised
     together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4) and of H₀² + L₀², that of the inner sum as the next
     level sees it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the
-    ideal responses.
+    ideal responses. A bilinear pyramid has cos⁴(ωₓ/2)·cos⁴(ω_y/2) in place of L²/4, from halving and enlarging alone,
+    and its ideal bands are what this leaves; "l" is not used then.
     """
-    problem = _Problem(n_orientations, sizes)
-    kept = _kept().get(_key(n_orientations, sizes))
+    problem = _Problem(n_orientations, sizes, bilinear)
+    kept = _kept().get(_key(n_orientations, sizes, bilinear))
     filters = problem.filters(_descend(problem) if kept is None else np.array(kept))
     for value in filters.values():
         value.setflags(write=False)
     return filters
 
 
-def keep(banks: list[tuple[int, tuple[int, int, int, int]]], path: Path) -> None:
+def keep(banks: list[tuple[int, tuple[int, int, int, int], bool]], path: Path) -> None:
     """Write the taps of designs to a file, from which :func:`design` takes them without designing them again.
 
     Parameters
@@ -126,8 +129,8 @@ def _kept():
     return json.loads(resources.files("odak.learn.perception").joinpath(*KEPT).read_text(encoding="utf-8"))
 
 
-def _key(n_orientations, sizes):
-    return f"{n_orientations} {' '.join(map(str, sizes))}"
+def _key(n_orientations, sizes, bilinear):
+    return f"{n_orientations} {' '.join(map(str, sizes))}" + (" bilinear" if bilinear else "")
 
 
 def _descend(problem) -> np.ndarray:
@@ -137,9 +140,9 @@ def _descend(problem) -> np.ndarray:
     cost = residual @ residual + problem.quadratic_cost(taps)
     for _ in range(STEPS):
         normal = problem.normal + jacobian.T @ jacobian
-        slope = problem.normal @ taps - problem.pulled + jacobian.T @ residual
+        gradient = problem.normal @ taps - problem.pulled + jacobian.T @ residual
         normal[np.diag_indices_from(normal)] += damping
-        trial = taps - np.linalg.solve(normal, slope)
+        trial = taps - np.linalg.solve(normal, gradient)
         residual_there, jacobian_there = problem.residual(trial)
         cost_there = residual_there @ residual_there + problem.quadratic_cost(trial)
         if cost_there >= cost:
@@ -160,8 +163,8 @@ def orientations(n_orientations: int) -> np.ndarray:
 class _Problem:
     """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
 
-    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int]) -> None:
-        self.count = n_orientations
+    def __init__(self, n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool) -> None:
+        self.count, self.bilinear = n_orientations, bilinear
         axis = np.linspace(0, math.pi, GRID)
         self.x, self.y = np.meshgrid(axis, axis, indexing="xy")
         self.parts = self._parts(sizes)
@@ -180,6 +183,8 @@ class _Problem:
         high0, low0, band, _ = ideal_gains(radius)
         # A foot below the octave, so that small filters keep their sign down to slow ramps.
         band = np.maximum(band, np.minimum(FOOT * radius * 4 / math.pi, FOOT))
+        if self.bilinear:
+            band = np.sqrt(1 - self._bilinear_gain(1.0))
         low = 2 * np.sqrt(1 - band**2)
         parts = [self._part(size, 0, 0, True, ideal) for size, ideal in zip(sizes, (low, low0, high0), strict=False)]
         order = self.count - 1
@@ -236,41 +241,52 @@ class _Problem:
     def residual(self, taps):
         """Return every residual ``[m]`` that is not quadratic, and its Jacobian ``[m, n]``."""
         low0, high0 = (part[1] @ taps[where] for part, where in zip(self.parts[1:3], self.slices[1:3], strict=True))
-        inner, inner_slope = self._inner(taps)
+        inner, inner_jacobian = self._inner(taps)
         flat = high0**2 + low0**2 * inner - 1
-        slope = low0[:, None] ** 2 * inner_slope
+        jacobian = low0[:, None] ** 2 * inner_jacobian
         for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
-            slope[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
+            jacobian[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
         # A coarser level sees what the low-pass leaves at half the frequency.
-        passed, passed_slope = self._passed(taps, self.halved)
+        passed, passed_jacobian = self._passed(taps, self.halved, 0.5)
         deep = passed * (inner - 1)
-        deep_slope = passed[:, None] * inner_slope
-        deep_slope[:, self.slices[0]] += (inner - 1)[:, None] * passed_slope
+        deep_jacobian = passed[:, None] * inner_jacobian
+        deep_jacobian[:, self.slices[0]] += (inner - 1)[:, None] * passed_jacobian
         # Where small bands hold nothing, at one-pixel stripes, the first low-pass would be free to let them through.
         split = high0**2 + low0**2 - 1
-        split_slope = np.zeros_like(slope)
+        split_jacobian = np.zeros_like(jacobian)
         for gain, index in ((2 * low0, 1), (2 * high0, 2)):
-            split_slope[:, self.slices[index]] = gain[:, None] * self.parts[index][1]
+            split_jacobian[:, self.slices[index]] = gain[:, None] * self.parts[index][1]
         scale = SPLIT / GRID
-        rows = [(flat / GRID, slope / GRID), (deep / GRID, deep_slope / GRID), (scale * split, scale * split_slope)]
-        rows.append(self._aliasing(taps))
+        rows = [
+            (flat / GRID, jacobian / GRID),
+            (deep / GRID, deep_jacobian / GRID),
+            (scale * split, scale * split_jacobian),
+        ]
+        if not self.bilinear:
+            rows.append(self._aliasing(taps))
         return np.concatenate([r for r, _ in rows]), np.concatenate([j for _, j in rows])
 
     def _inner(self, taps):
-        """Return Σₖ|Bₖ|² + L²/4 and its slope: what the bands and the low-pass of one level hold together."""
+        """Return Σₖ|Bₖ|² + L²/4 and its Jacobian: the power of the bands and the low-pass of one level together."""
         products, sources = self.products(taps)
         mixed = self.power @ products
-        passed, passed_slope = self._passed(taps, self.parts[0][1])
-        slope = np.zeros((passed.size, self.length))
-        slope[:, self.slices[0]] = passed_slope
+        passed, passed_jacobian = self._passed(taps, self.parts[0][1], 1.0)
+        jacobian = np.zeros((passed.size, self.length))
+        jacobian[:, self.slices[0]] = passed_jacobian
         for row, (where, response) in zip(mixed, sources, strict=True):
-            slope[:, where] += 2 * row[:, None] * response
-        return (products * mixed).sum(0) + passed, slope
+            jacobian[:, where] += 2 * row[:, None] * response
+        return (products * mixed).sum(0) + passed, jacobian
 
-    def _passed(self, taps, response):
-        """Return L²/4 where a response was taken, and its slope in the taps of L."""
+    def _passed(self, taps, response, scale):
+        """Return the gain of halving and enlarging at scaled frequencies, and its Jacobian in the taps of L."""
+        if self.bilinear:
+            return self._bilinear_gain(scale).ravel(), np.zeros_like(response)
         low = response @ taps[self.slices[0]]
         return low**2 / 4, (low / 2)[:, None] * response
+
+    def _bilinear_gain(self, scale):
+        # The mean of two pixels has the gain cos(ω/2), taking every second pixel 1/2, bilinear enlargement 2·cos³(ω/2).
+        return np.cos(scale * self.x / 2) ** 4 * np.cos(scale * self.y / 2) ** 4
 
     def _aliasing(self, taps):
         """Return what folds back onto a frequency from half the sampling rate away, along one axis or both."""
@@ -279,9 +295,9 @@ class _Problem:
         # π − ω is on the grid too, and L is even.
         for folded in (grid[:, ::-1], grid[::-1, ::-1]):
             one, two = grid @ taps[where], folded @ taps[where]
-            slope = one[..., None] * folded + two[..., None] * grid
+            product = one[..., None] * folded + two[..., None] * grid
             jacobian = np.zeros((GRID * GRID, self.length))
-            jacobian[:, where] = slope.reshape(GRID * GRID, -1)
+            jacobian[:, where] = product.reshape(GRID * GRID, -1)
             residuals.append((one * two).ravel())
             jacobians.append(jacobian)
         scale = ALIASING / (4 * GRID)

@@ -9,6 +9,7 @@ import torch
 from odak import _validate
 from odak._array import is_readable
 from odak.learn.raytracing import arguments
+from odak.learn.raytracing.primitives import split_cylinder
 from odak.learn.raytracing.recompute import in_pieces
 from odak.raytracing import closed_forms, geometry, interfaces
 from odak.raytracing import components as vec
@@ -16,9 +17,11 @@ from odak.raytracing.interfaces import Fresnel
 
 __all__ = [
     "fresnel_coefficients",
+    "get_cylinder_normal",
     "get_sphere_normal_torch",
     "get_triangle_normal",
     "intersect_w_circle",
+    "intersect_w_cylinder",
     "intersect_w_sphere",
     "intersect_w_surface",
     "intersect_w_surface_batch",
@@ -397,3 +400,73 @@ def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:
     if len(triangle) != 1:
         raise ValueError(f"{name} must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
     return triangle
+
+
+def get_cylinder_normal(point: torch.Tensor, cylinder: torch.Tensor) -> torch.Tensor:
+    """Return the rays from the axis of a cylinder outwards through points of it.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        ``[3]`` or ``[m, 3]``.
+    cylinder : torch.Tensor
+        ``[7]``, or ``[m, 7]``: one for each point.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``. Each starts at its point's foot on the axis.
+    """
+    point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
+    point = arguments.points("point", point)
+    center, _, axis = split_cylinder(cylinder)
+    axis = geometry.unit(axis)
+    foot = center + geometry.dot(*torch.broadcast_tensors(point - center, axis))[..., None] * axis
+    return arguments.as_rays(foot, geometry.unit(point - foot))
+
+
+def intersect_w_cylinder(
+    ray: torch.Tensor, cylinder: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Meet an infinite cylinder in closed form: the nearest point ahead, or the exit when the ray starts inside.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    cylinder : torch.Tensor
+        ``[7]`` of :func:`define_cylinder`, or ``[m, 7]``: one for each ray.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        As :func:`odak.learn.raytracing.intersect_w_sphere`: rays ``[k, 2, 3]`` from the points hit, normals
+        ``[k, 2, 3]`` from the axis outwards, distances ``[m]`` (NaN, without gradient, for misses and for rays along
+        the axis), and which rays hit, ``[m]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_cylinder, intersect_w_cylinder
+    >>> ray = torch.tensor([[-20.0, 0.0, 4.0], [1.0, 0.0, 0.0]])
+    >>> intersect_w_cylinder(ray, define_cylinder(torch.zeros(3), 2.0))[2]
+    tensor([18.])
+    """
+    ray, cylinder = arguments.tensors(ray=ray, cylinder=cylinder)
+    ray = arguments.rays("ray", ray)
+    center, radius, axis = split_cylinder(cylinder)
+    if ray.ndim == 3 and len(center) not in (1, len(ray)) and len(ray) != 1:
+        raise ValueError(f"cylinder must hold one cylinder or one for each of {len(ray)} rays, got {len(center)}")
+    rays, normals, distance, check = in_pieces(_cylinder_hits, (2, 1, 0, 1), ray, center, radius, axis)
+    # Rays that all hit need not be picked; a GPU would have to be asked first.
+    if not (is_readable(check) and bool(check.all())):
+        rays, normals = rays[check], normals[check]
+    return rays, normals, distance, check
+
+
+def _cylinder_hits(ray, center, radius, axis):
+    hit = closed_forms.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
+    # Of rays that miss, no NaN must meet the radius.
+    outward = tuple(torch.where(hit.hit, value, 0.0) for value in hit.normal)
+    foot = vec.along(hit.point, -radius, outward)
+    return vec.join(hit.point, vec.split(ray[..., 1, :])), vec.join(foot, hit.normal), hit.distance, hit.hit

@@ -7,7 +7,7 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing import arguments
-from odak.raytracing.geometry import dot
+from odak.raytracing.geometry import cross, dot, unit
 from odak.raytracing.intersections import within
 from odak.raytracing.primitives import PLANE_CORNERS
 from odak.tools.transformation import apply_matrix, rotation_matrix
@@ -224,3 +224,57 @@ def define_circle(center: Any, radius: Any, angles: Any) -> list:
 def _beside(point, angles) -> list[torch.Tensor]:
     """Return both as tensors; the default angles do not widen or move anything."""
     return arguments.tensors(point=point, angles=[0.0, 0.0, 0.0] if angles is _NONE else angles)
+
+
+def define_cylinder(
+    center: torch.Tensor, radius: torch.Tensor, rotation: torch.Tensor | Sequence[float] = (0.0, 0.0, 0.0)
+) -> torch.Tensor:
+    """Return infinite cylinders as ``[m, 7]``: c, r and q, a point of the axis one unit from c.
+
+    Parameters
+    ----------
+    center : torch.Tensor
+        A point of the axis, ``[3]`` or ``[m, 3]``.
+    radius : torch.Tensor
+        A number, ``[1]``, ``[m]`` or ``[m, 1]``.
+    rotation : torch.Tensor
+        Degrees about X, Y and Z that turn the axis away from +z, ``[3]`` or ``[m, 3]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 7]``; one of each serves many of the others.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_cylinder
+    >>> define_cylinder(torch.tensor([0.0, 0.0, 4.0]), 2.0)
+    tensor([[0., 0., 4., 2., 0., 0., 5.]])
+    """
+    center, radius, rotation = arguments.tensors(center=center, radius=radius, rotation=rotation)
+    center = arguments.listed("center", center, (3,), "[3] or [m, 3]")
+    rotation = arguments.listed("rotation", rotation, (3,), "[3] or [m, 3]")
+    axis, radius = rotation_matrix(rotation)[..., 2], radius.reshape(-1, 1)
+    try:
+        count = torch.broadcast_shapes(center.shape[:1], radius.shape[:1], axis.shape[:1])[0]
+    except RuntimeError:
+        sizes = f"{len(center)}, {len(radius)} and {len(axis)}"
+        raise ValueError(f"center, radius and rotation must be as many, or one; got {sizes}") from None
+    center, axis = center.expand(count, 3), axis.expand(count, 3)
+    return torch.cat((center, radius.expand(count, 1), center + axis), dim=-1)
+
+
+def cylinder_function(point: Any, cylinder: Any) -> torch.Tensor:
+    """Return the squared distance to the axis minus r² of points ``[3]`` or ``[m, 3]``: zero on the cylinder."""
+    point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
+    center, radius, axis = split_cylinder(cylinder)
+    arm = arguments.points("point", point) - center
+    across = cross(*torch.broadcast_tensors(arm, unit(axis)))
+    return dot(across, across) - radius**2
+
+
+def split_cylinder(cylinder) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return centre ``[m, 3]``, radius ``[m]`` and axis ``[m, 3]``."""
+    cylinder = arguments.shaped("cylinder", cylinder, (7,), "[7] or [m, 7]")
+    return cylinder[..., :3], cylinder[..., 3], cylinder[..., 4:] - cylinder[..., :3]

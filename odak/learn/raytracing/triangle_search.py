@@ -1,11 +1,119 @@
-"""The nearest triangle ahead of each ray: all rays go down the tree together, and only what they pierce goes on."""
+"""Search for the nearest triangle ahead of rays: a bounding volume hierarchy, Embree, and hits with gradients."""
 
-from typing import NamedTuple
+import importlib.util
+from typing import Any, NamedTuple
 
 import torch
 
-from odak.learn.raytracing.triangle_tree import BRANCHES, Tree
-from odak.raytracing.watertight import edge_areas, encloses, frame_order, shear_of, sheared
+from odak.learn.raytracing import arguments
+from odak.raytracing import geometry, intersections
+from odak.raytracing.geometry import (
+    edge_areas,
+    encloses,
+    frame_order,
+    shear_of,
+    sheared,
+    triangle_normal,
+)
+from odak.raytracing.intersections import RayStatus
+
+BRANCHES = 8
+LEAF = 4
+# Boxes are single precision in units of the mesh's radius: what a ray and a box lose to rounding stays below this.
+MARGIN = 8 * torch.finfo(torch.float32).eps
+
+
+class Tree(NamedTuple):
+    """Triangles in leaves of equal size under boxes of up to eight children.
+
+    Attributes
+    ----------
+    centre, scale : torch.Tensor
+        float64 ``[3]`` and ``[]``: (vertex − centre)·scale lies within the unit sphere.
+    faces : torch.Tensor
+        int64 ``[slots, leaves]``: which face is where, −1 for none.
+    corners : torch.Tensor
+        ``[9·slots, 3·leaves]``: the corners (component, corner, slot) in units of the mesh's radius, once for every
+        dominant axis; NaN where there is nothing to hit.
+    boxes : list of torch.Tensor
+        For every level float32 ``[6·children, 8·nodes]``: near and far sides for each of the eight octants of ray
+        directions.
+    """
+
+    centre: torch.Tensor
+    scale: torch.Tensor
+    faces: torch.Tensor
+    corners: torch.Tensor
+    boxes: list[torch.Tensor]
+
+
+def sort_faces(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """Return the faces of all leaves, int64 ``[leaves, slots]`` with −1 for empty slots.
+
+    All nodes of a level are halved at once at the median of their longest axis. `leaves` is a power of two.
+    """
+    depth = max(-(-len(faces) // LEAF) - 1, 0).bit_length()
+    slots = max(-(-len(faces) // 2**depth), 1)
+    empty = slots * 2**depth - len(faces)
+    middle = vertices.detach()[faces].mean(dim=1)
+    # Empty slots sort behind everything, whatever the axis.
+    middle = torch.nn.functional.pad(middle, (0, 0, 0, empty), value=torch.inf)
+    order = torch.arange(len(middle), device=faces.device)
+    for level in range(depth):
+        order = order.reshape(2**level, -1)
+        place = middle[order]
+        there = place.isfinite()
+        extent = torch.where(there, place, -torch.inf).amax(dim=1) - torch.where(there, place, torch.inf).amin(dim=1)
+        axis = extent.argmax(dim=1)[:, None, None].expand(-1, place.shape[1], 1)
+        order = order.gather(1, place.gather(2, axis)[..., 0].argsort(dim=1))
+    return torch.where(order < len(faces), order, -1).reshape(2**depth, slots)
+
+
+def fit(vertices: torch.Tensor, faces: torch.Tensor, leaves: torch.Tensor) -> Tree:
+    """Return the tree over sorted leaves for vertices as they are now; triangles without area are left out."""
+    vertices = vertices.detach()
+    low, high = vertices.double().amin(dim=0), vertices.double().amax(dim=0)
+    centre = (low + high) / 2
+    radius = (vertices.double() - centre).norm(dim=1).amax()
+    scale = torch.where(radius > 0, 1 / radius, 1.0)
+    corners = to_frame(vertices, centre, scale)[faces[leaves.clamp(min=0)]]
+    solid = (leaves >= 0) & triangle_normal(corners).isfinite().all(dim=-1)
+    return Tree(centre, scale, leaves.t().contiguous(), _corner_table(corners, solid), _box_tables(corners, solid))
+
+
+def to_frame(points: torch.Tensor, centre: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+    """Return points in units of the mesh's radius about its centre, rounded once to their own precision."""
+    return ((points.double() - centre) * scale).to(points.dtype)
+
+
+def _corner_table(corners: torch.Tensor, solid: torch.Tensor) -> torch.Tensor:
+    count, slots = solid.shape
+    corners = torch.where(solid[..., None, None], corners, torch.nan)
+    turns = [corners[..., ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)]
+    # [axis, leaf, slot, corner, component] → [component, corner, slot, axis, leaf]
+    return torch.stack(turns).permute(4, 3, 2, 0, 1).reshape(9 * slots, 3 * count)
+
+
+def _box_tables(corners: torch.Tensor, solid: torch.Tensor) -> list[torch.Tensor]:
+    corners, solid = corners.float(), solid[..., None, None]
+    low = torch.where(solid, corners, torch.inf).amin(dim=(1, 2)) - MARGIN
+    high = torch.where(solid, corners, -torch.inf).amax(dim=(1, 2)) + MARGIN
+    tables = []
+    while len(low) > 1:
+        children = min(BRANCHES, len(low))
+        low, high = low.reshape(-1, children, 3), high.reshape(-1, children, 3)
+        tables.append(_octants(low, high))
+        low, high = low.amin(dim=1), high.amax(dim=1)
+    return tables[::-1]
+
+
+def _octants(low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
+    """Return the sides that rays enter and leave by, ``[6·children, 8·nodes]``, from ``[nodes, children, 3]``."""
+    bits = torch.arange(8, device=low.device)[:, None] >> torch.arange(3, device=low.device) & 1
+    backwards = bits.bool()[:, None, None]
+    sides = torch.cat((torch.where(backwards, high, low), torch.where(backwards, low, high)), dim=-1)
+    return sides.permute(3, 2, 0, 1).reshape(6 * low.shape[1], 8 * len(low))
+
 
 # Bytes that a pair of ray and node takes on its way: sides of eight boxes twice, entries, indices, and its children.
 PAIR_BYTES = 1024
@@ -155,3 +263,166 @@ def _leaves(tree: Tree, beam: Beam, best, face, ray, node, chosen):
     face = torch.where((closer < best) | (face < 0), none, face)
     face = face.scatter_reduce_(0, ray.index_select(0, pair), won, "amin")
     return closer, torch.where(face == none, -1, face)
+
+
+class MeshHit(NamedTuple):
+    """Where rays meet a mesh.
+
+    Attributes
+    ----------
+    distance : torch.Tensor
+        ``[...]``, in lengths of the direction; NaN unless hit.
+    point : torch.Tensor
+        ``[..., 3]``; NaN unless hit.
+    normal : torch.Tensor
+        Unit normal ``[..., 3]``, right-handed about the corners; NaN unless hit.
+    face : torch.Tensor
+        int64 ``[...]``; −1 unless hit.
+    barycentric : torch.Tensor
+        Weights of the three corners, ``[..., 3]``, sum 1; NaN unless hit.
+    status : torch.Tensor
+        :class:`odak.raytracing.RayStatus` as int8, ``[...]``.
+    """
+
+    distance: Any
+    point: Any
+    normal: Any
+    face: Any
+    barycentric: Any
+    status: Any
+
+    @property
+    def hit(self) -> torch.Tensor:
+        """Which rays hit, bool ``[...]``."""
+        return self.status == int(RayStatus.HIT)
+
+    @property
+    def normals(self) -> torch.Tensor:
+        """The normals as rays from the points hit, ``[..., 2, 3]``, as reflect and refract take them."""
+        return arguments.as_rays(self.point, self.normal)
+
+
+class Frame(NamedTuple):
+    """Units of a mesh's radius about its centre, float64 ``[3]`` and ``[]``."""
+
+    centre: torch.Tensor
+    scale: torch.Tensor
+
+
+def nearest_approach(frame: Frame, start: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+    """Return where along rays ``[m, 3]`` they come nearest to the centre, float64, in lengths of the direction."""
+    start, direction = start.double() - frame.centre, direction.double()
+    return -geometry.dot(start, direction) / geometry.dot(direction, direction)
+
+
+def advanced(frame: Frame, start: torch.Tensor, direction: torch.Tensor, shift: torch.Tensor) -> torch.Tensor:
+    """Return the points `shift` along rays, in the frame and the rays' precision.
+
+    A far start costs no digits: it is moved near the mesh in double precision first.
+    """
+    moved = start.double() + shift[:, None] * direction.double()
+    return ((moved - frame.centre) * frame.scale).to(start.dtype)
+
+
+def turned_vertices(frame: Frame, vertices: torch.Tensor) -> torch.Tensor:
+    """Return vertices in the frame, once with each axis as their last component: ``[3·v, 3]``."""
+    placed = to_frame(vertices, *frame)
+    return torch.cat([placed[:, ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)])
+
+
+def evaluate(
+    frame: Frame, turned: torch.Tensor, faces: torch.Tensor, normals, start, direction, face, shift
+) -> MeshHit:
+    """Return the hits of rays ``[m, 3]`` on faces ``[m]``, by the arithmetic of the search.
+
+    Parameters
+    ----------
+    frame : Frame
+        Frame of the search.
+    turned : torch.Tensor
+        From :func:`turned_vertices`.
+    faces : torch.Tensor
+        Vertices of the faces, ``[t, 3]``, one face at least.
+    normals : torch.Tensor or None
+        Normals at the vertices, ``[v, 3]``; the faces' own by default.
+    start, direction : torch.Tensor
+        Finite rays ``[m, 3]``, no direction zero.
+    face : torch.Tensor
+        Faces met, −1 for none.
+    shift : torch.Tensor
+        Where along the rays the search started, float64 ``[m]``; held fixed, which changes no derivative.
+    """
+    axis = direction.detach().abs().argmax(dim=1)
+    order = frame_order(axis)
+    # A ray that misses far away must not overflow: its gradient would be NaN.
+    near = torch.where((face >= 0)[:, None], advanced(frame, start, direction, shift), 0.0)
+    near = near.gather(1, order).unbind(1)
+    along = direction.gather(1, order).unbind(1)
+    chosen = faces.index_select(0, face.clamp(min=0))
+    rows = (chosen.t() + axis * (len(turned) // 3)).reshape(-1)
+    corners = turned.index_select(0, rows).t().reshape(3, 3, -1)
+    seen = [sheared(corners[:, i].unbind(), near, shear_of(along)) for i in range(3)]
+    areas = edge_areas(*seen)
+    hit = (face >= 0) & (sum(areas) != 0)
+    total = torch.where(hit, sum(areas), 1.0)
+    weights = [area / total for area in areas]
+    reach = sum(weight * corner[2] for weight, corner in zip(weights, seen, strict=True)) / along[2]
+    distance = (shift + reach.double() / frame.scale).to(start.dtype)
+    place = sum(weight * corners[:, i] for i, weight in enumerate(weights)).t()
+    back = frame_order(torch.where(axis == 2, 2, 1 - axis))
+    point = (place.gather(1, back).double() / frame.scale + frame.centre).to(start.dtype)
+    weights = torch.stack(weights, dim=1)
+    if normals is None:
+        # From the frame's corners, as in the tree: no face is hit whose normal does not exist.
+        normal = geometry.triangle_normal(corners.permute(2, 1, 0)).gather(1, back)
+    else:
+        normal = _interpolated(weights, normals[chosen], hit)
+    distance, point, normal = (geometry.masked(value, hit) for value in (distance, point, normal))
+    return MeshHit(
+        distance,
+        point,
+        normal,
+        torch.where(hit, face, -1),
+        geometry.masked(weights, hit),
+        intersections.status_array(hit),
+    )
+
+
+def misses(rays: torch.Tensor) -> MeshHit:
+    """Return the hits of rays ``[m, 2, 3]`` that meet nothing."""
+    none = torch.full_like(rays[:, 0], torch.nan)
+    face = torch.full((len(rays),), -1, dtype=torch.int64, device=rays.device)
+    return MeshHit(none[:, 0], none, none, face, none, intersections.status_array(face >= 0))
+
+
+def _interpolated(weights: torch.Tensor, normals: torch.Tensor, hit: torch.Tensor) -> torch.Tensor:
+    normals = torch.where(hit[:, None, None], normals, 1.0)
+    weights = torch.where(hit[:, None], weights, 1.0)
+    return geometry.unit((weights[..., None] * normals).sum(dim=1))
+
+
+EMBREE_HINT = "backend 'embree' needs the package embreex: pip install odak[mesh]"
+
+
+def has_embree() -> bool:
+    """Say whether embreex can be imported."""
+    return importlib.util.find_spec("embreex") is not None
+
+
+def embree_scene(vertices: torch.Tensor, faces: torch.Tensor):
+    """Return Embree's scene of triangles; raise ImportError that says what to install when embreex is missing."""
+    try:
+        from embreex import rtcore_scene
+        from embreex.mesh_construction import TriangleMesh
+    except ImportError as error:
+        raise ImportError(EMBREE_HINT) from error
+    scene = rtcore_scene.EmbreeScene()
+    TriangleMesh(scene, vertices.detach().float().cpu().numpy(), faces.int().cpu().numpy())
+    return scene
+
+
+def nearest_faces_by_embree(scene, start: torch.Tensor, direction: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
+    """Return the face that each ray meets first, int64 ``[m]``, −1 for none; arguments as in the search of the tree."""
+    start = start + first[:, None] * direction
+    found = scene.run(start.float().cpu().numpy(), direction.float().cpu().numpy())
+    return torch.from_numpy(found).to(device=start.device, dtype=torch.int64)

@@ -7,8 +7,8 @@ import torch
 
 from odak import _validate
 from odak.learn._tensors import tensor
-from odak.learn.raytracing import arguments, embree, triangle_search, triangle_tree
-from odak.learn.raytracing.triangle_hits import (
+from odak.learn.raytracing import arguments, triangle_search
+from odak.learn.raytracing.triangle_search import (
     Frame,
     MeshHit,
     advanced,
@@ -17,8 +17,8 @@ from odak.learn.raytracing.triangle_hits import (
     nearest_approach,
     turned_vertices,
 )
-from odak.raytracing import geometry, watertight
-from odak.tools import _ply
+from odak.raytracing import geometry
+from odak.tools import asset
 
 __all__ = ["MeshHit", "triangle_mesh"]
 
@@ -83,8 +83,8 @@ class triangle_mesh:
         self.vertices = _checked_vertices(vertices)
         self.faces = _checked_faces(faces, self.vertices)
         self.backend = _validate.one_of("backend", backend, BACKENDS)
-        if self.backend == "embree" and not embree.is_installed():
-            raise ImportError(embree.HINT)
+        if self.backend == "embree" and not triangle_search.has_embree():
+            raise ImportError(triangle_search.EMBREE_HINT)
         self.memory_budget = _validate.integer("memory_budget", memory_budget, minimum=2**16)
         self.normals = _checked_normals(normals, self.vertices)
         self._leaves: torch.Tensor | None = None
@@ -116,7 +116,7 @@ class triangle_mesh:
         total = torch.zeros_like(self.vertices)
         for i in range(3):
             edge1, edge2 = corners[:, (i + 1) % 3] - corners[:, i], corners[:, (i + 2) % 3] - corners[:, i]
-            weight = watertight.corner_weights(edge1, edge2)
+            weight = geometry.corner_weights(edge1, edge2)
             total = total.index_add(0, self.faces[:, i], weight[:, None] * geometry.cross(edge1, edge2))
         return geometry.unit(total)
 
@@ -164,7 +164,7 @@ class triangle_mesh:
     def write_PLY(self, filename: str, text: bool = False) -> None:
         """Write vertices and faces as a PLY file, binary unless `text`; it appears whole or not at all."""
         text = _validate.flag("text", text)
-        _ply.write_mesh(filename, self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy(), text)
+        asset.write_mesh(filename, self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy(), text)
 
     @classmethod
     def read_PLY(cls, filename: str, device: torch.device | str | None = None, **options: Any) -> "triangle_mesh":
@@ -177,7 +177,7 @@ class triangle_mesh:
         ValueError
             If it is not a PLY file of a mesh.
         """
-        vertices, faces = (torch.from_numpy(v).to(device) for v in _ply.read_mesh(filename))
+        vertices, faces = (torch.from_numpy(v).to(device) for v in asset.read_mesh(filename))
         if not bool(torch.isfinite(vertices).all()):
             raise ValueError(f"{filename!r} has vertices that are not finite")
         return cls(vertices, faces, **options)
@@ -215,27 +215,27 @@ class triangle_mesh:
             first = minimum.double() * frame.scale
         first = (first - shift * frame.scale).to(start.dtype)
         if leaving is None and self._uses_embree(start):
-            return embree.nearest_faces(self._embree_scene(tree), near, direction, first), shift
+            return triangle_search.nearest_faces_by_embree(self._embree_scene(tree), near, direction, first), shift
         return triangle_search.nearest_faces(tree, near, direction, first, leaving, self.memory_budget), shift
 
     def _uses_embree(self, start: torch.Tensor) -> bool:
-        fits = start.dtype == torch.float32 and start.device.type == "cpu" and embree.is_installed()
+        fits = start.dtype == torch.float32 and start.device.type == "cpu" and triangle_search.has_embree()
         return self.backend == "embree" or (self.backend == "auto" and fits)
 
     def _sorted(self) -> torch.Tensor:
         if self._leaves is None:
-            self._leaves = triangle_tree.sort_faces(self.vertices, self.faces)
+            self._leaves = triangle_search.sort_faces(self.vertices, self.faces)
         return self._leaves
 
-    def _fitted(self, vertices: torch.Tensor) -> triangle_tree.Tree:
+    def _fitted(self, vertices: torch.Tensor) -> triangle_search.Tree:
         if vertices.dtype not in self._trees:
-            self._trees[vertices.dtype] = triangle_tree.fit(vertices, self.faces, self._sorted())
+            self._trees[vertices.dtype] = triangle_search.fit(vertices, self.faces, self._sorted())
         return self._trees[vertices.dtype]
 
-    def _embree_scene(self, tree: triangle_tree.Tree):
+    def _embree_scene(self, tree: triangle_search.Tree):
         if self._scene is None:
-            placed = triangle_tree.to_frame(self.vertices.detach(), tree.centre, tree.scale)
-            self._scene = embree.build_scene(placed, self.faces)
+            placed = triangle_search.to_frame(self.vertices.detach(), tree.centre, tree.scale)
+            self._scene = triangle_search.embree_scene(placed, self.faces)
         return self._scene
 
 

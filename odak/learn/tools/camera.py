@@ -1,4 +1,6 @@
-"""A pinhole camera: its place, its direction and its numbers."""
+"""Pinhole camera: projection of points by its position, direction and intrinsic parameters."""
+
+from collections.abc import Sequence
 
 import torch
 
@@ -28,7 +30,9 @@ class PerspectiveCamera:
 
     Examples
     --------
-    >>> import torch
+    >>> from collections.abc import Sequence
+
+    import torch
     >>> from odak.learn.tools import PerspectiveCamera
     >>> camera = PerspectiveCamera(torch.eye(3), torch.tensor([0.0, 0.0, 5.0]), [100.0, 100.0], [32.0, 32.0])
     >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))
@@ -39,8 +43,8 @@ class PerspectiveCamera:
         self,
         R: torch.Tensor,
         T: torch.Tensor,
-        focal_length: torch.Tensor,
-        principal_point: torch.Tensor,
+        focal_length: Sequence[float] | torch.Tensor,
+        principal_point: Sequence[float] | torch.Tensor,
         device: torch.device | str = "cpu",
     ):
         self.device = torch.device("cpu") if device is None else checked_device("device", device)

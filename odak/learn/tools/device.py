@@ -1,11 +1,12 @@
-"""Where tensors live."""
+"""Choice of the device that tensors live on, and advice where its memory is not enough."""
 
 import difflib
-from functools import lru_cache
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 import torch
 
-from odak.log import logger
+from odak._warnings import DeviceWarning, warn
 
 
 def get_device(device: torch.device | str | None = "auto") -> torch.device:
@@ -15,19 +16,24 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
     ----------
     device : torch.device or str, optional
         ``"auto"`` or None takes the GPU when CUDA finds one and the CPU otherwise. CUDA asked for by name on a machine
-        without it gives the CPU, with one warning in the log per process.
+        without it gives the CPU, with a warning.
 
     Returns
     -------
     torch.device
         The device.
 
+    Warns
+    -----
+    DeviceWarning
+        If CUDA is asked for by name and there is none.
+
     Raises
     ------
     TypeError
         If `device` is neither a device nor a string.
     ValueError
-        If torch knows no device of that name.
+        If there is no device of that name.
     """
     if device is None or (isinstance(device, str) and device.strip().lower() == "auto"):
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -35,7 +41,7 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
         raise TypeError(f"device must be a torch.device or a string, got {type(device).__name__}")
     chosen = _parse(device)
     if chosen.type == "cuda" and not torch.cuda.is_available():
-        _warn_once()
+        warn(f"{chosen} was asked for and there is no CUDA device: the CPU is used instead", DeviceWarning)
         return torch.device("cpu")
     return chosen
 
@@ -47,10 +53,27 @@ def _parse(device):
         near = difflib.get_close_matches(device.lower(), ("auto", "cpu", "cuda", "mps"), n=1)
         hint = f" Did you mean {near[0]!r}?" if near else ""
         raise ValueError(
-            f"device must be 'auto', 'cpu', 'cuda', 'cuda:0' or another that torch knows; got {device!r}.{hint}"
+            f"device must be 'auto', 'cpu', 'cuda', 'cuda:0' or another device of torch; got {device!r}.{hint}"
         ) from None
 
 
-@lru_cache(maxsize=1)
-def _warn_once():
-    logger.warning("CUDA was asked for and there is none on this machine: the CPU is used instead")
+@contextmanager
+def advising_on_memory(advice: str) -> Iterator[None]:
+    """Add a sentence of advice to the error that torch raises when a GPU has no memory left.
+
+    Parameters
+    ----------
+    advice : str
+        What takes less memory, such as "use fewer planes".
+
+    Raises
+    ------
+    torch.OutOfMemoryError
+        The same kind of error, torch's own text after the advice.
+    """
+    try:
+        yield
+    except torch.cuda.OutOfMemoryError as error:
+        raise torch.cuda.OutOfMemoryError(
+            f"The memory of the GPU is not enough; {advice}. torch says: {error}"
+        ) from error

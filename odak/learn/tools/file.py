@@ -8,10 +8,9 @@ import torch
 
 from odak import _validate
 from odak.learn._tensors import checked_device
-from odak.learn.tools._torch_files import read_torch_file
-from odak.tools import _images
-from odak.tools._atomic import replacing
-from odak.tools._paths import validate_path
+from odak.learn.tools.checkpoints import read_torch_file
+from odak.tools import images
+from odak.tools.paths import replacing, validate_path
 
 _MODES = ("nearest", "bilinear", "bicubic", "area")
 _TENSOR_EXTENSIONS = (".pt", ".pth", ".pkl")
@@ -80,8 +79,8 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
     ValueError
         If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels.
     """
-    levels = _images.read_levels(fn, torch_style)
-    divisor = _images.white_level(levels) if normalizeby is None else float(_validate.real("normalizeby", normalizeby))
+    levels = images.read_levels(fn, torch_style)
+    divisor = images.white_level(levels) if normalizeby is None else float(_validate.real("normalizeby", normalizeby))
     image = torch.from_numpy(levels.astype("float32"))
     return image if divisor in (0, 1) else image.div_(divisor)
 
@@ -101,7 +100,7 @@ def save_image(
         File to write; see :func:`odak.tools.file.save_image`.
     img : torch.Tensor
         ``[H, W]``, ``[H, W, C]``, or ``[C, H, W]`` when the first axis is 1, 3 or 4 long and the last is not; a batch
-        of one of these.
+        of one of these. ``[H]`` is a single column.
     cmin : float
         Value of black.
     cmax : float, optional
@@ -130,7 +129,7 @@ def save_image(
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[-1] not in (1, 3, 4):
         image = np.moveaxis(image, 0, -1)
     white = _white_of(image, color_depth) if cmax is None else cmax
-    return _images.save_image(fn, image, cmin, white, color_depth)
+    return images.save_image(fn, image, cmin, white, color_depth)
 
 
 def save_torch_tensor(fn: str | os.PathLike, tensor: Any) -> None:

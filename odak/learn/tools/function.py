@@ -1,16 +1,15 @@
-"""Functions of position as tensors: Gaussians in space, Zernike polynomials, B-splines."""
+"""Functions of position as tensors: cubic B-splines, Gaussians in space, Zernike polynomials."""
 
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 import torch
 
-from odak.learn.tools._bspline import (
-    SeparableBasis,
-    compose_bspline_2d,
-    decompose_bspline_2d,
-    decompose_wavelet_like,
-    generate_bspline_basis_2d,
-    reconstruct_wavelet_like,
-)
-from odak.tools._splines import gaussians
+from odak import _array, _validate
+from odak.learn._tensors import checked_device, checked_dtype
+from odak.tools.transformation import apply_matrix, rotation_matrix
 from odak.tools.zernike import noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
 __all__ = [
@@ -39,8 +38,8 @@ def evaluate_3d_gaussians(
 ) -> torch.Tensor:
     """Return the values of Gaussians at points: opacity·exp(−q²/2)/((2π)^(3/2)·s_x·s_y·s_z).
 
-    For each Gaussian a point is turned about its centre by its angles; q is the arm from the centre, each coordinate
-    divided by the standard deviation along that axis.
+    For each Gaussian a point is rotated about its centre by its angles; q is the vector from the centre, each
+    coordinate divided by the standard deviation along that axis.
 
     Parameters
     ----------
@@ -85,3 +84,355 @@ def evaluate_3d_gaussians(
         raise ValueError(f"centers, scales, angles and opacity must have as many rows, or one; got {sorted(counts)}")
     rest = (value.to(points) for value in (centers, scales, angles, opacity))
     return gaussians(points, *rest)
+
+
+class SeparableBasis:
+    """A basis of products of splines: two small factors in place of the matrix, which it becomes where one is needed.
+
+    Any function of torch and any attribute of a tensor sees the matrix ``[c_x·c_y, H·W]``.
+
+    Parameters
+    ----------
+    rows : torch.Tensor
+        Splines along the index of the rows, ``[c_y, H]``.
+    columns : torch.Tensor
+        Splines along the index of the columns, ``[c_x, W]``.
+    """
+
+    def __init__(self, rows: torch.Tensor, columns: torch.Tensor):
+        for name, factor in (("rows", rows), ("columns", columns)):
+            if not isinstance(factor, torch.Tensor) or factor.ndim != 2:
+                raise TypeError(f"{name} must be a tensor [splines, samples], got {type(factor).__name__}")
+        self.rows, self.columns = rows, columns
+        self._matrix: torch.Tensor | None = None
+
+    @property
+    def shape(self) -> torch.Size:
+        """Shape of the matrix."""
+        return torch.Size([len(self.rows) * len(self.columns), self.rows.shape[1] * self.columns.shape[1]])
+
+    def to_dense(self) -> torch.Tensor:
+        """Return the matrix ``[c_x·c_y, H·W]``, kept from then on."""
+        if self._matrix is None:
+            self._matrix = torch.kron(self.rows, self.columns)
+        return self._matrix
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return getattr(self.to_dense(), name)
+
+    def __getitem__(self, index):
+        return self.to_dense()[index]
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __matmul__(self, other):
+        return self.to_dense() @ other
+
+    def __rmatmul__(self, other):
+        return other @ self.to_dense()
+
+    def __array__(self, dtype=None, copy=None):
+        return self.to_dense().numpy().astype(dtype) if dtype else self.to_dense().numpy()
+
+    @classmethod
+    def __torch_function__(cls, function, types, args=(), kwargs=None):
+        args = [arg.to_dense() if isinstance(arg, cls) else arg for arg in args]
+        return function(*args, **(kwargs or {}))
+
+
+def generate_bspline_basis_2d(
+    num_control_points: Sequence[int],
+    resolution: Sequence[int],
+    device: torch.device | str = "cpu",
+    *,
+    dtype: torch.dtype = torch.float32,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return products of cubic B-splines along rows and columns, as a matrix.
+
+    Parameters
+    ----------
+    num_control_points : sequence of int
+        Splines along x (the columns' index) and along y (the rows' index), their centres from edge to edge.
+    resolution : sequence of int
+        Rows and columns of the picture.
+    device : torch.device or str
+        Where the result lives.
+    dtype : torch.dtype
+        Its precision.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Matrix ``[c_x·c_y, H·W]``, whose row i_y·c_x + i_x is the product of the splines i_y and i_x, and the centres
+        ``[c_x, c_y, 2]`` from −1 to 1, x first: transpose its first two axes for the order of the matrix' rows.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not two positive integers.
+
+    Notes
+    -----
+    Inside, the splines sum to 1; at each edge the sum is 5/6, since none has its centre outside.
+
+    Examples
+    --------
+    >>> from odak.learn.tools import generate_bspline_basis_2d
+    >>> generate_bspline_basis_2d([4, 1], [1, 7])[0][1].round(decimals=3)
+    tensor([0.1670, 0.4790, 0.6670, 0.4790, 0.1670, 0.0210, 0.0000])
+    """
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
+    factors, grid = _factors(num_control_points, resolution, dtype, device)
+    return torch.kron(*factors), grid
+
+
+def decompose_bspline_2d(
+    image: torch.Tensor, num_control_points: Sequence[int], regularization: float = 1e-6
+) -> tuple[torch.Tensor, SeparableBasis, torch.Tensor]:
+    """Fit a sum of cubic B-splines to a picture: the coefficients c that solve (B·Bᵀ + λ)·c = B·image.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Real ``[H, W]`` or ``[1, H, W]``.
+    num_control_points : sequence of int
+        Splines along x (the columns' index) and along y (the rows' index).
+    regularization : float
+        λ ≥ 0.
+
+    Returns
+    -------
+    tuple
+        Coefficients ``[c_x·c_y]``, row by row, of the picture's precision and differentiable; the basis for
+        :func:`compose_bspline_2d`, which stands for the matrix B without its memory; and the centres
+        ``[c_x, c_y, 2]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not acceptable, naming it.
+
+    Notes
+    -----
+    B·Bᵀ is the Kronecker product of two small matrices, so the eigenvectors of each solve the system: the cost is that
+    of four small products, and B is never formed.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import compose_bspline_2d, decompose_bspline_2d
+    >>> image = torch.linspace(0, 1, 32)[:, None].expand(32, 24)
+    >>> coefficients, basis, _ = decompose_bspline_2d(image, [4, 6])
+    >>> bool((compose_bspline_2d(coefficients, basis, [32, 24]) - image).abs().max() < 0.2)
+    True
+    """
+    image = _picture(image)
+    if _validate.real("regularization", regularization) < 0:
+        raise ValueError(f"regularization must be at least 0, got {regularization}")
+    # Solved in float64: the normal equations square the condition number.
+    (rows, columns), grid = _factors(num_control_points, image.shape, torch.float64, image.device)
+    coefficients = _solve(image.to(torch.float64), rows, columns, regularization).to(image.dtype)
+    basis = SeparableBasis(rows.to(image.dtype), columns.to(image.dtype))
+    return coefficients.reshape(-1), basis, grid.to(image.dtype)
+
+
+def compose_bspline_2d(
+    control_coefficients: torch.Tensor, basis_matrix: torch.Tensor | SeparableBasis, resolution: Sequence[int]
+) -> torch.Tensor:
+    """Return the picture that coefficients of B-splines stand for.
+
+    Parameters
+    ----------
+    control_coefficients : torch.Tensor
+        ``[c_x·c_y]``.
+    basis_matrix : torch.Tensor or SeparableBasis
+        From :func:`generate_bspline_basis_2d` or :func:`decompose_bspline_2d`.
+    resolution : sequence of int
+        Rows and columns.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[H, W]``, in the wider precision of the two, differentiable.
+
+    Raises
+    ------
+    TypeError
+        If one of them is not a tensor.
+    ValueError
+        If the shapes do not fit each other.
+    """
+    rows, columns = _validate.size("resolution", resolution)
+    separable = isinstance(basis_matrix, SeparableBasis)
+    for name, value in (("control_coefficients", control_coefficients), ("basis_matrix", basis_matrix)):
+        if not isinstance(value, torch.Tensor) and not (separable and value is basis_matrix):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+    if tuple(basis_matrix.shape) != (control_coefficients.numel(), rows * columns):
+        raise ValueError(
+            f"basis_matrix must be {[control_coefficients.numel(), rows * columns]} for these control_coefficients "
+            f"and this resolution, got {list(basis_matrix.shape)}"
+        )
+    held = basis_matrix
+    factors: Sequence[Any] = (held.rows, held.columns) if isinstance(held, SeparableBasis) else (held,)
+    dtype = torch.promote_types(control_coefficients.dtype, factors[0].dtype)
+    coefficients, *factors = (value.to(dtype) for value in (control_coefficients.reshape(-1), *factors))
+    if separable:
+        grid = coefficients.reshape(len(factors[0]), len(factors[1]))
+        return factors[0].T @ grid @ factors[1]
+    return (coefficients @ factors[0]).reshape(rows, columns)
+
+
+def decompose_wavelet_like(
+    image: torch.Tensor, n_scales: int = 4
+) -> tuple[list[torch.Tensor], list[torch.Tensor], torch.Tensor]:
+    """Split a picture into a smooth base and residuals, each what the next coarser grid of B-splines cannot hold.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Real ``[H, W]`` or ``[1, H, W]``, at least two samples along each axis.
+    n_scales : int
+        Number of grids. Grid s has max(4, ⌊⌊n/2^s⌋/8⌋) splines along each axis, n the shorter side, at most ⌊n/2⌋.
+
+    Returns
+    -------
+    tuple
+        Coefficients ``[c²]`` and residuals ``[H, W]`` of each grid, from fine to coarse, and the base ``[H, W]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is not acceptable, naming it.
+
+    See Also
+    --------
+    reconstruct_wavelet_like : The inverse, exact to rounding.
+    """
+    current = _picture(image)
+    shortest = min(current.shape)
+    if shortest < 2:
+        raise ValueError(f"image must have at least two samples along each axis, got {tuple(current.shape)}")
+    coefficients, residuals = [], []
+    for scale in range(_validate.integer("n_scales", n_scales)):
+        count = min(max(4, shortest // 2**scale // 8), shortest // 2)
+        found, basis, _ = decompose_bspline_2d(current, [count, count], 1e-8)
+        smooth = compose_bspline_2d(found, basis, current.shape)
+        coefficients.append(found)
+        residuals.append(current - smooth)
+        current = smooth
+    return coefficients, residuals, current
+
+
+def reconstruct_wavelet_like(
+    coefficients: Sequence[torch.Tensor], residuals: Sequence[torch.Tensor], base: torch.Tensor
+) -> torch.Tensor:
+    """Return the picture that :func:`decompose_wavelet_like` has split.
+
+    Parameters
+    ----------
+    coefficients : sequence of torch.Tensor
+        Not needed: base and residuals hold the picture.
+    residuals : sequence of torch.Tensor
+        ``[H, W]`` each, from fine to coarse.
+    base : torch.Tensor
+        ``[H, W]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[H, W]``.
+    """
+    for name, layers in (("coefficients", coefficients), ("residuals", residuals), ("base", [base])):
+        listed = isinstance(layers, Sequence) and not isinstance(layers, str)
+        if not listed or not all(isinstance(layer, torch.Tensor) for layer in layers):
+            raise TypeError(f"{name} must hold tensors, got {layers!r:.80}")
+    for residual in residuals:
+        _validate.fitting(base=base, residuals=residual)
+    # Backwards, as each sum then is the picture that the finer residual was taken from.
+    for residual in reversed(residuals):
+        base = base + residual
+    return base
+
+
+def _factors(num_control_points, resolution, dtype, device):
+    counts = _validate.size("num_control_points", num_control_points)
+    shape = _validate.size("resolution", resolution)
+    factors = [
+        torch.from_numpy(bspline_factor(count, n)).to(device=device, dtype=dtype)
+        for count, n in zip(reversed(counts), shape, strict=True)
+    ]
+    lines = (torch.linspace(-1, 1, count, dtype=dtype, device=device) for count in counts)
+    return factors, torch.stack(torch.meshgrid(*lines, indexing="ij"), dim=-1)
+
+
+def _solve(image, rows, columns, regularization) -> torch.Tensor:
+    (row_values, row_vectors), (values, vectors) = (torch.linalg.eigh(f @ f.T) for f in (rows, columns))
+    rotated = (row_vectors.T @ rows) @ image @ (vectors.T @ columns).T
+    # More splines than samples leave directions without any weight; rounding must not fill them.
+    scale = row_values[:, None].clamp(min=0) * values.clamp(min=0) + regularization
+    floor = torch.finfo(scale.dtype).eps * scale.amax() * max(scale.shape)
+    rotated = torch.where(scale > floor, rotated / scale.clamp(min=floor), 0.0)
+    return row_vectors @ rotated @ vectors.T
+
+
+def _picture(image) -> torch.Tensor:
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"image must be a real floating tensor, got {kind}")
+    if image.ndim == 3 and len(image) == 1:
+        image = image[0]
+    if image.ndim != 2 or image.numel() == 0:
+        raise ValueError(f"image must be [H, W] or [1, H, W], not empty; got {tuple(image.shape)}")
+    return image
+
+
+def bspline_factor(count: int, samples: int) -> np.ndarray:
+    """Return the values of cubic B-splines along one axis.
+
+    Parameters
+    ----------
+    count : int
+        Number of splines, their centres equally far apart from 0 to 1; a single one is constant.
+    samples : int
+        Number of samples from 0 to 1.
+
+    Returns
+    -------
+    numpy.ndarray
+        float64 ``[count, samples]``. The sum over the splines is 1 but within one interval of the ends, where it falls
+        to 5/6: no splines have their centres outside.
+
+    Notes
+    -----
+    de Boor, A Practical Guide to Splines (2001), chapter IX: 2/3 − u² + |u|³/2 for |u| ≤ 1, (2 − |u|)³/6 for |u| ≤ 2.
+    """
+    if count == 1:
+        return np.ones((1, samples))
+    place = np.linspace(0, 1, samples) * (count - 1)
+    u = np.abs(place - np.arange(count)[:, None])
+    return np.where(u <= 1, 2 / 3 - u**2 + u**3 / 2, np.maximum(2 - u, 0) ** 3 / 6)
+
+
+def gaussians(points, centers, scales, angles, opacity):
+    """Return the densities of rotated Gaussians at points, ``[n, m]``.
+
+    Parameters
+    ----------
+    points : array
+        ``[n, 3]``.
+    centers : array
+        Centres ``[m, 3]``.
+    scales : array
+        Standard deviations ``[m, 3]``.
+    angles : array
+        Degrees about X, Y and Z by which the points are rotated, ``[m, 3]``.
+    opacity : array
+        ``[m]``.
+    """
+    xp = _array.namespace(points)
+    arm = apply_matrix(rotation_matrix(angles), points[:, None, :] - centers) / scales
+    norm = opacity / ((2 * math.pi) ** 1.5 * xp.prod(scales, axis=-1))
+    return norm * xp.exp(-xp.sum(arm**2, axis=-1) / 2)

@@ -123,8 +123,10 @@ def histogram_loss(
 
     Parameters
     ----------
-    frame, ground_truth : torch.Tensor
-        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]`` with as many channels each; a batch is counted together.
+    frame : torch.Tensor
+        Image, ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``; a batch is counted together.
+    ground_truth : torch.Tensor
+        Image to compare with, with as many channels.
     bins : int
         Number of bins.
     limits : sequence of float
@@ -163,8 +165,10 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
     ----------
     image : torch.Tensor
         ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
-    roi_high, roi_low : sequence of int
-        Regions ``[first row, last row + 1, first column, last column + 1]``.
+    roi_high : sequence of int
+        Bright region ``[first row, last row + 1, first column, last column + 1]``.
+    roi_low : sequence of int
+        Dark region, likewise.
 
     Returns
     -------
@@ -183,7 +187,24 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
 def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
     """Return Michelson's contrast (H − L)/(H + L) of the mean values H and L in two regions.
 
-    Parameters, result and errors are those of :func:`weber_contrast`; not a number where H + L = 0.
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+    roi_high : sequence of int
+        Bright region ``[first row, last row + 1, first column, last column + 1]``.
+    roi_low : sequence of int
+        Dark region, likewise.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[C]``, or ``[B, C]`` when there are several images; not a number where H + L = 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a region is empty or leaves the image, or the image has other axes.
     """
     high, low = region_means(image, roi_high, roi_low)
     return (high - low) / (high + low)
@@ -196,15 +217,17 @@ def wrapped_mean_squared_error(
 
     Parameters
     ----------
-    image, ground_truth : torch.Tensor
-        Angles in radians, of one shape.
+    image : torch.Tensor
+        Angles in radians.
+    ground_truth : torch.Tensor
+        Angles to compare with, in radians, of the same shape.
     reduction : {"mean", "sum"}
-        How values are put together.
+        Reduction of the values to one.
 
     Returns
     -------
     torch.Tensor
-        The loss, without axes; 0 where the angles differ by whole turns.
+        The loss, without axes; 0 where the angles differ by multiples of 2π.
 
     Raises
     ------
@@ -223,8 +246,10 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
 
     Parameters
     ----------
-    image, ground_truth : torch.Tensor
-        Of one shape.
+    image : torch.Tensor
+        Image.
+    ground_truth : torch.Tensor
+        Image to compare with, of the same shape.
     peak_value : float
         Largest value that the image could have.
 

@@ -1,4 +1,4 @@
-"""Padding, cropping, quantising and blurring of tensors, the layouts of images included."""
+"""Padding, cropping, quantisation, blur, kernels and masks of images as tensors."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -6,9 +6,9 @@ from collections.abc import Iterable, Sequence
 import torch
 
 from odak import _validate
+from odak.learn._face import torch_face
 from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype
-from odak.learn.tools._kernels import generate_2d_dirac_delta
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 
@@ -28,93 +28,39 @@ _MOST_BITS = 30
 _SMALLEST_SIGMA = 1e-5
 
 
-def zero_pad(field: torch.Tensor, size: Sequence[int] | None = None, method: str = "center") -> torch.Tensor:
-    """Surround a field with zeros; sample ``n // 2`` of each axis stays the centre.
-
-    Parameters
-    ----------
-    field : torch.Tensor
-        ``[..., H, W]``. Three and four axes of which the last is exactly 3 long are read as colour, ``[..., H, W, 3]``.
-    size : sequence of int, optional
-        Rows and columns of the result (the last two entries count); by default twice those of the field.
-    method : {"center", "left", "left aligned"}
-        Put the field in the centre, or in the corner where rows and columns begin.
-
-    Returns
-    -------
-    torch.Tensor
-        The same layout, dtype and device; ``[1, C, H, W]`` loses its batch axis. Differentiable.
-
-    Raises
-    ------
-    TypeError
-        If `field` is not a tensor.
-    ValueError
-        If the size is smaller than the field, or the method is not known.
-    """
-    return _on_images(lambda planes: matrix.zero_pad(planes, size, method), field)
+def _on_images(core, field, **options):
+    """Apply a function of the last two axes to a field whose layout may be that of colour images."""
+    if not isinstance(field, torch.Tensor):
+        raise TypeError(f"field must be a tensor, got {type(field).__name__}")
+    if field.ndim in (3, 4) and field.shape[-1] == 3:
+        return core(field.movedim(-1, -3), **options).movedim(-3, -1)
+    result = core(field, **options)
+    return result[0] if result.ndim == 4 and len(result) == 1 else result
 
 
-def crop_center(field: torch.Tensor, size: Sequence[int] | None = None) -> torch.Tensor:
-    """Cut the centre out of a field; sample ``n // 2`` of each axis stays the centre.
-
-    Parameters
-    ----------
-    field : torch.Tensor
-        ``[..., H, W]``. Three and four axes of which the last is exactly 3 long are read as colour, ``[..., H, W, 3]``.
-    size : sequence of int, optional
-        Rows and columns of the result (the last two entries count); by default half of those of the field.
-
-    Returns
-    -------
-    torch.Tensor
-        A copy in the same layout; ``[1, C, H, W]`` loses its batch axis.
-
-    Raises
-    ------
-    TypeError
-        If `field` is not a tensor.
-    ValueError
-        If the size is larger than the field.
-    """
-    return _on_images(lambda planes: matrix.crop_center(planes, size), field).clone(
-        memory_format=torch.contiguous_format
-    )
+def _copy_of_images(core, field, **options):
+    return _on_images(core, field, **options).clone(memory_format=torch.contiguous_format)
 
 
-def smooth_pad(
-    field: torch.Tensor,
-    size: Sequence[int] | None = None,
-    method: str = "center",
-    smooth_factor: Sequence[float] | None = None,
-) -> torch.Tensor:
-    """Surround a field with its own border samples, fading to zero at the rim; see :func:`odak.tools.smooth_pad`.
+_FIELD = """torch.Tensor
+``[..., H, W]``. Three and four axes of which the last is exactly 3 long are read as colour, ``[..., H, W, 3]``."""
+_RESULT = """torch.Tensor
+    The same layout, dtype and device; ``[1, C, H, W]`` loses its batch axis."""
 
-    Parameters
-    ----------
-    field : torch.Tensor
-        Real or complex ``[..., H, W]``. Three and four axes of which the last is exactly 3 long are read as colour.
-    size : sequence of int, optional
-        Rows and columns of the result; by default twice those of the field.
-    method : {"center", "left", "left aligned"}
-        Put the field in the centre, or in the corner where rows and columns begin.
-    smooth_factor : sequence of float, optional
-        How steeply columns and rows (in this order) fade; by default by a raised cosine.
-
-    Returns
-    -------
-    torch.Tensor
-        The same layout, dtype and device; ``[1, C, H, W]`` loses its batch axis. Gradients pass through the content,
-        not through its copies in the border.
-
-    Raises
-    ------
-    TypeError
-        If `field` is not a tensor of floating numbers.
-    ValueError
-        If the size is smaller than the field, or an argument is not known.
-    """
-    return _on_images(lambda planes: matrix.smooth_pad(planes, size, method, smooth_factor), field)
+zero_pad = torch_face(
+    matrix.zero_pad, through=_on_images, describe={"field": _FIELD, "Returns": f"{_RESULT} Differentiable."}
+)
+crop_center = torch_face(
+    matrix.crop_center, through=_copy_of_images, describe={"field": _FIELD, "Returns": f"{_RESULT} A copy."}
+)
+smooth_pad = torch_face(
+    matrix.smooth_pad,
+    through=_on_images,
+    describe={
+        "field": f"{_FIELD} Real or complex.",
+        "Returns": f"{_RESULT} Gradients pass through the content, not through its copies in the border.",
+    },
+)
 
 
 def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] = (0.0, 1.0)) -> torch.Tensor:
@@ -217,8 +163,10 @@ def blur_gaussian(
     ----------
     field : torch.Tensor
         Real ``[..., H, W]``; every picture is blurred by itself.
-    kernel_length, nsigma : sequence
-        As in :func:`generate_2d_gaussian`.
+    kernel_length : sequence of int
+        Rows and columns of the kernel.
+    nsigma : sequence of float
+        Standard deviations σ along rows and columns, in units of the axes of the kernel.
     padding : {"same", "valid"}, int or sequence of int
         Keep the size, keep only what no border touches, or surround the picture with so many zeros (rows, columns).
     keep_sum : bool
@@ -289,11 +237,133 @@ def _borders(padding, lengths):
     return (columns, columns, rows, rows)
 
 
-def _on_images(change, field):
-    """Apply a change of the last two axes to a field whose layout may be that of colour images."""
-    if not isinstance(field, torch.Tensor):
-        raise TypeError(f"field must be a tensor, got {type(field).__name__}")
-    if field.ndim in (3, 4) and field.shape[-1] == 3:
-        return change(field.movedim(-1, -3)).movedim(-3, -1)
-    result = change(field)
-    return result[0] if result.ndim == 4 and len(result) == 1 else result
+def generate_2d_dirac_delta(
+    kernel_length: Sequence[int] = (21, 21),
+    a: Sequence[float] = (3.0, 3.0),
+    mu: Sequence[float] = (0.0, 0.0),
+    theta: float = 0.0,
+    normalize: bool = False,
+    *,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
+) -> torch.Tensor:
+    """Return a rotated, narrow peak exp(−(x'/a₀)² − (y'/a₁)²)/(π|a₀a₁|), which tends to Dirac's delta with a → 0.
+
+    An axis of L samples runs from −L/2 to L/2, so that they are L/(L − 1) apart; a single one sits at 0. With x and y
+    along rows and columns from `mu`, x' = x·cos θ − y·sin θ and y' = x·sin θ + y·cos θ.
+
+    Parameters
+    ----------
+    kernel_length : sequence of int
+        Rows and columns.
+    a : sequence of float or torch.Tensor
+        Widths along x' and y', in units of the axes, not zero.
+    mu : sequence of float or torch.Tensor
+        Centre along rows and columns, in units of the axes.
+    theta : float or torch.Tensor
+        Angle in radians.
+    normalize : bool
+        Scale the largest sample to 1.
+    dtype : torch.dtype
+        Precision of the result.
+    device : torch.device or str, optional
+        Where the result lives; the CPU by default.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[kernel_length[0], kernel_length[1]]``, differentiable in `a`, `mu` and `theta`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.tools import generate_2d_dirac_delta
+    >>> generate_2d_dirac_delta([3, 3], [1, 2], normalize=True)[1].round(decimals=3)
+    tensor([0.5700, 1.0000, 0.5700])
+    """
+    lengths = _validate.size("kernel_length", kernel_length)
+    normalize = _validate.flag("normalize", normalize)
+    dtype, device = checked_dtype("dtype", dtype), checked_device("device", device)
+    widths = _pair("a", _validate.real("a", a, nonzero=True), device)
+    centre = _pair("mu", _validate.real("mu", mu), device)
+    angle = torch.as_tensor(_validate.real("theta", theta), dtype=torch.float64, device=device)
+    x, y = (
+        torch.linspace(-n / 2, n / 2, n, dtype=torch.float64, device=device) if n > 1 else centre.new_zeros(1)
+        for n in lengths
+    )
+    x, y = (x - centre[0])[:, None], (y - centre[1])[None, :]
+    across, along = x * angle.cos() - y * angle.sin(), x * angle.sin() + y * angle.cos()
+    exponent = -((across / widths[0]) ** 2) - (along / widths[1]) ** 2
+    if normalize:
+        # Relative to the largest, so that a narrow peak between two samples is not 0/0.
+        return torch.exp(exponent - exponent.max()).to(dtype)
+    return (torch.exp(exponent) / (math.pi * widths.prod().abs())).to(dtype)
+
+
+def _pair(name, value, device):
+    pair = torch.as_tensor(value, dtype=torch.float64, device=device).reshape(-1)
+    if pair.numel() != 2:
+        raise ValueError(f"{name} must be two numbers, got {value!r}")
+    return pair
+
+
+def circular_binary_mask(
+    px: int,
+    py: int,
+    r: float,
+    offset_x: float = 0.0,
+    offset_y: float = 0.0,
+    *,
+    device: torch.device | str | None = None,
+) -> torch.Tensor:
+    """Return a disc of ones: samples nearer than `r` to its centre.
+
+    The axis of n samples runs from −n/2 to n/2, so that samples are n/(n − 1) apart and symmetric about 0.
+
+    Parameters
+    ----------
+    px : int
+        Number of rows.
+    py : int
+        Number of columns.
+    r : float
+        Radius in units of the axes; nothing is inside a radius of 0.
+    offset_x : float
+        Centre along the index of the rows, in units of the axes.
+    offset_y : float
+        Centre along the index of the columns, in units of the axes.
+    device : torch.device or str, optional
+        Where the result lives; the CPU by default.
+
+    Returns
+    -------
+    torch.Tensor
+        float32 ``[1, 1, px, py]`` of 0 and 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.tools import circular_binary_mask
+    >>> circular_binary_mask(5, 5, 2.0).sum().item()
+    9.0
+    """
+    for name, value in (("r", r), ("offset_x", offset_x), ("offset_y", offset_y)):
+        _validate.real(name, value)
+    device = checked_device("device", device)
+    rows, columns = (_axis(name, n, device) for name, n in (("px", px), ("py", py)))
+    squared = (rows[:, None] - offset_x) ** 2 + (columns - offset_y) ** 2
+    return (torch.sqrt(squared) < r).to(torch.float32)[None, None]
+
+
+def _axis(name, length, device):
+    length = _validate.side(name, _validate.integer(name, length, minimum=1))
+    edge = length / 2 if length > 1 else 0.0
+    return torch.linspace(-edge, edge, length, dtype=torch.float64, device=device)

@@ -1,14 +1,14 @@
-"""Points on grids, discs, spheres and in boxes as differentiable tensors."""
+"""Points on grids, discs, spheres and in boxes as tensors, by the formulas of :mod:`odak.tools.sample`."""
 
 from collections.abc import Sequence
 
-import numpy as np
 import torch
 
-from odak.learn._tensors import tensor
-from odak.learn.tools.transformation import rotmatx, rotmaty, rotmatz
+from odak.learn._face import torch_face
+from odak.learn._tensors import checked_device, tensors_of
 from odak.tools import sample
 from odak.tools.sample import batch_of_rays, random_sample_point_cloud
+from odak.tools.transformation import axis_rotation
 
 __all__ = [
     "batch_of_rays",
@@ -25,13 +25,24 @@ __all__ = [
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
+box_volume_sample = torch_face(sample.box_volume_sample)
+circular_sample = torch_face(sample.circular_sample)
+circular_uniform_random_sample = torch_face(sample.circular_uniform_random_sample)
+circular_uniform_sample = torch_face(sample.circular_uniform_sample)
+sphere_sample = torch_face(sample.sphere_sample)
+sphere_sample_uniform = torch_face(sample.sphere_sample_uniform)
+
+
 def grid_sample(
     no: Sequence[int] = (10, 10),
     size: Sequence[float] = (100.0, 100.0),
     center: Sequence[float] = _ORIGIN,
     angles: Sequence[float] = _ORIGIN,
+    *,
+    device: torch.device | str | None = None,
+    dtype: torch.dtype | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return points of a rectangle on a regular grid, its edges included, and the rotations that turn it.
+    """Return points of a rectangle on a regular grid, its edges included, and the matrices of its rotation.
 
     Parameters
     ----------
@@ -42,13 +53,17 @@ def grid_sample(
     center : sequence of float or torch.Tensor
         Centre of the rectangle.
     angles : sequence of float or torch.Tensor
-        Degrees by which it is turned out of the plane z = 0 about x, y and z, in this order.
+        Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
+    device : torch.device or str, optional
+        Device of the result; by default that of the tensors given, else torch's default.
+    dtype : torch.dtype, optional
+        Real dtype of the result; by default the widest of the floating tensors given, else torch's default.
 
     Returns
     -------
     tuple of torch.Tensor
-        Points ``[no[0]·no[1], 3]``, x outer, and the matrices about X, Y and Z, ``[1, 3, 3]`` each. float32, or the
-        widest precision among the tensors given; differentiable in `size`, `center` and `angles`.
+        Points ``[no[0]·no[1], 3]``, x outer, and the matrices about X, Y and Z, ``[1, 3, 3]`` each.
+        Differentiable in `size`, `center` and `angles`.
 
     Raises
     ------
@@ -62,81 +77,8 @@ def grid_sample(
     tensor([[-1.,  0.,  0.],
             [ 1.,  0.,  0.]])
     """
-    size, center, angles = _tensors(size=size, center=center, angles=angles)
-    points = sample.grid_sample(no, size, center, angles)
-    turns = (turn(angle)[None] for turn, angle in zip((rotmatx, rotmaty, rotmatz), angles.reshape(3), strict=True))
-    return (points, *turns)
-
-
-def box_volume_sample(
-    no: Sequence[int] = (10, 10, 10),
-    size: Sequence[float] = (100.0, 100.0, 100.0),
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
-) -> torch.Tensor:
-    """Return the centres of the cells of a box as a tensor; see :func:`odak.tools.box_volume_sample`."""
-    return sample.box_volume_sample(no, *_tensors(size=size, center=center, angles=angles))
-
-
-def circular_sample(
-    no: Sequence[int] = (10, 10),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
-) -> torch.Tensor:
-    """Return points of a disc on a polar grid as a tensor; see :func:`odak.tools.circular_sample`."""
-    return sample.circular_sample(no, *_tensors(radius=radius, center=center, angles=angles))
-
-
-def circular_uniform_sample(
-    no: Sequence[int] = (10, 50),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
-) -> torch.Tensor:
-    """Return points of a disc on rings as a tensor; see :func:`odak.tools.circular_uniform_sample`."""
-    return sample.circular_uniform_sample(no, *_tensors(radius=radius, center=center, angles=angles))
-
-
-def circular_uniform_random_sample(
-    no: Sequence[int] = (10, 50),
-    radius: float = 10.0,
-    center: Sequence[float] = _ORIGIN,
-    angles: Sequence[float] = _ORIGIN,
-    *,
-    seed: int | np.random.Generator | None = None,
-) -> torch.Tensor:
-    """Return random points of a disc as a tensor; see :func:`odak.tools.circular_uniform_random_sample`."""
-    placing = _tensors(radius=radius, center=center, angles=angles)
-    return sample.circular_uniform_random_sample(no, *placing, seed=seed)
-
-
-def sphere_sample(
-    no: Sequence[int] = (10, 10),
-    radius: float = 1.0,
-    center: Sequence[float] = _ORIGIN,
-    k: Sequence[float] = (1, 2),
-) -> torch.Tensor:
-    """Return points of a sphere as a tensor; see :func:`odak.tools.sphere_sample`."""
-    radius, center = _tensors(radius=radius, center=center)
-    return sample.sphere_sample(no, radius, center, k)
-
-
-def sphere_sample_uniform(
-    no: Sequence[int] = (10, 10),
-    radius: float = 1.0,
-    center: Sequence[float] = _ORIGIN,
-    k: Sequence[float] = (1, 2),
-) -> torch.Tensor:
-    """Return points of a sphere in a sheared order as a tensor; see :func:`odak.tools.sphere_sample_uniform`."""
-    radius, center = _tensors(radius=radius, center=center)
-    return sample.sphere_sample_uniform(no, radius, center, k)
-
-
-def _tensors(**values) -> list[torch.Tensor]:
-    """Return tensors of one device and one precision: the widest of the floating tensors given, float32 by default."""
-    given = [value for value in values.values() if isinstance(value, torch.Tensor)]
-    floating = [value.dtype for value in given if value.is_floating_point()]
-    dtype = torch.float64 if torch.float64 in floating else torch.float32
-    device = given[0].device if given else None
-    return [tensor(name, value, dtype, device) for name, value in values.items()]
+    size, center, angles = tensors_of(size=size, center=center, angles=angles)
+    device, dtype = checked_device("device", device) or size.device, dtype or size.dtype
+    points = sample.grid_sample(no, size, center, angles, xp=torch, device=device, dtype=dtype)
+    angles = angles.to(device=device, dtype=dtype).reshape(3)
+    return (points, *(axis_rotation(axis, angle)[None] for axis, angle in zip("XYZ", angles, strict=True)))

@@ -5,10 +5,12 @@ from collections.abc import Sequence
 import torch
 
 from odak import _validate
+from odak.learn._face import torch_face
 from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, floating
-from odak.tools._paths import validate_path
+from odak.learn._tensors import checked_device, floating, tensors_of
+from odak.tools import transformation
 from odak.tools.asset import read_PLY
+from odak.tools.paths import validate_path
 from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
 
 __all__ = [
@@ -58,30 +60,15 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     return torch.stack(rows, dim=-1).reshape(*quaternions.shape[:-1], 3, 3)
 
 
-def rotmatx(angle: torch.Tensor) -> torch.Tensor:
-    """Return the rotations about the x axis.
-
-    Parameters
-    ----------
-    angle : torch.Tensor or float
-        Degrees, ``[n]``, ``[1]`` or a number.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[n, 3, 3]``; ``[3, 3]`` for one angle.
-    """
-    return _squeezed("X", angle)
+def _one_matrix(core, angle):
+    matrices = core(angle)
+    return matrices[0] if matrices.ndim == 3 and len(matrices) == 1 else matrices
 
 
-def rotmaty(angle: torch.Tensor) -> torch.Tensor:
-    """Return the rotations about the y axis; see :func:`rotmatx`."""
-    return _squeezed("Y", angle)
-
-
-def rotmatz(angle: torch.Tensor) -> torch.Tensor:
-    """Return the rotations about the z axis; see :func:`rotmatx`."""
-    return _squeezed("Z", angle)
+_MATRICES = {"Returns": "torch.Tensor\n    ``[n, 3, 3]``, for column vectors; ``[3, 3]`` for one angle."}
+rotmatx = torch_face(transformation.rotmatx, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
+rotmaty = torch_face(transformation.rotmaty, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
+rotmatz = torch_face(transformation.rotmatz, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
 
 
 def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_order: str = "XYZ") -> torch.Tensor:
@@ -113,7 +100,7 @@ def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_ord
     if isinstance(tilt_angles, (list, tuple)):
         if len(tilt_angles) != 3:
             raise ValueError(f"tilt_angles must be three angles, got {len(tilt_angles)}")
-        # A tensor is not read: what is not a number spreads to the matrix.
+        # Tensors are not read: NaN spreads to the matrix.
         angles = (v if isinstance(v, torch.Tensor) else _validate.real("tilt_angles", v) for v in tilt_angles)
         tilt_angles = torch.stack([floating("tilt_angles", angle).reshape(()) for angle in angles])
     angles = floating("tilt_angles", tilt_angles)
@@ -164,14 +151,15 @@ def rotate_points(
     >>> rotate_points(torch.tensor([[1.0, 0.0, 0.0]]), torch.tensor([0.0, 0.0, 180.0]))[0].round(decimals=4)
     tensor([[-1., -0.,  0.]])
     """
-    point = floating("point", point)
     given = {"point": point, "angles": angles, "origin": origin, "offset": offset}
-    given = {name: floating(name, value).to(point.device) for name, value in given.items()}
-    for name, value in given.items():
-        if value.ndim not in (1, 2) or value.shape[-1] != 3:
-            raise ValueError(f"{name} must be [3] or [n, 3], got {tuple(value.shape)}")
-    dtype = _widest(*(v for v in (point, angles, origin, offset) if v is not _NONE))
-    point, angles, origin, offset = (value.to(dtype).reshape(-1, 3) for value in given.values())
+    given = {name: value for name, value in given.items() if value is not _NONE}
+    rows = dict(zip(given, tensors_of(**given), strict=True))
+    for name, value in rows.items():
+        if value.ndim > 2:
+            raise ValueError(f"{name} must be [3] or [n, 3], got {list(value.shape)}")
+        rows[name] = _validate.shaped(name, value, ..., 3).reshape(-1, 3)
+    point = rows["point"]
+    angles, origin, offset = (rows.get(name, _NONE.to(point)) for name in ("angles", "origin", "offset"))
     sets = {"angles": len(angles), "origin": len(origin)}
     if len({1, *sets.values()}) > 2:
         raise ValueError(f"angles and origin must have as many rows, or one; got {sets}")
@@ -271,16 +259,3 @@ def load_voxelized_PLY(
         raise ValueError(f"{ply_filename!r} must hold more than a single point")
     locations, grid = point_cloud_to_voxel(centres / largest, voxel_size)
     return locations.reshape(-1, 3), grid.reshape(-1)
-
-
-def _squeezed(axis: str, angle) -> torch.Tensor:
-    matrix = axis_rotation(axis, floating("angle", angle))
-    return matrix[0] if matrix.ndim == 3 and len(matrix) == 1 else matrix
-
-
-def _widest(*values) -> torch.dtype:
-    floating = [v.dtype for v in values if isinstance(v, torch.Tensor) and v.dtype.is_floating_point]
-    dtype = floating[0] if floating else torch.get_default_dtype()
-    for other in floating[1:]:
-        dtype = torch.promote_types(dtype, other)
-    return dtype

@@ -1,4 +1,4 @@
-"""A display and the camera in front of it, simulated: what camera-in-the-loop optimisation is tried out on."""
+"""Simulation of a display with a camera in front of it, for camera-in-the-loop optimization."""
 
 from collections.abc import Callable
 
@@ -7,9 +7,46 @@ import torch
 from odak import _validate
 from odak.learn._tensors import tensor
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.linear_kernels import propagate_within_window
 from odak.learn.wave.slm import on_samples, panel_map
-from odak.wave.methods import find_method
+from odak.wave.methods import check_has_kernel
+
+
+def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return what a camera captures of a phase.
+
+    Parameters
+    ----------
+    camera : callable
+        ``camera(phase)`` shows a phase and returns the captured intensity.
+    phase : torch.Tensor
+        What to show.
+    shape : tuple of int
+        Shape that the captured intensity must have.
+
+    Returns
+    -------
+    torch.Tensor
+        Captured intensity, without a graph.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the camera does not return an intensity of that shape.
+    """
+    with torch.no_grad():
+        captured = camera(phase.detach())
+    if not isinstance(captured, torch.Tensor) or captured.is_complex():
+        raise TypeError(f"camera must return a real tensor, got {getattr(captured, 'dtype', type(captured).__name__)}")
+    if tuple(captured.shape) != tuple(shape):
+        raise ValueError(f"camera must return an image of {tuple(shape)}, got {tuple(captured.shape)}")
+    return captured.detach()
+
+
+def seen(image: torch.Tensor, captured: torch.Tensor) -> torch.Tensor:
+    """Return the captured intensity with the gradient of the model's intensity `image` (Peng et al. 2020, eq. 8)."""
+    return image + (captured.to(image) - image).detach()
+
 
 # Shares of the full well that fill it for certain; torch draws no electrons at all from infinitely bright light.
 _FULL = 1e4
@@ -38,7 +75,7 @@ class simulated_camera(torch.nn.Module):
     pixel_pitch : float
         Pixel pitch of the hologram in metres.
     propagation_type : str
-        Propagation type, see :func:`odak.learn.wave.propagate_beam`; fields are padded to twice their size.
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`; computed without wrap-around.
     slm : callable, optional
         ``slm(phase)`` is the field that the modulator sends out, such as
         :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. If it draws several samples per
@@ -102,7 +139,7 @@ class simulated_camera(torch.nn.Module):
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.distance = _validate.real("distance", distance)
         self.pixel_pitch = _validate.real("pixel_pitch", pixel_pitch, positive=True)
-        find_method(propagation_type)
+        check_has_kernel(propagation_type)
         self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
         self.register_buffer("illumination", panel_map("illumination", illumination))
@@ -136,7 +173,9 @@ class simulated_camera(torch.nn.Module):
             field = field * on_samples("illumination", self.illumination.to(phase), field.shape, s)
         if self.aberration is not None:
             field = field * on_samples("aberration", unit_phasor(self.aberration).to(field), field.shape, s)
-        field = propagate_beam(field, None, self.distance, self.pixel_pitch / s, self.wavelength, self.propagation_type)
+        field = propagate_within_window(
+            field, self.distance, self.pixel_pitch / s, self.wavelength, self.propagation_type
+        )
         light = intensity(field)
         return light if s == 1 else light.unflatten(-2, (-1, s)).unflatten(-1, (-1, s)).mean((-3, -1))
 

@@ -1,13 +1,16 @@
-"""Phase to field and field to intensity, with backward passes that touch each array once."""
+"""Amplitude, phase, intensity and exposure of fields as tensors, with backward passes that touch each array once."""
 
 import itertools
+from typing import Any
 
 import torch
 from torch.autograd.function import once_differentiable
 
 from odak import _array, _validate
+from odak.learn._face import torch_face
 from odak.learn._tensors import tensor, trainable
-from odak.learn.wave.workspace import Workspace, room
+from odak.learn.wave.convolution import Workspace, allocate_like
+from odak.wave import fields
 
 _HALVES = (torch.float16, torch.bfloat16)
 
@@ -85,6 +88,54 @@ def squared_error(image: torch.Tensor, target: torch.Tensor, workspace: Workspac
     return _SquaredError.apply(image, target, workspace)
 
 
+def _lists_as_tensors(core, wavelength, **arguments):
+    _validate.real("wavelength", wavelength, positive=True)
+    wavelength = (
+        tensor("wavelength", wavelength, torch.float64) if isinstance(wavelength, (list, tuple)) else wavelength
+    )
+    return core(wavelength, **arguments)
+
+
+def _one_tensor(core, amplitude, phase) -> torch.Tensor:
+    if not isinstance(amplitude, torch.Tensor) and not isinstance(phase, torch.Tensor):
+        phase = torch.tensor(float(phase))
+    return core(amplitude, phase)
+
+
+wavenumber = torch_face(fields.wavenumber, through=_lists_as_tensors)
+rotationspeed = torch_face(fields.rotationspeed, through=_lists_as_tensors)
+normalize_phase = torch_face(fields.normalize_phase, tensors=("phase",))
+generate_complex_field = torch_face(fields.generate_complex_field, through=_one_tensor)
+
+
+def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch.Tensor:
+    """Return amplitude·exp(i·arg field), the amplitude taken as it is (a negative one turns the phase by π).
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Complex field.
+    amplitude : float or torch.Tensor
+        New amplitude.
+
+    Returns
+    -------
+    torch.Tensor
+        Complex field.
+    """
+    field = _validate.array("field", field)
+    if _array.is_array(amplitude):
+        _validate.fitting(field=field, amplitude=amplitude)
+    return generate_complex_field(amplitude, fields.calculate_phase(field))
+
+
+def produce_phase_only_slm_pattern(
+    hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination: Any = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a hologram as a modulator shows it and its levels: :func:`odak.wave.produce_phase_only_slm_pattern`."""
+    return fields.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)
+
+
 class _UnitPhasor(torch.autograd.Function):
     """d exp(iφ) = i·exp(iφ)·dφ, from the field itself: no sine is computed twice."""
 
@@ -141,7 +192,7 @@ class _SquaredError(torch.autograd.Function):
     @staticmethod
     def forward(ctx, image, target, workspace):
         shape = torch.broadcast_shapes(image.shape, target.shape)
-        ctx.error = torch.sub(image, target, out=room(workspace, "error", shape, image))
+        ctx.error = torch.sub(image, target, out=allocate_like(workspace, "error", shape, image))
         return torch.dot(ctx.error.flatten(), ctx.error.flatten())
 
     @staticmethod
@@ -160,7 +211,7 @@ class _Exposure(torch.autograd.Function):
     @staticmethod
     def forward(field, power, one_each, workspace):
         frames, planes, colours, *shape = field.shape
-        total = room(workspace, "exposure", (planes, frames if one_each else colours, *shape), field.real)
+        total = allocate_like(workspace, "exposure", (planes, frames if one_each else colours, *shape), field.real)
         weights = power.square()
         # Plane by plane: what is between then stays in the cache, and is never large enough to be fresh memory.
         for frame, plane in itertools.product(range(frames), range(planes)):

@@ -6,10 +6,9 @@ import torch
 
 from odak import _array, _validate
 from odak.learn._tensors import checked_device, floating, tensor
+from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.light_path import plane_distances
-from odak.learn.wave.spectral import convolve
-from odak.learn.wave.volume import display_volume, index
+from odak.learn.wave.volume import display_volume, index, plane_distances
 from odak.tools.matrix import zero_pad
 
 __all__ = ["holographic_display"]
@@ -33,13 +32,13 @@ class holographic_display(display_volume):
     image_location_offset : float
         Distance of the volume's centre, where a single plane lies, in metres.
     pinhole_size : float
-        Radius of the pinhole in the Fourier plane, in samples of the spectrum.
+        Radius of the round pinhole in the Fourier plane, in samples of the padded spectrum along its longer axis.
     pad : sequence of bool
         Surround fields by as many zeros again before they are propagated, and cut the result back to ``[m, n]``.
     illumination : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[m, n]``; one by default.
     propagation_type : str
-        A propagation type that has a transfer function, or "auto".
+        A propagation type that has a transfer function on the grid of the modulator, or "auto".
     device : torch.device, optional
         Where to compute.
 
@@ -90,7 +89,9 @@ class holographic_display(display_volume):
             propagation_type,
             offset=image_location_offset,
             padding=2 if pad[0] else 1,
+            linear=pad[1],
         )
+        self._need_kernels()
         self.volume_depth, self.pinhole_size, self.pad = volume_depth, pinhole_size, pad
         self.init_aperture()
         self.init_amplitude(illumination)

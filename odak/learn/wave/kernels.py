@@ -1,21 +1,26 @@
-"""Transfer functions as tensors, centred."""
+"""Centred transfer functions as tensors, light kernels for learned models, and the Fresnel field of free points."""
 
+import math
 from collections.abc import Sequence
+from numbers import Real
 
 import torch
 from array_api_compat import torch as torch_namespace
 
 from odak import _validate
-from odak.learn._tensors import checked_device
-from odak.wave import kernels
+from odak._array import phasor
+from odak.learn._tensors import checked_device, checked_generator, floating, tensor
+from odak.wave import propagation, transfer_functions
+from odak.wave.methods import find_method
 from odak.wave.propagation import sample_counts
 
 _CPU = torch.device("cpu")
+_CHUNK_BYTES = 1 << 27
 
 
 def _on_torch(*arguments, device, dtype):
     device = checked_device("device", device)
-    return kernels.get_propagation_kernel(*arguments, xp=torch_namespace, device=device, dtype=dtype)
+    return propagation.get_propagation_kernel(*arguments, xp=torch_namespace, device=device, dtype=dtype)
 
 
 def get_propagation_kernel(
@@ -167,7 +172,176 @@ def get_seperable_impulse_response_fresnel_kernel(
     if 0 in _validate.numbers(_validate.real("distance", distance)):
         raise ValueError("distance must not be zero for 'Seperable Impulse Response Fresnel'")
     samples, device = sample_counts(aperture_samples, "aperture_samples"), checked_device("device", device)
-    grid = kernels.make_grid(
+    grid = transfer_functions.make_grid(
         nu, nv, dx, wavelength, distance, scale, samples, xp=torch_namespace, device=device, dtype=dtype
     )
-    return kernels.separable_impulse_response(grid)
+    return transfer_functions.separable_impulse_response(grid)
+
+
+def get_light_kernels(
+    wavelengths: Sequence[float],
+    distances: Sequence[float],
+    pixel_pitches: Sequence[float],
+    resolution: Sequence[int] = (1080, 1920),
+    resolution_factor: int = 1,
+    samples: Sequence[int] = (50, 50, 5, 5),
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    kernel_type: str = "spatial",
+    device: torch.device = _CPU,
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return the kernels of every combination of wavelengths, distances and pixel pitches.
+
+    Parameters
+    ----------
+    wavelengths, distances, pixel_pitches : sequence of float
+        W, D and P values in metres.
+    resolution : sequence of int
+        Rows m and columns n.
+    resolution_factor : int
+        Samples per pixel s; 1 except for the impulse-response methods.
+    samples : sequence of int
+        Points across the source pixel (rows, columns) and the target sample (rows, columns).
+    propagation_type : str
+        A method that has a transfer function.
+    kernel_type : str
+        "spatial" (impulse response) or "fourier" (transfer function), both centred.
+    device : torch.device
+        Where the kernels are computed.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Amplitude, phase (0 … 2π) and complex kernel ``[W, D, P, m·s, n·s]``, and parameters ``[W, D, P, m·s, n·s, 5]``
+        (wavelength, distance, pitch, X, Y). All are differentiable in lengths that are tensors.
+    """
+    kernel_type = _validate.one_of("kernel_type", kernel_type, ("spatial", "fourier"))
+    rows, columns = _validate.size("resolution", resolution)
+    method = find_method(propagation_type)
+    factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
+    factor = factor if method and method.scalable else 1
+    device = checked_device("device", device)
+    wavelengths = _lengths("wavelengths", wavelengths, True, device)
+    distances = _lengths("distances", distances, False, device)
+    pitches = _lengths("pixel_pitches", pixel_pitches, True, device)
+    shape = (len(wavelengths), len(distances), len(pitches), rows * factor, columns * factor)
+    kernels = torch.empty(shape, dtype=torch.complex64, device=device)
+    for index, pitch in enumerate(pitches):
+        kernels[:, :, index] = get_propagation_kernel(
+            rows, columns, pitch, wavelengths[:, None], distances, device, propagation_type, factor, samples
+        )
+    if kernel_type == "spatial":
+        axes = (-2, -1)
+        spectrum = torch.fft.ifftshift(kernels, dim=axes)
+        kernels = torch.fft.fftshift(torch.fft.ifft2(spectrum, dim=axes), dim=axes)
+    parameters = _parameters(wavelengths, distances, pitches, (rows, columns), shape, device)
+    return kernels.abs(), kernels.angle() % (2 * math.pi), kernels, parameters
+
+
+def _lengths(name, values, positive, device) -> torch.Tensor:
+    """Return lengths, float64 ``[n]``, with the graph of those that are tensors."""
+    alone = isinstance(values, Real) or getattr(values, "ndim", 1) == 0
+    lengths = _validate.several(name, [values] if alone else values, positive=positive)
+    if not lengths:
+        raise ValueError(f"{name} must hold at least one length, got none")
+    return torch.stack([tensor(name, length, torch.float64, device).reshape(()) for length in lengths])
+
+
+def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> torch.Tensor:
+    """Return wavelength, distance, pitch, X and Y of every sample, ``[W, D, P, m·s, n·s, 5]``."""
+    parameters = torch.empty((*shape, 5), device=device)
+    for axis, values in enumerate((wavelengths, distances, pitches)):
+        parameters[..., axis] = values.reshape(-1, *(1,) * (4 - axis))
+    for index, pitch in enumerate(pitches):
+        x, y = (
+            pitch * torch.linspace(-(n // 2), n // 2, count, dtype=torch.float64, device=device)
+            for n, count in zip(resolution, shape[-2:], strict=True)
+        )
+        parameters[:, :, index, ..., 3] = x[:, None]
+        parameters[:, :, index, ..., 4] = y
+    return parameters
+
+
+def get_point_wise_impulse_response_fresnel_kernel(
+    aperture_points: torch.Tensor,
+    aperture_field: torch.Tensor,
+    target_points: torch.Tensor,
+    resolution: Sequence[int],
+    resolution_factor: int = 1,
+    wavelength: float = 515e-9,
+    distance: float = 0.0,
+    randomization: bool = False,
+    device: torch.device = _CPU,
+    generator: torch.Generator | None = None,
+) -> torch.Tensor:
+    """Return the Fresnel field of aperture points at target points, 1/(iλz)·Σ_p u_p·exp(ik·r²/(2z)).
+
+    Parameters
+    ----------
+    aperture_points : torch.Tensor
+        ``[P, ≥2]`` positions in metres.
+    aperture_field : torch.Tensor
+        Field ``[P]`` at them.
+    target_points : torch.Tensor
+        ``[T, ≥2]`` positions in metres, T = resolution[0]·resolution[1]·resolution_factor². Never modified.
+    resolution : sequence of int
+        Rows and columns of the result, before the factor.
+    resolution_factor : int
+        Samples per pixel and axis.
+    wavelength, distance : float
+        In metres; the distance is not zero.
+    randomization : bool
+        Jitter the targets by normal noise times the aperture's extent.
+    device : torch.device
+        Where to compute.
+    generator : torch.Generator, optional
+        Source of the jitter.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[resolution[0]·factor, resolution[1]·factor]``, complex.
+
+    Raises
+    ------
+    ValueError
+        If the number of targets does not match the resolution, or the distance is zero.
+    """
+    factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
+    rows, columns = (factor * n for n in _validate.size("resolution", resolution))
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance, nonzero=True)
+    device = checked_device("device", device)
+    sources, targets = (
+        _positions(name, points).to(device=device, dtype=torch.float64)
+        for name, points in (("aperture_points", aperture_points), ("target_points", target_points))
+    )
+    if len(targets) != rows * columns:
+        raise ValueError(f"target_points must hold {rows * columns} points for the resolution, got {len(targets)}")
+    aperture_field = tensor("aperture_field", aperture_field)
+    if aperture_field.numel() != len(sources):
+        raise ValueError(
+            f"aperture_field must hold a value for each of {len(sources)} aperture_points, "
+            f"got {list(aperture_field.shape)}"
+        )
+    generator = checked_generator("generator", generator)
+    if _validate.flag("randomization", randomization):
+        extent = sources.amax(0) - sources.amin(0)
+        targets = targets + extent * torch.randn(targets.shape, generator=generator, dtype=torch.float64).to(device)
+    dtype = torch.complex128 if aperture_field.dtype in (torch.complex128, torch.float64) else torch.complex64
+    field = aperture_field.to(device=device, dtype=dtype).reshape(-1)
+    chunk = max(1, _CHUNK_BYTES // (16 * sources.shape[0]))
+    parts = [_fresnel_sum(sources, field, part, wavelength, distance) for part in targets.split(chunk)]
+    constant = phasor(torch.tensor(-math.pi / 2, dtype=torch.float64), dtype).to(device) / (wavelength * distance)
+    return (torch.cat(parts) * constant).reshape(rows, columns)
+
+
+def _positions(name, points) -> torch.Tensor:
+    points = floating(name, points, torch.float64)
+    if points.ndim != 2 or points.shape[1] < 2 or not len(points):
+        raise ValueError(f"{name} must be [points, 2 or more], not empty; got {list(points.shape)}")
+    return points[:, :2]
+
+
+def _fresnel_sum(sources, field, targets, wavelength, distance):
+    squared = ((targets[:, None, :] - sources[None, :, :]) ** 2).sum(-1)
+    return phasor(math.pi / (wavelength * distance) * squared, field.dtype) @ field

@@ -1,19 +1,351 @@
-"""Losses of holograms: smooth phase, low speckle, and images right on every plane."""
+"""Losses of holograms: smooth phase, low speckle contrast, and images on several planes."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import nn
 
 from odak import _validate
+from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
+from odak.learn import perception
 from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, tensor
+from odak.learn._tensors import checked_device, checked_generator, tensor
 from odak.learn.tools.device import get_device
-from odak.learn.wave.focal_targets import FocalTargets
-from odak.learn.wave.perceptual_loss import perceptual_multiplane_loss
+from odak.learn.tools.matrix import blur_gaussian
 
-__all__ = ["multiplane_loss", "perceptual_multiplane_loss", "phase_gradient", "speckle_contrast"]
+SCHEMES = ("defocus", "naive")
+
+
+def plane_indices(depth: torch.Tensor, number_of_planes: int) -> torch.Tensor:
+    """Return the plane nearest to each pixel, round(depth·(P − 1)).
+
+    Parameters
+    ----------
+    depth : torch.Tensor
+        Depths, 0 … 1.
+    number_of_planes : int
+        Number of planes P.
+
+    Returns
+    -------
+    torch.Tensor
+        int64, 0 … P − 1; the even one of two planes that are equally near.
+    """
+    return torch.round(depth * (number_of_planes - 1)).long()
+
+
+def plane_masks(indices: torch.Tensor, number_of_planes: int) -> torch.Tensor:
+    """Return ones where a pixel belongs to a plane.
+
+    Parameters
+    ----------
+    indices : torch.Tensor
+        Plane of each pixel, ``[m, n]``.
+    number_of_planes : int
+        Number of planes P.
+
+    Returns
+    -------
+    torch.Tensor
+        Boolean ``[P, m, n]``; each pixel belongs to one plane.
+    """
+    planes = torch.arange(number_of_planes, device=indices.device)
+    return indices == planes[:, None, None]
+
+
+def defocused_targets(
+    image: torch.Tensor, indices: torch.Tensor, number_of_planes: int, blur_ratio: float, blur_size: int
+) -> torch.Tensor:
+    """Return what each plane shows when the pixels of other planes are out of focus.
+
+    A pixel j planes away is taken from the picture blurred by a Gaussian of σ = int(j·blur_ratio); σ = 0 leaves it
+    sharp. The picture is blurred once for each σ.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Picture ``[C, m, n]``.
+    indices : torch.Tensor
+        Plane of each pixel, ``[m, n]``.
+    number_of_planes : int
+        Number of planes P.
+    blur_ratio : float
+        Growth of σ from one plane to the next, in pixels of :func:`odak.learn.tools.generate_2d_gaussian`.
+    blur_size : int
+        Side of the Gaussian in pixels; an even one grows by one, so that it has a centre.
+
+    Returns
+    -------
+    torch.Tensor
+        Pictures ``[P, C, m, n]``; zeros surround the picture that is blurred.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If `blur_ratio` is negative or `blur_size` not a positive integer.
+    """
+    if _validate.real("blur_ratio", blur_ratio) < 0:
+        raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
+    side = _validate.integer("target_blur_size", blur_size, minimum=1) | 1
+    sigmas = torch.tensor([int(distance * blur_ratio) for distance in range(number_of_planes)], device=image.device)
+    widths, which = sigmas.unique(return_inverse=True)
+    blurred = torch.stack([_blurred(image, width, side) for width in widths.tolist()])
+    planes = torch.arange(number_of_planes, device=image.device)
+    source = which[(indices - planes[:, None, None]).abs()]
+    return blurred.gather(0, source[:, None].expand(-1, *image.shape))
+
+
+def geometric_targets(
+    image: torch.Tensor,
+    indices: torch.Tensor,
+    distances: torch.Tensor,
+    wavelengths: Sequence[float],
+    pixel_pitch: float,
+    numerical_aperture: float | None = None,
+) -> torch.Tensor:
+    """Return what each plane shows when the pixels of other planes are out of focus, from the geometry of the light.
+
+    A pixel a distance z away from the plane in focus is taken from the picture blurred by a uniform disc of radius
+    z·tan θ, sin θ being the numerical aperture: every point emits a cone.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Picture ``[C, m, n]``.
+    indices : torch.Tensor
+        Plane of each pixel, ``[m, n]``.
+    distances : torch.Tensor
+        Distances of the planes in metres, ``[P]``.
+    wavelengths : sequence of float
+        Wavelength of each colour in metres.
+    pixel_pitch : float
+        Pixel pitch of the picture in metres.
+    numerical_aperture : float, optional
+        That of the iris or of the eye; by default that of the modulator, λ/(2·pixel_pitch), for each colour.
+
+    Returns
+    -------
+    torch.Tensor
+        Pictures ``[P, C, m, n]``; zeros surround the picture that is blurred.
+    """
+    dtype = image.dtype
+    image = image.float() if dtype in (torch.float16, torch.bfloat16) else image
+    rows, columns = image.shape[-2:]
+    fy, fx = (torch.fft.fftfreq(2 * n, dtype=torch.float64, device=image.device) for n in (rows, columns))
+    frequency = 2 * torch.pi * (fy[:, None] ** 2 + fx**2).sqrt()
+    spectrum = torch.fft.fft2(image, (2 * rows, 2 * columns))
+    masks = plane_masks(indices, len(distances))
+    targets = torch.zeros(len(distances), *image.shape, dtype=image.dtype, device=image.device)
+    for focus, near in enumerate(distances.tolist()):
+        for plane, far in enumerate(distances.tolist()):
+            blurred = image
+            if near != far:
+                discs = []
+                for wavelength in wavelengths:
+                    sine = wavelength / (2 * pixel_pitch) if numerical_aperture is None else numerical_aperture
+                    argument = frequency * abs(near - far) * math.tan(math.asin(min(sine, 0.999))) / pixel_pitch
+                    # The transform of a disc of unit area, 2·J₁(x)/x.
+                    safe = argument.clamp_min(1e-6)
+                    discs.append(2 * torch.special.bessel_j1(safe) / safe)
+                blurred = torch.fft.ifft2(spectrum * torch.stack(discs).to(image.dtype)).real[..., :rows, :columns]
+            targets[focus] += masks[plane] * blurred.clamp_min(0)
+    return targets.to(dtype)
+
+
+def _blurred(image, sigma, side):
+    return blur_gaussian(image, (side, side), (sigma, sigma), keep_sum=True) if sigma else image
+
+
+class FocalTargets(nn.Module):
+    """Targets and masks of the planes of a picture with depth; the part that losses of several planes share.
+
+    Arguments are those of :class:`odak.learn.wave.loss.multiplane_loss`.
+    """
+
+    target_image: torch.Tensor
+    target_depth: torch.Tensor
+    masks: torch.Tensor
+    targets: torch.Tensor
+
+    def __init__(
+        self,
+        image,
+        depth,
+        blur_ratio,
+        blur_size,
+        number_of_planes,
+        multiplier,
+        scheme,
+        reduction,
+        device,
+        generator,
+        distances=None,
+        wavelengths=None,
+        pixel_pitch=None,
+        numerical_aperture=None,
+    ):
+        super().__init__()
+        self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
+        self.multiplier = _validate.real("multiplier", multiplier)
+        self.scheme = _validate.one_of("scheme", scheme, SCHEMES)
+        self.reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
+        self.blur_ratio, self.target_blur_size, self.generator = blur_ratio, blur_size, None
+        self.generator = checked_generator("generator", generator)
+        if _validate.real("blur_ratio", blur_ratio) < 0:
+            raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
+        _validate.integer("target_blur_size", blur_size, minimum=1)
+        image, depth = _checked_picture(image, depth)
+        self._geometry = self._checked_geometry(distances, wavelengths, pixel_pitch, numerical_aperture, len(image))
+        device = image.device if device is None else get_device(device)
+        self.register_buffer("target_image", image.to(device), False)
+        self.register_buffer("target_depth", plane_indices(depth, self.number_of_planes).to(device), False)
+        for name in ("masks", "targets"):
+            self.register_buffer(name, None, False)
+        self.set_targets()
+        if self.scheme == "defocus":
+            self.add_defocus_blur()
+
+    @property
+    def focus_target(self) -> torch.Tensor:
+        """The sharp picture ``[C, m, n]``: every pixel is in focus on its own plane."""
+        return self.target_image
+
+    def set_targets(self) -> None:
+        """Cut the picture into planes: ``masks`` and ``targets`` ``[P, C, m, n]``, dark beyond each plane."""
+        masks = plane_masks(self.target_depth, self.number_of_planes)[:, None]
+        self.masks = masks.to(self.target_image.dtype).expand(-1, *self.target_image.shape)
+        self.targets = self.masks * self.target_image * self.multiplier
+
+    def add_defocus_blur(self) -> None:
+        """Fill ``targets`` with what is out of focus beyond each plane."""
+        picture = self.target_image, self.target_depth
+        if self._geometry is not None:
+            self.targets = self.multiplier * geometric_targets(*picture, **self._geometry)
+            return
+        blur = self.number_of_planes, self.blur_ratio, self.target_blur_size
+        self.targets = self.multiplier * defocused_targets(*picture, *blur)
+        if self.number_of_planes > 1 and self.blur_ratio and int((self.number_of_planes - 1) * self.blur_ratio) == 0:
+            warn(
+                f"blur_ratio {self.blur_ratio} blurs nothing on {self.number_of_planes} planes: give a larger one, or "
+                "the distances, wavelengths and pixel_pitch that a blur follows from",
+                AccuracyWarning,
+            )
+
+    def _checked_geometry(self, distances, wavelengths, pixel_pitch, numerical_aperture, colours) -> dict | None:
+        given = {"distances": distances, "wavelengths": wavelengths, "pixel_pitch": pixel_pitch}
+        if all(value is None for value in given.values()) and numerical_aperture is None:
+            return None
+        if missing := [name for name, value in given.items() if value is None]:
+            raise ValueError(f"distances, wavelengths and pixel_pitch must be given together; missing {missing[0]}")
+        places = torch.tensor(_validate.numbers(_validate.several("distances", distances)), dtype=torch.float64)
+        waves = _validate.numbers(_validate.several("wavelengths", wavelengths, positive=True))
+        if len(places) != self.number_of_planes:
+            raise ValueError(f"distances must be one for each of {self.number_of_planes} planes, got {len(places)}")
+        if len(waves) != colours:
+            raise ValueError(f"wavelengths must be one for each of {colours} colours, got {len(waves)}")
+        pitch = float(_validate.real("pixel_pitch", pixel_pitch, positive=True))
+        if numerical_aperture is not None:
+            numerical_aperture = float(_validate.real("numerical_aperture", numerical_aperture, positive=True))
+            if numerical_aperture >= 1:
+                raise ValueError(f"numerical_aperture must be below 1, got {numerical_aperture}")
+        sines = [w / (2 * pitch) if numerical_aperture is None else numerical_aperture for w in waves]
+        focus = min(w / sine**2 for w, sine in zip(waves, sines, strict=True))
+        volume = float(places.max() - places.min())
+        if 0 < volume < focus:
+            warn(
+                f"the depth of focus, {focus:.3g} m, exceeds the {volume:.3g} m between the first plane and the last: "
+                "no light can show a difference between them",
+                AccuracyWarning,
+            )
+        return {
+            "distances": places, "wavelengths": waves, "pixel_pitch": pitch, "numerical_aperture": numerical_aperture,
+        }  # fmt: skip
+
+    def get_targets(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the targets of the planes, the sharp picture, and its depth in whole planes.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            ``[P, C, m, n]``, ``[C, m, n]`` and ``[m, n]``, the depth from 0 to 1; copies.
+        """
+        depth = self.target_depth.to(self.target_image.dtype) / max(self.number_of_planes - 1, 1)
+        return self.targets.clone(), self.focus_target.clone(), depth
+
+    def pairs(
+        self,
+        image: torch.Tensor,
+        target: torch.Tensor,
+        plane_id: int | None,
+        inject_noise: bool,
+        noise_ratio: float,
+        generator: torch.Generator | None = None,
+    ) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
+        """Return three pairs to compare: images, images inside the plane's mask, images weighed by the target."""
+        for name, value in (("image", image), ("target", target)):
+            if not isinstance(value, torch.Tensor) or value.is_complex():
+                raise TypeError(f"{name} must be a real tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+        if plane_id is not None:
+            plane_id = _validate.whole("plane_id", plane_id, minimum=-self.number_of_planes)
+        inject_noise, noise_ratio = (
+            _validate.flag("inject_noise", inject_noise),
+            _validate.real("noise_ratio", noise_ratio),
+        )
+        generator = checked_generator("generator", generator)
+        image, target = _without_leading_ones(image, target)
+        mask = self._mask(image, plane_id)
+        noisy = target
+        if inject_noise:
+            spread = noise_ratio * (target.amax() - target.amin())
+            generator = self.generator if self.generator is not None else generator
+            noisy = target + spread * torch.empty_like(target).normal_(generator=generator)
+        return (image, target), (image * mask, noisy * mask), (image * noisy, noisy * noisy)
+
+    def _mask(self, image, plane_id):
+        masks = self.masks
+        if plane_id is not None:
+            if not -len(masks) <= plane_id < len(masks):
+                raise ValueError(f"plane_id must be None or 0 to {len(masks) - 1}, got {plane_id}")
+            masks = masks[plane_id]
+        if image.ndim == 2:
+            # The mask is that of every colour.
+            masks = masks[..., 0, :, :]
+        fits = image.ndim <= 3 if plane_id is not None else image.ndim <= 4
+        if not fits or image.shape != masks.shape[masks.ndim - image.ndim :]:
+            raise ValueError(
+                f"image must be [m, n], [C, m, n] or, without plane_id, [P, C, m, n] of the targets' "
+                f"{tuple(self.targets.shape)}; got {tuple(image.shape)}"
+            )
+        return masks.to(image)
+
+
+def _checked_picture(image, depth):
+    for name, value in (("target_image", image), ("target_depth", depth)):
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+            kind = getattr(value, "dtype", type(value).__name__)
+            raise TypeError(f"{name} must be a real floating tensor, got {kind}")
+    _validate.image("target_image", image)
+    while depth.ndim > 2 and len(depth) == 1:
+        depth = depth[0]
+    image = image[None] if image.ndim == 2 else image
+    if image.ndim != 3 or depth.shape != image.shape[-2:]:
+        raise ValueError(
+            f"target_image must be [C, m, n] and target_depth [m, n], got {tuple(image.shape)} and {tuple(depth.shape)}"
+        )
+    _validate.one_device(target_image=image, target_depth=depth)
+    if not bool(((depth >= 0) & (depth <= 1)).all()):
+        raise ValueError(f"target_depth must be between 0 and 1, got {depth.min().item()} to {depth.max().item()}")
+    return image.detach(), depth.detach()
+
+
+def _without_leading_ones(image, target):
+    _validate.alike(image=image, target=target)
+    while image.ndim > 2 and len(image) == 1:
+        image, target = image[0], target[0]
+    return image, target
+
 
 _LAPLACIAN = ((-1.0, -1.0, -1.0), (-1.0, 8.0, -1.0), (-1.0, -1.0, -1.0))
 
@@ -178,6 +510,16 @@ class multiplane_loss(FocalTargets):
         Where the loss lives; by default where the picture is. It moves with :meth:`to`.
     generator : torch.Generator, optional
         Where noise is drawn from; torch's own by default.
+    distances : sequence of float, optional
+        Distances of the P planes in metres. With them the blur follows from the geometry, see
+        :func:`odak.learn.wave.loss.geometric_targets`, and `blur_ratio` and `target_blur_size` have no effect.
+    wavelengths : sequence of float, optional
+        Wavelength of each of the C colours in metres, with `distances`.
+    pixel_pitch : float, optional
+        Pixel pitch of the picture in metres, with `distances`.
+    numerical_aperture : float, optional
+        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
+        the modulator, λ/(2·pixel_pitch).
 
     Attributes
     ----------
@@ -200,7 +542,7 @@ class multiplane_loss(FocalTargets):
     >>> import torch
     >>> from odak.learn.wave import multiplane_loss
     >>> picture, depth = torch.rand(3, 8, 8), torch.rand(8, 8)
-    >>> loss = multiplane_loss(picture, depth, number_of_planes=2)
+    >>> loss = multiplane_loss(picture, depth, blur_ratio=1.0, number_of_planes=2)
     >>> targets, _, _ = loss.get_targets()
     >>> loss(targets[1], targets[1], plane_id=1).item()
     0.0
@@ -220,10 +562,14 @@ class multiplane_loss(FocalTargets):
         device: torch.device | str | None = None,
         *,
         generator: torch.Generator | None = None,
+        distances: Sequence[float] | None = None,
+        wavelengths: Sequence[float] | None = None,
+        pixel_pitch: float | None = None,
+        numerical_aperture: float | None = None,
     ):
         super().__init__(
             target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, reduction,
-            device, generator,
+            device, generator, distances, wavelengths, pixel_pitch, numerical_aperture,
         )  # fmt: skip
         weights = _validate.several("weights", weights)
         if len(weights) not in (3, 4):
@@ -237,6 +583,7 @@ class multiplane_loss(FocalTargets):
         plane_id: int | None = None,
         inject_noise: bool = False,
         noise_ratio: float = 1e-3,
+        generator: torch.Generator | None = None,
     ) -> torch.Tensor:
         """Return the loss of an image.
 
@@ -251,6 +598,8 @@ class multiplane_loss(FocalTargets):
             Add noise to the target of the second and third term.
         noise_ratio : float
             Standard deviation of the noise as a share of the target's range.
+        generator : torch.Generator, optional
+            Where the noise is drawn from if the loss was given no generator of its own; torch's by default.
 
         Returns
         -------
@@ -262,7 +611,7 @@ class multiplane_loss(FocalTargets):
         ValueError
             If the shapes do not fit or there is no such plane.
         """
-        pairs = self.pairs(image, target, plane_id, inject_noise, noise_ratio)
+        pairs = self.pairs(image, target, plane_id, inject_noise, noise_ratio, generator)
         terms = (nn.functional.mse_loss(*pair, reduction=self.reduction) for pair in pairs)
         total: Any = sum(weight * term for weight, term in zip(self.weights, terms, strict=False))
         return total
@@ -282,3 +631,144 @@ def _planes(name, value):
     if value.ndim > 2 and value.shape[-3] != 1:
         raise ValueError(f"{name} must be [m, n] or [..., 1, m, n], got {tuple(value.shape)}")
     return value.reshape(-1, 1, *value.shape[-2:])
+
+
+_NORMS = {"l2": nn.functional.mse_loss, "l1": nn.functional.l1_loss}
+_TERMS = ("base_{}_loss", "loss_{}_mask", "loss_{}_cor")
+_BASE_WEIGHTS = {term.format(norm): 1.0 for norm in _NORMS for term in _TERMS}
+
+
+class perceptual_multiplane_loss(FocalTargets):
+    """The terms of ``multiplane_loss``, squared and absolute, and measures of how close an eye finds images.
+
+    Parameters
+    ----------
+    target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, device, generator, \
+    distances, wavelengths, pixel_pitch, numerical_aperture
+        As in :class:`~odak.learn.wave.loss.multiplane_loss`.
+    base_loss_weights : dict, optional
+        Weights of "base_l2_loss", "loss_l2_mask", "loss_l2_cor", "base_l1_loss", "loss_l1_mask" and "loss_l1_cor"; all
+        1 by default, and 0 for those that a dict leaves out.
+    additional_loss_weights : dict, optional
+        Weights of any of "cvvdp", "fvvdp", "lpips", "psnr", "ssim" and "msssim"; by default 1 for "cvvdp" where its
+        package is installed, and none with a :class:`~odak.MissingPackageWarning` where it is not. What counts
+        is how far a quality is from that of equal images: 10 − JOD, 1 − SSIM; of "psnr", which has no largest value,
+        its negative, −∞ for equal images.
+    reduction : {"mean", "sum"}
+        How pixels are put together in the six terms.
+    return_components : bool
+        Return ``(loss, components)``, a dict of weighted terms that add up to the loss.
+
+    Raises
+    ------
+    ImportError
+        If a measure that is asked for needs a package that is missing; the message says what to install.
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import perceptual_multiplane_loss
+    >>> picture, depth = torch.rand(3, 16, 16), torch.rand(16, 16)
+    >>> loss = perceptual_multiplane_loss(
+    ...     picture, depth, 1.0, additional_loss_weights={"ssim": 0.5}, return_components=True
+    ... )
+    >>> total, components = loss(loss.targets[0], loss.targets[0], plane_id=0)
+    >>> total.item(), components["ssim"].item()
+    (0.0, 0.0)
+    """
+
+    def __init__(
+        self,
+        target_image: torch.Tensor,
+        target_depth: torch.Tensor,
+        blur_ratio: float = 0.25,
+        target_blur_size: int = 10,
+        number_of_planes: int = 4,
+        multiplier: float = 1.0,
+        scheme: str = "defocus",
+        base_loss_weights: dict[str, float] | None = None,
+        additional_loss_weights: dict[str, float] | None = None,
+        reduction: str = "mean",
+        return_components: bool = False,
+        device: torch.device | str | None = None,
+        *,
+        generator: torch.Generator | None = None,
+        distances: Sequence[float] | None = None,
+        wavelengths: Sequence[float] | None = None,
+        pixel_pitch: float | None = None,
+        numerical_aperture: float | None = None,
+    ):
+        super().__init__(
+            target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, reduction,
+            device, generator, distances, wavelengths, pixel_pitch, numerical_aperture,
+        )  # fmt: skip
+        self.base_loss_weights = _checked_weights("base_loss_weights", base_loss_weights, _BASE_WEIGHTS, _BASE_WEIGHTS)
+        self.additional_loss_weights = _checked_weights(
+            "additional_loss_weights", additional_loss_weights, {"cvvdp": 1.0}, _MEASURES
+        )
+        self.return_components = _validate.flag("return_components", return_components)
+        self.measures = nn.ModuleDict()
+        for name in tuple(self.additional_loss_weights):
+            try:
+                self.measures[name] = _MEASURES[name][0](self.target_image.device)
+            except ImportError as error:
+                if additional_loss_weights is not None:
+                    raise
+                del self.additional_loss_weights[name]
+                warn(f"perceptual_multiplane_loss leaves out {name!r}: {error}", MissingPackageWarning)
+
+    def forward(
+        self,
+        image: torch.Tensor,
+        target: torch.Tensor,
+        plane_id: int | None = None,
+        inject_noise: bool = False,
+        noise_ratio: float = 1e-3,
+        generator: torch.Generator | None = None,
+    ) -> torch.Tensor | tuple[torch.Tensor, dict[str, torch.Tensor]]:
+        """Return the loss of an image, and its parts if asked for; arguments as in ``multiplane_loss``."""
+        pairs = self.pairs(image, target, plane_id, inject_noise, noise_ratio, generator)
+        components = {}
+        for norm, difference in _NORMS.items():
+            for term, pair in zip(_TERMS, pairs, strict=True):
+                name = term.format(norm)
+                if weight := self.base_loss_weights.get(name, 0.0):
+                    components[name] = weight * difference(*pair, reduction=self.reduction)
+        # Quality is that of the picture as it should be, without noise.
+        whole = [picture if picture.ndim > 2 else picture[None] for picture in pairs[0]]
+        for name, measure in self.measures.items():
+            components[name] = self.additional_loss_weights[name] * _MEASURES[name][1](measure(*whole))
+        loss = sum(components.values(), whole[0].new_zeros(()))
+        return (loss, components) if self.return_components else loss
+
+
+def _jod_loss(quality):
+    return 10 - quality
+
+
+def _similarity_loss(similarity):
+    return 1 - similarity
+
+
+# How each measure is made for a device, and how its value becomes a loss.
+_MEASURES = {
+    "cvvdp": (lambda device: perception.CVVDP(device, required=True), _jod_loss),
+    "fvvdp": (lambda device: perception.FVVDP(device, required=True), _jod_loss),
+    "lpips": (lambda device: perception.LPIPS(required=True), lambda distance: distance),
+    "psnr": (lambda device: perception.PSNR(), lambda decibels: -decibels),
+    "ssim": (lambda device: perception.SSIM(), _similarity_loss),
+    "msssim": (lambda device: perception.MSSSIM(), _similarity_loss),
+}
+
+
+def _checked_weights(argument, given, default, known):
+    given = default if given is None else given
+    if not isinstance(given, Mapping):
+        raise TypeError(f"{argument} must be a dictionary of weights, got {given!r:.80}")
+    unknown = sorted(set(given) - set(known))
+    if unknown:
+        raise ValueError(f"{argument} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")
+    weights = {name: float(_validate.real(f"{argument}[{name!r}]", value)) for name, value in given.items()}
+    return {name: weight for name, weight in weights.items() if weight}

@@ -9,18 +9,16 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import checked_device
-from odak.learn.models.arguments import channels, pictures
-from odak.learn.models.models import (
+from odak.learn.models._inputs import channels, images
+from odak.learn.models.training import TrainingHistory, errors, train, weighted_errors
+from odak.learn.models.unets import (
     spatially_adaptive_unet,
     spatially_varying_kernel_generation_model,
     unet,
 )
-from odak.learn.models.objectives import errors, weighed_errors
-from odak.learn.models.training import TrainingHistory, train
-from odak.learn.models.weights import EXTENSIONS, load_weights, read_state, save_weights, take_state
-from odak.tools._documents import load_dictionary
-from odak.tools._folders import check_directory
-from odak.tools._paths import validate_path
+from odak.learn.models.weights import EXTENSIONS, load_weights, read_state, save_weights, set_state
+from odak.tools.file import check_directory, load_dictionary
+from odak.tools.paths import validate_path
 
 __all__ = ["focal_surface_light_propagation", "holobeam_multiholo"]
 
@@ -34,12 +32,12 @@ _MAPPINGS = {
 
 
 class holobeam_multiholo(nn.Module):
-    """A U-Net that turns pictures into phase-only holograms (Akşit and Itoh, "HoloBeam", IEEE VR 2023).
+    """A U-Net that turns images into phase-only holograms (Akşit and Itoh, "HoloBeam", IEEE VR 2023).
 
     Parameters
     ----------
     n_input : int
-        Channels of a picture.
+        Channels of an image.
     n_hidden : int
         Channels of the U-Net's first level.
     n_output : int
@@ -80,7 +78,7 @@ class holobeam_multiholo(nn.Module):
         Parameters
         ----------
         x : torch.Tensor
-            Pictures ``[B, n_input, H, W]``.
+            Images ``[B, n_input, H, W]``.
         test : bool
             Compute without gradients.
 
@@ -113,7 +111,7 @@ class holobeam_multiholo(nn.Module):
         torch.Tensor
             The loss.
         """
-        return weighed_errors(self.l2, self.l1, input_data, ground_truth, weights)
+        return weighted_errors(self.l2, self.l1, input_data, ground_truth, weights)
 
     def fit(
         self,
@@ -136,7 +134,7 @@ class holobeam_multiholo(nn.Module):
         Parameters
         ----------
         dataloader : iterable
-            Batches (pictures ``[B, n_input, H, W]``, holograms ``[B, 1, H, W]``), gone through once an epoch.
+            Batches (images ``[B, n_input, H, W]``, holograms ``[B, 1, H, W]``), gone through once an epoch.
         number_of_epochs : int
             Number of epochs.
         learning_rate : float
@@ -279,8 +277,8 @@ class focal_surface_light_propagation(nn.Module):
         """
         smallest, weight = 2 ** (self.depth + 1), next(self.parameters())
         colours = (self.sv_kernel_generation.input_channels - 1) // 2
-        phase_only_hologram = pictures("phase_only_hologram", phase_only_hologram, colours, weight, smallest=smallest)
-        focal_surface = pictures("focal_surface", focal_surface, 1, weight)
+        phase_only_hologram = images("phase_only_hologram", phase_only_hologram, colours, weight, smallest=smallest)
+        focal_surface = images("focal_surface", focal_surface, 1, weight)
         if focal_surface.shape[-2:] != phase_only_hologram.shape[-2:]:
             raise ValueError(
                 f"focal_surface must have the rows and columns of phase_only_hologram, "
@@ -304,7 +302,7 @@ class focal_surface_light_propagation(nn.Module):
         torch.Tensor
             ``[B, 2C, H, W]``: the cosines of all colours, then their sines.
         """
-        phase = 2 * torch.pi * pictures("phase_only_hologram", phase_only_hologram)
+        phase = 2 * torch.pi * images("phase_only_hologram", phase_only_hologram)
         return torch.cat([phase.cos(), phase.sin()], dim=1)
 
     def load_weights(self, weight_filename: str | os.PathLike, key_mapping_filename: str | os.PathLike) -> None:
@@ -332,7 +330,7 @@ class focal_surface_light_propagation(nn.Module):
         state = read_state(path, self.device)
         if missing := [old for old in mapping.values() if old not in state]:
             raise ValueError(f"{path!r} lacks keys that the mapping names: {', '.join(missing[:20])}")
-        take_state(self, {new: state[old] for new, old in mapping.items()}, path)
+        set_state(self, {new: state[old] for new, old in mapping.items()}, path)
 
 
 def _read_mapping(filename) -> dict[str, str]:

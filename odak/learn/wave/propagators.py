@@ -1,4 +1,4 @@
-"""A phase-only modulator, shown in frames and lit in colours, and the planes of the volume in front of it."""
+"""Propagation from a phase-only modulator, in frames and colours, to the planes of a volume."""
 
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -6,17 +6,105 @@ from typing import Any
 
 import torch
 
-from odak import _validate
-from odak.learn._tensors import checked_device, floating
+from odak import _array, _validate
+from odak.learn._tensors import checked_device, floating, tensor
+from odak.learn.wave.convolution import Workspace, convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
-from odak.learn.wave.light_path import PROPAGATOR_TYPES, plane_distances
-from odak.learn.wave.shown_patterns import checked_amplitude, checked_phases
-from odak.learn.wave.source_powers import check_shape, checked_powers, is_diagonal, power_method
-from odak.learn.wave.spectral import convolve
-from odak.learn.wave.volume import checked_slice, display_volume
-from odak.learn.wave.workspace import Workspace
+from odak.learn.wave.slm import pixel_fill_of
+from odak.learn.wave.volume import PROPAGATOR_TYPES, checked_slice, display_volume, plane_distances
+from odak.wave.methods import method_named
 
-__all__ = ["propagator"]
+METHODS = ("conventional", "multi-color", "full complex conventional", "full complex multi-color")
+
+
+def power_method(method: str) -> str:
+    """Return the full name of what channel powers mean, given with spaces or underscores."""
+    return _validate.one_of("method", _validate.text("method", method).replace("_", " "), METHODS)
+
+
+def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], amplitudes: bool) -> torch.Tensor:
+    """Return channel powers after checking them.
+
+    Parameters
+    ----------
+    name : str
+        What they are called.
+    power : torch.Tensor
+        What came.
+    shape : tuple of int
+        Frames and wavelengths.
+    amplitudes : bool
+        They are amplitudes of sources, which are not negative.
+
+    Returns
+    -------
+    torch.Tensor
+        Real ``[frames, wavelengths]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If they are not real, of another shape, not finite, or negative where they are amplitudes.
+    """
+    power = floating(name, power)
+    check_shape(name, power, "[frames, wavelengths]", shape)
+    if not bool(power.isfinite().all()):
+        raise ValueError(f"{name} must be finite, got NaN or infinite values")
+    if amplitudes and bool((power < 0).any()):
+        raise ValueError(f"{name} must not be negative, got {power.min().item()}")
+    return power
+
+
+def check_shape(name: str, values: torch.Tensor, axes: str, shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless values have a shape, whose axes are named in the message."""
+    if tuple(values.shape) != shape:
+        raise ValueError(f"{name} must be {axes} = {shape}, got {tuple(values.shape)}")
+
+
+def is_diagonal(power: torch.Tensor) -> bool:
+    """Return whether frame f is lit by source f alone, powers being ``[frames, wavelengths]``."""
+    return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())
+
+
+def checked_phases(phases: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return the phases of all frames after checking them.
+
+    Parameters
+    ----------
+    phases : torch.Tensor
+        What came: ``[F, m, n]``, ``[1, F, m, n]``, or ``[m, n]`` for a single frame.
+    shape : tuple of int
+        Frames F, rows m and columns n.
+
+    Returns
+    -------
+    torch.Tensor
+        Real floating ``[F, m, n]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If they are not real, or of another shape.
+    """
+    if not isinstance(phases, torch.Tensor) or phases.is_complex():
+        kind = getattr(phases, "dtype", type(phases).__name__)
+        raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
+    came = tuple(phases.shape)
+    if came not in (shape, (1, *shape)) and not (shape[0] == 1 and came == shape[1:]):
+        raise ValueError(f"hologram_phases must be [frames, rows, columns] = {shape}, got {came}")
+    return (phases if phases.is_floating_point() else phases.float()).reshape(shape)
+
+
+def checked_amplitude(amplitude: torch.Tensor, colours: int) -> torch.Tensor:
+    """Return the amplitude of the light on a modulator, ``[m, n]`` or ``[C, m, n]``, after checking its axes."""
+    amplitude = _validate.image("amplitude", tensor("amplitude", amplitude))
+    came = tuple(amplitude.shape)
+    if len(came) > 2 and came[-3] not in (1, colours):
+        raise ValueError(f"amplitude must have {colours} colours, got {came}")
+    if len(came) > 5 or any(n != 1 for n in came[-4:-3]):
+        raise ValueError(f"amplitude must be [rows, columns] or [colours, rows, columns], got {came}")
+    return amplitude
+
 
 # A complex64 field, the transforms of its rows, its intensity, and the slopes of field and intensity.
 _BYTES_PER_SAMPLE = 40
@@ -44,17 +132,21 @@ class propagator(display_volume):
     image_location_offset : float
         Distance of the volume's centre, where a single plane lies, in metres.
     propagation_type : str
-        A propagation type that has a transfer function, or "auto".
+        A propagation type, see :func:`odak.learn.wave.propagate_beam`, or "auto"; not "custom". Those without a
+        transfer function on the grid of the modulator keep no kernels. With "Incoherent Angular Spectrum" the
+        intensity of the modulator is what spreads, and the fields returned are its roots.
     propagator_type : str
         "forward", or "back and forth": to a relay and back, so that a plane is distance − `image_location_offset` away.
+        Only the net distance matters: the relay limits nothing.
     back_and_forth_distance : float
         Distance of the relay in metres.
     laser_channel_power : torch.Tensor, optional
         ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default.
     aperture : torch.Tensor, optional
-        Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`.
+        Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`; open by
+        default.
     aperture_size : float, optional
-        Radius of the circular aperture in samples of the padded spectrum.
+        Radius of a round stop in the Fourier plane, in samples of the padded spectrum along its longer axis.
     distances : torch.Tensor or sequence of float, optional
         Distances of the planes in metres, instead of the even division of the volume. Differentiable.
     aperture_samples : sequence of int
@@ -75,6 +167,14 @@ class propagator(display_volume):
         would take more than it are built anew for each chunk instead of kept.
     seed : int, optional
         Makes the draws of `vaccination` reproducible.
+    iris_radius : float, optional
+        Radius in metres of a round iris in the Fourier plane, see :meth:`set_aperture`; open by default.
+    iris_focal_length : float, optional
+        Focal length in metres of the lens in front of the iris.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits. Fields then have the spectrum of pixels of that size up to
+        1/(2·pixel_pitch); an iris has to keep the orders beyond it away. Without it pixels are points, unless `slm` has
+        a fill factor.
 
     Attributes
     ----------
@@ -134,6 +234,9 @@ class propagator(display_volume):
         slm: torch.nn.Module | None = None,
         memory_budget: int | None = None,
         seed: int | None = None,
+        iris_radius: float | None = None,
+        iris_focal_length: float | None = None,
+        pixel_fill: float | None = None,
     ):
         kind = _validate.one_of("propagator_type", propagator_type, PROPAGATOR_TYPES)
         layers = _validate.integer("number_of_depth_layers", number_of_depth_layers, minimum=1)
@@ -144,6 +247,16 @@ class propagator(display_volume):
             _validate.real(name, length)
         device = checked_device("device", device)
         _validate.function_or_none("slm", slm)
+        samples_per_pixel = int(getattr(slm, "samples_per_pixel", 1))
+        if pixel_fill is not None:
+            pixel_fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+            if pixel_fill > 1 or samples_per_pixel > 1:
+                raise ValueError(
+                    f"pixel_fill must be at most 1, for one sample per pixel, got {pixel_fill} and {samples_per_pixel}"
+                )
+        else:
+            has_iris = not (aperture is None and aperture_size is None and iris_radius is None)
+            pixel_fill = pixel_fill_of(slm, has_iris)
         super().__init__(
             resolution,
             wavelengths,
@@ -153,7 +266,8 @@ class propagator(display_volume):
             relay=back_and_forth_distance if kind == "back and forth" else None,
             offset=image_location_offset,
             resolution_factor=resolution_factor,
-            samples_per_pixel=int(getattr(slm, "samples_per_pixel", 1)),
+            samples_per_pixel=samples_per_pixel,
+            pixel_fill=pixel_fill,
             aperture_samples=aperture_samples,
             vaccination=vaccination,
             vaccination_scale=vaccination_scale,
@@ -164,7 +278,7 @@ class propagator(display_volume):
         self.volume_depth = volume_depth
         self.number_of_frames = _validate.integer("number_of_frames", number_of_frames, minimum=1)
         self.method, self.slm = power_method(method), slm
-        self.set_aperture(aperture, aperture_size)
+        self.set_aperture(aperture, aperture_size, iris_radius=iris_radius, iris_focal_length=iris_focal_length)
         self.init_phase_scale()
         self._hold_powers(laser_channel_power, "laser_channel_power")
         if device is not None:
@@ -253,7 +367,7 @@ class propagator(display_volume):
             Which of them.
         kernels : torch.Tensor
             Transfer functions of the planes, from :meth:`transfer`.
-        workspace : odak.learn.wave.workspace.Workspace, optional
+        workspace : odak.learn.wave.convolution.Workspace, optional
             Memory to write the fields to.
 
         Returns
@@ -272,11 +386,32 @@ class propagator(display_volume):
         _validate.one_device(holograms=holograms, kernels=kernels)
         if not self._one_source_per_frame:
             return convolve(holograms[frames], kernels, workspace)
+        lit, holograms = self._lit(holograms, frames)
+        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
+
+    def _lit(self, holograms, frames: slice):
+        """Return the frames that are lit, of those asked for, and what each shows in its one colour."""
         lit = range(self._lit_frames())[frames]
         if holograms.shape[2] > 1:
             holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
-        holograms = holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
-        return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
+        return lit, holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
+
+    def _fields_on(self, planes: slice, holograms, frames: slice, kernels=None, workspace=None):
+        """Return the fields of some frames on some planes as :meth:`fields` does, by whatever method there is."""
+        if self._has_kernels:
+            kernels = self.transfer(planes, holograms.dtype) if kernels is None else kernels
+            return self.fields(holograms, frames, kernels, workspace)
+        wavelengths = torch.stack([torch.as_tensor(w, dtype=torch.float64) for w in self.wavelengths])
+        if self._one_source_per_frame:
+            lit, holograms = self._lit(holograms, frames)
+            wavelengths = wavelengths[lit.start : lit.stop, None, None]
+        else:
+            holograms = holograms[frames]
+        if not method_named(self.propagation_type).of_intensities:
+            return self._propagated_without_kernels(holograms, planes, wavelengths)
+        # What spreads is the intensity: its root stands for a field that has it.
+        spread = self._propagated_without_kernels(intensity(holograms), planes, wavelengths).abs()
+        return _array.to_complex(spread.clamp_min(torch.finfo(spread.dtype).tiny).sqrt())
 
     def _check_holograms(self, holograms):
         if not isinstance(holograms, torch.Tensor) or not holograms.is_complex():
@@ -299,7 +434,7 @@ class propagator(display_volume):
             Which planes.
         powers : torch.Tensor, optional
             Amplitudes of the sources ``[F, C]``; :meth:`get_laser_powers` by default.
-        workspace : odak.learn.wave.workspace.Workspace, optional
+        workspace : odak.learn.wave.convolution.Workspace, optional
             Memory to keep the fields, their gradient and the result in. The backward pass can then be run once, before
             the workspace is used again, and not be differentiated.
 
@@ -312,7 +447,7 @@ class propagator(display_volume):
         powers = self.get_laser_powers() if powers is None else floating("powers", powers)
         check_shape("powers", powers, "[frames, wavelengths]", (self.number_of_frames, self.number_of_channels))
         _validate.one_device(holograms=holograms, powers=powers, aperture=self.aperture)
-        fields = self.fields(holograms, slice(None), self.transfer(planes, holograms.dtype), workspace)
+        fields = self._fields_on(planes, holograms, slice(None), workspace=workspace)
         powers = powers.to(fields.real.dtype)
         if not self._one_source_per_frame:
             return exposure(fields, powers, workspace=workspace)
@@ -358,9 +493,9 @@ class propagator(display_volume):
             result: Any = None
             shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
             for planes in self.plane_chunks():
-                kernels = self.transfer(planes, holograms.dtype)
+                kernels = self.transfer(planes, holograms.dtype) if self._has_kernels else None
                 for frames in self._frame_chunks():
-                    fields = self.fields(holograms, frames, kernels)
+                    fields = self._fields_on(planes, holograms, frames, kernels)
                     light = fields if get_complex else intensity(fields)
                     # Of the light itself, so that torch.func.vmap may write it.
                     result = light.new_zeros(shape) if result is None else result

@@ -1,15 +1,119 @@
-"""A phase-only spatial light modulator as it is: levels, crosstalk, gaps between pixels, light it does not modulate."""
+"""Model of a phase-only spatial light modulator: levels, crosstalk, gaps between pixels, unmodulated light."""
 
 import cmath
+import math
 from collections.abc import Sequence
 
 import torch
 
 from odak import _array, _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.learn._precision import in_own_precision
 from odak.learn._tensors import floating
-from odak.learn.wave.crosstalk import gaussian_kernel, smooth
 from odak.learn.wave.fields import unit_phasor
-from odak.learn.wave.phase_levels import TURN, even_levels, nearest_levels, within_range
+
+TURN = 2 * math.pi
+
+
+def even_levels(phase: torch.Tensor, count: int) -> torch.Tensor:
+    """Return the nearest of `count` levels spread evenly over a turn, as whole numbers in the phase's own dtype.
+
+    The search of :func:`nearest_levels`, which finds the same, takes ten times as long.
+    """
+    return torch.remainder(torch.round(phase * (count / TURN)), count)
+
+
+def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
+    """Return the level whose phase is nearest around the circle.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        Phase in radians, of any shape.
+    lut : torch.Tensor
+        Phase of each level in radians, ``[levels]``, in any order. Where it spans more than a turn, a phase inside its
+        span is shown as it is, and one outside is moved into it by whole turns.
+
+    Returns
+    -------
+    torch.Tensor
+        int64 levels of the phase's shape.
+    """
+    phase, lut = phase.detach(), lut.detach()
+    low = lut.min()
+    period = TURN * torch.ceil((lut.max() - low) / TURN).clamp_min(1)
+    rising, order = torch.sort(torch.remainder(lut - low, period))
+    offset = torch.remainder(phase - low.to(phase.dtype), period.to(phase.dtype))
+    # Half a step beyond the last level there is a better one a turn below, if the table reaches that far.
+    top = torch.where(period > 1.5 * TURN, 1.5 * rising[-1] - 0.5 * rising[-2], period)
+    offset = torch.where(offset > top.to(phase.dtype), offset - TURN, offset)
+    # Behind the last boundary the first level comes again, a period later.
+    boundaries = torch.cat([(rising[1:] + rising[:-1]) / 2, (rising[-1:] + period) / 2]).to(phase.dtype)
+    return torch.cat([order, order[:1]])[torch.bucketize(offset, boundaries)]
+
+
+def within_range(phase: torch.Tensor, phase_range: float) -> torch.Tensor:
+    """Return a phase as a modulator without levels shows it: 0 … range, the nearer end for what lies beyond."""
+    period = TURN * max(1, math.ceil(phase_range / TURN))
+    turned = torch.remainder(phase, period)
+    if phase_range > TURN:
+        return torch.where(turned > phase_range, turned - TURN, turned)
+    middle = (phase_range + TURN) / 2
+    return torch.where(turned < middle, turned.clamp(max=phase_range), torch.zeros_like(turned))
+
+
+def gaussian_kernel(sigma: float) -> torch.Tensor:
+    """Return the share of a Gaussian that falls on each sample, float64 ``[2·ceil(5σ) + 1]``.
+
+    The phase is constant over a sample, so smoothing it and reading it at the middle of a sample weighs each
+    neighbour by the integral over it: exact for any σ, also one far below a sample.
+
+    Parameters
+    ----------
+    sigma : float
+        Standard deviation in samples, positive.
+
+    Returns
+    -------
+    torch.Tensor
+        Weights, of sum 1 but for the tails beyond five standard deviations.
+    """
+    reach = math.ceil(5 * sigma)
+    edges = (torch.arange(2 * reach + 2, dtype=torch.float64) - reach - 0.5) / (sigma * math.sqrt(2))
+    return torch.erf(edges).diff() / 2
+
+
+@in_own_precision
+def smooth(phase: torch.Tensor, kernel: torch.Tensor) -> torch.Tensor:
+    """Return the phase convolved with a kernel divided by its sum, the panel continued by its rim.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        ``[..., m, n]``.
+    kernel : torch.Tensor
+        Of the phase's dtype and device, with odd lengths: ``[k]``, used along both axes, or ``[k, l]``.
+
+    Returns
+    -------
+    torch.Tensor
+        Of the phase's shape; differentiable in both.
+    """
+    kernel = kernel / kernel.sum()
+    image = phase.reshape(-1, *phase.shape[-2:])
+    if kernel.ndim == 1:
+        image = _along_columns(_along_columns(image, kernel).mT.contiguous(), kernel).mT
+        return image.reshape(phase.shape)
+    rows, columns = (n // 2 for n in kernel.shape)
+    image = torch.nn.functional.pad(image[:, None], (columns, columns, rows, rows), mode="replicate")
+    return torch.nn.functional.conv2d(image, kernel.flip(0, 1)[None, None]).reshape(phase.shape)
+
+
+def _along_columns(image, kernel):
+    """Return ``[batch, m, n]`` convolved along its last axis, each row a channel: 20 times as fast as one channel."""
+    reach, rows = kernel.shape[0] // 2, image.shape[-2]
+    image = torch.nn.functional.pad(image, (reach, reach), mode="replicate")
+    return torch.nn.functional.conv1d(image, kernel.flip(0).expand(rows, 1, -1), groups=rows)
 
 
 class spatial_light_modulator(torch.nn.Module):
@@ -349,3 +453,20 @@ def _covered(fill, s):
     start = torch.arange(s, dtype=fill.dtype, device=fill.device)
     low, high = s / 2 - side, s / 2 + side
     return (torch.where(high <= start + 1, high, start + 1) - torch.where(low >= start, low, start)).clamp_min(0)
+
+
+def pixel_fill_of(slm, has_iris: bool) -> float | None:
+    """Return the fill factor of a modulator whose gaps are averaged over its pixels, None for any other.
+
+    Its field has the spectrum of pixels of finite size. Their orders beyond 1/(2·pitch) are not sampled, which an
+    AccuracyWarning says where no iris stops them.
+    """
+    if not isinstance(slm, spatial_light_modulator) or slm.samples_per_pixel > 1 or not 0 < float(slm.fill_factor) < 1:  # type: ignore[arg-type]
+        return None
+    if not has_iris:
+        warn(
+            "pixels of finite size send light into orders beyond 1/(2·pixel_pitch), which are left out: give the iris "
+            "that stops them, or a modulator with several samples_per_pixel",
+            AccuracyWarning,
+        )
+    return float(slm.fill_factor)  # type: ignore[arg-type]

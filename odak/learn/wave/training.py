@@ -1,10 +1,10 @@
-"""The loop that every hologram optimizer runs: steps, progress, the best so far, interruption and checkpoints."""
+"""The training loop of all hologram optimizers: Adam and L-BFGS, progress, best state, checkpoints."""
 
 import hashlib
 import logging
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,16 +12,9 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
-from odak.learn.tools._checkpoints import (
-    own_randomness,
-    randomness,
-    read_checkpoint,
-    set_randomness,
-    taking_up,
-    write_checkpoint,
-)
-from odak.learn.tools._memory import advising_on_memory
-from odak.learn.wave.solvers import make_solver
+from odak._warnings import ConvergenceWarning, warn
+from odak.learn.tools.checkpoints import read_checkpoint, taking_up, write_checkpoint
+from odak.learn.tools.device import advising_on_memory
 
 _log = logging.getLogger("odak")
 
@@ -29,6 +22,8 @@ _LESS_MEMORY = (
     "use fewer planes, frames or colours, a smaller resolution, complex64, the propagator's memory_budget, "
     "or device='cpu'; a checkpoint written so far can be taken up"
 )
+# A loss that ends this much above its lowest value has risen by more than the noise of a camera.
+_RISEN = 1.1
 _PARTS = ("done", "parameters", "best", "best_loss", "solver", "randomness")
 
 
@@ -46,22 +41,17 @@ class Options:
         File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
     checkpoint_every : int
         Iterations between two writings of that file; it is written at the end and on an interruption too.
-    seed : int, optional
-        Seed of all that the loss draws; otherwise drawn from torch's generator.
     """
 
     progress: bool = True
     callback: Callable | None = None
     checkpoint: str | os.PathLike | None = None
     checkpoint_every: int = 50
-    seed: int | None = None
 
     def __post_init__(self):
         _validate.flag("progress", self.progress)
         _validate.function_or_none("callback", self.callback)
         _validate.integer("checkpoint_every", self.checkpoint_every, minimum=1)
-        if self.seed is not None:
-            _validate.integer("seed", self.seed)
         if self.checkpoint is not None and not isinstance(self.checkpoint, (str, os.PathLike)):
             raise TypeError(f"checkpoint must be a path, got {type(self.checkpoint).__name__}")
         if "\0" in os.fspath(self.checkpoint or ""):
@@ -78,6 +68,8 @@ def minimise(
     solver: str = "adam",
     description: str = "hologram",
     about: dict[str, Any] | None = None,
+    generators: Sequence[torch.Generator] = (),
+    keep_best: bool = False,
 ) -> bool:
     """Minimise a loss over some tensors, in place.
 
@@ -92,13 +84,19 @@ def minimise(
     learning_rate : callable
         ``learning_rate(iteration)``.
     options : Options
-        Progress, callback, checkpoint and seed.
+        Progress, callback and checkpoint.
     solver : str
         "adam" or "lbfgs".
     description : str
         Name of the progress bar.
     about : dict, optional
         Numbers and words that a checkpoint must agree with to be taken up.
+    generators : sequence of torch.Generator
+        What the loss draws its random numbers from. A checkpoint holds their states, so that a run that is taken up
+        draws what an uninterrupted one would have drawn.
+    keep_best : bool
+        Leave the parameters of the lowest loss rather than the last, with a ConvergenceWarning if the loss has risen
+        since: for losses whose gradient is known roughly.
 
     Returns
     -------
@@ -112,31 +110,29 @@ def minimise(
     FloatingPointError
         If the loss is not finite in the end.
     """
-    run = _Run(parameters, make_solver(solver, list(parameters.values())), iterations, options, about or {})
-    with own_randomness(options.seed, run.device):
-        run.resume()
-        with advising_on_memory(_LESS_MEMORY):
-            return run.go(gradient, learning_rate, description)
+    run = _Run(parameters, make_solver(solver, list(parameters.values())), iterations, options, about or {}, generators)
+    run.resume()
+    with advising_on_memory(_LESS_MEMORY):
+        return run.go(gradient, learning_rate, description, keep_best)
 
 
 class _Run:
     """One optimization: the parameters, where it is, and the best it has seen."""
 
-    def __init__(self, parameters, solver, iterations, options, about):
+    def __init__(self, parameters, solver, iterations, options, about, generators):
         self.parameters, self.solver, self.options = parameters, solver, options
+        self.generators = list(generators)
         self.iterations = iterations
         self.about = {"iterations": iterations, **about}
         self.device = next(iter(parameters.values())).device
         self.done = 0
         self.best = {name: parameter.detach().clone() for name, parameter in parameters.items()}
         self.best_loss = torch.full((), math.inf, dtype=torch.float64, device=self.device)
-        self.randomness = randomness(self.device)
+        self.randomness = self._randomness()
         self.torn = False
 
-    def go(self, gradient, learning_rate, description) -> bool:
-        bar = tqdm(
-            total=self.iterations, initial=self.done, desc=description, disable=not self.options.progress, leave=False
-        )
+    def go(self, gradient, learning_rate, description, keep_best) -> bool:
+        bar = tqdm(total=self.iterations, initial=self.done, desc=description, disable=not self.options.progress)
         loss = None
         try:
             with bar:
@@ -158,10 +154,23 @@ class _Run:
         if loss is not None and not math.isfinite(loss):
             raise FloatingPointError(f"the loss is {float(loss)} after {self.done} iterations: lower the learning rate")
         self._save()
+        if keep_best and loss is not None:
+            if float(loss) > _RISEN * float(self.best_loss):
+                warn(
+                    f"the loss rose from {float(self.best_loss):.3g} to {float(loss):.3g}, so that the best state is "
+                    "returned: the gradient of the model does not lead to the image that is captured; register the "
+                    "image, or put the fault into the model",
+                    ConvergenceWarning,
+                )
+            for name, parameter in self.parameters.items():
+                parameter.data.copy_(self.best[name])
         return True
 
+    def _randomness(self):
+        return [generator.get_state() for generator in self.generators]
+
     def _step(self, gradient, learning_rate):
-        self.randomness = randomness(self.device)
+        self.randomness = self._randomness()
 
         def evaluate():
             self.torn = False
@@ -176,7 +185,7 @@ class _Run:
         loss = self.solver.step(evaluate, learning_rate(self.done))
         self.torn = False
         self.done += 1
-        self.randomness = randomness(self.device)
+        self.randomness = self._randomness()
         if self.options.checkpoint is not None and self.done % self.options.checkpoint_every == 0:
             self._save()
         return loss
@@ -192,9 +201,9 @@ class _Run:
         self.best_loss.copy_(torch.where(better, loss.detach(), self.best_loss))
 
     def _show(self, bar, loss):
-        bar.update()
-        if self.options.progress and self.done % max(1, self.iterations // 20) == 0:
+        if self.options.progress and (self.done % max(1, self.iterations // 20) == 0 or self.done == self.iterations):
             bar.set_postfix(loss=f"{float(loss):.3g}", refresh=False)
+        bar.update()
 
     def _save(self):
         """Write the checkpoint, unless parameters are half-way between two iterations."""
@@ -230,7 +239,14 @@ class _Run:
         self.best_loss.copy_(state["best_loss"])
         self.solver.load(state["solver"])
         self.done = _validate.integer("done", state["done"])
-        set_randomness(state["randomness"], self.device)
+        for generator, drawn in zip(self.generators, state["randomness"], strict=True):
+            generator.set_state(drawn.cpu())
+
+
+def generator_from(seed: int | None, device: torch.device | str = "cpu") -> torch.Generator:
+    """Return a new generator with a seed; without one, with a seed drawn from torch's own generator."""
+    seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
+    return torch.Generator(device).manual_seed(seed)
 
 
 def fingerprint(*tensors: torch.Tensor) -> str:
@@ -255,3 +271,115 @@ def cosine(rate: float, lowest: float, iterations: int) -> Callable[[int], float
 def linear(rate: float, lowest: float, iterations: int) -> Callable[[int], float]:
     """Return a learning rate that falls evenly from `rate` to `lowest`."""
     return lambda iteration: rate + (lowest - rate) * iteration / iterations
+
+
+SOLVERS = ("adam", "lbfgs")
+
+
+def make_solver(name: str, parameters: Sequence[torch.Tensor]):
+    """Return the solver of that name ("adam" or "lbfgs") for some leaf tensors."""
+    return {"adam": Adam, "lbfgs": LBFGS}[name](parameters)
+
+
+class Adam:
+    """Adam (Kingma and Ba, 2015, algorithm 1).
+
+    ``torch.optim.Adam`` does the same, but its constructor loads the compiler: two seconds and 80 MB, as much as
+    twenty iterations at full size and more memory than the hologram's padded field. Weights do not decay: a phase is
+    no better for being near zero.
+
+    Parameters
+    ----------
+    parameters : sequence of torch.Tensor
+        Leaf tensors that require grad.
+    betas : tuple of float
+        Memory of the mean and of the square of the gradient.
+    epsilon : float
+        Added to the root of the square.
+    """
+
+    def __init__(self, parameters: Sequence[torch.Tensor], betas=(0.9, 0.999), epsilon: float = 1e-8):
+        self.parameters, self.betas, self.epsilon = list(parameters), betas, epsilon
+        self.means = [torch.zeros_like(parameter, requires_grad=False) for parameter in self.parameters]
+        self.squares = [torch.zeros_like(mean) for mean in self.means]
+        self.count = 0
+
+    @torch.no_grad()
+    def step(self, gradient: Callable[[], torch.Tensor], learning_rate: float) -> torch.Tensor:
+        """Take one step and return the loss before it; `gradient()` returns that and fills the parameters' ``grad``."""
+        loss = gradient()
+        count = self.count + 1
+        mean_bias, square_bias = (1 - beta**count for beta in self.betas)
+        for parameter, mean, square in zip(self.parameters, self.means, self.squares, strict=True):
+            slope = parameter.grad
+            if slope is None:
+                continue
+            mean.lerp_(slope, 1 - self.betas[0])
+            square.mul_(self.betas[1]).addcmul_(slope, slope, value=1 - self.betas[1])
+            # The gradient's memory is done with, so the denominator takes its place.
+            denominator = torch.sqrt(square, out=slope).div_(square_bias**0.5).add_(self.epsilon)
+            parameter.addcdiv_(mean, denominator, value=-learning_rate / mean_bias)
+        self.count = count
+        return loss
+
+    def state(self) -> dict:
+        """Return what the next step depends on besides the parameters."""
+        return {"means": self.means, "squares": self.squares, "count": self.count}
+
+    def load(self, state: dict) -> None:
+        """Take over a state that :meth:`state` returned."""
+        for have, given in zip((*self.means, *self.squares), (*state["means"], *state["squares"]), strict=True):
+            have.copy_(given)
+        self.count = state["count"]
+
+
+class LBFGS:
+    """L-BFGS with a strong-Wolfe line search, one iteration a step; it chooses its own step length.
+
+    torch's solver forgets a step whose y·s is below 1e-10. The mean over a million pixels makes it that small, so the
+    solver is given the sum, and the caller the mean again.
+
+    Parameters
+    ----------
+    parameters : sequence of torch.Tensor
+        Leaf tensors that require grad.
+    """
+
+    def __init__(self, parameters: Sequence[torch.Tensor]):
+        self.parameters = list(parameters)
+        self.pixels = sum(parameter.numel() for parameter in self.parameters)
+        self.solver = torch.optim.LBFGS(
+            self.parameters,
+            lr=1,
+            max_iter=1,
+            # By default one evaluation per iteration: a first trial that overshoots would be given up for no step at
+            # all, again and again.
+            max_eval=25,
+            tolerance_grad=0,
+            tolerance_change=0,
+            line_search_fn="strong_wolfe",
+        )
+
+    def step(self, gradient: Callable[[], torch.Tensor], learning_rate: float) -> torch.Tensor:
+        """Take one step and return the loss before it; the learning rate does not matter."""
+
+        def summed():
+            loss = gradient()
+            for parameter in self.parameters:
+                parameter.grad.mul_(self.pixels)
+            return self.pixels * loss
+
+        return self.solver.step(summed).detach() / self.pixels
+
+    def state(self) -> dict:
+        """Return what the next step depends on besides the parameters."""
+        return self.solver.state_dict()
+
+    def load(self, state: dict) -> None:
+        """Take over a state that :meth:`state` returned, but not how many evaluations a step may take."""
+        settings = [
+            {key: value for key, value in group.items() if key != "params"} for group in self.solver.param_groups
+        ]
+        self.solver.load_state_dict(state)
+        for group, own in zip(self.solver.param_groups, settings, strict=True):
+            group.update(own)

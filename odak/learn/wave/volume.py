@@ -1,24 +1,141 @@
-"""The planes of a volume in front of a modulator, and the light that gets to them."""
+"""Transfer functions from a modulator to the planes of a volume, and the module that all displays derive from."""
 
 from collections.abc import Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
 from odak import _array, _validate
 from odak.learn._tensors import tensor
-from odak.learn.wave.light_path import LightPath, fill, stack, suited_method
-from odak.learn.wave.masks import disc
-from odak.learn.wave.spectral import convolve
-from odak.learn.wave.training import fingerprint
+from odak.learn.wave.convolution import convolve
+from odak.learn.wave.linear_kernels import WITH_TRANSFER_FUNCTION, linear_kernel, linear_method
+from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
-from odak.wave.methods import spread
+from odak.wave.methods import method_named, spread
 from odak.wave.propagation import sample_counts
+from odak.wave.transfer_functions import Request
+
+PROPAGATOR_TYPES = ("forward", "back and forth")
+
+
+@dataclass(frozen=True)
+class LightPath:
+    """Geometry that the transfer functions from the modulator to the planes have in common.
+
+    Attributes
+    ----------
+    pitch : float
+        Sample pitch on the modulator in metres.
+    propagation_type : str
+        Name of a method that has a transfer function.
+    relayed : bool
+        The net distance is the difference of a way to a relay and back. Its kernel is then never sampled as an impulse
+        response, which net distances of millimetres do not allow.
+    scale : int
+        Samples per pitch along each axis (impulse-response methods).
+    samples : tuple of int
+        Points across the source and target apertures of the impulse responses.
+    linear : bool
+        Transfer functions of linear convolution on grids of twice the field's size, see
+        :mod:`odak.learn.wave.linear_kernels`.
+    pixel_fill : float, optional
+        Share of a square pixel's area that emits; None for point samples.
+    """
+
+    pitch: float
+    propagation_type: str
+    relayed: bool
+    scale: int
+    samples: tuple[int, int, int, int]
+    linear: bool
+    pixel_fill: float | None = None
+
+    def kernel(self, shape: Any, wavelength, distance, device, dtype, cutoff: float | None = None) -> torch.Tensor:
+        """Return the transfer function of one plane and colour, ``[rows, columns]`` in FFT order.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            Rows and columns of the padded grid.
+        wavelength : float or torch.Tensor
+            In metres; the result is differentiable in a tensor.
+        distance : float or torch.Tensor
+            In metres; the result is differentiable in a tensor.
+        device : torch.device
+            Device of the result.
+        dtype : torch.dtype
+            complex64 or complex128.
+        cutoff : float, optional
+            Radius of a round stop in cycles per metre; open by default.
+        """
+        sampled_response = method_named(self.propagation_type).scalable
+        name, pitch, scale = self.propagation_type, self.pitch, self.scale
+        if sampled_response and self.relayed:
+            name, pitch, scale = "Transfer Function Fresnel", self.pitch / self.scale, 1
+        request = Request(pitch, wavelength, distance, scale=scale, samples=self.samples)
+        grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
+        if name == "Transfer Function Fresnel" or not sampled_response:
+            if self.linear:
+                kernel = linear_kernel(name, cutoff, self.pixel_fill)(grid)
+                return kernel * self._averaging(grid) if sampled_response else kernel
+            kernel = method_named(name).kernel(grid)  # type: ignore[misc]
+            kernel = kernel * self._averaging(grid) if sampled_response else kernel
+        else:
+            kernel = method_named(name).kernel(grid)  # type: ignore[misc]
+        return kernel if cutoff is None else kernel * disc_of_frequencies(shape, pitch / scale, cutoff).to(device)
+
+    def _averaging(self, grid) -> torch.Tensor:
+        """Return the spectrum of the averages over source and target apertures, for scale² samples per pixel."""
+        factors = []
+        for axis, n in enumerate(grid.shape):
+            frequency = torch.fft.fftfreq(n, 1 / n, dtype=torch.float64, device=grid.device) / (
+                n * grid.pitch[axis]
+            ).reshape(())
+            factor = torch.full_like(frequency, self.scale)
+            for count, extent in ((self.samples[axis], self.pitch), (self.samples[2 + axis], self.pitch / self.scale)):
+                if count > 1:
+                    points = torch.linspace(-0.5, 0.5, count, dtype=torch.float64, device=grid.device) * extent
+                    factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
+            factors.append(factor)
+        return (factors[0][:, None] * factors[1]).to(grid.dtype)
+
+
+def plane_distances(distances, volume_depth: float, count: int, offset: float) -> torch.Tensor:
+    """Return the distances given, or those of `count` planes that divide a volume evenly about its centre.
+
+    Parameters
+    ----------
+    distances : torch.Tensor or sequence of float, optional
+        Distances in metres.
+    volume_depth : float
+        Distance from the first plane to the last.
+    count : int
+        Number of planes.
+    offset : float
+        Distance of the volume's centre, where a single plane lies.
+
+    Returns
+    -------
+    torch.Tensor
+        float64 ``[planes]``.
+    """
+    if distances is not None:
+        given = tensor("distances", distances, torch.float64).reshape(-1)
+        _validate.real("distances", given)
+        if not len(given):
+            raise ValueError("distances must hold at least one distance, got none")
+        return given
+    _validate.real("volume_depth", volume_depth)
+    _validate.real("image_location_offset", offset)
+    half = volume_depth / 2 if count > 1 else 0.0
+    return torch.linspace(-half, half, count, dtype=torch.float64) + offset
 
 
 class display_volume(torch.nn.Module):
-    """Planes and colours that a field on a modulator is propagated to; the ground of every display model.
+    """Propagation of a field on a modulator to the planes of a volume in several colours; base of all displays.
 
     Parameters
     ----------
@@ -29,13 +146,14 @@ class display_volume(torch.nn.Module):
     pixel_pitch : float
         Pixel pitch in metres.
     distances : torch.Tensor
-        Distances of the D planes in metres, see :func:`odak.learn.wave.light_path.plane_distances`.
+        Distances of the D planes in metres, see :func:`odak.learn.wave.volume.plane_distances`.
     propagation_type : str
-        A propagation type that has a transfer function, or "auto".
+        A propagation type, see :func:`odak.learn.wave.propagate_beam`, or "auto"; not "custom".
     relay : float, optional
-        Distance in metres of a relay that light goes to and comes back from.
+        Distance in metres of a relay, to which light propagates and back. What both ways have in common cancels, so
+        that only the net distance is left.
     offset : float
-        With a relay, the distance that is imaged onto the modulator.
+        With a relay, the distance that is imaged onto the modulator, in metres.
     resolution_factor : int
         Samples s per pixel along each axis, for the impulse-response methods; 1 for the others.
     samples_per_pixel : int
@@ -43,7 +161,12 @@ class display_volume(torch.nn.Module):
     aperture_samples : sequence of int
         Points across source and target apertures of the impulse-response methods.
     padding : int
-        Factor from the field's size to that of the grid on which light is propagated.
+        Factor from the field's size to that of the grid on which it is propagated.
+    linear : bool
+        With a padding of two, use transfer functions of linear convolution, so that nothing wraps around.
+    pixel_fill : float, optional
+        Share of a square pixel's area that emits, whose spectrum multiplies the transfer functions; fields are point
+        samples by default.
     vaccination : bool
         Add an error to the distances, drawn anew on each call.
     vaccination_scale : float
@@ -72,6 +195,8 @@ class display_volume(torch.nn.Module):
         samples_per_pixel: int = 1,
         aperture_samples: Sequence[int] = (20, 20, 5, 5),
         padding: int = 2,
+        linear: bool = True,
+        pixel_fill: float | None = None,
         vaccination: bool = False,
         vaccination_scale: float = 0.0,
         seed: int | None = None,
@@ -87,30 +212,45 @@ class display_volume(torch.nn.Module):
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
         self.vaccination = _validate.flag("vaccination", vaccination)
         self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
-        self._generator = None
-        if seed is not None:
-            self._generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+        self._generator = None if seed is None else generator_from(seed)
         # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad hang on.
         self._distances, self._relay = distances, relay
         shape, pitch = tuple(n * samples_per_pixel for n in self.resolution), self.pixel_pitch / samples_per_pixel
-        self.propagation_type = suited_method(
+        self.propagation_type = linear_method(
             propagation_type,
             shape,
             pitch,
             _validate.numbers(self.wavelengths),
             _validate.numbers(self._net_distances()),
+            relayed=relay is not None,
         )
         factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
-        self.resolution_factor = factor if "Impulse Response" in self.propagation_type else 1
+        self.resolution_factor = factor if method_named(self.propagation_type).scalable else 1
         self.aperture_samples = sample_counts(aperture_samples, "aperture_samples")
-        self._path = LightPath(pitch, self.propagation_type, relay, self.resolution_factor, self.aperture_samples)
+        self._path = LightPath(
+            pitch,
+            self.propagation_type,
+            relay is not None,
+            self.resolution_factor,
+            self.aperture_samples,
+            linear and padding == 2,
+            pixel_fill,
+        )
         self.field_shape = tuple(n * self.resolution_factor for n in shape)
         self.padded_shape = tuple(padding * n for n in self.field_shape)
+        self._has_kernels = self.propagation_type in WITH_TRANSFER_FUNCTION
         self.init_kernels()
 
     def init_kernels(self) -> None:
         """Forget the transfer functions; they are built again when they are needed."""
         self._transfer = self._kernels = None
+
+    def __setattr__(self, name, value):
+        super().__setattr__(name, value)
+        if name == "aperture":
+            # A mask in place of the stop that was set.
+            self._stop, self._cutoffs = "mask", [None] * self.number_of_channels
+            self.init_kernels()
 
     def _apply(self, function, recurse: bool = True):
         self.init_kernels()
@@ -126,33 +266,73 @@ class display_volume(torch.nn.Module):
         """Distances of the planes in metres, float64 ``[D]``."""
         return self._distances.to(self.device)
 
+    def generator(self) -> torch.Generator | None:
+        """Return what the errors of the distances are drawn from; None where there are no errors."""
+        if self.vaccination and self._generator is None:
+            self._generator = generator_from(None)
+        return self._generator if self.vaccination else None
+
     def _net_distances(self) -> torch.Tensor:
         return self._distances if self._relay is None else self._distances - self.image_location_offset
 
-    def set_aperture(self, aperture: torch.Tensor | None = None, aperture_size: float | None = None) -> None:
-        """Set the mask in the Fourier plane.
+    def set_aperture(
+        self,
+        aperture: torch.Tensor | None = None,
+        aperture_size: float | None = None,
+        *,
+        iris_radius: float | None = None,
+        iris_focal_length: float | None = None,
+    ) -> None:
+        """Set the stop in the Fourier plane; without arguments it is open.
 
         Parameters
         ----------
         aperture : torch.Tensor, optional
-            ``[m, n]``, surrounded by zeros, or ``[2ms, 2ns]``; the centre is zero frequency.
+            Mask ``[m, n]``, surrounded by zeros, or ``[2ms, 2ns]``; the centre is zero frequency. It multiplies the
+            sampled transfer functions.
         aperture_size : float, optional
-            Without a mask: radius of a circular one in samples of the padded spectrum, max(m, n)·s by default.
+            Without a mask: radius of a round stop in samples of the padded spectrum along its longer axis, the same
+            cut-off in cycles per metre in all directions and colours.
+        iris_radius : float, optional
+            Radius in metres of an iris in the focal plane of a lens. Its cut-off is iris_radius/(λ·iris_focal_length).
+        iris_focal_length : float, optional
+            Focal length of that lens in metres.
 
         Raises
         ------
         ValueError, TypeError
-            If the mask does not fit or the radius is not positive.
+            If the mask does not fit, a length is not positive, or an iris is given beside another stop.
         """
         padded = self.padded_shape
         device = self.aperture.device if "aperture" in self._buffers else None
-        radius = max(padded) / 2 if aperture_size is None else aperture_size
-        _validate.real("aperture_size", radius, positive=True)
-        aperture = disc(padded, radius) if aperture is None else tensor("aperture", aperture)
-        _validate.image("aperture", aperture)
-        if any(have > want for have, want in zip(aperture.shape[-2:], padded, strict=True)):
-            raise ValueError(f"aperture must fit the padded grid {padded}, got {tuple(aperture.shape)}")
-        aperture = zero_pad(aperture, padded).reshape(padded)
+        if (iris_radius is None) != (iris_focal_length is None):
+            raise ValueError("iris_radius and iris_focal_length must be given together")
+        if iris_radius is not None and not (aperture is None and aperture_size is None):
+            raise ValueError("iris_radius excludes aperture and aperture_size, got more than one of them")
+        if aperture_size is not None:
+            _validate.real("aperture_size", aperture_size, positive=True)
+        self._cutoffs = [None] * self.number_of_channels
+        self._stop, pitch = "open", self._path.pitch / self.resolution_factor
+        if aperture is not None:
+            self._stop = "mask"
+            aperture = _validate.image("aperture", tensor("aperture", aperture))
+            if any(have > want for have, want in zip(aperture.shape[-2:], padded, strict=True)):
+                raise ValueError(f"aperture must fit the padded grid {padded}, got {tuple(aperture.shape)}")
+            aperture = zero_pad(aperture, padded).reshape(padded)
+        elif aperture_size is not None:
+            self._stop = "round"
+            radius = aperture_size / (max(padded) * pitch)
+            self._cutoffs = [float(radius)] * self.number_of_channels
+            aperture = torch.fft.fftshift(disc_of_frequencies(padded, pitch, radius))
+        elif iris_radius is not None:
+            self._stop = "round"
+            radius = _validate.real("iris_radius", iris_radius, positive=True)
+            focal = _validate.real("iris_focal_length", iris_focal_length, positive=True)
+            self._cutoffs = [float(radius / (w * focal)) for w in _validate.numbers(self.wavelengths)]
+            masks = [torch.fft.fftshift(disc_of_frequencies(padded, pitch, cutoff)) for cutoff in self._cutoffs]
+            aperture = masks[0] if len(masks) == 1 else torch.stack(masks)
+        else:
+            aperture = torch.ones(padded)
         self.register_buffer("aperture", aperture.to(device), persistent=False)
         self.init_kernels()
 
@@ -164,10 +344,9 @@ class display_volume(torch.nn.Module):
         """
         if self._kernels is not None:
             return self._kernels
+        self._need_kernels()
         with nullcontext() if self._is_traced(self._distances) else torch.inference_mode(False):
-            kernels = stack(
-                self._path, self.padded_shape, self.wavelengths, self._net_distances(), self.device, torch.complex64
-            )
+            kernels = self._stacked(self._net_distances(), torch.complex64, [None] * self.number_of_channels)
             kernels = torch.fft.fftshift(kernels, dim=(-2, -1))
         if self._may_keep(torch.complex64) and not self._is_traced(self._distances):
             self._kernels = kernels
@@ -202,22 +381,58 @@ class display_volume(torch.nn.Module):
             than the memory budget, where the distances are drawn on each call, or where gradients are asked of them.
         """
         checked_slice("planes", planes)
+        self._need_kernels()
         if dtype not in (torch.complex64, torch.complex128):
             raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype!r:.80}")
-        distances = self._net_distances()
-        if self.vaccination:
-            error = torch.randn(distances.shape, generator=self._generator, dtype=torch.float64)
-            distances = distances + self.vaccination_scale * error
+        distances = self._drawn_distances()
         if self._is_traced(distances):
-            kernels = stack(self._path, self.padded_shape, self.wavelengths, distances[planes], self.device, dtype)
-            return torch.fft.ifftshift(self.aperture) * kernels
+            return self._masked(self._stacked(distances[planes], dtype, self._cutoffs))
         if self.vaccination or not self._may_keep(dtype):
             return self._fill(self._empty(len(distances[planes]), dtype), distances[planes])
         return self._kept(planes, distances, dtype)
 
+    def _stacked(self, distances, dtype, cutoffs) -> torch.Tensor:
+        """Return transfer functions ``[planes, C, 2ms, 2ns]`` that are differentiable in distances and wavelengths."""
+        shape, pairs = self.padded_shape, list(zip(self.wavelengths, cutoffs, strict=True))
+        return torch.stack(
+            [
+                torch.stack([self._path.kernel(shape, w, distance, self.device, dtype, cut) for w, cut in pairs])
+                for distance in distances
+            ]
+        )
+
+    def _masked(self, kernels):
+        return kernels * torch.fft.ifftshift(self.aperture) if self._stop == "mask" else kernels
+
+    def _need_kernels(self):
+        if not self._has_kernels:
+            raise ValueError(f"propagation_type {self.propagation_type!r} has no transfer function to return")
+
+    def _drawn_distances(self):
+        distances = self._net_distances()
+        if self.vaccination:
+            error = torch.randn(distances.shape, generator=self.generator(), dtype=torch.float64)
+            distances = distances + self.vaccination_scale * error.to(distances.device)
+        return distances
+
+    def _propagated_without_kernels(self, field, planes: slice, wavelengths):
+        """Return ``field [..., 1, C, m, n]`` propagated to some planes by a method that has no transfer function."""
+        result = propagate_beam(
+            field,
+            None,
+            self._drawn_distances()[planes][:, None],
+            self._path.pitch,
+            wavelengths,
+            self.propagation_type,
+            aperture=1.0 if self._stop == "open" else self.aperture,
+        )
+        return _array.to_complex(result)
+
     def fingerprint(self) -> str:
         """Return a short text that a display of other lengths, planes, colours or another aperture does not have."""
         lengths = [self.wavelengths, self.pixel_pitch, self.distances, self.image_location_offset, self._relay or 0.0]
+        lengths += [cutoff for cutoff in self._cutoffs if cutoff is not None]
+        lengths += [] if self._path.pixel_fill is None else [self._path.pixel_fill]
         numbers = [number for length in lengths for number in _validate.numbers(length)]
         name = torch.tensor(list(self.propagation_type.encode()))
         return fingerprint(torch.tensor(numbers, dtype=torch.float64), name, self.aperture)
@@ -250,8 +465,13 @@ class display_volume(torch.nn.Module):
 
     def _fill(self, kernels, distances) -> torch.Tensor:
         with torch.inference_mode(False), torch.no_grad():
-            fill(kernels, self._path, *map(_validate.numbers, (self.wavelengths, distances)))
-            return kernels.mul_(torch.fft.ifftshift(self.aperture))
+            colours = list(zip(_validate.numbers(self.wavelengths), self._cutoffs, strict=True))
+            for plane, distance in enumerate(_validate.numbers(distances)):
+                for colour, (wavelength, cutoff) in enumerate(colours):
+                    kernels[plane, colour] = self._path.kernel(
+                        self.padded_shape, wavelength, distance, kernels.device, kernels.dtype, cutoff
+                    )
+            return kernels.mul_(torch.fft.ifftshift(self.aperture)) if self._stop == "mask" else kernels
 
     def forward(
         self,
@@ -284,6 +504,10 @@ class display_volume(torch.nn.Module):
         field = self._on_grid(input_field)
         colour = index("channel_id", channel_id, self.number_of_channels)
         plane = index("depth_id", depth_id, self.number_of_depth_layers)
+        if not self._has_kernels:
+            planes = slice(plane, plane + 1)
+            field = field[..., None, None, :, :]
+            return self._propagated_without_kernels(field, planes, self.wavelengths[colour])[..., 0, 0, :, :]
         size = self.padded_shape
         if zero_padding_size is not None:
             size = _validate.size("zero_padding_size", zero_padding_size)
@@ -291,11 +515,16 @@ class display_volume(torch.nn.Module):
             return convolve(field, self.transfer(slice(plane, plane + 1), field.dtype)[0, colour])
         if any(pad < n for pad, n in zip(size, self.field_shape, strict=True)):
             raise ValueError(f"zero_padding_size must be at least the field's {self.field_shape}, got {size}")
-        kernel = self._path.kernel(
-            size, self.wavelengths[colour], self._net_distances()[plane], self.device, field.dtype
-        )
-        aperture = torch.nn.functional.interpolate(self.aperture[None, None], size)[0, 0]
-        return convolve(field, kernel * torch.fft.ifftshift(aperture))
+        # The window of linear kernels is half of any padded size.
+        path = replace(self._path, linear=False)
+        kernel = path.kernel(
+            size, self.wavelengths[colour], self._net_distances()[plane], self.device, field.dtype,
+            self._cutoffs[colour],
+        )  # fmt: skip
+        if self._stop == "mask":
+            mask = torch.nn.functional.interpolate(self.aperture[None, None], size)[0, 0]
+            kernel = kernel * torch.fft.ifftshift(mask)
+        return convolve(field, kernel)
 
     def propagate(self, field: torch.Tensor, H: torch.Tensor) -> torch.Tensor:
         """Return a field filtered by a transfer function ``[2ms, 2ns]`` (centred) and the aperture."""
@@ -350,3 +579,27 @@ def _checked_wavelengths(wavelengths) -> list:
     if not listed:
         raise ValueError("wavelengths must hold at least one wavelength, got none")
     return [value if _array.is_traced(value) else float(value) for value in listed]
+
+
+def disc(shape: Sequence[int], radius: float, offset: Sequence[float] = (0.0, 0.0)) -> torch.Tensor:
+    """Return ones closer than `radius` to a point, zeros elsewhere, float32 ``[rows, columns]``.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    radius : float
+        In samples.
+    offset : tuple of float
+        Distance of the point from sample n // 2 of each axis.
+    """
+    rows, columns = (
+        torch.arange(n, dtype=torch.float64) - n // 2 - shift for n, shift in zip(shape, offset, strict=True)
+    )
+    return (rows[:, None] ** 2 + columns**2 < radius**2).float()
+
+
+def disc_of_frequencies(shape: Sequence[int], pitch: float, cutoff: float) -> torch.Tensor:
+    """Return ones at frequencies up to a cut-off in cycles per metre, float32 ``[rows, columns]`` in FFT order."""
+    rows, columns = (torch.fft.fftfreq(n, pitch, dtype=torch.float64) for n in shape)
+    return (rows[:, None] ** 2 + columns**2 <= cutoff**2).float()

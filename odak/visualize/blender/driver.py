@@ -113,6 +113,11 @@ def add_object(scene, entry, arrays):
     if not hasattr(shape, "polygons") or len(shape.polygons) > MOST_SAMPLED:
         do_not_sample(material)
     shape.materials.append(material)
+    if entry.get("ground") and hasattr(shape, "polygons"):
+        shape.materials.append(ground_glass())
+        count = len(shape.polygons)
+        kept = count - entry["ground"]
+        shape.polygons.foreach_set("material_index", array.array("i", [0] * kept + [1] * (count - kept)))
     thing = bpy.data.objects.new(entry["name"], shape)
     thing.location, thing.scale = entry["location"], entry["scale"]
     thing.rotation_euler = [math.radians(angle) for angle in entry["rotation"]]
@@ -242,6 +247,18 @@ def make_material(entry, image):
     return material
 
 
+def ground_glass():
+    """Return the matt material of the ground edge of a lens."""
+    material = bpy.data.materials.new("ground edge")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    surface, output = nodes.new("ShaderNodeBsdfDiffuse"), nodes.new("ShaderNodeOutputMaterial")
+    surface.inputs["Color"].default_value = (0.55, 0.58, 0.6, 1.0)
+    links.new(surface.outputs[0], output.inputs["Surface"])
+    return material
+
+
 def place(thing, entry):
     """Put a camera or a light to its place: both look along their own −z."""
     right, up, behind = entry["axes"]
@@ -283,17 +300,37 @@ def add_light(scene, name, entry, metres):
     else:
         light.angle = 0.0
     thing = bpy.data.objects.new(name, light)
+    thing.visible_camera = entry.get("visible", True)
     place(thing, entry)
     scene.collection.objects.link(thing)
 
 
 def set_background(scene, entry):
-    """Set what surrounds everything."""
+    """Set the environment: one colour, or a gradient of greys along a direction."""
     world = bpy.data.worlds.new("background")
     world.use_nodes = True
     node = next(node for node in world.node_tree.nodes if node.type == "BACKGROUND")
     node.inputs["Color"].default_value = (*entry["color"], 1.0)
     node.inputs["Strength"].default_value = entry["strength"]
+    if entry.get("gradient"):
+        nodes, links = world.node_tree.nodes, world.node_tree.links
+        where, along, share, ramp = (
+            nodes.new(name)
+            for name in ("ShaderNodeTexCoord", "ShaderNodeVectorMath", "ShaderNodeMapRange", "ShaderNodeValToRGB")
+        )
+        along.operation = "DOT_PRODUCT"
+        along.inputs[1].default_value = entry["gradient"]["up"]
+        share.inputs["From Min"].default_value = -1.0
+        links.new(where.outputs["Generated"], along.inputs[0])
+        links.new(along.outputs["Value"], share.inputs["Value"])
+        links.new(share.outputs[0], ramp.inputs["Fac"])
+        stops = entry["gradient"]["stops"]
+        elements = ramp.color_ramp.elements
+        while len(elements) < len(stops):
+            elements.new(1.0)
+        for element, (sine, grey) in zip(elements, stops):  # noqa: B905 (Python of Blender 3.4)
+            element.position, element.color = (sine + 1) / 2, (grey, grey, grey, 1.0)
+        links.new(ramp.outputs["Color"], node.inputs["Color"])
     scene.world = world
 
 

@@ -1,4 +1,4 @@
-"""What a scene holds: objects, a camera and lights, as plain data."""
+"""Objects, cameras and lights of a scene, as plain data."""
 
 import math
 from collections.abc import Iterable
@@ -9,8 +9,8 @@ import numpy as np
 from odak import _validate
 from odak.tools.transformation import rotation_matrix
 from odak.visualize._arrays import real_array
-from odak.visualize.blender.materials import Material
 from odak.visualize.blender.meshes import Mesh
+from odak.visualize.blender.render_materials import Material
 
 PROJECTIONS = ("perspective", "orthographic")
 LIGHTS = ("point", "area", "sun")
@@ -39,9 +39,11 @@ class Item:
         Of an object of rods: start, end and radius, float32 ``[m, 2, 4]``. A Blender that has curves draws these in
         place of the triangles, far faster.
     smooth : bool
-        Whether faces are to look curved.
+        True if faces are shaded as curved.
+    ground : int
+        Number of faces, the last ones, that are matt in place of the material, as the ground edge of a lens.
     shadow : bool
-        Whether it keeps light from what is behind it.
+        True if it casts shadows.
     location, rotation, scale : list of float
         Where it stands: degrees about X, then Y, then Z, after scaling along its own axes.
     """
@@ -56,6 +58,7 @@ class Item:
     image: np.ndarray | None = None
     rods: np.ndarray | None = None
     smooth: bool = False
+    ground: int = 0
     shadow: bool = True
     location: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
     rotation: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
@@ -174,7 +177,9 @@ class Light:
     size : float
         Diameter of a point, edge of an area, in the scene's unit.
     color : list of float
-        Linear light.
+        Linear RGB.
+    visible : bool
+        True if the camera sees it directly; reflections show it in any case.
     """
 
     kind: str
@@ -183,6 +188,7 @@ class Light:
     power: float
     size: float
     color: list[float]
+    visible: bool = True
 
 
 def three(name: str, value) -> list[float]:

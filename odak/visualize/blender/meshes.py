@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odak.raytracing.sag import even_asphere_sag
+from odak.raytracing.surfaces import even_asphere_sag
 
 
 class Mesh(NamedTuple):

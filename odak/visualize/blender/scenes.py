@@ -1,6 +1,7 @@
-"""A scene as plain data, and its renders."""
+"""Scenes as plain data: objects, camera, lights and background, and their renders."""
 
 import dataclasses
+import math
 import os
 from collections.abc import Sequence
 from typing import Any
@@ -10,16 +11,251 @@ import numpy as np
 from odak import _validate
 from odak.catalog.materials import MICROMETRES
 from odak.tools.file import validate_path
-from odak.visualize.blender import runner, scene_files
-from odak.visualize.blender.items import Camera, Item, Light
-from odak.visualize.blender.lenses import Lenses
-from odak.visualize.blender.lines import Lines
-from odak.visualize.blender.materials import D_LINE, Material, chosen
+from odak.visualize.blender import process
+from odak.visualize.blender.items import LIGHTS, PROJECTIONS, Camera, Item, Light, aim, pair, positive, three
+from odak.visualize.blender.lens_shapes import Lenses
 from odak.visualize.blender.meshes import Mesh
-from odak.visualize.blender.shapes import Shapes
-from odak.visualize.blender.views import Views
+from odak.visualize.blender.render_materials import D_LINE, Material, chosen, linear_color
+from odak.visualize.blender.shapes import Lines, Shapes
 
 __all__ = ["scene"]
+
+# Where a camera stands that was not told: in front, to the right and above, with the optical axis (z) in view.
+DEFAULT_LOOK = (0.75, 0.4, -0.65)
+# Pixel value that a light of default power adds to a white matt surface; the default background adds the rest.
+LIT = 0.75
+# Studio of scenes without lights and background: greys of the surroundings over the sine of the elevation, dark below
+# and bright above, which glass inverts and mirrors show; and lights, each with its direction (right, up, backwards) and
+# distance in radii of the scene, its edge in radii, and the pixel value that it adds to a white surface facing it.
+STUDIO_GREYS = ((-1.0, 0.04), (-0.3, 0.16), (0.0, 0.42), (0.3, 0.8), (1.0, 0.95))
+STUDIO_LIGHTS = (((-0.7, 0.8, 1.0), 5.0, 3.0, 0.55), ((1.0, 0.35, -0.9), 5.0, 2.0, 0.35))
+
+
+class Views:
+    """The part of a scene that adds cameras and lights."""
+
+    # What the scene has that this is a part of.
+    metres: float
+    resolution: tuple[int, int]
+    camera: Camera | None
+    lights: list[Light]
+    objects: list
+    background: dict | None
+
+    def add_camera(
+        self,
+        location: Sequence[float] | None = None,
+        target: Sequence[float] | None = None,
+        *,
+        up: Sequence[float] | None = None,
+        fov: float = 40.0,
+        projection: str = "perspective",
+        width: float | None = None,
+        clip: Sequence[float] | None = None,
+    ) -> Camera:
+        """Set the camera; a second call replaces it.
+
+        Parameters
+        ----------
+        location : sequence of float, optional
+            Where it stands. By default obliquely in front of `target`, far enough away to see all objects.
+        target : sequence of float, optional
+            What it looks at; by default the middle of all objects.
+        up : sequence of float, optional
+            Which way is up in the picture; by default y, or z for a look along y.
+        fov : float
+            Of a perspective camera: full angle across the picture's width, in degrees.
+        projection : str
+            "perspective" or "orthographic".
+        width : float, optional
+            Of an orthographic camera: what the picture shows across its width; by default enough for all objects.
+        clip : sequence of float, optional
+            Nearest and farthest distance that it sees; by default wide enough for all objects.
+
+        Returns
+        -------
+        Camera
+            The camera, which says where points appear (:meth:`Camera.project`) and what it sees (:meth:`Camera.rays`).
+
+        Raises
+        ------
+        ValueError
+            If a number is out of range, or location and target are the same.
+        """
+        self.camera = self._camera(self.resolution, location, target, up, fov, projection, width, clip)
+        return self.camera
+
+    def add_light(
+        self,
+        location: Sequence[float],
+        target: Sequence[float] = (0.0, 0.0, 0.0),
+        *,
+        kind: str = "point",
+        power: float | None = None,
+        size: float | None = None,
+        color="white",
+        visible: bool = True,
+    ) -> Light:
+        """Add a light.
+
+        Parameters
+        ----------
+        location : sequence of float
+            Where it stands. From a sun light comes in this direction, from infinitely far away.
+        target : sequence of float
+            What it shines at.
+        kind : str
+            "point", "area" (a square that shines forwards) or "sun".
+        power : float, optional
+            Watts, of a sun watts per square metre. By default as much as brings a white matt surface at the target that
+            faces the light to 3/4 of white; the default background adds the rest.
+        size : float, optional
+            Diameter of a point, edge of an area; by default a twentieth of its distance from the target.
+        color : str or sequence of float
+            A name or "#rrggbb" as in web pages, or red, green, blue from 0 to 1.
+        visible : bool
+            Let the camera see it directly; reflections show it in any case.
+
+        Returns
+        -------
+        Light
+            The light.
+
+        Raises
+        ------
+        ValueError
+            If a number is out of range, or location and target are the same.
+
+        Notes
+        -----
+        A white matt surface under an irradiance of E watts per square metre has the pixel value E/π. A point of power P
+        gives E = P/(4πd²) at the distance d, a small area P/(πd²) straight ahead.
+        """
+        kind, visible = _validate.one_of("kind", kind, LIGHTS), _validate.flag("visible", visible)
+        location, target = three("location", location), three("target", target)
+        axes = aim(location, target)
+        distance = math.dist(location, target)
+        if power is None:
+            irradiance, squared = LIT * math.pi, (distance * self.metres) ** 2
+            power = irradiance * {"point": 4 * math.pi * squared, "area": math.pi * squared, "sun": 1.0}[kind]
+        size = distance / 20 if size is None else float(_validate.real("size", size))
+        if size < 0:
+            raise ValueError(f"size must not be negative, got {size}")
+        self.lights.append(
+            Light(kind, location, axes, positive("power", power), size, list(linear_color(color)), visible)
+        )
+        return self.lights[-1]
+
+    def set_background(self, color="white", strength: float = 1.0) -> None:
+        """Set what surrounds everything and shines from all sides.
+
+        Parameters
+        ----------
+        color : str or sequence of float
+            As in :meth:`add_light`.
+        strength : float
+            How bright; 0 is darkness.
+        """
+        strength = float(_validate.real("strength", strength))
+        if strength < 0:
+            raise ValueError(f"strength must not be negative, got {strength}")
+        self.background = {"color": list(linear_color(color)), "strength": strength}
+
+    def project(self, points, resolution: Sequence[int] | None = None) -> np.ndarray:
+        """Return where points appear in the picture, as :meth:`Camera.project` has it.
+
+        Parameters
+        ----------
+        points : array
+            ``[..., 3]``.
+        resolution : sequence of int, optional
+            Rows and columns of the picture; by default the scene's.
+        """
+        size = self._resolution(resolution)
+        return self._view(size).project(points, size)
+
+    def camera_rays(self, resolution: Sequence[int] | None = None) -> np.ndarray:
+        """Return the rays that end in the pixels of the picture, for odak to trace: float64 ``[rows, columns, 2, 3]``.
+
+        Parameters
+        ----------
+        resolution : sequence of int, optional
+            Rows and columns of the picture; by default the scene's.
+        """
+        size = self._resolution(resolution)
+        return self._view(size).rays(size)
+
+    def _view(self, size) -> Camera:
+        return self._camera(size) if self.camera is None else self.camera
+
+    def _camera(
+        self, size, location=None, target=None, up=None, fov=40.0, projection="perspective", width=None, clip=None
+    ) -> Camera:
+        projection = _validate.one_of("projection", projection, PROJECTIONS)
+        fov = positive("fov", fov)
+        if fov >= 180:
+            raise ValueError(f"fov must be below 180 degrees, got {fov}")
+        points = self._extremes()
+        middle = (points.min(0) + points.max(0)) / 2 if len(points) else np.zeros(3)
+        target = middle.tolist() if target is None else three("target", target)
+        aside = np.add(target, DEFAULT_LOOK).tolist() if location is None else three("location", location)
+        axes = aim(aside, target, None if up is None else three("up", up))
+        distance, fitting = _fit(points - target, axes, fov, size)
+        location = np.add(target, np.multiply(distance, axes[2])).tolist() if location is None else aside
+        width = fitting if width is None else positive("width", width)
+        return Camera(location, axes, projection, fov, width, None if clip is None else _clip(clip))
+
+    def _resolution(self, resolution) -> tuple[int, int]:
+        return self.resolution if resolution is None else _validate.size("resolution", resolution)
+
+    def _extremes(self) -> np.ndarray:
+        """Return points between which all objects lie."""
+        return np.concatenate([np.zeros((0, 3)), *(item.extremes() for item in self.objects)])
+
+    def _reach(self, camera: Camera) -> list[float]:
+        """Return the nearest and the farthest distance that a camera has to see."""
+        if camera.clip is not None:
+            return camera.clip
+        reach = float(np.linalg.norm(self._extremes() - camera.location, axis=-1).max(initial=1e-3))
+        return [1e-4 * reach, 2 * reach]
+
+    def _lighting(self, camera: Camera) -> tuple[list[Light], dict]:
+        """Return lights and background: those of the scene, or of the studio if it has neither."""
+        if self.lights or self.background is not None:
+            grey = {"color": [1.0, 1.0, 1.0], "strength": 1 - LIT}
+            return list(self.lights), grey if self.background is None else self.background
+        points = self._extremes()
+        middle = (points.min(0) + points.max(0)) / 2
+        radius = float(np.linalg.norm(np.ptp(points, axis=0))) / 2 or 1.0
+        frame, lights = np.asarray(camera.axes), []
+        for direction, distance, edge, value in STUDIO_LIGHTS:
+            towards = np.asarray(direction) @ frame
+            location = middle + distance * radius * towards / np.linalg.norm(towards)
+            power = value * (math.pi * distance * radius * self.metres) ** 2
+            axes = aim(location.tolist(), middle.tolist())
+            lights.append(Light("area", location.tolist(), axes, power, edge * radius, [1.0, 1.0, 1.0], visible=False))
+        gradient = {"up": frame[1].tolist(), "stops": [list(stop) for stop in STUDIO_GREYS]}
+        return lights, {"color": [1.0, 1.0, 1.0], "strength": 1.0, "gradient": gradient}
+
+
+def _fit(points: np.ndarray, axes, fov: float, size) -> tuple[float, float]:
+    """Return how far away a perspective camera sees all points, and how wide an orthographic one must be.
+
+    Points are counted from what the camera looks at; both leave a margin of a twentieth.
+    """
+    rows, columns = size
+    seen = points @ np.asarray(axes).T
+    half = 1.05 * np.maximum(np.abs(seen[:, 0]), np.abs(seen[:, 1]) * columns / rows)
+    distance = (seen[:, 2] + half / math.tan(math.radians(fov) / 2)).max(initial=1e-3 * np.abs(seen).max(initial=0.0))
+    return float(distance) or 1.0, 2 * float(half.max(initial=0.0)) or 1.0
+
+
+def _clip(clip) -> list[float]:
+    near, far = (positive("clip", value) for value in pair("clip", clip))
+    if near >= far:
+        raise ValueError(f"clip must be the nearest and the farthest distance, got {list(clip)}")
+    return [near, far]
+
 
 # Blender makes no smaller pictures.
 SMALLEST = 4
@@ -53,8 +289,9 @@ class scene(Lines, Shapes, Lenses, Views):
     lights : list of Light
         Set by :meth:`add_light`.
     background : dict or None
-        Set by :meth:`set_background`. Until then it is grey, a quarter of white; and until a light is added as well,
-        a sun shines over the camera's left shoulder.
+        Set by :meth:`set_background`; by default a uniform grey, a quarter of white. A scene with neither lights nor
+        background is lit by a studio: surroundings that are dark below and bright above, in which glass and mirrors
+        are seen, a large light over the camera's left shoulder, and one behind the scene.
     metres : float
         Length of one unit.
     start_from : str or None
@@ -131,7 +368,7 @@ class scene(Lines, Shapes, Lenses, Views):
         resolution: Sequence[int] | None = None,
         samples: int | None = None,
         device: str | None = None,
-        denoise: bool = False,
+        denoise: bool | None = None,
         transparent: bool = False,
         seed: int = 0,
         blender: str | os.PathLike | None = None,
@@ -147,8 +384,8 @@ class scene(Lines, Shapes, Lenses, Views):
             returned.
         resolution, samples, device
             In place of the scene's.
-        denoise : bool
-            Remove noise with OpenImageDenoise, where this Blender has it.
+        denoise : bool, optional
+            Remove noise with OpenImageDenoise, where this Blender has it; by default only in scenes lit by the studio.
         transparent : bool
             Leave the background out: the picture has a fourth channel, which says how opaque it is.
         seed : int
@@ -180,13 +417,19 @@ class scene(Lines, Shapes, Lenses, Views):
         Without a camera, one is taken that sees all objects, as of :meth:`add_camera` without arguments. The file
         appears whole or not at all.
         """
+        self._check_not_empty()
         job = self._job("picture", resolution, samples, device, seed)
-        job |= {"denoise": bool(denoise), "transparent": bool(transparent)}
+        if denoise is None:
+            denoise = not (self.lights or self.background is not None or self.start_from)
+        job |= {
+            "denoise": _validate.flag("denoise", denoise),
+            "transparent": _validate.flag("transparent", transparent),
+        }
         if path is None:
-            pixels = runner.run_for_array(self._document(job), blender, timeout, verbose)
+            pixels = process.run_for_array(self._document(job), blender, timeout, verbose)
             return pixels if transparent else pixels[..., :3]
         path = validate_path(path, (".png", ".exr"))
-        return runner.run_for_file(self._document(job), path, blender, timeout, verbose)
+        return process.run_for_file(self._document(job), path, blender, timeout, verbose)
 
     def render_depth(
         self,
@@ -210,8 +453,9 @@ class scene(Lines, Shapes, Lenses, Views):
             float32 ``[rows, columns]`` in the scene's unit, along the camera's axis; infinite where nothing is.
             Glass counts as a surface.
         """
+        self._check_not_empty()
         job = self._job("depth", resolution, 1, device, 0)
-        pixels = runner.run_for_array(self._document(job), blender, timeout, verbose)
+        pixels = process.run_for_array(self._document(job), blender, timeout, verbose)
         return np.where(pixels[..., 3] > 0.5, pixels[..., 0], np.float32(np.inf))
 
     def save(
@@ -239,8 +483,8 @@ class scene(Lines, Shapes, Lenses, Views):
         path = validate_path(path, (".blend", ".json"))
         job = self._job("blend", None, None, None, 0)
         if path.endswith(".json"):
-            return scene_files.write(path, self._document(job))
-        return runner.run_for_file(self._document(job), path, blender, timeout, verbose)
+            return process.write_scene(path, self._document(job))
+        return process.run_for_file(self._document(job), path, blender, timeout, verbose)
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "scene":
@@ -252,7 +496,7 @@ class scene(Lines, Shapes, Lenses, Views):
             If the file is missing or malformed; the message names it.
         """
         path = validate_path(path, [".json"])
-        document = scene_files.read(path)
+        document = process.read_scene(path)
         try:
             return cls._from(document)
         except (TypeError, ValueError, KeyError, AttributeError, OverflowError) as error:
@@ -270,7 +514,7 @@ class scene(Lines, Shapes, Lenses, Views):
         )
         found.start_from, found.removed = document["start_from"], document["remove"]
         found.background = document["background"]
-        found.objects = [scene_files.item_from(entry) for entry in document["objects"]]
+        found.objects = [process.item_from(entry) for entry in document["objects"]]
         found.lights = [Light(**entry) for entry in document["lights"]]
         found.camera = None if document["camera"] is None else Camera(**document["camera"])
         return found
@@ -288,6 +532,10 @@ class scene(Lines, Shapes, Lenses, Views):
         self.objects.append(Item.of(free, mesh, made_of, **options))
         return self.objects[-1]
 
+    def _check_not_empty(self) -> None:
+        if not self.objects and not self.start_from:
+            raise ValueError("the scene is empty: add rays, meshes, surfaces or lenses before rendering it")
+
     def _job(self, what: str, resolution, samples, device, seed) -> dict:
         size = self._resolution(resolution)
         if min(size) < SMALLEST:
@@ -303,7 +551,7 @@ class scene(Lines, Shapes, Lenses, Views):
         }
 
     def _document(self, job: dict) -> dict:
-        """Return the scene as what :func:`odak.visualize.blender.scene_files.write` writes."""
+        """Return the scene as what :func:`odak.visualize.blender.process.write_scene` writes."""
         if self.start_from:
             camera, lights, background = self.camera, self.lights, self.background
         else:

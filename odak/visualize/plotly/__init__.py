@@ -2,14 +2,4 @@
 
 from odak._lazy import attach
 
-__getattr__, __dir__, __all__ = attach(
-    __name__,
-    {
-        "browser": ("BrowserNotFoundError", "close_browser", "find_browser"),
-        "fields": ("detectorshow", "plot2dshow"),
-        "plots": ("plotshow", "surfaceshow"),
-        "rays": ("rayshow",),
-        "show_field": ("field_show",),
-        "show_system": ("system_show",),
-    },
-)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -1,4 +1,4 @@
-"""Surfaces over a plane, and plots of values."""
+"""Figures of surfaces over a plane, of curves, and of images of values."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -8,21 +8,19 @@ import numpy as np
 from odak import _validate
 from odak._array import Array
 from odak.visualize._arrays import image, real_array
-from odak.visualize.plotly import _checks, _layout
-from odak.visualize.plotly._library import graph, make_subplots
-from odak.visualize.plotly._panels import MAXIMUM_SIDE, averaged, reduction
-from odak.visualize.plotly._picture import Picture
+from odak.visualize.plotly import figure_style, figures
+from odak.visualize.plotly.field_figures import MAXIMUM_SIDE, ORIGINS, averaged, reduction
+from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
 __all__ = ["plotshow", "surfaceshow"]
 
 MAXIMUM_SURFACE = 512
-ORIGINS = ("upper", "lower")
 _AXES = ("x", "y", "z")
 _MODES = {"lines", "markers", "text", "none"}
 
 
-class surfaceshow(Picture):
-    """Surfaces in one three-dimensional scene, coloured by height.
+class surfaceshow(Figure):
+    """Figure of surfaces in one three-dimensional scene, coloured by height.
 
     Parameters
     ----------
@@ -30,25 +28,29 @@ class surfaceshow(Picture):
         Title.
     shape : sequence of int
         Width and height in pixels.
-    labels, types, tick_no : sequence
-        Name, type ("linear", "log", …) and number of ticks of the x, y and z axes.
+    labels : sequence of str
+        Names of the x, y and z axes, with their units.
+    types : sequence of str
+        Types of the x, y and z axes: "linear", "log", "date", "category".
+    tick_no : sequence of int
+        Largest numbers of ticks of the x, y and z axes.
     font_size : int
         Size of all texts.
     margin : sequence of int
         Left, right, bottom, top, in pixels.
     camera : sequence of float
-        Where the camera stands, in units of the scene.
+        Position of the camera, in units of the scene.
     colorbarlength : float
-        Length of the colour bar over the height of the plot.
+        Length of the colour bar, as a fraction of the height of the plot.
 
     Examples
     --------
     >>> import numpy as np
     >>> from odak.visualize.plotly import surfaceshow
     >>> y, x = np.mgrid[-1:1:50j, -1:1:50j]
-    >>> picture = surfaceshow(title="Saddle", labels=["x (mm)", "y (mm)", "height (µm)"])
-    >>> picture.add_surface(x, y, x**2 - y**2)
-    >>> len(picture.fig.data)
+    >>> figure = surfaceshow(title="Saddle", labels=["x (mm)", "y (mm)", "height (µm)"])
+    >>> figure.add_surface(x, y, x**2 - y**2)
+    >>> len(figure.fig.data)
     1
     """
 
@@ -64,16 +66,16 @@ class surfaceshow(Picture):
         camera: Sequence[float] = (1.87, 0.88, -0.64),
         colorbarlength: float = 0.75,
     ):
-        shape, tick_no = _checks.numbers("shape", shape, 2, positive=True), _checks.numbers("tick_no", tick_no, 3)
-        labels, types = _checks.texts("labels", labels, 3), _checks.texts("types", types, 3)
+        shape, tick_no = figures.numbers("shape", shape, 2, positive=True), figures.numbers("tick_no", tick_no, 3)
+        labels, types = figures.texts("labels", labels, 3), figures.texts("types", types, 3)
         settings = {
-            "title": _checks.text("title", title),
-            "color scale": "Portland",
+            "title": figures.text("title", title),
+            "color scale": figure_style.HEIGHT_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
             "width": shape[0],
             "height": shape[1],
-            "margin": _checks.numbers("margin", margin, 4, least=0),
-            "camera": _checks.numbers("camera", camera, 3),
+            "margin": figures.numbers("margin", margin, 4, least=0),
+            "camera": figures.numbers("camera", camera, 3),
             "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
         }
         for i, axis in enumerate(_AXES):
@@ -98,16 +100,18 @@ class surfaceshow(Picture):
 
         Parameters
         ----------
-        data_x, data_y : array
-            Places ``[m, n]``, or ``[n]`` of the columns and ``[m]`` of the rows.
+        data_x : array
+            Abscissae ``[m, n]``, or ``[n]`` of the columns.
+        data_y : array
+            Ordinates ``[m, n]``, or ``[m]`` of the rows.
         data_z : array
-            Heights ``[m, n]``. Of more than 512 along a side every k-th is drawn; the picture says so.
+            Heights ``[m, n]``. Beyond 512 along a side every k-th is drawn, with a note in the figure.
         label : str
-            Name.
+            Name of the surface.
         mode : str
-            Of no effect; accepted for older calls.
+            Without effect; accepted for compatibility.
         opacity : float
-            From 0 to 1.
+            Opacity, from 0 to 1.
         contour : bool
             Draw lines of equal z.
 
@@ -121,9 +125,9 @@ class surfaceshow(Picture):
             self._say(f"every {factor}. point of {' × '.join(map(str, np.shape(data_z)))} drawn")
         trace = graph.Surface(
             **grid,
-            name=_checks.text("label", label),
+            name=figures.text("label", label),
             colorscale=self.settings["color scale"],
-            opacity=_checks.share("opacity", opacity),
+            opacity=figures.share("opacity", opacity),
             colorbar={"len": self.settings["colorbar length"], "title": {"text": self.settings["z label"]}},
             contours={"z": {"show": _validate.flag("contour", contour)}},
         )
@@ -143,8 +147,8 @@ class surfaceshow(Picture):
         super().update_layout()
 
 
-class plotshow(Picture):
-    """Plots of values, in rows and columns.
+class plotshow(Figure):
+    """Figure of curves and images of values, in rows and columns.
 
     Parameters
     ----------
@@ -155,20 +159,22 @@ class plotshow(Picture):
     font_size : int
         Size of all texts.
     labels : sequence of str
-        Names of the x and y axes, of all plots.
+        Names of the x and y axes of all plots, with their units.
     margin : sequence of int
         Left, right, bottom, top, in pixels.
     colorbarlength : float
-        Length of the colour bars of images over the height of the image.
-    rows, cols : int
-        How many.
+        Length of the colour bars of images, as a fraction of the height of the image.
+    rows : int
+        Number of rows of plots.
+    cols : int
+        Number of columns of plots.
 
     Examples
     --------
     >>> from odak.visualize.plotly import plotshow
-    >>> picture = plotshow(labels=["iteration", "loss"], shape=[600, 400])
-    >>> picture.add_plot([0, 1, 2], [4.0, 2.0, 1.0], label="run 1")
-    >>> picture.fig.data[0].y.tolist()
+    >>> figure = plotshow(labels=["iteration", "loss"], shape=[600, 400])
+    >>> figure.add_plot([0, 1, 2], [4.0, 2.0, 1.0], label="run 1")
+    >>> figure.fig.data[0].y.tolist()
     [4.0, 2.0, 1.0]
     """
 
@@ -184,30 +190,30 @@ class plotshow(Picture):
         cols: int = 1,
     ):
         rows, cols = (_validate.integer(name, n, minimum=1) for name, n in (("rows", rows), ("cols", cols)))
-        titles, labels = _checks.texts("subplot_titles", subplot_titles), _checks.texts("labels", labels, 2)
-        shape = _checks.numbers("shape", shape, 2, positive=True)
+        titles, labels = figures.texts("subplot_titles", subplot_titles), figures.texts("labels", labels, 2)
+        shape = figures.numbers("shape", shape, 2, positive=True)
         figure = make_subplots(rows=rows, cols=cols)
-        _layout.place_titles(figure, titles[: rows * cols], [], cols)
+        figure_style.place_titles(figure, titles[: rows * cols], [], cols)
         settings = {
             "subplot titles": titles,
-            "color scale": "Portland",
+            "color scale": figure_style.SEQUENTIAL_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
             "x label": labels[0],
             "y label": labels[1],
-            "margin": _checks.numbers("margin", margin, 4, least=0),
+            "margin": figures.numbers("margin", margin, 4, least=0),
             "colorbar length": _validate.real("colorbarlength", colorbarlength, positive=True),
             "width": shape[0],
             "height": shape[1],
             "maximum side": MAXIMUM_SIDE,
         }
         super().__init__(figure, settings)
-        self._domains = _layout.domains(figure)
+        self._domains = figure_style.domains(figure)
         self._cells = rows, cols
 
     def add_plot(
         self,
         data_x: Array,
-        data_y: Array = None,
+        data_y: Array | None = None,
         label: str = "",
         mode: str = "lines+markers",
         row: int = 1,
@@ -217,14 +223,18 @@ class plotshow(Picture):
 
         Parameters
         ----------
-        data_x, data_y : array
-            Values ``[n]``. With `data_x` alone it is drawn along x, over 0 … n − 1 on y.
+        data_x : array
+            Abscissae ``[n]``.
+        data_y : array, optional
+            Ordinates ``[n]``; 0 … n − 1 by default.
         label : str
             Name in the legend.
         mode : str
             "lines", "markers" or "lines+markers".
-        row, col : int
-            Which plot, from 1.
+        row : int
+            Row of the plot, from 1.
+        col : int
+            Column of the plot, from 1.
 
         Raises
         ------
@@ -234,8 +244,8 @@ class plotshow(Picture):
         x = real_array("data_x", data_x).reshape(-1)
         y = np.arange(len(x)) if data_y is None else real_array("data_y", data_y).reshape(-1)
         if len(x) != len(y):
-            raise ValueError(f"data_x and data_y must be as long as each other, got {len(x)} and {len(y)}")
-        place, label = _checks.cell(self._cells, row, col), _checks.text("label", label)
+            raise ValueError(f"data_x and data_y must have one length, got {len(x)} and {len(y)}")
+        place, label = figures.cell(self._cells, row, col), figures.text("label", label)
         if not isinstance(mode, str) or not set(mode.split("+")) <= _MODES:
             raise ValueError(f"mode must be made of {', '.join(sorted(_MODES))} with + between; got {mode!r:.80}")
         self.fig.add_trace(graph.Scatter(x=x, y=y, mode=mode, name=label), **place)
@@ -248,19 +258,21 @@ class plotshow(Picture):
         Parameters
         ----------
         image : array
-            Real ``[rows, columns]``. Beyond ``settings["maximum side"]`` samples a side, 1024, blocks are averaged;
-            the picture says so.
+            Real ``[rows, columns]``. Beyond ``settings["maximum side"]`` samples a side, 1024, blocks of
+            samples are averaged, with a note in the figure.
         label : str
             Name, and title of the colour bar.
-        row, col : int
-            Which plot, from 1.
+        row : int
+            Row of the plot, from 1.
+        col : int
+            Column of the plot, from 1.
         showscale : bool
             Draw the colour bar.
         origin : {"upper", "lower"}
-            Where row 0 is.
+            Position of row 0.
         """
-        row, col = _checks.cell(self._cells, row, col).values()
-        add_image(self, image, row, col, showscale, origin, _checks.text("label", label))
+        row, col = figures.cell(self._cells, row, col).values()
+        add_image(self, image, row, col, showscale, origin, figures.text("label", label))
 
     def update_layout(self) -> None:
         """Bring the figure in line with its settings; showing and saving do this first."""
@@ -268,16 +280,16 @@ class plotshow(Picture):
         self.fig.update_xaxes(title={"text": settings["x label"]})
         self.fig.update_yaxes(title={"text": settings["y label"]})
         super().update_layout()
-        _layout.place_bars(self.fig, self._domains, settings["colorbar length"])
+        figure_style.place_images(self.fig, self._domains, settings["colorbar length"])
 
 
-def add_image(picture: Picture, values, row: int, col: int, showscale: bool, origin: str, label: str = ""):
-    """Add an image of real values to a picture, reduced to what its settings allow, and return the trace."""
+def add_image(figure: Figure, values, row: int, col: int, showscale: bool, origin: str, label: str = ""):
+    """Add an image of real values, reduced to the largest size of the settings, and return the trace."""
     values = real_array("image", image("image", values))
     origin = _validate.one_of("origin", origin, ORIGINS)
-    factor = reduction(values.shape, picture.settings["maximum side"])
+    factor = reduction(values.shape, figure.settings["maximum side"])
     if factor > 1:
-        picture._say(f"means of {factor} × {factor} of the {' × '.join(map(str, values.shape))} samples")
+        figure._say(f"means of {factor} × {factor} of the {' × '.join(map(str, values.shape))} samples")
     trace = graph.Heatmap(
         z=averaged(values, factor),
         x0=(factor - 1) / 2,
@@ -285,17 +297,17 @@ def add_image(picture: Picture, values, row: int, col: int, showscale: bool, ori
         y0=(factor - 1) / 2,
         dy=factor,
         name=label,
-        colorscale=picture.settings["color scale"],
+        colorscale=figure.settings["color scale"],
         showscale=_validate.flag("showscale", showscale),
         colorbar={"title": {"text": label}},
     )
-    picture.fig.add_trace(trace, row=row, col=col)
-    _layout.square_pixels(picture.fig, picture.fig.data[-1], origin)
-    return picture.fig.data[-1]
+    figure.fig.add_trace(trace, row=row, col=col)
+    figure_style.square_pixels(figure.fig, figure.fig.data[-1], origin)
+    return figure.fig.data[-1]
 
 
 def surface_grid(data_x, data_y, data_z) -> tuple[dict, int]:
-    """Return the x, y and z of a surface, thinned to what a browser draws well, and by how much."""
+    """Return x, y and z of a surface with every k-th sample, so that a browser can draw it, and k."""
     x, y, z = (real_array(f"data_{axis}", value) for axis, value in zip(_AXES, (data_x, data_y, data_z), strict=True))
     if z.ndim != 2 or 0 in z.shape:
         raise ValueError(f"data_z must be [m, n], not empty; got {list(z.shape)}")

@@ -6,7 +6,7 @@ import torch
 from api_sweep.build import Build, tensor
 
 from odak.learn.tools import PerspectiveCamera
-from odak.learn.wave import complex_2d_gaussians, complex_3d_gaussians
+from odak.learn.wave import Splats, complex_2d_gaussians, complex_3d_gaussians, save_splats
 
 SETTINGS = Namespace(
     num_planes=2,
@@ -34,6 +34,21 @@ def _solid(folder):
 def _flat_file(folder):
     _flat(folder).save_gaussians(folder / "gaussians.pt")
     return folder / "gaussians.pt"
+
+
+def _splats():
+    return Splats(tensor(4, 3), tensor(4, 4), tensor(4, 3), tensor(4), tensor(4, 4, 3))
+
+
+def _splat_file(folder):
+    save_splats(folder / "splats.ply", _splats())
+    return folder / "splats.ply"
+
+
+def _reconstruction(folder):
+    (folder / "cameras.txt").write_text("3 PINHOLE 64 48 70 60 33 20\n")
+    (folder / "images.txt").write_text("1 1 0 0 0 0 0 5 3 a.png\n\n")
+    return folder
 
 
 POINTS = tensor(4, 3)
@@ -100,6 +115,11 @@ BY_NAME = {
         "px": 8.0,
         "py": 8.0,
     },
+    "odak.learn.wave.load_colmap": {"folder": Build(_reconstruction)},
+    "odak.learn.wave.load_splats": {"path": Build(_splat_file)},
+    "odak.learn.wave.save_splats": {"path": Build(lambda folder: folder / "splats_written.ply"), "splats": _splats()},
+    "odak.learn.wave.spherical_harmonics": {"degree": 2, "directions": tensor(4, 3)},
+    "odak.learn.wave.view_colours": {"harmonics": tensor(4, 4, 3), "directions": tensor(4, 3)},
     "odak.learn.wave.Scene2D": {"gaussians": Build(_flat), "args_prop": SETTINGS, "img_size": [16, 16]},
     "odak.learn.wave.StraightThroughEstimator": {"x": tensor(4, 3)},
 }
@@ -107,6 +127,7 @@ NOT_CALLED = {
     "odak.learn.wave.complex_3d_gaussians.check_if_trainable": "of new Gaussians it raises RuntimeError, as documented",
 }
 ALLOWED = {
+    ("odak.learn.wave.view_colours", "directions", "infinity inside"): "documented: colours are at least 0",
     ("odak.learn.wave.Scene.render", "bg_colour", "*"): "documented as without effect",
     ("odak.learn.wave.Scene.render", "*step", "*"): "documented as without effect",
     ("odak.learn.wave.complex_3d_gaussians.apply_activations", "*step", "*"): "documented as without effect",

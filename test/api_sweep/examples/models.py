@@ -109,9 +109,6 @@ BY_NAME = {
     "odak.learn.lensless": {
         "device": "cpu",
         "filename": unwritten("a.pt"),
-        "directory": unwritten("output"),
-        "input_data": tensor(2, 3),
-        "ground_truth": tensor(2, 3, seed=4),
         "x": FRAMES,
     },
 }
@@ -132,6 +129,27 @@ BY_CALL = {
         "weights_filename": weights_of(lambda: models.gaussian_3d_volume(4))
     },
     "odak.learn.models.load_weights": {"filename": weights_of(lambda: torch.nn.Linear(1, 1))},
+    "odak.learn.models.gaussian_2d.initialize_from_image": {
+        "image": tensor(4, 5),
+        "x": tensor(4, 5),
+        "y": tensor(4, 5),
+    },
+    "odak.learn.models.gaussians_2d.initialize_from_image": {
+        "image": tensor(4, 5),
+        "x": tensor(4, 5),
+        "y": tensor(4, 5),
+    },
+    "odak.learn.models.hash_grid_encoder": {
+        "dimensions": 2,
+        "levels": 2,
+        "features": 2,
+        "table_size": 64,
+        "coarsest": 2,
+        "finest": 4,
+        "low": -1.0,
+        "high": 1.0,
+    },
+    "odak.learn.models.hash_grid_encoder.forward": {"x": tensor(5, 2)},
     "odak.learn.models.multi_layer_perceptron": {"dimensions": [2, 3, 1]},
     "odak.learn.models.multi_layer_perceptron.forward": {"x": tensor(5, 2)},
     "odak.learn.models.non_local_layer": {"kernel_size": 1},
@@ -172,6 +190,7 @@ NOT_CALLED = {
 }
 ALLOWED = {
     ("odak.learn.models.gaussian*", "[xy]", "infinity inside"): "a Gaussian is zero at infinity",
+    ("odak.learn.models.hash_grid_encoder.forward", "x", "infinity inside"): "documented: held at the ends",
     ("odak.learn.models.gaussian_3d_volume.forward", "points", "infinity inside"): "a Gaussian is zero at infinity",
     ("odak.learn.models.gaussian_2d.forward", "residual", "*"): "documented: without effect",
     ("odak.learn.models.gaussian_3d_volume.optimize", "*", "* inside"): "documented: FloatingPointError",

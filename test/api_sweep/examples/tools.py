@@ -173,17 +173,15 @@ BY_CALL = {
     "odak.tools.box_volume_sample": {"no": [2, 2, 2], "size": [1.0, 2.0, 3.0]},
     "odak.tools.convert_bytes": {"num": 5000.0},
     "odak.tools.convert_to_numpy": {"a": tensor(3)},
-    "odak.tools.copy_dict_with_keys": {"d": {"a": 1, "b": 2}, "keys": ["a"]},
     "odak.tools.copy_file": {"source": TEXT, "destination": unwritten("b.txt")},
-    "odak.tools.create_empty_list": {"dimensions": [2, 3]},
     "odak.tools.create_group_tensor": {"number_of_elements": 6, "group_percentages": [0.5, 0.5], "number_of_groups": 2},
     "odak.tools.crop_center": {"size": [8, 8]},
     "odak.tools.expanduser": {"filename": "~/a.txt"},
     "odak.tools.generate_bandlimits": {"size": [16, 16], "levels": 2},
     "odak.tools.get_base_filename": {"filename": "a/b.txt"},
     "odak.tools.grid_sample": {"size": [1.0, 2.0]},
-    "odak.tools.latex.latex": {"filename": TEXT},
-    "odak.tools.latex.latex.set_latex_dictonaries": {
+    "odak.tools.latex": {"filename": TEXT},
+    "odak.tools.latex.set_latex_dictonaries": {
         "begin_dictionary": ["a"],
         "end_dictionary": ["b"],
         "syntax_dictionary": ["c"],
@@ -191,7 +189,7 @@ BY_CALL = {
     "odak.tools.list_files": {"key": "*.txt"},
     "odak.tools.load_dictionary": {"filename": written("a.json", lambda path: path.write_text(json.dumps({"a": 1})))},
     "odak.tools.load_image": {"fn": PICTURE},
-    "odak.tools.markdown.markdown.set_dictonaries": {
+    "odak.tools.markdown.set_dictonaries": {
         "begin_dictionary": ["a"],
         "end_dictionary": ["b"],
         "syntax_dictionary": ["c"],
@@ -208,7 +206,6 @@ BY_CALL = {
     "odak.tools.shell_command": {"cmd": ["python", "--version"]},
     "odak.tools.smooth_pad": {"smooth_factor": [0.1, 0.2]},
     "odak.tools.validate_path": {"allowed_extensions": [".txt"], "path": unwritten("a.txt")},
-    "odak.tools.validate_positive_parameter": {"value": 1.5},
     "odak.tools.validate_shell_command": {"cmd_list": ["python", "--version"]},
     "odak.tools.write_PLY": {"triangles": numbers(3, 3, 3), "savefn": unwritten("a.ply")},
     "odak.tools.write_PLY_from_points": {"points": numbers(3, 4, 3), "savefn": unwritten("a.ply")},

@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odak.learn.models import gaussian_2d, gaussian_sums, gaussians_2d
+from odak.learn.models import gaussian_2d, gaussians, gaussians_2d
 
 
 def grid(height, width, dtype=torch.float64):
@@ -47,7 +47,8 @@ def test_parameters_and_their_distributions():
     torch.manual_seed(0)
     model = gaussian_2d(20000)
     expected = {
-        "widths": ((2, 1, 20000), 0.3, 0.1),
+        # Narrower by √(10/N).
+        "widths": ((2, 1, 20000), 0.3 * math.sqrt(5e-4), 0.1 * math.sqrt(5e-4)),
         "offsets": ((2, 1, 20000), 0.0, 0.5),
         "rotations": ((1, 20000), math.pi, math.pi / 2),
         "alphas": ((1, 20000), 0.15, 0.025),
@@ -56,7 +57,9 @@ def test_parameters_and_their_distributions():
     for name, (shape, mean, deviation) in expected.items():
         parameter = getattr(model, name).detach()
         assert parameter.shape == shape
-        assert float(parameter.mean()) == pytest.approx(mean, abs=0.03 * max(1, deviation))
+        assert float(parameter.mean()) == pytest.approx(
+            mean, abs=0.03 * (deviation if name == "widths" else max(1, deviation))
+        )
         assert float(parameter.std()) == pytest.approx(deviation, rel=0.03)
     before = model.widths
     model.initialize_parameters_uniformly({"widths": (2.0, 2.0)})
@@ -88,9 +91,7 @@ def test_gradients():
     # The sum of many takes another way.
     points = torch.stack([x.detach().flatten(), y.detach().flatten()], dim=-1).requires_grad_()
     rows, alphas = torch.randn(5, 6, dtype=torch.float64), torch.randn(5, dtype=torch.float64) * 3
-    torch.autograd.gradcheck(
-        gaussian_sums.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_())
-    )
+    torch.autograd.gradcheck(gaussians.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_()))
 
 
 @settings(max_examples=20, deadline=None)
@@ -129,7 +130,7 @@ def test_points_in_any_order_and_far_gaussians():
     rows = torch.zeros(200, 6, dtype=torch.float64)
     rows[:, 0] = rows[:, 4] = 100.0
     rows[:, [2, 5]] = 200 * torch.rand(200, 2, dtype=torch.float64) - 100
-    parts = gaussian_sums._parts(points, rows, torch.ones(200, dtype=torch.float64), 1)
+    parts = gaussians._parts(points, rows, torch.ones(200, dtype=torch.float64), 1)
     assert sum(len(places) * len(near) for places, near, _ in parts) < 0.35 * 5000 * 200
 
 
@@ -148,7 +149,7 @@ def test_float32_stays_and_single_points():
     assert float((model(x, y) - formula(model.model, x, y).sum(-1, keepdim=True)).detach().abs().max()) < 1e-5
     assert model(torch.zeros(()), torch.zeros(())).shape == (1,)
     assert model(torch.zeros(0, 1), torch.zeros(0, 1)).shape == (0, 1)
-    with pytest.raises(TypeError, match="x and y must be tensors"):
+    with pytest.raises(TypeError, match="x and y must be real tensors"):
         model(0.0, 0.0)
 
 
@@ -215,6 +216,43 @@ def test_broken_and_hostile_files_are_refused(tmp_path):
     with pytest.raises(ValueError, match=r"weights\.pt"):
         model.load_weights(path)
     assert not (tmp_path / "done").exists()
+
+
+def test_the_sum_does_not_grow_with_the_number():
+    torch.manual_seed(0)
+    x, y = grid(24, 36, torch.float32)
+    means = [float(gaussians_2d(number)(x, y).detach().mean()) for number in (10, 200, 1000)]
+    assert all(0.03 < mean < 0.3 for mean in means)
+
+
+def photo_like(rows=24, columns=36):
+    x, y = grid(rows, columns, torch.float32)
+    return x, y, 0.4 + 0.3 * torch.sin(5 * x) * torch.cos(4 * y) + 0.2 * (x + y > 0.3)
+
+
+def test_gaussians_that_start_from_an_image_approximate_it():
+    x, y, image = photo_like()
+    random, start = gaussians_2d(150), gaussians_2d(150)
+    state = torch.get_rng_state()
+    start.initialize_from_image(image, seed=3)
+    assert torch.equal(torch.get_rng_state(), state)
+    errors = [float((model(x, y)[..., 0] - image).square().mean().detach()) for model in (start, random)]
+    assert errors[0] < 0.01 < 0.05 < errors[1]
+    again = gaussians_2d(150)
+    again.initialize_from_image(image, x, y, seed=3)
+    assert all(torch.equal(a, b) for a, b in zip(start.parameters(), again.parameters(), strict=True))
+    for wrong in (image[0], image[None]):
+        with pytest.raises(ValueError, match=r"image must be \[H, W\]"):
+            start.initialize_from_image(wrong)
+    with pytest.raises(ValueError, match="must have one shape"):
+        start.initialize_from_image(image, x[1:], y[1:])
+
+
+def test_more_gaussians_than_pixels_start_too():
+    model = gaussians_2d(40)
+    model.initialize_from_image(torch.eye(4), seed=0)
+    assert all(bool(torch.isfinite(parameter).all()) for parameter in model.parameters())
+    gaussians_2d(1).initialize_from_image(torch.eye(4), seed=0)
 
 
 def test_a_picture_is_fitted():

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from odak.learn import perception as p
-from odak.learn.perception.spectra import gaussian_lines
+from odak.learn.perception.display_color import gaussian_lines
 
 AXIS = torch.linspace(390, 830, 441, dtype=torch.float64)
 

@@ -6,15 +6,19 @@ import pytest
 import torch
 
 import odak
+from odak.cli.job import image_path
 from odak.learn.perception import (
     MetamericLoss,
     MetamericLossUniform,
     MetamerMSELoss,
     RadiallyVaryingBlur,
     SpatialSteerablePyramid,
+    make_pooling_size_map_lod,
+    metameric,
     rgb_2_ycrcb,
     uniform_blur,
 )
+from odak.learn.tools import load_image
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
 SHALLOW = {"n_pyramid_levels": 3, **VIEW}
@@ -22,6 +26,12 @@ SHALLOW = {"n_pyramid_levels": 3, **VIEW}
 
 def noise(*shape, seed=0):
     return torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+@pytest.fixture(scope="module")
+def photograph():
+    picture = load_image(str(image_path("photo")), normalizeby=None).float().movedim(-1, 0)[None]
+    return torch.nn.functional.interpolate(picture[..., :384, :512], (96, 128), mode="area")
 
 
 def losses():
@@ -168,6 +178,36 @@ def test_what_is_kept_of_the_target():
     assert float(uniform(black, black)) == 0
     assert float(uniform(black + 0.5, black)) > 0
     assert float(uniform(torch.zeros(1, 1, 24, 16), torch.zeros(1, 1, 24, 16))) == 0
+
+
+@pytest.mark.parametrize("kind", [MetamericLoss, MetamericLossUniform, MetamerMSELoss])
+@pytest.mark.parametrize("write", ["numpy", "data"])
+def test_a_target_is_known_by_its_values(kind, write):
+    """What is written behind autograd's back, or to memory shared with NumPy, is another target."""
+    loss, image = kind(n_pyramid_levels=3), noise(1, 3, 16, 24)
+    buffer, other = noise(1, 3, 16, 24, seed=1).numpy(), noise(1, 3, 16, 24, seed=2)
+    target = torch.from_numpy(buffer)
+    first = float(loss(image, target))
+    assert float(loss(image, target.clone())) == first
+    if write == "numpy":
+        buffer[:] = other.numpy()
+    else:
+        target.data.copy_(other)
+    expected = float(kind(n_pyramid_levels=3)(image, other))
+    assert float(loss(image, target)) == expected
+    assert abs(expected - first) > 1e-3 * first
+
+
+def test_a_trusted_target_is_known_by_its_address():
+    loss, image, target = MetamericLoss(**SHALLOW, trust_target=True), noise(1, 3, 16, 16), noise(1, 3, 16, 16, seed=1)
+    first = float(loss(image, target))
+    kept = loss.target_stats
+    assert float(loss(image, target)) == first
+    assert loss.target_stats is kept
+    target.mul_(0.5)
+    assert float(loss(image, target)) == float(MetamericLoss(**SHALLOW)(image, target))
+    with pytest.raises(TypeError, match="trust_target"):
+        MetamericLoss(trust_target="yes")
 
 
 def test_options():
@@ -335,3 +375,44 @@ loss = loss_func(my_image, gt_image, gaze=[0.7, 0.3])
     assert names["loss"].ndim == 0
     assert float(names["loss"].detach()) > 0
     assert my_image.grad.isfinite().all()
+
+
+def test_local_range_is_that_of_squares():
+    picture, levels = noise(1, 2, 20, 24), torch.full((20, 24), 2.0, dtype=torch.float64)
+    low, high = metameric.local_range(picture, levels)
+    pooled = torch.nn.functional.max_pool2d(picture, 5, stride=1, padding=2)
+    assert torch.equal(high, pooled)
+    assert torch.equal(low, -torch.nn.functional.max_pool2d(-picture, 5, stride=1, padding=2))
+    low, high = metameric.local_range(picture, levels / 2 - 0.5)
+    nearest = torch.nn.functional.max_pool2d(picture, 3, stride=1, padding=1)
+    torch.testing.assert_close(high, (picture + nearest) / 2)
+    assert torch.equal(metameric.local_range(picture, 0 * levels)[0], picture)
+
+
+def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
+    """White noise of the same squared error is ten times as far by the statistics; no colour is outside its region."""
+    view = {"alpha": 0.2, "real_image_width": 0.6, "real_viewing_distance": 0.7}
+    maker, gaze = MetamerMSELoss(**view), [0.5, 0.5]
+    metamer = maker.gen_metamer(photograph, gaze).clamp(0, 1)
+    error = float(((metamer - photograph) ** 2).mean().sqrt())
+    assert error > 0.02
+    generator = torch.Generator().manual_seed(1)
+    spoilt = photograph + error * torch.randn(photograph.shape, generator=generator)
+    loss = MetamericLoss(**view, use_l2_foveal_loss=False)
+    assert float(loss(metamer, photograph, gaze)) < 0.1 * float(loss(spoilt, photograph, gaze))
+    levels = make_pooling_size_map_lod(gaze, photograph.shape[-2:], **view, dtype=torch.float64)
+    raw = maker.gen_metamer(photograph, gaze)
+    shown, clipped = rgb_2_ycrcb(raw), ((raw < 1e-3) | (raw > 1 - 1e-3)).any(1, keepdim=True)
+    low, high = metameric.local_range(rgb_2_ycrcb(photograph), levels)
+    # The two matrices are inverse to each other to three digits; colours beyond RGB are clipped.
+    assert ((shown > low - 1e-3) & (shown < high + 1e-3) | clipped).all()
+    assert clipped.double().mean() < 0.2
+    resolved = levels == 0
+    assert resolved.any()
+    torch.testing.assert_close(shown[..., resolved], rgb_2_ycrcb(photograph)[..., resolved], rtol=0, atol=1e-3)
+    steps = []
+    uniform = MetamericLossUniform(pooling_size=8, n_pyramid_levels=4)
+    found = uniform.gen_metamer(photograph, iterations=20, progress=lambda: steps.append(1))
+    assert 0 < len(steps) <= 25
+    start = uniform.gen_metamer(photograph, iterations=0)
+    assert float(uniform(found, photograph)) < 0.1 * float(uniform(start, photograph))

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from odak.cli.job import image_path
 from odak.learn.perception import (
     SpatialSteerablePyramid,
     crop_steerable_pyramid_filters,
@@ -17,6 +18,7 @@ from odak.learn.perception import (
     pyramid_filter_design as design,
 )
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
+from odak.learn.tools import load_image
 
 COUNTS = [1, 2, 3, 4, 6]
 
@@ -43,22 +45,26 @@ def psnr(one, two):
     return -10 * math.log10(float(((one - two) ** 2).mean()))
 
 
+@pytest.mark.parametrize("bilinear", [True, False])
 @pytest.mark.parametrize("count", COUNTS)
-def test_the_bank_is_flat_does_not_alias_and_keeps_means(count):
-    filters = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)
+def test_the_bank_is_flat_does_not_alias_and_keeps_means(count, bilinear):
+    filters = get_steerable_pyramid_filters(9, count, "full", bilinear=bilinear, dtype=torch.float64)
     x, y = np.meshgrid(*[np.linspace(-math.pi, math.pi, 41)] * 2)
     low, low0, high0 = (response(filters[name], x, y) for name in ("l", "l0", "h0"))
     bands = sum(abs(response(band, x, y)) ** 2 for band in filters["b"])
-    total = abs(high0) ** 2 + abs(low0) ** 2 * (bands + abs(low) ** 2 / 4)
-    assert abs(total - 1).max() < 0.025
-    assert math.sqrt(((total - 1) ** 2).mean()) < 0.008
+    passed = (np.cos(x / 2) * np.cos(y / 2)) ** 4 if bilinear else abs(low) ** 2 / 4
+    total = abs(high0) ** 2 + abs(low0) ** 2 * (bands + passed)
+    assert abs(total - 1).max() < (0.055 if bilinear else 0.025)
+    assert math.sqrt(((total - 1) ** 2).mean()) < (0.012 if bilinear else 0.006)
     split = abs(high0) ** 2 + abs(low0) ** 2
-    assert split.min() > 0.975 and split.max() < 1.075
-    for shift in ((math.pi, 0), (math.pi, math.pi)):
-        assert abs(low * response(filters["l"], x + shift[0], y + shift[1]) / 4).max() < 0.015
+    assert split.min() > 0.98 and split.max() < 1.05
     sums = [float(filters[name].sum()) for name in ("l", "l0", "h0")]
     assert sums == pytest.approx([2, 1, 0], abs=1e-5)
     assert max(abs(float(band.sum())) for band in filters["b"]) < 1e-5
+    if bilinear:
+        return
+    for shift in ((math.pi, 0), (math.pi, math.pi)):
+        assert abs(low * response(filters["l"], x + shift[0], y + shift[1]) / 4).max() < 0.015
 
 
 @pytest.mark.parametrize("count", COUNTS[1:])
@@ -115,6 +121,19 @@ def test_reconstruction(kind, bilinear, size, floor, count):
     assert torch.equal(pyramid[0]["b"][0], before)
 
 
+PHOTOGRAPH = [("full", False, 9, 58), ("cropped", False, 5, 50), ("full", True, 9, 36), ("cropped", True, 5, 35)]
+
+
+@pytest.mark.parametrize(("kind", "bilinear", "size", "floor"), PHOTOGRAPH)
+@pytest.mark.parametrize("count", [2, 4, 6])
+def test_five_levels_of_a_photograph(kind, bilinear, size, floor, count):
+    """What is missing in the bilinear mode is aliasing of its halving and enlarging, which no filters can mend."""
+    image = load_image(str(image_path("photo")), normalizeby=None)
+    picture = image.double().movedim(-1, 0)[None][..., :400, :592]
+    maker = SpatialSteerablePyramid(bilinear, 3, size, count, kind)
+    assert psnr(maker.reconstruct_from_pyramid(maker.construct_pyramid(picture, 5)), picture) > floor
+
+
 @pytest.mark.parametrize("count", COUNTS)
 def test_deep_reconstruction_of_noise_is_as_good_at_the_border(count):
     picture = noise(2, 3, 72, 80)
@@ -169,7 +188,7 @@ def test_cropped_and_trained_banks():
     assert torch.equal(trained["b"][1], trained["b"][0].mT)
     assert float(trained["b"][0].norm()) == pytest.approx(0.13, abs=0.002)
     assert trained["b"][0][0, 0, 2, 1] == pytest.approx(0.061)
-    assert [get_steerable_pyramid_filters(5, 6, "cropped")[name].shape[-1] for name in ("l", "l0")] == [9, 5]
+    assert [get_steerable_pyramid_filters(5, 6, "cropped")[name].shape[-1] for name in ("l", "l0")] == [13, 5]
 
 
 def test_cropping():
@@ -242,7 +261,7 @@ def test_refused_filters(arguments, message):
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("bilinear", [True, False])
 def test_the_first_level_is_filtered_by_the_bank(bilinear, count):
-    bank = get_steerable_pyramid_filters(9, count, "full", dtype=torch.float64)
+    bank = get_steerable_pyramid_filters(9, count, "full", bilinear=bilinear, dtype=torch.float64)
     picture = noise(1, 1, 40, 48)
     level = SpatialSteerablePyramid(bilinear, 1, 9, count).construct_pyramid(picture, 2)[0]
 
@@ -282,15 +301,15 @@ def test_refused_pictures():
 
 def test_kept_banks_are_what_the_design_gives(tmp_path):
     """The file of taps is data made by this code: made anew, a bank is the same, and none can be much improved."""
-    banks = [(1, (13, 5, 5, 5)), (2, (13, 5, 5, 5))]
+    banks = [(1, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), True)]
     design.keep(banks, tmp_path / "taps.json")
     kept = design._kept()
     for name, taps in json.loads((tmp_path / "taps.json").read_text()).items():
         assert np.allclose(taps, kept[name], rtol=0, atol=1e-6)
-    assert len(kept) == 17
+    assert len(kept) == 36
     for name, taps in kept.items():
-        count, *sizes = map(int, name.split())
-        problem = design._Problem(count, tuple(sizes))
+        count, *sizes = map(int, name.removesuffix(" bilinear").split())
+        problem = design._Problem(count, tuple(sizes), name.endswith("bilinear"))
         taps = np.array(taps)
         assert taps.shape == (problem.length,)
         residual, jacobian = problem.residual(taps)

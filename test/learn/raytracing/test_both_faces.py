@@ -49,7 +49,7 @@ def cases(random):
         "bring_plane_to_origin": (points, None, [1, 1], points[0], angles),
         "calculate_intersection_of_two_rays": (rays, crossing),
         "center_of_triangle": (triangle,),
-        "create_ray": (points, angles),
+        "create_ray": (points, np.rad2deg(np.arccos(rays[:, 1]))),
         "create_ray_from_all_pairs": (points, points[:2] + 1),
         "create_ray_from_angles": (points, angles),
         "create_ray_from_two_points": (points, points[::-1] + 1),

@@ -7,7 +7,7 @@ import torch
 import odak.raytracing as core
 from odak.learn import raytracing as rt
 from odak.raytracing import interfaces, intersections
-from odak.raytracing.status import RayStatus
+from odak.raytracing.intersections import RayStatus
 
 F64 = torch.float64
 SPHERE, PLANE = [0.0, 0, 5, 2], [[1.0, 0, 5], [0, 1, 5], [0, 0, 5]]

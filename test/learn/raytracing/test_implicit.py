@@ -6,8 +6,8 @@ import torch
 
 import odak.raytracing as core
 from odak.learn import raytracing as rt
-from odak.raytracing import sag, surfaces
-from odak.raytracing.status import RayStatus
+from odak.raytracing import surfaces
+from odak.raytracing.intersections import RayStatus
 from odak.tools import zernike_polynomial
 from odak.tools.zernike import noll_to_nm, zernike_norm
 
@@ -23,6 +23,12 @@ def _surfaces(face):
         "toroid": face.Toroid(0.1, -0.05, -0.3, [1e-3, 2e-4]),
         "Zernike": face.ZernikeFreeform(0.05, 0.2, random.normal(size=7) * 1e-2, 3.0),
         "spline": face.SplineFreeform(spline, [8.0, 8.0], 0.05, 0.0),
+        "odd asphere": face.OddAsphere(0.05, -0.3, [0.0, 1e-3, 2e-3, -1e-4]),
+        "biconic": face.Biconic(0.1, -0.05, -0.5, 0.4),
+        "polynomial": face.PolynomialFreeform(0.05, 0.1, random.normal(size=9) * 1e-2, 3.0),
+        "Chebyshev": face.ChebyshevFreeform(0.05, 0.1, random.normal(size=(3, 4)) * 1e-2, [4.0, 4.0]),
+        "Qbfs": face.QbfsAsphere(0.08, [1e-2, -2e-2, 1e-2, 5e-3], 4.0),
+        "Qcon": face.QconAsphere(0.08, -0.4, [1e-2, -2e-2, 1e-2], 4.0),
     }
 
 
@@ -107,23 +113,6 @@ def test_placement_is_differentiable():
     np.testing.assert_allclose(hit.point, rt.intersect_w_sag(rays, surface, center, angles).point.detach(), atol=1e-14)
 
 
-def test_only_the_distance_is_saved():
-    saved = []
-    rays = torch.rand(1000, 2, 3, dtype=F64) + torch.tensor([[0.0, 0, -5], [0, 0, 9]], dtype=F64)
-    rays.requires_grad_()
-    start, direction = rays[:, 0], rays[:, 1]
-    coefficients = torch.tensor([1e-3, 1e-4], dtype=F64, requires_grad=True)
-    parameters = [torch.tensor(v, dtype=F64) for v in (0.1, 0.0)] + [coefficients]
-    with torch.autograd.graph.saved_tensors_hooks(lambda t: saved.append(t) or t, lambda t: t):
-        from odak.learn.raytracing.implicit import _Distance
-
-        distance, _ = _Distance.apply(start, direction, rt.EvenAsphere, None, True, *parameters)
-    kept = {t.untyped_storage().data_ptr(): t.untyped_storage().nbytes() for t in saved}
-    owned = {start.untyped_storage().data_ptr(), *(p.untyped_storage().data_ptr() for p in parameters)}
-    assert sum(size for place, size in kept.items() if place not in owned) == 8 * 1000
-    assert distance.isfinite().all()
-
-
 def test_conic_is_the_sphere_and_the_paraboloid(random):
     rays = core.create_ray_from_two_points(random.normal(size=(50, 3)) - [0, 0, 30], random.normal(size=(50, 3)))
     hit = core.intersect_w_sag(rays, core.Conic(0.1, 0.0))
@@ -169,8 +158,9 @@ def test_statuses():
     spline = core.SplineFreeform(np.zeros((3, 3)), [4.0, 4.0])
     hit = core.intersect_w_sag(ray, spline)
     assert [RayStatus(s).name for s in hit.status] == ["HIT", "VIGNETTED", "MISS", "VIGNETTED"]
+    start, direction = ([np.asarray([v]) for v in value] for value in ((1.0, 0, -5), (0, 0, 1.0)))
     _, found, crossed = surfaces.newton(
-        np.asarray([[1.0, 0, -5]]), np.asarray([[0, 0, 1.0]]), core.EvenAsphere(0.1, 0.0, (0.01,)), np.zeros(1), limit=1
+        tuple(start), tuple(direction), core.EvenAsphere(0.1, 0.0, (0.01,)), np.zeros(1), limit=1
     )
     assert not found.any() and not crossed.any()
 
@@ -188,7 +178,7 @@ def test_a_start_on_the_surface_is_not_a_hit(random):
 def test_zernike_sag_is_the_polynomials(random):
     x, y = random.uniform(-1.4, 1.4, (2, 30))
     coefficients = random.normal(size=22)
-    value = sag.zernike_sag(x, y, 0.0, 0.0, coefficients, 2.0).height
+    value = surfaces.zernike_sag(x, y, 0.0, 0.0, coefficients, 2.0).height
     expected = 0
     for j, c in enumerate(coefficients, start=1):
         n, m = noll_to_nm(j)
@@ -208,13 +198,13 @@ def test_spline_sag_is_scipys(random):
         place = (value / extent + 0.5) * (n - 1)
         basis.append(BSpline(knots, np.eye(n + 2), 3, extrapolate=False)(place))
     expected = np.einsum("ki,ij,kj->k", basis[0], padded, basis[1])
-    np.testing.assert_allclose(sag.spline_sag(x, y, control, (2.0, 4.0)).height, expected, atol=1e-13)
+    np.testing.assert_allclose(surfaces.spline_sag(x, y, control, (2.0, 4.0)).height, expected, atol=1e-13)
 
 
 def test_toroid_contains_the_torus(random):
     # A circle of radius 4 in y about z = 4, turned about the axis z = 10.
     x, y = random.uniform(-2, 2, (2, 20))
-    z = sag.toroid_sag(x, y, 0.1, 0.25).height
+    z = surfaces.toroid_sag(x, y, 0.1, 0.25).height
     across = np.hypot(x, 10 - z) - 6
     np.testing.assert_allclose(np.hypot(across, y), 4, rtol=1e-13)
 
@@ -233,3 +223,51 @@ def test_a_ray_that_touches_spoils_no_other_rays_slope():
     together, curvature.grad = curvature.grad, None
     rt.intersect_w_sag(rays[1], core.Conic(curvature)).distance.backward()
     assert together.item() == pytest.approx(curvature.grad.item())
+
+
+def test_forbes_polynomials_are_the_published_ones():
+    """Q_0 … Q_2 of the slope-orthogonal set (Forbes 2007, eq. 2.13), and the norm by which they are orthogonal."""
+    v = np.linspace(0, 1, 11)
+    expected = (1 + 0 * v, (13 - 16 * v) / 19**0.5, (2 / 95) ** 0.5 * (29 - 4 * v * (25 - 19 * v)))
+    for m, polynomial in enumerate(expected):
+        np.testing.assert_allclose(surfaces._qbfs(v, [0.0] * m + [1.0])[0], polynomial, atol=1e-13)
+    # Slopes of u²(1 − u²)Q_m(u²), weighted by 1/√(u²(1 − u²))/u... on the disc: ⟨S_m S_n⟩ = δ.
+    nodes = 400
+    theta = (np.arange(nodes) + 0.5) * np.pi / nodes
+    u = (1 + np.cos(theta)) / 2
+    # ∫ f(u) du/√(1 − u²) over 0 … 1 by the substitution u = sin a.
+    a = (np.arange(nodes) + 0.5) * (np.pi / 2 / nodes)
+    u = np.sin(a)
+    slopes = []
+    for m in range(5):
+        q, dq = surfaces._qbfs(u * u, [0.0] * m + [1.0])
+        slopes.append((2 * u - 4 * u**3) * q + (u**2 - u**4) * dq * 2 * u)
+    gram = np.asarray([[np.mean(s * t / 1.0) for s in slopes] for t in slopes])
+    assert np.abs(gram - np.diag(np.diag(gram))).max() < 1e-10
+    np.testing.assert_allclose(np.diag(gram), gram[0, 0], rtol=1e-10)
+
+
+def test_special_cases_of_the_freeforms_are_conics(random):
+    x, y = random.uniform(-2, 2, (2, 50))
+    sphere = core.Conic(0.1, -0.4).sag(x, y)
+    for shape in (
+        core.Biconic(0.1, 0.1, -0.4, -0.4),
+        core.OddAsphere(0.1, -0.4, [0.0, 0.0]),
+        core.PolynomialFreeform(0.1, -0.4, [0.0] * 5, 2.0),
+        core.QconAsphere(0.1, -0.4, [0.0], 3.0),
+        core.ChebyshevFreeform(0.1, -0.4, [[0.0]], [4.0, 4.0]),
+    ):
+        for a, b in zip(shape.sag(x, y), sphere, strict=True):
+            np.testing.assert_allclose(a, b, atol=1e-15)
+    # T_2(x/A) = 2x²/A² − 1, x²/R²: one surface in two forms.
+    chebyshev = core.ChebyshevFreeform(0.0, 0.0, np.asarray([[0.1, 0.0], [0.0, 0.0], [0.1, 0.0]]), [4.0, 4.0])
+    polynomial = core.PolynomialFreeform(0.0, 0.0, [0.0, 0.0, 0.2], 4.0)
+    np.testing.assert_allclose(chebyshev.sag(x, y).height, polynomial.sag(x, y).height, atol=1e-14)
+    np.testing.assert_allclose(chebyshev.curvatures(), polynomial.curvatures(), atol=1e-8)
+
+
+def test_a_grid_of_heights_is_interpolated(random):
+    heights = random.normal(size=(6, 5))
+    grid = core.SplineFreeform.through(heights, [10.0, 8.0])
+    x, y = np.meshgrid(np.linspace(-5, 5, 6), np.linspace(-4, 4, 5), indexing="ij")
+    np.testing.assert_allclose(grid.sag(x, y).height, heights, atol=1e-12)

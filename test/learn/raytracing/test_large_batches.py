@@ -44,11 +44,11 @@ def test_pieces_and_graphs_give_the_same(name, random, monkeypatch):
     function, arrays = core_cases(random)[name]
     expected = flat(function(*arrays))
     tensors = [torch.as_tensor(a).clone() for a in arrays]
-    followed = flat(function(*(t.requires_grad_() for t in tensors)))
+    differentiable = flat(function(*(t.requires_grad_() for t in tensors)))
     monkeypatch.setattr(batches, "piece_size", lambda arrays: 16)
     with torch.no_grad():
         cut = flat(function(*tensors))
-    for a, b, c, d in zip(expected, flat(function(*arrays)), cut, followed, strict=True):
+    for a, b, c, d in zip(expected, flat(function(*arrays)), cut, differentiable, strict=True):
         np.testing.assert_array_equal(a, b)
         for tensor in (c, d.detach()):
             np.testing.assert_allclose(tensor, a, rtol=1e-12, atol=1e-12)

@@ -17,7 +17,7 @@ def random_rays(random, count=30, **options):
 
 
 def test_create_ray():
-    assert rt.create_ray(torch.zeros(3), torch.zeros(5, 3)).shape == (5, 2, 3)
+    assert rt.create_ray(torch.zeros(3), torch.tensor([[90.0, 90.0, 0.0]] * 5)).shape == (5, 2, 3)
     assert rt.create_ray(torch.zeros(5, 3), torch.zeros(3), direction=True).shape == (5, 2, 3)
     ray = rt.create_ray(torch.zeros(3, dtype=F64), [90, 60, 30])
     assert ray.shape == (1, 2, 3) and ray.dtype == F64

@@ -7,10 +7,13 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odak.learn.raytracing import embree, refract, triangle_mesh, triangle_tree
+from odak.learn.raytracing import refract, triangle_mesh, triangle_search
 from odak.raytracing import RayStatus
 
-BACKENDS = ["torch", pytest.param("embree", marks=pytest.mark.skipif(not embree.is_installed(), reason="no embreex"))]
+BACKENDS = [
+    "torch",
+    pytest.param("embree", marks=pytest.mark.skipif(not triangle_search.has_embree(), reason="no embreex")),
+]
 
 
 def icosphere(subdivisions, dtype=torch.float64):
@@ -82,8 +85,6 @@ def test_many_triangles_agree_with_brute_force_whatever_the_budget():
 
 
 def test_search_holds_to_its_budget(monkeypatch):
-    from odak.learn.raytracing import triangle_search
-
     lists = []
     children = triangle_search._children
 
@@ -318,12 +319,12 @@ def test_moved_vertices_refit_the_same_hierarchy():
 def test_every_face_is_in_one_leaf():
     for count in (1, 4, 5, 33, 1000):
         vertices, faces = soup(count, count)
-        leaves = triangle_tree.sort_faces(vertices, faces)
+        leaves = triangle_search.sort_faces(vertices, faces)
         assert sorted(leaves[leaves >= 0].tolist()) == list(range(count))
-        assert len(leaves).bit_count() == 1 and leaves.shape[1] <= triangle_tree.LEAF
+        assert len(leaves).bit_count() == 1 and leaves.shape[1] <= triangle_search.LEAF
 
 
-@pytest.mark.skipif(not embree.is_installed(), reason="no embreex")
+@pytest.mark.skipif(not triangle_search.has_embree(), reason="no embreex")
 def test_embree_finds_what_the_search_finds():
     vertices, faces = icosphere(4, torch.float32)
     rays = random_rays(20_000, 17, dtype=torch.float32)
@@ -334,7 +335,7 @@ def test_embree_finds_what_the_search_finds():
 
 
 def test_missing_embree_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(embree, "is_installed", lambda: False)
+    monkeypatch.setattr(triangle_search, "has_embree", lambda: False)
     vertices, faces = icosphere(0, torch.float32)
     with pytest.raises(ImportError, match=r"pip install odak\[mesh\]"):
         triangle_mesh(vertices, faces, backend="embree")

@@ -1,23 +1,19 @@
 import pytest
 import torch
 
-from odak.learn.tools import device as device_module
+from odak import DeviceWarning
 from odak.learn.tools import get_device
 
 
 @pytest.fixture
 def no_cuda(monkeypatch):
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    device_module._warn_once.cache_clear()
-    yield
-    device_module._warn_once.cache_clear()
 
 
-def test_automatic(monkeypatch, no_cuda, caplog):
+def test_automatic(monkeypatch, no_cuda):
     for name in ("auto", None, " AUTO "):
         assert get_device(name) == torch.device("cpu")
     assert get_device() == torch.device("cpu")
-    assert not caplog.records
     monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
     assert get_device() == torch.device("cuda")
     assert get_device("cuda:1") == torch.device("cuda:1")
@@ -29,10 +25,11 @@ def test_names_and_devices_pass():
     assert get_device("meta") == torch.device("meta")
 
 
-def test_missing_cuda_falls_back_with_one_warning(no_cuda, caplog):
+def test_missing_cuda_falls_back_with_a_visible_warning(no_cuda):
     for asked in ("cuda", "cuda:1", torch.device("cuda")):
-        assert get_device(asked) == torch.device("cpu")
-    assert [(record.name, record.levelname) for record in caplog.records] == [("odak", "WARNING")]
+        with pytest.warns(DeviceWarning, match="there is no CUDA device: the CPU is used instead") as caught:
+            assert get_device(asked) == torch.device("cpu")
+        assert caught[0].filename == __file__
 
 
 def test_refused():

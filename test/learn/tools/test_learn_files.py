@@ -164,3 +164,8 @@ def test_broken_tensors_and_failures(tmp_path, monkeypatch):
         save_torch_tensor(path, lambda: 0)
     assert path.read_bytes() == whole
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.pt"]
+
+
+def test_a_tensor_of_one_axis_is_saved_as_a_column(tmp_path):
+    save_image(tmp_path / "b.png", torch.tensor([0.0, 1.0]))
+    assert load_image(tmp_path / "b.png").tolist() == [[0], [1]]

@@ -18,9 +18,9 @@ from odak.learn.wave import (
     StraightThroughEstimator,
     complex_2d_gaussians,
     complex_gaussians,
-    gaussian_files,
     propagate_beam,
 )
+from odak.learn.wave.gaussians import parameters
 
 WAVELENGTHS = [639e-9, 532e-9, 473e-9]
 NAMES = ["means_2d", "pre_act_scales", "pre_act_rotation", "colours", "pre_act_phase", "pre_act_opacities"]
@@ -110,7 +110,7 @@ def test_activations():
     assert bool((gaussians(7, merge_opacity=True).apply_activations()[3] == 1).all())
     # In single precision a tiny negative phase would be rounded up to a whole turn.
     tiny = torch.tensor([-1e-9, 1.0], requires_grad=True)
-    wrapped = gaussian_files.wrapped(tiny)
+    wrapped = parameters.wrapped(tiny)
     assert wrapped.tolist() == [0, 1]
     assert torch.autograd.grad(wrapped.sum(), tiny)[0].tolist() == [1, 1]
 
@@ -199,6 +199,8 @@ def test_scene():
         (None, "args_prop must have"),
         (settings(pad_size=[4]), "pad_size"),
         (settings(wavelengths=[-1.0]), "wavelengths must be positive"),
+        (settings(wavelengths=[5e-7]), "one for each of the 3 colours of the Gaussians, got 1"),
+        (settings(wavelengths=[5e-7] * 4), "one for each of the 3 colours of the Gaussians, got 4"),
     ):
         with pytest.raises(ValueError, match=message):
             Scene2D(model, wrong)
@@ -316,3 +318,18 @@ def test_a_hologram_is_fitted():
 def test_a_choice_may_be_masked():
     assert STEFunction.apply(torch.tensor([[1.0, float("-inf")]])).tolist() == [[1.0, 0.0]]
     assert STEFunction.apply(torch.tensor([[1.0, float("nan")]])).isnan().any()
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_field_for_each_wavelength(count):
+    model = complex_2d_gaussians(4, (32, 24), "cpu", seed=2, channels=count)
+    wavelengths = [4e-7 + 1e-7 * i for i in range(count)]
+    field = Scene2D(model, settings(wavelengths=wavelengths)).render((32, 24))
+    assert field.shape == (count, 30, 41)
+    one = complex_2d_gaussians(4, (32, 24), "cpu", seed=2, channels=1)
+    with torch.no_grad():
+        for name, value in model.named_parameters():
+            last = name in ("colours", "pre_act_phase")
+            getattr(one, name).copy_(value[:, -1:] if last else value)
+    alone = Scene2D(one, settings(wavelengths=wavelengths[-1:])).render((32, 24))
+    torch.testing.assert_close(field[-1:], alone)

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odak.learn.wave import complex_3d_gaussians
-from odak.learn.wave.gaussian_clouds import NAMES
+from odak.learn.wave.gaussians.spatial import NAMES
 
 PLANES = Namespace(num_planes=2)
 
@@ -230,7 +230,7 @@ def test_files(tmp_path, capsys):
     for call, message in (
         (lambda: model.save_gaussians(tmp_path / "scene.txt"), "not allowed"),
         (lambda: model.save_gaussians("../scene.pth"), "Path traversal"),
-        (lambda: load(tmp_path / "scene.ply"), "not allowed"),
+        (lambda: load(tmp_path / "scene.obj"), "not allowed"),
         (lambda: load(path, planes=3), r"pre_act_plane_assignment as .* \[7, 2\], not \[7, 3\]"),
     ):
         with pytest.raises(ValueError, match=message):

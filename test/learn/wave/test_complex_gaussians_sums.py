@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odak.learn.wave import gaussian_tiles
-from odak.learn.wave.gaussian_tiles import TiledGaussians, Tiling
-from odak.learn.wave.splatting import composite_gaussians, sum_of_gaussians
+from odak.learn.wave.gaussians.splatting import TiledGaussians, Tiling, composite_gaussians, sum_of_gaussians
 
 
 def gaussians(number, height, width, seed=0, channels=2, dtype=torch.float64):

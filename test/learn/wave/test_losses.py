@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy import ndimage
 
+from odak import AccuracyWarning
 from odak.learn.perception import SSIM
 from odak.learn.tools import generate_2d_gaussian
 from odak.learn.wave import (
@@ -19,6 +20,8 @@ from odak.learn.wave import (
     propagator,
     speckle_contrast,
 )
+
+pytestmark = pytest.mark.filterwarnings("ignore:blur_ratio:odak.AccuracyWarning")
 
 
 def uniform(*shape, seed=0):
@@ -252,9 +255,7 @@ def test_predictors_count_down_from_ten(monkeypatch):
 def test_a_missing_package_is_an_error(monkeypatch):
     for module in ("pycvvdp", "pyfvvdp", "lpips"):
         monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(ImportError, match="pip install cvvdp"):
-        perceptual_multiplane_loss(PICTURE, DEPTH)
-    for name, package in (("fvvdp", "pyfvvdp"), ("lpips", "lpips")):
+    for name, package in (("cvvdp", "cvvdp"), ("fvvdp", "pyfvvdp"), ("lpips", "lpips")):
         with pytest.raises(ImportError, match=f"pip install {package}"):
             perceptual_multiplane_loss(PICTURE, DEPTH, additional_loss_weights={name: 0.1})
     # A weight of zero asks for nothing.
@@ -328,3 +329,44 @@ def test_contrast_of_what_is_dark_beside_bright_light():
     light = torch.ones(32, 32)
     light[16:] = 1e-4 * torch.rand(16, 32, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(speckle_contrast(5)(light), speckle_contrast(5)(light.double()).float())
+
+
+def test_defaults_that_blur_nothing_say_so():
+    with pytest.warns(AccuracyWarning, match=r"blur_ratio 0.25 blurs nothing on 4 planes"):
+        multiplane_loss(PICTURE, DEPTH)
+
+
+@pytest.mark.parametrize("aperture", [None, 0.1])
+def test_blur_of_the_geometry_is_a_disc_that_grows_with_distance_and_wavelength(aperture):
+    colours, pitch, step = [639e-9, 473e-9], 8e-6, 2e-3 if aperture is None else 1e-3
+    size, places = 101, [0.0, step, 3 * step]
+    depth = torch.zeros(size, size, dtype=torch.float64)
+    point = torch.zeros(2, size, size, dtype=torch.float64)
+    point[:, 50, 50] = 1
+    loss = multiplane_loss(
+        point, depth, number_of_planes=3, distances=places, wavelengths=colours, pixel_pitch=pitch,
+        numerical_aperture=aperture,
+    )  # fmt: skip
+    torch.testing.assert_close(loss.targets[0], point)
+    rows = torch.arange(size, dtype=torch.float64) - 50
+    squared = rows[:, None] ** 2 + rows**2
+    for plane, place in ((1, step), (2, 3 * step)):
+        for colour, wavelength in enumerate(colours):
+            sine = aperture or wavelength / (2 * pitch)
+            radius = place * math.tan(math.asin(sine)) / pitch
+            image = loss.targets[plane, colour]
+            # A uniform disc has the second moment r²/2; its spectrum rings a little beyond the edge.
+            assert image.sum().item() == pytest.approx(1, abs=0.1)
+            inside = squared <= (0.8 * radius) ** 2
+            assert image[inside].mean().item() == pytest.approx(1 / (math.pi * radius**2), rel=0.1)
+            assert image[squared > (1.3 * radius + 2) ** 2].sum() < 0.1
+
+
+def test_a_volume_within_the_depth_of_focus_says_so():
+    options = {"number_of_planes": 2, "wavelengths": [532e-9] * 3, "pixel_pitch": 8e-6}
+    with pytest.warns(AccuracyWarning, match="the depth of focus, 0.00048"):
+        multiplane_loss(PICTURE, DEPTH, distances=[0.0, 1e-4], **options)
+    with pytest.raises(ValueError, match="distances must be one for each of 2 planes, got 3"):
+        multiplane_loss(PICTURE, DEPTH, distances=[0.0, 1e-4, 1.0], **options)
+    with pytest.raises(ValueError, match="must be given together; missing distances"):
+        multiplane_loss(PICTURE, DEPTH, **options)

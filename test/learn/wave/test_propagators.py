@@ -7,9 +7,10 @@ import physics
 import pytest
 import torch
 
+from odak import AccuracyWarning
 from odak.learn import wave
 from odak.learn.wave import holographic_display, propagator
-from odak.learn.wave.workspace import Workspace
+from odak.learn.wave.convolution import Workspace
 
 PITCH = 8e-6
 COLOURS = [639e-9, 515e-9, 473e-9]
@@ -25,19 +26,25 @@ def phases():
     return 2 * math.pi * torch.rand(3, 24, 32, generator=torch.Generator().manual_seed(0))
 
 
+def unwrapped(field, distance, wavelength, **options):
+    return physics.unwrapped_propagation(field.numpy(), float(distance), PITCH, wavelength, **options)
+
+
 @pytest.mark.parametrize(
     "method", ["Bandlimited Angular Spectrum", "Angular Spectrum", "Transfer Function Fresnel", "auto"]
 )
 def test_each_plane_and_colour_is_a_propagation(method, phases):
-    show = display(propagation_type=method, aperture=torch.ones(24 * 2, 32 * 2))
+    show = display(propagation_type=method)
     images = show.reconstruct(phases)
     assert images.shape == (3, 2, 3, 24, 32)
     for frame in range(3):
         for plane, distance in enumerate(show.distances.tolist()):
             field = wave.unit_phasor(phases[frame])
-            expected = wave.propagate_beam(field, None, distance, PITCH, COLOURS[frame], show.propagation_type)
-            torch.testing.assert_close(images[frame, plane, frame], wave.intensity(expected), rtol=1e-4, atol=1e-5)
-            torch.testing.assert_close(show(field, frame, plane), expected, rtol=1e-4, atol=1e-5)
+            expected = unwrapped(field, distance, COLOURS[frame])
+            # The paraxial phase of Fresnel's transfer function is off by some hundredths of a radian.
+            bound = 2e-2 if "Fresnel" in method else 2e-3
+            assert physics.relative_error(show(field, frame, plane), expected) < bound
+            assert physics.relative_error(images[frame, plane, frame], abs(expected) ** 2) < 2 * bound
         dark = [colour for colour in range(3) if colour != frame]
         assert not images[frame][:, dark].any()
 
@@ -59,29 +66,88 @@ def test_relay_leaves_the_net_distance(phases):
     )
     assert there_and_back.distances.tolist() == pytest.approx([offset - 1e-3, offset + 1e-3])
     net = there_and_back.distances - offset
-    straight = display(distances=net, propagation_type="Angular Spectrum")
     field = wave.unit_phasor(phases[0])
-    # The relay's band cuts the corners of the spectrum, and nothing else.
-    limited = there_and_back.kernels.abs() > 0
-    assert 0.3 < limited.float().mean() < 0.9
-    difference = (there_and_back.kernels - straight.kernels)[limited].abs().max()
-    assert difference < 1e-6
-    assert there_and_back(field, 0, 1).abs().square().sum() < straight(field, 0, 1).abs().square().sum()
+    for plane, distance in enumerate(net.tolist()):
+        expected = unwrapped(field, distance, COLOURS[0])
+        assert physics.relative_error(there_and_back(field, 0, plane), expected) < 2e-3
 
 
-def test_relay_of_fresnel_impulse_responses_is_the_product_of_the_ways():
-    relay, offset = 0.02, 1e-3
-    show = display(
-        propagation_type="Impulse Response Fresnel",
-        propagator_type="back and forth",
-        image_location_offset=offset,
-        back_and_forth_distance=relay,
+def test_a_relay_of_fresnel_impulse_responses_leaves_the_net_distance(phases):
+    offset = 5e-3
+    options = {"propagation_type": "Impulse Response Fresnel", "image_location_offset": offset}
+    show = display(propagator_type="back and forth", aperture_samples=[1, 1, 1, 1], **options)
+    field = wave.unit_phasor(phases[0])
+    for plane, distance in enumerate(show.distances.tolist()):
+        assert physics.relative_error(show(field, 1, plane), unwrapped(field, distance - offset, COLOURS[1])) < 3e-3
+    # Averages over pixels are those of the straight way, where that is long enough for its impulse response.
+    averaged = {"aperture_samples": [4, 5, 2, 3], "resolution_factor": 2, "distances": [8e-2]}
+    straight = display(**(options | averaged))
+    there_and_back = display(propagator_type="back and forth", **(options | averaged | {"distances": [8e-2 + offset]}))
+    expected, found = (
+        straight.reconstruct(phases, get_complex=True),
+        there_and_back.reconstruct(phases, get_complex=True),
     )
-    legs = []
-    for distance in (relay, -(relay + offset - show.distances[1].item())):
-        straight = display(propagation_type="Impulse Response Fresnel", distances=[distance])
-        legs.append(straight.kernels[0, 2])
-    torch.testing.assert_close(show.kernels[1, 2], legs[0] * legs[1], rtol=1e-4, atol=1e-5)
+    assert physics.relative_error(found, expected.numpy()) < 0.1
+
+
+@pytest.mark.parametrize("shape", [(24, 32), (32, 20)])
+def test_an_iris_is_round_and_its_cut_off_falls_with_the_wavelength(shape):
+    phases = 2 * math.pi * torch.rand(3, *shape, generator=torch.Generator().manual_seed(1))
+    radius, focal = 0.7e-3, 0.05
+    show = propagator(
+        shape, COLOURS, PITCH, number_of_frames=3, distances=[2e-3, 4e-3], propagator_type="forward",
+        iris_radius=radius, iris_focal_length=focal,
+    )  # fmt: skip
+    fields = show.reconstruct(phases, get_complex=True)
+    for colour, wavelength in enumerate(COLOURS):
+        cutoff = radius / (wavelength * focal)
+        assert cutoff < 1 / (2 * PITCH)
+        for plane, distance in enumerate((2e-3, 4e-3)):
+            expected = unwrapped(wave.unit_phasor(phases[colour]), distance, wavelength, cutoff=cutoff)
+            assert physics.relative_error(fields[colour, plane, colour], expected) < 0.02
+    in_samples = radius / (COLOURS[1] * focal) * PITCH * 2 * max(shape)
+    sized = propagator(
+        shape, [COLOURS[1]], PITCH, distances=[2e-3], propagator_type="forward", aperture_size=in_samples
+    )
+    field = wave.unit_phasor(phases[1])
+    torch.testing.assert_close(sized(field, 0, 0), show(field, 1, 0))
+    with pytest.raises(ValueError, match="must be given together"):
+        show.set_aperture(iris_radius=1e-3)
+    with pytest.raises(ValueError, match="iris_radius excludes"):
+        show.set_aperture(aperture_size=3.0, iris_radius=1e-3, iris_focal_length=0.1)
+
+
+def test_displays_are_open_by_default(phases):
+    for shape in ((24, 32), (8, 96)):
+        show = propagator(shape, distances=[0.0], propagator_type="forward")
+        field = wave.unit_phasor(2 * math.pi * torch.rand(shape, generator=torch.Generator().manual_seed(2)))
+        torch.testing.assert_close(show(field, 0, 0), field, rtol=1e-5, atol=1e-5)
+
+
+def test_finite_pixels_have_their_own_spectrum():
+    phase, fill, s, distance = (
+        2 * math.pi * torch.rand(12, 16, generator=torch.Generator().manual_seed(1)),
+        0.7,
+        16,
+        2e-3,
+    )
+    iris = {"iris_radius": 1.2e-3, "iris_focal_length": 0.05}
+    slm = wave.spatial_light_modulator(bits=None, fill_factor=fill, dead_area_amplitude=0.0)
+    show = propagator([12, 16], [COLOURS[1]], PITCH, distances=[distance], propagator_type="forward", slm=slm, **iris)
+    found = show.reconstruct(phase, get_complex=True)[0, 0, 0]
+    # Pixels drawn by many samples, seen at their middles.
+    drawn = wave.spatial_light_modulator(bits=None, fill_factor=fill, dead_area_amplitude=0.0, samples_per_pixel=s)
+    cutoff = iris["iris_radius"] / (COLOURS[1] * iris["iris_focal_length"])
+    fine = physics.unwrapped_propagation(drawn(phase).numpy(), distance, PITCH / s, COLOURS[1], cutoff, padding=8)
+    middles = (fine[s // 2 - 1 :: s] + fine[s // 2 :: s]) / 2
+    middles = (middles[:, s // 2 - 1 :: s] + middles[:, s // 2 :: s]) / 2
+    assert physics.relative_error(found, middles) < 0.02
+    points = propagator([12, 16], [COLOURS[1]], PITCH, distances=[distance], propagator_type="forward", **iris)
+    assert physics.relative_error(fill * points.reconstruct(phase, get_complex=True)[0, 0, 0], middles) > 0.05
+    with pytest.warns(AccuracyWarning, match="orders beyond"):
+        propagator([12, 16], [COLOURS[1]], PITCH, slm=slm)
+    with pytest.raises(ValueError, match="pixel_fill must be at most 1"):
+        propagator([12, 16], [COLOURS[1]], PITCH, pixel_fill=1.2, **iris)
 
 
 @pytest.mark.parametrize("budget", [1, 600_000, None])
@@ -227,7 +293,7 @@ def test_kernels_are_centred_and_their_inverse_is_the_impulse_response():
     kernels = show.kernels
     assert kernels.shape == (2, 3, 48, 64)
     middle = 2 * math.pi * (show.distances[1].double() / COLOURS[2] % 1)
-    assert torch.angle(kernels[1, 2, 24, 32]).item() % (2 * math.pi) == pytest.approx(middle.item(), abs=1e-4)
+    assert torch.angle(kernels[1, 2, 24, 32]).item() % (2 * math.pi) == pytest.approx(middle.item(), abs=0.15)
     amplitude, phase = show.get_kernels()
     field = torch.zeros(24, 32)
     field[12, 16] = 1
@@ -251,9 +317,10 @@ def test_kernels_are_built_once_for_the_planes_that_are_asked_for(phases):
 
 
 def test_another_aperture_is_seen(phases):
-    show, other, field = display(), display(aperture_size=10), wave.unit_phasor(phases[0])
+    mask = display(aperture_size=10).aperture
+    show, other, field = display(), display(aperture=mask), wave.unit_phasor(phases[0])
     show(field, 0, 0)
-    show.aperture = other.aperture
+    show.aperture = mask
     torch.testing.assert_close(show(field, 0, 0), other(field, 0, 0), rtol=0, atol=0)
 
 
@@ -268,7 +335,8 @@ def test_methods_of_powers_are_checked_when_they_are_set_later():
 
 def test_aperture_is_a_disc_about_zero_frequency(phases):
     show = display(aperture_size=10)
-    assert show.aperture.sum() == sum(r * r + c * c < 100 for r in range(-24, 24) for c in range(-32, 32))
+    inside = sum((r / 48) ** 2 + (c / 64) ** 2 <= (10 / 64) ** 2 for r in range(-24, 24) for c in range(-32, 32))
+    assert show.aperture.sum() == inside
     flat = show(torch.ones(48, 64)[:24, :32], 0, 0)
     field = show(wave.unit_phasor(phases[0]), 0, 0)
     assert field.abs().square().mean() < 0.5 * flat.abs().square().mean() + 0.5
@@ -293,7 +361,7 @@ def test_padding_of_ones_own(phases):
     [
         ({"number_of_frames": 0}, "number_of_frames"),
         ({"propagator_type": "sideways"}, "propagator_type"),
-        ({"propagation_type": "Fraunhofer"}, "propagation_type"),
+        ({"propagation_type": "custom"}, "propagation_type"),
         ({"method": "monochrome"}, "method"),
         ({"laser_channel_power": torch.ones(2, 3)}, "laser_channel_power must be"),
         ({"laser_channel_power": -torch.eye(3)}, "laser_channel_power must not be negative"),
@@ -337,11 +405,10 @@ def test_display_without_relay(phases):
     powers = torch.rand(3, 3)
     images = show.reconstruct(phases, powers)
     assert images.shape == (3, 2, 3, 24, 32)
-    field = wave.propagate_beam(
-        illumination * wave.unit_phasor(phases[1]), None, 6e-3, PITCH, COLOURS[2]
-    )  # fmt: skip
-    torch.testing.assert_close(images[1, 1, 2], powers[1, 2] ** 2 * wave.intensity(field), rtol=1e-4, atol=1e-5)
-    torch.testing.assert_close(show(illumination * wave.unit_phasor(phases[1]), 2, 1), field, rtol=1e-4, atol=1e-5)
+    shown = illumination * wave.unit_phasor(phases[1])
+    field = unwrapped(shown, 6e-3, COLOURS[2])
+    assert physics.relative_error(images[1, 1, 2], powers[1, 2].item() ** 2 * abs(field) ** 2) < 4e-3
+    assert physics.relative_error(show(shown, 2, 1), field) < 2e-3
 
 
 def test_display_with_and_without_padding(phases):
@@ -352,7 +419,8 @@ def test_display_with_and_without_padding(phases):
     uncut = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3, pad=[True, False])(field, 0, 0)
     whole = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3)(field, 0, 0)
     assert uncut.shape == (48, 64)
-    torch.testing.assert_close(uncut[12:36, 16:48], whole)
+    # On the whole padded grid waves wrap around.
+    assert 1e-3 < physics.relative_error(uncut[12:36, 16:48], whole.numpy()) < 0.3
 
 
 def test_display_checks(phases):
@@ -365,7 +433,7 @@ def test_display_checks(phases):
         show(phases[0] + 0j, 3, 0)
     with pytest.raises(ValueError, match="illumination"):
         holographic_display(COLOURS, PITCH, [24, 32], illumination=torch.ones(24, 31))
-    pinhole = holographic_display(COLOURS, PITCH, [24, 32], number_of_depth_layers=1, pinhole_size=1)
+    pinhole = holographic_display(COLOURS, PITCH, [24, 32], number_of_depth_layers=1, pinhole_size=0.05)
     # Zero frequency alone: a flat field.
     flat = pinhole.reconstruct(phases, torch.ones(3, 3))
     assert flat.std((-2, -1)).max() < 1e-4 * flat.mean()
@@ -399,9 +467,7 @@ def test_planes_may_be_moved(phases):
     volume(field, 0, 0)
     volume.init_distances([1e-3, 2e-3, 4e-3])
     assert volume.number_of_depth_layers == 3 and volume.distances.tolist() == pytest.approx([1e-3, 2e-3, 4e-3])
-    torch.testing.assert_close(
-        volume(field, 1, 2), wave.propagate_beam(field, None, 4e-3, PITCH, COLOURS[1]), rtol=1e-4, atol=1e-5
-    )
+    assert physics.relative_error(volume(field, 1, 2), unwrapped(field, 4e-3, COLOURS[1])) < 2e-3
 
 
 def test_options_of_displays_are_named():

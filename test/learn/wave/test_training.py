@@ -1,5 +1,6 @@
 """The loop that optimizers share: checkpoints, interruption, the best so far, schedules."""
 
+import itertools
 import math
 
 import pytest
@@ -7,22 +8,30 @@ import torch
 
 from odak.learn import wave
 from odak.learn.wave import training
-from odak.learn.wave.solvers import LBFGS, Adam
+from odak.learn.wave.training import LBFGS, Adam
 
 
-def run(start, iterations=20, solver="adam", noise=0.0, loss_of=None, rate=0.1, **options):
+def run(start, iterations=20, solver="adam", noise=0.0, loss_of=None, rate=0.1, seed=None, **options):
     """Return the parameter after descending a bowl whose centre shakes, and whether the run came to its end."""
     parameter = start.clone().requires_grad_()
+    draw = training.generator_from(seed)
 
     def gradient(iteration):
-        centre = torch.ones_like(start) + noise * torch.randn(start.shape, dtype=start.dtype)
+        centre = torch.ones_like(start) + noise * torch.randn(start.shape, dtype=start.dtype, generator=draw)
         loss = (parameter - centre).square().sum() if loss_of is None else loss_of(iteration, parameter)
         loss.backward()
         return loss.detach()
 
     options = training.Options(**({"progress": False} | options))
     ended = training.minimise(
-        {"x": parameter}, gradient, iterations, training.constant(rate), options, solver=solver, about={"rate": rate}
+        {"x": parameter},
+        gradient,
+        iterations,
+        training.constant(rate),
+        options,
+        solver=solver,
+        about={"rate": rate},
+        generators=[draw],
     )
     return parameter.detach(), ended
 
@@ -202,6 +211,23 @@ def test_solvers_on_several_parameters():
         assert loss < 1e-6
         torch.testing.assert_close(one, target, atol=1e-3, rtol=0)
         torch.testing.assert_close(two, -target * target, atol=1e-2, rtol=0)
+
+
+def test_line_search_shortens_steps_that_overshoot():
+    # Rosenbrock's valley, along which the first trial of many steps climbs the other side.
+    place = torch.tensor([-1.2, 1.0], dtype=torch.float64, requires_grad=True)
+    solver = LBFGS([place])
+
+    def gradient():
+        place.grad = None
+        with torch.enable_grad():
+            loss = (1 - place[0]) ** 2 + 100 * (place[1] - place[0] ** 2) ** 2
+        loss.backward()
+        return loss.detach()
+
+    losses = [float(solver.step(gradient, 1.0)) for _ in range(60)]
+    assert all(after < before for before, after in itertools.pairwise(losses) if before > 1e-20)
+    torch.testing.assert_close(place.detach(), torch.ones(2, dtype=torch.float64), atol=1e-6, rtol=0)
 
 
 def test_a_checkpoint_of_another_problem_is_refused(tmp_path):

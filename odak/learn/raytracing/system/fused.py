@@ -1,28 +1,66 @@
-"""Rays through a whole sequence of surfaces, a cache-sized block at a time, forward and back.
+"""Fused trace of untilted planes, conics and even aspheres, a cache-sized block of rays at a time, with its adjoint.
 
-Forward, a block passes all surfaces before the next one starts, so that what lies between two surfaces never leaves the
-cache. What is kept for the backward pass is the rays that came in and their statuses; a block is then traced once more
-and its gradients run back through the surfaces by hand-written adjoints.
+An optional acceleration of :func:`odak.learn.raytracing.system.sequence.plain_trace` on a processor. Forward, a block
+passes all surfaces before the next one starts, so that intermediate results never leave the cache. For the backward
+pass the rays that came in and their statuses are kept; a block is then traced once more and its gradients are
+propagated back through the surfaces by hand-written vector–Jacobian products.
+
+With p′ = p + Td on F(p′) = 0, N = ∂F/∂p and d′ = μd + ΓN, Γ = (±q − μ N·d)/N², q² = (1 − μ²)N² + μ²(N·d)². The
+intersection is differentiated by the implicit function theorem, dT = −(N·(dp + T dd) + ∂F/∂θ dθ)/(N·d): the method that
+found T does not matter.
 """
 
-from typing import NamedTuple
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
 
 import torch
 
-from odak.learn.raytracing.system import adjoint
-from odak.learn.raytracing.system.elements import Element, Layout, Numbers, as_lists, elements, plain_elements
-from odak.learn.raytracing.system.step import STEPS, State, advance, sag
-from odak.learn.raytracing.system.workers import each
-from odak.raytracing.status import RayStatus
+from odak.learn.raytracing.system.sequence import (
+    HIT,
+    Layout,
+    Numbers,
+    State,
+    flat_arguments,
+    plain_trace,
+)
+from odak.raytracing.intersections import RayStatus
+from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, radial_sag
 
 # Bytes of one component of a block: a dozen of them fit into a core's cache.
 BLOCK_BYTES = 1 << 17
 # From here on a system's rays fill blocks by themselves; below, blocks hold several systems.
 MANY = 4096
+STEPS = 12
 
 
-class Passage(NamedTuple):
-    """What the adjoint of one surface needs of a block: direction before, point, distance, cosine, Γ, root, normal."""
+class Element(NamedTuple):
+    """One surface for a block of rays: numbers are floats, or tensors ``[rows, 1]`` that broadcast against the block.
+
+    Attributes
+    ----------
+    kind, action, sign, limit
+        From :class:`Layout`.
+    c, k, h, a, n1, n2
+        Curvature, conic constant, distance from the vertex before, tuple of coefficients, indices on both sides.
+    """
+
+    kind: type
+    action: str
+    sign: int
+    limit: float | None
+    c: Any
+    k: Any
+    h: Any
+    a: tuple
+    n1: Any
+    n2: Any
+
+
+class SurfaceRecord(NamedTuple):
+    """Values of a block at one surface that its vector–Jacobian product needs."""
 
     u: torch.Tensor
     v: torch.Tensor
@@ -38,27 +76,32 @@ class Passage(NamedTuple):
     squared: torch.Tensor | None
 
 
-def plain_trace(layout: Layout, numbers: Numbers, rays: tuple) -> State:
-    """Return the rays ``[B, R]`` behind the last surface, in plain torch operations; failed rays lie on the axis."""
-    status = torch.where(torch.isfinite(sum(rays)), RayStatus.HIT.value, RayStatus.MISS.value).to(torch.int8)
-    rays = [torch.where(status == RayStatus.HIT, value, 0.0) for value in rays]
-    rays[5] = torch.where(status == RayStatus.HIT, rays[5], 1.0)
-    state = State(*(*rays, torch.zeros_like(rays[0]), status))
-    for element in elements(layout, numbers, rays[0].dtype):
-        state = advance(state, element)
-    return state
+class SurfaceGradients(NamedTuple):
+    """Gradients of one surface's numbers, ``[rows]`` each: as in Numbers, with those of the indices on both sides."""
+
+    curvature: Any
+    conic: Any
+    distance: Any
+    coefficients: list
+    before: Any
+    behind: Any
+
+
+def plain(layout: Layout, numbers: Numbers, rays: tuple) -> State:
+    """Return the trace of rays ``[B, R]`` in plain operations; failed rays lie on the axis."""
+    return plain_trace(layout, *rays, *flat_arguments(layout, numbers)[0])
 
 
 class Trace(torch.autograd.Function):
-    """All surfaces in one node of the graph; see the module."""
+    """Trace through all surfaces as one node of the graph."""
 
     @staticmethod
     def forward(layout, x, y, z, u, v, w, *numbers):
         """Return x, y, z, u, v, w, path and status ``[B, R]``; NaN where a ray failed."""
         numbers, rays = Numbers(*numbers), (x, y, z, u, v, w)
         if x.device.type != "cpu":
-            state = plain_trace(layout, numbers, rays)
-            lost = state.status != RayStatus.HIT
+            state = plain(layout, numbers, rays)
+            lost = state.status != HIT
             return (*(value.masked_fill(lost, torch.nan) for value in state[:7]), state.status)
         out = [torch.empty(x.shape, dtype=x.dtype) for _ in range(7)]
         status = torch.empty(x.shape, dtype=torch.int8)
@@ -67,9 +110,9 @@ class Trace(torch.autograd.Function):
             block = tuple(value[rows, columns] for value in rays)
             held, marks = _run(block, sequence) or (None, None)
             if held is None:
-                few = Numbers(*(value[rows] for value in numbers))
-                *held, marks = plain_trace(layout, few, block)
-                lost = marks != RayStatus.HIT
+                few = Numbers(*(value[rows] for value in numbers[:5]))
+                *held, marks = plain(layout, few, block)
+                lost = marks != HIT
                 held = [value.masked_fill_(lost, torch.nan) for value in held]
             for target, value in zip(out, held, strict=True):
                 target[rows, columns] = value
@@ -91,8 +134,8 @@ class Trace(torch.autograd.Function):
         """Return the gradients of rays and numbers."""
         *tensors, status = ctx.saved_tensors
         if torch.is_grad_enabled():
-            return (None, *_again(ctx.layout, tensors, gradients[:7], ctx.needs_input_grad[1:]))
-        return (None, *_pull(ctx.layout, tensors, status, gradients[:7]))
+            return (None, *_differentiable_gradients(ctx.layout, tensors, gradients[:7], ctx.needs_input_grad[1:]))
+        return (None, *_gradients(ctx.layout, tensors, status, gradients[:7]))
 
 
 def blocks(layout: Layout, numbers: Numbers, shape, dtype):
@@ -102,51 +145,52 @@ def blocks(layout: Layout, numbers: Numbers, shape, dtype):
     if not count * rays:
         return
     if count == 1 or rays >= MANY:
-        lists = as_lists(numbers)
+        lists = _as_lists(numbers)
         for row in range(count):
-            sequence = plain_elements(layout, lists, row)
+            sequence = _float_elements(layout, lists, row)
             for start in range(0, rays, block):
                 yield slice(row, row + 1), slice(start, start + block), sequence
         return
     step = max(1, block // max(rays, 1))
     for start in range(0, count, step):
         rows = slice(start, start + step)
-        yield rows, slice(None), elements(layout, Numbers(*(value[rows] for value in numbers)), dtype)
+        few: Any = [value[rows] for value in numbers[:5]]
+        yield rows, slice(None), _elements(layout, Numbers(*few), dtype)
 
 
-def _again(layout, tensors, gradients, needed):
+def _differentiable_gradients(layout, tensors, gradients, needed):
     """Return the gradients as differentiable tensors: by autograd through the plain operations."""
     # Views, so that the same tensors may be asked for at once as inputs and as part of an outer graph.
     tensors = [value.view_as(value) if need else value for value, need in zip(tensors, needed, strict=True)]
     wanted = [value for value, need in zip(tensors, needed, strict=True) if need]
-    state = plain_trace(layout, Numbers(*tensors[6:]), tuple(tensors[:6]))
-    lost = state.status != RayStatus.HIT
+    state = plain(layout, Numbers(*tensors[6:]), tuple(tensors[:6]))
+    lost = state.status != HIT
     gradients = [torch.where(lost, 0.0, value) for value in gradients]
     found = iter(torch.autograd.grad(state[:7], wanted, gradients, create_graph=True, allow_unused=True))
     return [next(found) if need else None for need in needed]
 
 
-def _pull(layout, tensors, status, gradients):
+def _gradients(layout, tensors, status, gradients):
     """Return the gradients, block by block."""
     rays, numbers = tuple(tensors[:6]), Numbers(*tensors[6:])
     shape, dtype = status.shape, rays[0].dtype
     if status.device.type != "cpu":
-        whole = [(slice(None), slice(None), elements(layout, numbers, dtype))]
+        whole = [(slice(None), slice(None), _elements(layout, numbers, dtype))]
     else:
         whole = blocks(layout, numbers, shape, dtype)
     out = [torch.empty(shape, dtype=dtype, device=status.device) for _ in range(6)]
-    totals = Numbers(*(torch.zeros_like(value) for value in numbers))
+    totals = Numbers(*(torch.zeros_like(value) for value in numbers[:5]))
 
     def work(rows, columns, sequence):
-        lost = status[rows, columns] != RayStatus.HIT
+        lost = status[rows, columns] != HIT
         block = [value[rows, columns] for value in rays]
         g = [value[rows, columns] for value in gradients]
         if status.device.type != "cpu" or bool(lost.any()):
             block = [value.masked_fill(lost, float(i == 5)) for i, value in enumerate(block)]
             g = [value.masked_fill(lost, 0.0) for value in g]
-        passages = []
-        _run(tuple(block), sequence, passages)
-        held, changes = adjoint.back(sequence, passages, g)
+        records = []
+        _run(tuple(block), sequence, records)
+        held, changes = _vector_jacobian_product(sequence, records, g)
         for target, value in zip(out, held, strict=True):
             target[rows, columns] = value
         return rows, changes
@@ -154,8 +198,8 @@ def _pull(layout, tensors, status, gradients):
     # Summed in order, whichever thread was first: the same call gives the same digits.
     for rows, changes in each(work, whole):
         for i, change in enumerate(changes):
-            adjoint.add(totals, rows, i, change)
-    return (*out, *totals)
+            _accumulate(totals, rows, i, change)
+    return (*out, *totals[:5])
 
 
 def _run(block, sequence, keep: list | None = None):
@@ -168,10 +212,10 @@ def _run(block, sequence, keep: list | None = None):
             return None
         first = (e.h - z).div_(w)
         x, y = torch.addcmul(x, first, u), torch.addcmul(y, first, v)
-        met = _meet(x, y, u, v, w, e, keep is None)
-        if met is None:
+        found = _intersect(x, y, u, v, w, e, keep is None)
+        if found is None:
             return None
-        z, distance, cosine = met[0], first.add_(met[1]) if met[1] is not None else first, met[2]
+        z, distance, cosine = found[0], first.add_(found[1]) if found[1] is not None else first, found[2]
         _add(path, distance, e.n1)
         if e.limit is not None and keep is None:
             outside = torch.addcmul(x * x, y, y) > e.limit**2
@@ -181,9 +225,9 @@ def _run(block, sequence, keep: list | None = None):
         gamma = root = None
         if e.action != "pass":
             gamma, root = _gamma(cosine, squared, e)
-            u, v, w = _turn(old, normal, gamma, e)
+            u, v, w = _deflected(old, normal, gamma, e)
         if keep is not None:
-            keep.append(Passage(*old, x, y, z, distance, cosine, gamma, root, normal, squared))
+            keep.append(SurfaceRecord(*old, x, y, z, distance, cosine, gamma, root, normal, squared))
     if keep is not None:
         return None
     if not bool(torch.isfinite(u.sum() + v.sum() + x.sum() + y.sum())):
@@ -194,9 +238,9 @@ def _run(block, sequence, keep: list | None = None):
     return held, beyond.to(torch.int8).mul_(RayStatus.VIGNETTED.value)
 
 
-def _meet(x, y, u, v, w, e: Element, check: bool):
+def _intersect(x, y, u, v, w, e: Element, check: bool):
     """Move points from the vertex plane to the surface in place; return z, distance and n·d, or None for a miss."""
-    if e.kind == "plane":
+    if e.kind is Plane:
         return torch.zeros_like(x), None, w
     f = torch.addcmul(x * x, y, y).mul_(e.c)
     g = torch.addcmul(x * u, y, v).mul_(e.c)
@@ -209,36 +253,36 @@ def _meet(x, y, u, v, w, e: Element, check: bool):
     root = inside.sqrt_()
     cosine = root if e.sign > 0 else root.neg_()
     t = f.div_(g.add_(cosine))
-    if e.kind == "asphere":
-        t = _solve(x, y, u, v, w, t, e)
+    if e.kind is EvenAsphere:
+        t = _newton(x, y, u, v, w, t, e)
         if t is None:
             return None
     x.addcmul_(t, u)
     y.addcmul_(t, v)
     z = t * w
-    if e.kind == "asphere":
-        _, slope, defined = sag(torch.addcmul(x * x, y, y), e)
+    if e.kind is EvenAsphere:
+        _, slope, defined = _sag(torch.addcmul(x * x, y, y), e)
         cosine = torch.addcmul(w, torch.addcmul(x * u, y, v), slope, value=-2)
         return None if check and not bool(defined.all()) else (z, t, cosine)
     return None if check and not _on_sheet(z, e) else (z, t, cosine)
 
 
 def _on_sheet(z, e: Element) -> bool:
-    """Say whether c(1 + k)z < 1 for all rays, by their extremes alone: not on the other sheet of the quadric."""
+    """Return whether c(1 + k)z < 1 for all rays, by their extremes alone: not on the other sheet of the quadric."""
     factor = e.c * (1 + e.k)
     if isinstance(factor, float):
         return bool((z.amax() if factor > 0 else z.amin()) * factor < 1)
-    # Where systems differ, doubts are for the plain way to decide.
+    # Where systems differ, cases that this bound leaves open go to the plain trace.
     return bool(z.abs().amax() * factor.abs().amax() < 1)
 
 
-def _solve(x, y, u, v, w, t, e: Element):
+def _newton(x, y, u, v, w, t, e: Element):
     """Return the distance to an asphere by Newton's method, or None if a ray does not converge."""
     scale = 64 * torch.finfo(x.dtype).eps
     for _ in range(STEPS):
         px, py = torch.addcmul(x, t, u), torch.addcmul(y, t, v)
         squared = torch.addcmul(px * px, py, py)
-        height, slope, _ = sag(squared, e)
+        height, slope, _ = _sag(squared, e)
         along = torch.addcmul(w, px.mul_(u).addcmul_(py, v), slope, value=-2)
         step = torch.addcmul(height, t, w, value=-1).neg_().div_(along)
         t = t - step
@@ -250,10 +294,10 @@ def _solve(x, y, u, v, w, t, e: Element):
 
 def _normal(x, y, z, e: Element):
     """Return the gradient of F, its parts that are not plain zeros and ones, and its square (None for 1)."""
-    if e.kind == "plane":
+    if e.kind is Plane:
         return (None, None, None), None
-    if e.kind == "asphere":
-        _, slope, _ = sag(torch.addcmul(x * x, y, y), e)
+    if e.kind is EvenAsphere:
+        _, slope, _ = _sag(torch.addcmul(x * x, y, y), e)
         nx, ny = (slope * x).mul_(-2), (slope * y).mul_(-2)
         return (nx, ny, None), torch.addcmul(nx * nx, ny, ny).add_(1)
     nx, ny, nz = x * -e.c, y * -e.c, (z * (-e.c * (1 + e.k))).add_(1)
@@ -277,7 +321,7 @@ def _gamma(cosine, squared, e: Element):
     return (gamma if squared is None else gamma.div_(squared)), root
 
 
-def _turn(old, normal, gamma, e: Element):
+def _deflected(old, normal, gamma, e: Element):
     """Return μd + ΓN."""
     mu = 1.0 if e.action == "reflect" else e.n1 / e.n2
     parts = [value * mu for value in old]
@@ -292,3 +336,225 @@ def _turn(old, normal, gamma, e: Element):
 def _add(out, value, factor):
     """Add factor·value to `out`, whatever the factor is."""
     return out.add_(value, alpha=factor) if isinstance(factor, float) else out.addcmul_(value, factor)
+
+
+def _sag(squared, e: Element):
+    """Return an asphere's height at r², its derivative by r², and its domain."""
+    return radial_sag(squared, e.c, e.k, e.a)
+
+
+def _elements(layout: Layout, numbers: Numbers, dtype: torch.dtype) -> list[Element]:
+    """Return the elements of a batch as tensors ``[B, 1]`` of `dtype`, for broadcasting against rays ``[B, R]``."""
+    narrow = [value.to(dtype) for value in numbers[:5]]
+    return _build(layout, *[_columns(value) for value in narrow])
+
+
+def _float_elements(layout: Layout, lists: tuple, row: int) -> list[Element]:
+    """Return the elements of one system as floats, from :func:`_as_lists`."""
+    curvature, conic, distance, coefficients, index = (value[row] for value in lists)
+    return _build(layout, curvature, conic, distance, coefficients, index)
+
+
+def _as_lists(numbers: Numbers) -> tuple:
+    """Return the numbers as nested lists: arithmetic with Python floats needs no broadcasting."""
+    return tuple(value.detach().tolist() for value in numbers[:5])
+
+
+def _columns(value):
+    """Return ``[B, S]`` as S tensors ``[B, 1]``, and ``[B, S, K]`` as S tuples of K of them."""
+    if value.ndim == 3:
+        return [tuple(v[:, i : i + 1] for i in range(v.shape[1])) for v in value.unbind(1)]
+    return [value[:, i : i + 1] for i in range(value.shape[1])]
+
+
+def _build(layout: Layout, curvature, conic, distance, coefficients, index) -> list[Element]:
+    parts = zip(*layout[:4], strict=True)
+    return [
+        Element(*part, curvature[i], conic[i], distance[i], tuple(coefficients[i]), index[i], index[i + 1])
+        for i, part in enumerate(parts)
+    ]
+
+
+def _vector_jacobian_product(sequence, records, gradients) -> tuple[list[torch.Tensor], list[SurfaceGradients]]:
+    """Return the gradients of a block's rays and of the numbers of each surface, from those behind the last one."""
+    *g, path = gradients
+    found = []
+    for e, p in zip(reversed(sequence), reversed(records), strict=True):
+        g, shape, sides = _backward(e, p, g, path)
+        # The next vertex is further by h: the points are nearer to it.
+        found.append(SurfaceGradients(shape[0], shape[1], -_sum(g[2]), shape[2], *sides))
+    return g, found[::-1]
+
+
+def _accumulate(totals: Numbers, rows: slice, i: int, change: SurfaceGradients) -> None:
+    """Add the gradients of surface `i` to those of the systems `rows`."""
+    totals.curvature[rows, i] += change.curvature
+    totals.conic[rows, i] += change.conic
+    totals.distance[rows, i] += change.distance
+    totals.index[rows, i] += change.before
+    totals.index[rows, i + 1] += change.behind
+    for j, value in enumerate(change.coefficients):
+        totals.coefficients[rows, i, j] += value
+
+
+def _sum(value):
+    return value.sum(-1, dtype=torch.float64)
+
+
+def _backward(e: Element, p, g, path):
+    """Return the gradients before a surface, those of its shape, and those of the two indices."""
+    x, y, z, *direction = g
+    before, behind = 0.0, 0.0
+    normal = None
+    if e.action != "pass":
+        direction, normal, before, behind = _refraction_backward(e, p, direction)
+    if normal is not None and e.kind is not Plane:
+        shape, (x, y, z) = _normal_backward(e, p, normal, x, y, z)
+    else:
+        shape = [0.0, 0.0, [0.0] * len(e.a)]
+    # Along the ray: T carries what moves the point along it, and the path.
+    along = _dot((x, y, z), (p.u, p.v, p.w)).add_(path * e.n1)
+    weight = along.div_(p.cosine).neg_()
+    nx, ny, nz = p.normal
+    if nx is not None:
+        x, y = torch.addcmul(x, weight, nx), torch.addcmul(y, weight, ny)
+        shape = _surface_backward(e, p, weight, shape)
+    z = z + weight if nz is None else torch.addcmul(z, weight, nz)
+    direction = [torch.addcmul(d, p.distance, v) for d, v in zip(direction, (x, y, z), strict=True)]
+    return [x, y, z, *direction], shape, (before + _sum(p.distance * path), behind)
+
+
+def _dot(a, b):
+    """Return the scalar product; None in `b` stands for the components of (0, 0, 1)."""
+    if b[0] is None:
+        return a[2].clone() if b[2] is None else a[2] * b[2]
+    out = torch.addcmul(a[0] * b[0], a[1], b[1])
+    return out.add_(a[2]) if b[2] is None else out.addcmul_(a[2], b[2])
+
+
+def _refraction_backward(e: Element, p, g):
+    """Return the gradients of the direction before, of the normal, and of both indices."""
+    gamma = _dot(g, p.normal)
+    squared = 1.0 if p.squared is None else p.squared
+    if e.action == "reflect":
+        mu, slope = 1.0, gamma * -2 / squared
+        along = slope
+        size = -gamma * p.gamma / squared
+        before = behind = 0.0
+    else:
+        mu = e.n1 / e.n2
+        along = gamma * p.gamma / p.root * (-mu * e.sign)
+        size = gamma * ((e.sign * (1 - mu * mu) / 2) / (p.root * squared) - p.gamma / squared)
+        rise = (e.sign * mu * (p.cosine * p.cosine - squared) / p.root - p.cosine) / squared
+        slope = _sum(_dot(g, (p.u, p.v, p.w)) + gamma * rise)
+        n1, n2 = _flat(e.n1), _flat(e.n2)
+        before, behind = slope / n2, -slope * n1 / n2**2
+    normal = None
+    if p.normal[0] is not None:
+        old = (p.u, p.v, p.w)
+        normal = [p.gamma * a + along * b for a, b in zip(g, old, strict=True)]
+        for axis, value in enumerate(p.normal):
+            normal[axis] = normal[axis] + 2 * size * (1.0 if value is None else value)
+    g = [
+        mu * a if n is None and axis < 2 else mu * a + along * (1.0 if n is None else n)
+        for axis, (a, n) in enumerate(zip(g, p.normal, strict=True))
+    ]
+    return g, normal, before, behind
+
+
+def _flat(value):
+    return value if isinstance(value, float) else value[:, 0].to(torch.float64)
+
+
+def _normal_backward(e: Element, p, normal, x, y, z):
+    """Return the shape's gradients through the normal, and those of the point with them added."""
+    a, b, c = normal
+    if e.kind is Conic:
+        factor = e.c * (1 + e.k)
+        shape = [-_sum(a * p.x + b * p.y + c * p.z * (1 + e.k)), -_sum(e.c * c * p.z), [0.0] * len(e.a)]
+        return shape, (x - e.c * a, y - e.c * b, z - factor * c)
+    squared = p.x * p.x + p.y * p.y
+    root, slope, bend = _derivatives(squared, e)
+    on_slope = -2 * (p.x * a + p.y * b)
+    through = 2 * on_slope * bend
+    cube = root * root * root
+    coefficients = [_sum(on_slope * (j + 1) * squared**j) for j in range(len(e.a))]
+    shape = [_sum(on_slope / (2 * cube)), _sum(on_slope * e.c**3 * squared / (4 * cube)), coefficients]
+    return shape, (x - 2 * slope * a + through * p.x, y - 2 * slope * b + through * p.y, z)
+
+
+def _derivatives(squared, e: Element):
+    """Return √(1 − (1 + k)c²r²) and the first and second derivatives of the height by r²."""
+    root = (1 - (1 + e.k) * e.c * e.c * squared).sqrt()
+    slope = e.c / (2 * root)
+    bend = (1 + e.k) * e.c**3 / (4 * root * root * root)
+    for j, coefficient in enumerate(e.a):
+        slope = slope + (j + 1) * coefficient * squared**j
+        if j:
+            bend = bend + j * (j + 1) * coefficient * squared ** (j - 1)
+    return root, slope, bend
+
+
+def _surface_backward(e: Element, p, weight, shape):
+    """Return the shape's gradients with w·∂F/∂θ added."""
+    squared = p.x * p.x + p.y * p.y
+    if e.kind is Conic:
+        bowl, conic, root, powers = p.z * p.z * (1 + e.k) + squared, p.z * p.z * e.c, 2.0, []
+    else:
+        # For an asphere, z is that of its conic part alone.
+        root = (1 - (1 + e.k) * e.c * e.c * squared).sqrt()
+        z = e.c * squared / (1 + root)
+        bowl, conic, root = squared + (1 + e.k) * z * z, e.c * z * z, 2 * root
+        powers = [_sum(weight * squared ** (j + 1)) for j in range(len(e.a))]
+    curvature, constant = shape[0] - _sum(weight * bowl / root), shape[1] - _sum(weight * conic / root)
+    coefficients = [a - b for a, b in zip(shape[2], powers or [0.0] * len(shape[2]), strict=True)]
+    return [curvature, constant, coefficients]
+
+
+_lock = threading.Lock()
+_pool: tuple[tuple[int, int], ThreadPoolExecutor] | None = None
+
+
+def each(work: Callable, items: Iterable) -> Iterator:
+    """Return ``work(*item)`` for each item, in order, computed without a graph on as many threads as torch has.
+
+    A block is too small for torch to share out among its threads: whole blocks are shared out, one thread each.
+
+    Parameters
+    ----------
+    work : callable
+        Takes the values of one item.
+    items : iterable of tuple
+        The items.
+    """
+    items = list(items)
+    count = torch.get_num_threads()
+
+    def quiet(item):
+        with torch.no_grad():
+            return work(*item)
+
+    if count == 1 or len(items) < 2:
+        return map(quiet, items)
+    return _threads(count).map(quiet, items)
+
+
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Return the pool of this process; a forked child has none of its parent's threads and makes its own."""
+    global _pool
+    with _lock:
+        if _pool is None or _pool[0] != (os.getpid(), count):
+            ready = threading.Barrier(count + 1)
+            pool = ThreadPoolExecutor(count, thread_name_prefix="odak-rays", initializer=_alone, initargs=(ready,))
+            for _ in range(count):
+                pool.submit(bool)
+            ready.wait()
+            # The workers' setting holds for them; what torch shows to everyone else is put back.
+            torch.set_num_threads(count)
+            _pool = ((os.getpid(), count), pool)
+        return _pool[1]
+
+
+def _alone(ready: threading.Barrier) -> None:
+    torch.set_num_threads(1)
+    ready.wait()

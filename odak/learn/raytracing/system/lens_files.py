@@ -1,20 +1,50 @@
-"""Systems as JSON: the sample lenses that ship with odak, and files of one's own."""
+"""Files of optical systems: JSON of the package's own, and sequential Zemax files."""
 
+import codecs
+import dataclasses
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
 
 from odak import _validate
-from odak.learn.raytracing.system.lens import checked_system, optical_system
-from odak.learn.raytracing.system.surfaces import surface
-from odak.tools._paths import _text
+from odak.catalog.dispersion import model_glass
+from odak.catalog.materials import MICROMETRES, glass_makers, load_materials, material, nearest_materials  # noqa: F401
+from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.pupils import trace_fields
+from odak.learn.raytracing.system.surfaces import (
+    AIR,
+    MIRROR,
+    checked_system,
+    coordinate_break,
+    is_break,
+    optical_system,
+    surface,
+)
+from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
+from odak.raytracing.phases import IdealLens, LinearGrating, Phase, RadialPhase
+from odak.raytracing.surfaces import (
+    Biconic,
+    Conic,
+    EvenAsphere,
+    OddAsphere,
+    PolynomialFreeform,
+    Shape,
+    Toroid,
+    ZernikeFreeform,
+)
+from odak.tools.paths import _text, replacing
 
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
-_SURFACE = {"radius", "conic", "coefficients", "thickness", "material", "semi_diameter", "stop", "shift", "tilt"}
-_IMAGE = _SURFACE - {"thickness", "material", "stop"}
+_IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
+_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase"}
+_BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
 _SYSTEM = {
     "aperture",
     "aperture_type",
@@ -76,8 +106,6 @@ def save_system(system: optical_system, path: Any) -> None:
     path : str or pathlib.Path
         File to write.
     """
-    from odak.tools._atomic import replacing
-
     path = _text("path", path)
     text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with replacing(path) as stream:
@@ -87,10 +115,7 @@ def save_system(system: optical_system, path: Any) -> None:
 def system_to_dict(system: optical_system) -> dict:
     """Return a system as a dictionary of plain numbers and strings; infinities are null."""
     checked_system(system)
-    surfaces = [
-        _shape(item) | _medium(item) | ({"stop": True} if i == system.stop else {})
-        for i, item in enumerate(system.surfaces)
-    ]
+    surfaces = [_entry(item, i == system.stop) for i, item in enumerate(system.surfaces)]
     finite = None if system.at_infinity else system.object_distance
     return {
         "name": system.name,
@@ -107,13 +132,63 @@ def system_to_dict(system: optical_system) -> dict:
     }
 
 
+def _entry(item: Any, stop: bool) -> dict:
+    if not is_break(item):
+        return _shape(item) | _medium(item) | ({"stop": True} if stop else {})
+    entry: dict[str, Any] = {"break": True, "thickness": float(item.thickness.detach())}
+    if isinstance(item.order, int):
+        return entry | {"return_to": item.order}
+    return entry | {"shift": item.shift.tolist(), "tilt": item.tilt.tolist(), "order": item.order}
+
+
 def _shape(item: Any) -> dict:
-    """Return what shapes a surface, without what it does not have."""
-    radius = float(item.radius.detach())
+    """Return the shape, aperture, phase and placement of a surface, without what it does not have."""
+    radius = math.inf if item.own_shape is not None else float(item.radius.detach())
     entry: dict[str, Any] = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
     entry |= {"coefficients": item.coefficients.tolist(), "semi_diameter": item.semi_diameter}
     entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
+    if item.own_shape is not None:
+        entry = {key: value for key, value in entry.items() if key != "conic"} | {"shape": _by_fields(item.shape)}
+    if item.own_phase is not None:
+        entry["phase"] = _by_fields(item.phase)
+    entry["aperture"] = [_by_fields(part) for part in item.apertures]
     return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
+
+
+def _by_fields(item: Any) -> dict:
+    """Return a shape, a phase or an aperture as the name of its class and its fields."""
+    values = {field.name: _plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
+    return {"kind": type(item).__name__} | values
+
+
+def _plain(value):
+    if hasattr(value, "detach"):
+        return value.detach().tolist()
+    return [_plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
+
+
+def _kinds(base: type) -> dict[str, type]:
+    """Return the classes derived from one by their names, those of the user's program included."""
+    found: dict[str, type] = {}
+    children: list[type] = base.__subclasses__()
+    for child in children:
+        found |= {child.__name__: child} | _kinds(child)
+    return found
+
+
+def _from_fields(where: str, base: type, entry):
+    kinds = _kinds(base)
+    if not isinstance(entry, dict) or "kind" not in entry:
+        raise ValueError(f'{where} must be an object with a "kind", one of {", ".join(sorted(kinds))}')
+    entry = dict(entry)
+    kind = kinds[_validate.one_of(f"kind in {where}", entry.pop("kind"), sorted(kinds))]
+    _known(where, entry, [field.name for field in dataclasses.fields(kind)])
+    if base is not Aperture:
+        # Grids as arrays; a list of numbers stays one.
+        entry = {
+            k: np.asarray(v) if isinstance(v, list) and v and isinstance(v[0], list) else v for k, v in entry.items()
+        }
+    return kind(**entry)
 
 
 def _medium(item: Any) -> dict:
@@ -144,15 +219,28 @@ def system_from_dict(entry: dict) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
-    built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
+    built = [_built_item(f"surfaces[{number}]", item) for number, item in enumerate(surfaces)]
     if entry.get("image") is not None:
         entry["image"] = _built("image", entry["image"], _IMAGE)
     return optical_system(built, **entry)
 
 
+def _built_item(where: str, entry) -> surface:
+    if not (isinstance(entry, dict) and entry.get("break")):
+        return _built(where, entry, _SURFACE)
+    _known(where, entry, _BREAK)
+    return coordinate_break(**{key: value for key, value in entry.items() if key != "break"})
+
+
 def _built(where: str, entry, keys) -> surface:
     _known(where, entry, keys)
     entry = {"radius": math.inf, **entry}
+    for key, base in (("shape", Shape), ("phase", Phase)):
+        if key in entry:
+            entry[key] = _from_fields(f"{key} of {where}", base, entry[key])
+    if "aperture" in entry:
+        parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
+        entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
     radius = entry.pop("radius")
     return surface(math.inf if radius is None else radius, **entry)
 
@@ -162,3 +250,636 @@ def _known(where: str, entry, keys) -> None:
         raise ValueError(f"{where} must be an object, got {type(entry).__name__}")
     for key in entry:
         _validate.one_of(f"key in {where}", key, sorted(keys))
+
+
+MAXIMUM_SURFACES = 1000
+_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
+
+
+class Line(NamedTuple):
+    """A line: its number, its first word, and the rest as words."""
+
+    number: int
+    key: str
+    words: tuple[str, ...]
+
+    def value(self, place: int = 0) -> float:
+        """Return one of the words as a finite number or an infinity; ValueError, naming the line, for anything else."""
+        if place >= len(self.words):
+            raise ValueError(f"line {self.number}: {self.key} lacks a number")
+        word = self.words[place]
+        if word.upper() in ("INFINITY", "-INFINITY"):
+            return float(word)
+        try:
+            found = float(word)
+        except ValueError:
+            raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}") from None
+        if found != found:
+            raise ValueError(f"line {self.number}: {self.key} is not a number")
+        return found
+
+    def whole(self, place: int = 0) -> int:
+        """Return one of the words as an integer."""
+        found = self.value(place)
+        if found != int(found) if abs(found) < 1e9 else True:
+            raise ValueError(f"line {self.number}: {self.key} must have a whole number, got {self.words[place]!r}")
+        return int(found)
+
+    def counts(self, number: int) -> bool:
+        """Say whether the first of the words is this whole number."""
+        try:
+            return self.whole() == number
+        except ValueError:
+            return False
+
+
+def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
+    """Return the lines that concern the whole system, and those of each surface.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        UTF-16 with its mark, UTF-8 with or without, or Latin-1.
+
+    Raises
+    ------
+    ValueError
+        If the file is too large, holds no surfaces, or its surfaces are not numbered 0, 1, 2, …
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"path must be a file, got {str(path)!r}")
+    if path.stat().st_size > MAXIMUM_BYTES:
+        raise ValueError(f"{path.name}: larger than {MAXIMUM_BYTES} bytes")
+    general: list[Line] = []
+    surfaces: list[list[Line]] = []
+    for number, text in enumerate(_decoded(path.read_bytes(), path.name).splitlines(), start=1):
+        words = text.split()
+        if not words:
+            continue
+        line = Line(number, words[0].upper(), tuple(words[1:]))
+        if line.key == "SURF":
+            if not line.counts(len(surfaces)) or len(surfaces) >= MAXIMUM_SURFACES:
+                accepted = f"SURF must count 0, 1, 2, … below {MAXIMUM_SURFACES}"
+                raise ValueError(f"{path.name}, line {number}: {accepted}, got {text.strip()[:80]!r}")
+            surfaces.append([])
+        # What belongs to a surface is indented.
+        elif surfaces and text[0] in " \t":
+            surfaces[-1].append(line)
+        else:
+            general.append(line)
+    if len(surfaces) < 3:
+        raise ValueError(
+            f"{path.name}: must hold an object, at least one surface and an image, got {len(surfaces)} SURF"
+        )
+    return general, surfaces
+
+
+def _decoded(data: bytes, name: str) -> str:
+    encoding = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "utf-8")
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError:
+        if encoding != "utf-8":
+            raise ValueError(f"{name}: not valid {encoding}") from None
+        return data.decode("latin-1")
+
+
+LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
+TYPES = (
+    "STANDARD",
+    "EVENASPH",
+    "ODDASPHE",
+    "TOROIDAL",
+    "BICONICX",
+    "XPOLYNOM",
+    "SZERNSAG",
+    "COORDBRK",
+    "DGRATING",
+    "BINARY_2",
+    "PARAXIAL",
+)
+# Keys whose meaning is taken up, of the whole system and of surfaces.
+_GENERAL = "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL PWAV FTYP XFLN YFLN ENPD FNUM OBNA FLOA AUTH IWDP STUD LANG"
+_GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL))
+_OF_SURFACES = (
+    "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
+)
+_SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
+# What stands in files for an index and an Abbe number that nobody entered.
+_PLACEHOLDER = (1.5, 40.0)
+
+
+class ZmxReport(NamedTuple):
+    """Report of a file: what was not used, and how open questions were decided.
+
+    Attributes
+    ----------
+    ignored : tuple of str
+        Every line that had no effect, as "line 12, surface 3: KEY words".
+    notes : tuple of str
+        Decisions that the file left open, and settings that have no counterpart.
+    """
+
+    ignored: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+class _Context(NamedTuple):
+    """What all surfaces of a file share."""
+
+    scale: float
+    glasses: dict
+    makers: list[str]
+    waves: list[float]
+    ignored: list[str]
+    notes: list[str]
+
+
+def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+    """Read a sequential Zemax file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Text file, UTF-16 or UTF-8, up to 4 MiB.
+    glasses : mapping, optional
+        Stand-ins for glasses by their names in the file: names of the catalogue, indices or Materials.
+
+    Returns
+    -------
+    tuple
+        The system in millimetres, and a :class:`ZmxReport` of all that was not used.
+
+    Raises
+    ------
+    ValueError
+        If the file is malformed, or holds what would change the light's way and is not understood: a surface type that
+        is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING, BINARY_2
+        and PARAXIAL, a polygon of a file of its own as aperture, a glass that neither the catalogue knows (the message
+        names the nearest known ones) nor the file describes.
+
+    Notes
+    -----
+    Semi-diameters (DIAM) limit rays only where the file says so, by a circular (CLAP) or floating (FLAP) aperture. A
+    glass that is not known but whose index and Abbe number the file states is a model glass; the report names it. Image
+    heights as fields become object angles or heights: paraxially, or by tracing chief rays.
+    """
+    path = Path(_text("path", path))
+    if glasses is not None and not isinstance(glasses, Mapping):
+        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
+    general, surfaces = read_lines(path)
+    notes: list[str] = []
+    ignored = [_named(line) for line in general if line.key not in _GENERAL_KEYS and _has_effect(line)]
+    try:
+        head = {line.key: line for line in reversed(general)}
+        if "MODE" in head and head["MODE"].words[:1] != ("SEQ",):
+            raise ValueError(f"MODE must be SEQ, got {' '.join(head['MODE'].words)!r}")
+        unit = head["UNIT"].words[0].upper() if "UNIT" in head and head["UNIT"].words else "MM"
+        if unit not in LENGTHS:
+            raise ValueError(f"UNIT must be one of {', '.join(LENGTHS)}, got {unit!r}")
+        makers = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
+        makers = [maker for maker in glass_makers() if any(word.startswith(maker) for word in makers)]
+        waves, reference = _wavelengths(general, head, notes)
+        context = _Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
+        built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
+        image = _image(len(surfaces) - 1, surfaces, context)
+        _check_object(surfaces[0], ignored)
+        distance = _of(surfaces[0], "DISZ", math.inf) * context.scale
+        size, form = _aperture(head, surfaces, context.scale, notes)
+        names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
+        names |= {"source": path.name, "wavelengths": waves, "reference": reference}
+        if not any(item.stop for item in built):
+            notes.append("no STOP: the first surface is taken as the stop")
+        kind, points = _field_points(head, math.isinf(distance), notes)
+        factor = 1.0 if kind == 0 else context.scale
+        points = [(x * factor, y * factor) for x, y in points]
+
+        def system(fields):
+            return optical_system(built, size, form, object_distance=distance, image=image, fields=fields, **names)
+
+        found = system([(0.0, 0.0)] if kind > 1 else points)
+        if kind > 1:
+            found.fields = _fields_of_image_heights(found, points, kind == 3)
+            notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from error
+    return found, ZmxReport(tuple(ignored), tuple(notes))
+
+
+def _has_effect(line: Line) -> bool:
+    """Return whether a line is to be named: vignetting factors and the like of zeros alone say nothing."""
+    if line.key not in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"):
+        return True
+    return any(line.value(i) for i in range(len(line.words)))
+
+
+def _check_object(lines, ignored: list) -> None:
+    """Raise ValueError for an object that is curved or not in air; note the rest."""
+    for line in lines:
+        if line.key == "GLAS" or (line.key in ("CURV", "CONI") and line.words and line.value()):
+            raise ValueError(f"line {line.number}: the object must be flat and in air, got {' '.join(line.words)!r}")
+        if line.key not in _SURFACE_KEYS:
+            ignored.append(_named(line, 0))
+
+
+def _named(line: Line, surface_number: int | None = None) -> str:
+    where = "" if surface_number is None else f", surface {surface_number}"
+    return f"line {line.number}{where}: {' '.join((line.key, *line.words))}"
+
+
+def _of(lines, key: str, default: float) -> float:
+    return next((line.value() for line in lines if line.key == key and line.words), default)
+
+
+def _parameters(lines, key: str, scale_of=None) -> dict[int, float]:
+    """Return the numbered values of lines PARM or XDAT."""
+    return {line.whole(): line.value(1) for line in lines if line.key == key and len(line.words) > 1}
+
+
+def _surface(number: int, surfaces, context: _Context) -> surface:
+    """Return one surface; what has no effect goes to the report."""
+    lines, scale = surfaces[number], context.scale
+    kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
+    if kind not in TYPES:
+        raise ValueError(f"surface {number}: TYPE must be one of {', '.join(TYPES)}, got {kind!r}")
+    for line in lines:
+        unused = line.key == "PARM" and kind == "STANDARD" and len(line.words) > 1 and line.value(1)
+        if line.key not in _SURFACE_KEYS or unused:
+            context.ignored.append(_named(line, number))
+    thickness = _of(lines, "DISZ", 0.0) * scale
+    p = _parameters(lines, "PARM")
+    if kind == "COORDBRK":
+        order = "tilt" if p.get(6, 0.0) else "shift"
+        shift = (p.get(1, 0.0) * scale, p.get(2, 0.0) * scale)
+        return coordinate_break(shift, tuple(p.get(i, 0.0) for i in (3, 4, 5)), thickness, order=order)
+    shape, phase = _form(number, kind, lines, scale)
+    limit, apertures = _limits(number, lines, scale)
+    return surface(
+        shape=shape,
+        phase=phase,
+        thickness=thickness,
+        material=_glass(number, surfaces, context),
+        semi_diameter=limit,
+        aperture=apertures or None,
+        stop=any(line.key == "STOP" for line in lines),
+    )
+
+
+def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | None]:
+    """Return the shape and the phase of a surface."""
+    curvature, conic = _of(lines, "CURV", 0.0) / scale, _of(lines, "CONI", 0.0)
+    p, x = _parameters(lines, "PARM"), _parameters(lines, "XDAT")
+    terms, norm = int(x.get(1, 0.0)), x.get(2, 1.0) * scale or 1.0
+    extra = [x.get(i, 0.0) for i in range(3, 3 + terms)]
+    powers = {"EVENASPH": 2, "BINARY_2": 2, "ODDASPHE": 1, "SZERNSAG": 2}.get(kind)
+    last = max((i for i, value in p.items() if value), default=0)
+    if kind in ("EVENASPH", "ODDASPHE") and last > 8:
+        raise ValueError(f"surface {number}: PARM must be 1 to 8, got {last}")
+    given = [p.get(i, 0.0) * scale ** (1 - powers * i) for i in range(1, min(last, 8) + 1)] if powers else []
+    if kind in ("STANDARD", "DGRATING", "PARAXIAL"):
+        phase: Phase | None = None
+        if kind == "DGRATING":
+            phase = LinearGrating(0.0, p.get(1, 0.0) * 1e3, p.get(2, 0.0))
+        if kind == "PARAXIAL":
+            phase = IdealLens(p.get(1, 100.0) * scale)
+        return Conic(curvature, conic), phase
+    if kind in ("EVENASPH", "BINARY_2"):
+        phase = RadialPhase(extra, norm, p.get(0, 1.0)) if kind == "BINARY_2" and extra else None
+        return EvenAsphere(curvature, conic, given), phase
+    if kind == "ODDASPHE":
+        return OddAsphere(curvature, conic, given or [0.0]), None
+    if kind == "TOROIDAL":
+        if terms:
+            raise ValueError(f"surface {number}: TOROIDAL with Zernike terms is not supported")
+        rotation = p.get(1, 0.0) * scale
+        given = [p.get(i, 0.0) * scale ** (3 - 2 * i) for i in range(2, max(last, 1) + 1)]
+        return Toroid(1 / rotation if rotation else 0.0, curvature, conic, given), None
+    if kind == "BICONICX":
+        radius = p.get(1, 0.0) * scale
+        return Biconic(1 / radius if radius else 0.0, curvature, p.get(2, 0.0), conic), None
+    if any(given) and kind == "SZERNSAG":
+        raise ValueError(f"surface {number}: SZERNSAG with powers of r is not supported")
+    extra = [value * scale for value in extra] or [0.0]
+    return (ZernikeFreeform if kind == "SZERNSAG" else PolynomialFreeform)(curvature, conic, extra, norm), None
+
+
+def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Aperture]]:
+    """Return the semi-diameter that limits rays, and further apertures."""
+    limit: float | None = None
+    found: list[Aperture] = []
+    center = next(((line.value(0) * scale, line.value(1) * scale) for line in lines if line.key == "OBDC"), (0.0, 0.0))
+    for line in lines:
+        if line.key in ("UDAP", "UDOB", "UDAD"):
+            raise ValueError(f"line {line.number}: {line.key}, a polygon of a file of its own, is not supported")
+        if line.key == "FLAP":
+            # The semi-diameter limits; older files repeat it here.
+            limit = (_of(lines, "DIAM", 0.0) or (line.value(1) if len(line.words) > 1 else 0.0)) * scale or None
+        if line.key not in ("CLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB"):
+            continue
+        a, b = line.value(0) * scale, line.value(1) * scale
+        obscures = line.key in ("OBSC", "SQOB", "ELOB")
+        if line.key in ("CLAP", "OBSC"):
+            if line.key == "CLAP" and not a and center == (0.0, 0.0):
+                limit = b or None
+            elif b:
+                found.append(CircularAperture(center, obscures, b, a))
+        else:
+            made: type[EllipticAperture] = RectangularAperture if line.key.startswith("SQ") else EllipticAperture
+            found.append(made(center, obscures, a, b))
+    return limit, found
+
+
+def _glass(number: int, surfaces, context: _Context):
+    """Return the medium behind a surface."""
+    line = next((line for line in surfaces[number] if line.key == "GLAS" and line.words), None)
+    if line is None:
+        return "air"
+    name, code = line.words[0], line.words[1] if len(line.words) > 1 else "0"
+    if name in context.glasses:
+        return context.glasses[name]
+    if name.upper() == "MIRROR":
+        return MIRROR
+    nd, vd = (line.value(3), line.value(4)) if len(line.words) > 4 else (0.0, 0.0)
+    if code == "2" and len(line.words) > 2 and not (nd > 1 and vd > 0):
+        source = line.whole(2)
+        if 0 < source < number:
+            return _glass(source, surfaces, context)
+    stated = nd > 1 and vd > 0 and (round(nd, 6), round(vd, 6)) != _PLACEHOLDER
+    unnamed = name == "___BLANK" or code == "1"
+    problem = ""
+    if not unnamed:
+        for maker in ("", *(f"{maker}:" for maker in context.makers)):
+            try:
+                return material(f"{maker}{name}")
+            except ValueError as error:
+                problem = problem or str(error)
+    if not stated and not (unnamed and nd > 1 and vd > 0):
+        near = (
+            "" if not nd > 1 else f" Nearest to its nd = {nd:g}, Vd = {vd:g}: {', '.join(nearest_materials(nd, vd))}."
+        )
+        raise ValueError(f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx") from None
+    found = model_glass(nd, vd, line.value(5) if len(line.words) > 5 else 0.0)
+    near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
+    context.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
+    low, high = min(context.waves) * 1e3, max(context.waves) * 1e3
+    if low < found.range[0] or high > found.range[1]:
+        context.notes.append(f"surface {number}: the model glass is extrapolated to {low:g} … {high:g} µm")
+        found = dataclasses.replace(found, range=(min(low, found.range[0]), max(high, found.range[1])))
+    return found
+
+
+def _image(number: int, surfaces, context: _Context) -> surface | None:
+    """Return the image surface, None for a plane; a glass behind it has no effect."""
+    lines = [line for line in surfaces[number] if line.key not in ("GLAS", "DISZ", "STOP")]
+    context.ignored.extend([_named(line, number) for line in surfaces[number] if line.key == "GLAS"])
+    found = _surface(0, [lines], context._replace(ignored=[]))
+    context.ignored.extend([_named(line, number) for line in lines if line.key not in _SURFACE_KEYS])
+    if is_break(found) or found.phase is not None:
+        raise ValueError(f"surface {number}, the image, must be a surface without diffraction")
+    flat = found.own_shape is None and found.curvature == 0 and not bool(found.coefficients.any())
+    return None if flat and found.limit is None else found
+
+
+def _wavelengths(general, head, notes: list) -> tuple[list[float], int]:
+    """Return the wavelengths in millimetres and the number of the primary one."""
+    lines = [line for line in general if line.key == "WAVM"]
+    waves = [line.value(1) for line in lines]
+    waves = waves or [value for line in general if line.key == "WAVL" for value in _numbers(line)]
+    number = _count(head, 3)
+    if not number:
+        # Unused wavelengths stand at 0.55 µm behind those in use.
+        number = max([1, *(i + 1 for i, value in enumerate(waves) if value != 0.55)]) if waves else 0
+        if waves:
+            notes.append(f"FTYP does not say how many wavelengths: the first {number} are taken")
+    weights = [line.value(2) for line in lines[:number] if len(line.words) > 2]
+    if len(set(weights)) > 1:
+        notes.append(
+            f"weights of the wavelengths, {', '.join(f'{w:g}' for w in weights)}, are not used: all count alike"
+        )
+    waves = [value * 1e-3 for value in waves[:number]] or [587.5618e-6]
+    reference = head["PWAV"].whole() - 1 if "PWAV" in head else len(waves) // 2
+    return waves, min(max(reference, 0), len(waves) - 1)
+
+
+def _field_points(head, far: bool, notes: list) -> tuple[int, list[tuple[float, float]]]:
+    """Return the kind of the fields (0 angles, 1 object heights, 2 and 3 image heights) and their points."""
+    kind = head["FTYP"].whole() if "FTYP" in head else 0
+    if kind not in (0, 1, 2, 3) or (kind < 2 and (kind == 0) != far):
+        raise ValueError(
+            "FTYP must be 0 (angles, object at infinity), 1 (object heights, object near), 2 or 3 (image heights), "
+            f"got {kind}"
+        )
+    if _count(head, 1):
+        notes.append("the telecentric flag of FTYP is not used: rays are aimed at the entrance pupil")
+    x, y = (_numbers(head.get(key)) for key in ("XFLN", "YFLN"))
+    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(_pairs(x, y)) if any(pair))])
+    return kind, _pairs(x, y)[:count] or [(0.0, 0.0)]
+
+
+def _fields_of_image_heights(system, points, real: bool) -> tuple[tuple[float, float], ...]:
+    """Return the field points whose chief rays land at given heights at the primary wavelength."""
+    properties = first_order(system)
+    scale = float(properties.focal_length if system.at_infinity else properties.magnification)
+    wanted = torch.tensor(points, dtype=torch.float64)
+    size = wanted.square().sum(-1).sqrt()
+    found = size / abs(scale)
+    if real:
+        # Secant steps along the radius of each field, from the paraxial field.
+        unit = wanted / torch.where(size > 0, size, 1.0)[:, None]
+        chief, before, error = torch.zeros(1, 2, dtype=torch.float64), None, None
+        for _ in range(30):
+            fields = _as_fields(system, found[:, None] * unit)
+            place = trace_fields(system, chief, fields=fields, vignetting=False)
+            radius = (place.x.square() + place.y.square()).sqrt()[system.reference, :, 0]
+            now = radius - size
+            if before is None or error is None:
+                change = now / abs(scale)
+            else:
+                slope = (now - error) / torch.where(found != before, found - before, 1.0)
+                change = torch.where(slope != 0, now / torch.where(slope != 0, slope, 1.0), 0.0)
+            before, error, found = found, now, (found - change).clamp(min=0.0)
+            if not bool(torch.isfinite(found).all()):
+                raise ValueError("fields by real image height: the chief rays do not arrive")
+            if float(change.abs().max()) < 1e-13:
+                break
+    direction = math.copysign(1.0, scale) * wanted / torch.where(size > 0, size, 1.0)[:, None]
+    return tuple((float(a), float(b)) for a, b in _as_fields(system, found[:, None] * direction))
+
+
+def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:
+    """Return field points of tangents (far objects) or heights."""
+    return torch.rad2deg(torch.atan(tangents)) if system.at_infinity else tangents
+
+
+def _numbers(line) -> list[float]:
+    return [] if line is None else [line.value(i) for i in range(len(line.words))]
+
+
+def _pairs(x, y) -> list[tuple[float, float]]:
+    count = max(len(x), len(y))
+    return list(zip(*(value + [0.0] * (count - len(value)) for value in (x, y)), strict=True))
+
+
+def _count(head, place: int) -> int:
+    return head["FTYP"].whole(place) if "FTYP" in head and len(head["FTYP"].words) > place else 0
+
+
+def _aperture(head, surfaces, scale: float, notes: list) -> tuple[float, str]:
+    if "ENPD" in head:
+        return head["ENPD"].value() * scale, "EPD"
+    if "FNUM" in head:
+        if len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
+            notes.append("FNUM is a working F-number; taken as that of infinite conjugates")
+        return head["FNUM"].value(), "F-number"
+    if "OBNA" in head:
+        return head["OBNA"].value(), "NA"
+    if "FLOA" in head:
+        stop = next((lines for lines in surfaces if any(line.key == "STOP" for line in lines)), surfaces[1])
+        size = 2 * _of(stop, "DIAM", 0.0) * scale
+        if not size:
+            raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
+        return size, "stop"
+    raise ValueError("no aperture: one of ENPD, FNUM, OBNA, FLOA must be given")
+
+
+_APERTURES = {"EPD": "ENPD {} ", "F-number": "FNUM {} 0", "NA": "OBNA {} 0", "stop": "FLOA"}
+
+
+def write_zmx(system: optical_system, path: Any) -> None:
+    """Write a system as a Zemax text file, every digit of its numbers.
+
+    Parameters
+    ----------
+    system : optical_system
+        In any unit; written in millimetres.
+    path : str or pathlib.Path
+        File to write, UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If the system holds what the format cannot say: shifts and tilts of single surfaces (use coordinate breaks), a
+        return to an earlier frame, a shape without a counterpart, a medium without a name.
+    """
+    path, text = _text("path", path), _zmx_text(checked_system(system))
+    with replacing(path) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def _zmx_text(system) -> str:
+    """Return the lines of a file in millimetres; numbers by `repr`, which loses no digit."""
+    scale = MICROMETRES[system.unit] / MICROMETRES["mm"]
+    kind = 0 if system.at_infinity else 1
+    if system.aperture_type == "NA" and system.at_infinity:
+        raise ValueError("aperture_type NA with an object at infinity has no .zmx form; use the F-number")
+    size = system.aperture if system.aperture_type in ("F-number", "NA") else system.aperture * scale
+    factor = scale if kind else 1.0
+    makers = {str(getattr(item.material, "name", "")).partition(":") for item in system.surfaces}
+    makers = sorted({maker.upper() for maker, colon, _ in makers if colon} | {"SCHOTT"})
+    lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM"]
+    lines += [f"GCAT {' '.join(makers)}", _APERTURES[system.aperture_type].format(repr(size)).strip()]
+    lines += [f"FTYP {kind} 0 {len(system.fields)} {len(system.wavelengths)} 0 0 0"]
+    lines += [
+        f"{key} " + " ".join(repr(field[axis] * factor) for field in system.fields)
+        for axis, key in enumerate(("XFLN", "YFLN"))
+    ]
+    lines += [f"WAVM {i} {value * MICROMETRES[system.unit]!r} 1" for i, value in enumerate(system.wavelengths, start=1)]
+    lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
+    lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
+    for number, item in enumerate(system.surfaces, start=1):
+        lines += _written(number, item, scale, number - 1 == system.stop, system)
+    image = system.image or surface()
+    lines += [f"SURF {len(system.surfaces) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
+    return "\n".join([*lines, *_written_limits(image, scale)]) + "\n"
+
+
+def _written_form(name: str, item, scale: float) -> list[str]:
+    """Return the lines of a surface's type, shape and phase."""
+    if bool(item.shift.any()) or bool(item.tilt.any()):
+        raise ValueError(f"{name} is shifted or tilted, which is not written; use coordinate breaks")
+    shape, phase = item.shape, item.phase
+    kind = type(shape)
+    value = {field.name: _plain(getattr(shape, field.name)) for field in dataclasses.fields(shape)}
+    lines = {"CURV": value.get("curvature", value.get("curvature_y", 0.0)) / scale, "CONI": value.get("conic", 0.0)}
+    given, extra = value.get("coefficients", []), []
+    parameters: dict[int, float] = {}
+    if kind in (Conic, EvenAsphere):
+        word = "EVENASPH" if given else "STANDARD"
+        parameters = {i: a * scale ** (1 - 2 * i) for i, a in enumerate(given, start=1)}
+    elif kind is OddAsphere:
+        word, parameters = "ODDASPHE", {i: a * scale ** (1 - i) for i, a in enumerate(given, start=1)}
+    elif kind is Toroid:
+        word = "TOROIDAL"
+        parameters = {1: scale / value["curvature_x"] if value["curvature_x"] else 0.0}
+        parameters |= {i: a * scale ** (3 - 2 * i) for i, a in enumerate(given, start=2)}
+    elif kind is Biconic:
+        word, lines["CONI"] = "BICONICX", value["conic_y"]
+        parameters = {1: scale / value["curvature_x"] if value["curvature_x"] else 0.0, 2: value["conic_x"]}
+    elif kind in (ZernikeFreeform, PolynomialFreeform):
+        word = "SZERNSAG" if kind is ZernikeFreeform else "XPOLYNOM"
+        extra = [len(given), value["radius"] * scale, *(a * scale for a in given)]
+    else:
+        raise ValueError(f"{name} is a {kind.__name__}, which the format does not know")
+    if phase is not None:
+        held = {field.name: _plain(getattr(phase, field.name)) for field in dataclasses.fields(phase)}
+        if isinstance(phase, LinearGrating) and word == "STANDARD" and not held["frequency_x"]:
+            word, parameters = "DGRATING", {1: held["frequency_y"] / scale / 1e3, 2: held["order"]}
+        elif isinstance(phase, IdealLens) and word == "STANDARD":
+            word, parameters = "PARAXIAL", {1: held["focal_length"] * scale, 2: 1.0}
+        elif isinstance(phase, RadialPhase) and word in ("STANDARD", "EVENASPH"):
+            word, parameters = "BINARY_2", {0: held["order"], **parameters}
+            extra = [len(held["coefficients"]), held["radius"] * scale, *held["coefficients"]]
+        else:
+            raise ValueError(f"{name} has a {type(phase).__name__}, which the format does not know on this shape")
+    text = [f"  TYPE {word}", f"  CURV {lines['CURV']!r}"]
+    text += [f"  CONI {lines['CONI']!r}"] if lines["CONI"] else []
+    text += [f"  PARM {i} {a!r}" for i, a in parameters.items()]
+    return text + [f"  XDAT {i} {float(a)!r} 0 0 1.0 0.0 0" for i, a in enumerate(extra, start=1)]
+
+
+def _written_limits(item, scale: float) -> list[str]:
+    found = []
+    if item.semi_diameter is not None:
+        radius = item.semi_diameter * scale
+        found += [f"  CLAP 0 {radius!r} 0", f"  DIAM {radius!r} 1 0 0 1"]
+    centers = {part.center for part in item.apertures}
+    if len(centers) > 1 or (centers and item.semi_diameter is not None and centers != {(0.0, 0.0)}):
+        raise ValueError("apertures about different centres are not written")
+    for part in (part.scaled(scale) for part in item.apertures):
+        if isinstance(part, CircularAperture):
+            found += [f"  {'OBSC' if part.obscures else 'CLAP'} {part.inner!r} {part.radius!r} 0"]
+        elif isinstance(part, EllipticAperture):
+            word = "SQ" if isinstance(part, RectangularAperture) else "EL"
+            found += [f"  {word}{'OB' if part.obscures else 'AP'} {part.half_width!r} {part.half_height!r} 0"]
+        else:
+            raise ValueError(f"an aperture is a {type(part).__name__}, which is not written")
+        if part.center != (0.0, 0.0):
+            found += [f"  OBDC {part.center[0]!r} {part.center[1]!r}"]
+    return found
+
+
+def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
+    thickness = f"  DISZ {float(item.thickness.detach()) * scale!r}"
+    if is_break(item):
+        if isinstance(item.order, int):
+            raise ValueError(f"surfaces[{number - 1}] returns to an earlier frame, which is not written")
+        values = [*(item.shift * scale).tolist(), *item.tilt.tolist(), float(item.order == "tilt")]
+        parameters = [f"  PARM {i} {value!r}" for i, value in enumerate(values, start=1)]
+        return [f"SURF {number}", "  TYPE COORDBRK", "  CURV 0.0", *parameters, thickness]
+    shape = _written_form(f"surfaces[{number - 1}]", item, scale)
+    if item.material is None:
+        raise ValueError(f"surfaces[{number - 1}] is followed by an index, not by a glass with a name")
+    lines = [f"SURF {number}", *(["  STOP"] if stop else []), *shape, thickness]
+    if item.material != AIR:
+        name = "MIRROR" if item.material == MIRROR else item.material.name.rpartition(":")[2]
+        if name.startswith("model "):
+            words = name.split()[1:]
+            lines += [f"  GLAS ___BLANK 1 0 {' '.join(words)}{'' if len(words) > 2 else ' 0'} 0 0 0 0 0"]
+        else:
+            name = name.replace(" ", "_")
+            lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
+    lines += _written_limits(item, scale)
+    if stop and item.semi_diameter is None and system.aperture_type == "stop":
+        lines += [f"  DIAM {system.aperture * scale / 2!r} 1 0 0 1"]
+    return lines

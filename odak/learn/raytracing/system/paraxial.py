@@ -1,12 +1,19 @@
-"""First-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
+"""Computes first-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
 
+import math
 from typing import Any, NamedTuple
 
 import torch
 
 from odak import _array, _validate
-from odak.learn.raytracing.system.lens import checked_system
-from odak.learn.raytracing.system.prescription import Prescription, checked_prescription
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    checked_prescription,
+    checked_system,
+    is_break,
+    optical_system,
+    surface,
+)
 
 
 class FirstOrder(NamedTuple):
@@ -91,7 +98,8 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     Notes
     -----
     Kingslake and Johnson, Lens Design Fundamentals (2010), chapter 3; after a mirror, index and thickness change sign.
-    The r² term of an asphere adds 2a₁ to the curvature. An afocal system has infinite focal length.
+    The r² term of an asphere adds 2a₁ to the curvature; of surfaces without rotational symmetry the curvature along y
+    counts. Shifts, tilts and coordinate breaks are left out. An afocal system has infinite focal length.
 
     Examples
     --------
@@ -144,6 +152,8 @@ class EntrancePupil(NamedTuple):
         One over the distance from a near object to the pupil.
     stop_radius : torch.Tensor
         Radius of the beam in the stop.
+    middle : tuple of torch.Tensor
+        Its centre (x, y) where the stop is shifted, in the coordinates of `reach`.
     """
 
     distance: torch.Tensor
@@ -151,6 +161,7 @@ class EntrancePupil(NamedTuple):
     reach: torch.Tensor
     bend: torch.Tensor
     stop_radius: torch.Tensor
+    middle: tuple[torch.Tensor, torch.Tensor]
 
 
 def entrance_pupil(system, wavelength: float | None = None, prescription: Prescription | None = None) -> EntrancePupil:
@@ -158,8 +169,12 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
 
     Parameters
     ----------
-    system, wavelength, prescription
-        As in :func:`first_order`.
+    system : optical_system
+        The system.
+    wavelength : float, optional
+        In the system's unit; its reference wavelength by default.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
     """
     p = _at_one_wavelength(system, wavelength, prescription)
     index = signed_indices(system, p)
@@ -169,25 +184,29 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
     distance = n * before.b / before.a
     if system.at_infinity:
         reach = _far_reach(system, whole, n, before.a)
-        return EntrancePupil(distance, reach, reach, 0 * n, (reach * before.a).abs())
+        middle = _middle(system, p, before.a)
+        return EntrancePupil(distance, reach, reach, 0 * n, (reach * before.a).abs(), middle)
     # Height in the stop of the axial ray of slope 1.
     to_stop = before.a * system.object_distance + n * before.b
     bend = before.a / to_stop
     reach = _near_reach(system, whole, n, bend, to_stop)
-    return EntrancePupil(distance, (reach / bend).abs(), reach, bend, (reach * to_stop).abs())
+    middle = _middle(system, p, to_stop)
+    return EntrancePupil(distance, (reach / bend).abs(), reach, bend, (reach * to_stop).abs(), middle)
+
+
+def _middle(system, p: Prescription, scale) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the centre of the entrance pupil for a shifted stop, `scale` heights in the stop per coordinate."""
+    shift = p.shift[..., system.stop, :] if p.shift is not None else torch.zeros(2, dtype=scale.dtype).to(scale)
+    return shift[..., 0] / scale, shift[..., 1] / scale
 
 
 def _at_one_wavelength(system, wavelength, prescription):
     if prescription is None:
         chosen = system.wavelengths[system.reference] if wavelength is None else wavelength
         return system.prescription([chosen])
-    count = prescription.index.shape[-2]
-    if count == 1:
-        return prescription
-    if wavelength is not None:
+    if wavelength is not None and prescription.index.shape[-2] > 1:
         raise ValueError("wavelength must be left out where prescription holds several")
-    place = system.reference
-    return prescription._replace(index=prescription.index[..., place : place + 1, :])
+    return prescription.at(system.reference)
 
 
 def signed_indices(system, p: Prescription) -> torch.Tensor:
@@ -204,10 +223,11 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
     for i in range(start, stop):
-        curvature = p.curvature[..., i]
-        if p.coefficients.shape[-1]:
-            curvature = curvature + 2 * p.coefficients[..., i, 0]
-        found = found.then_surface((index[..., i + 1] - index[..., i]) * curvature)
+        curvature = p.shape(i).curvatures()[1]
+        power = (index[..., i + 1] - index[..., i]) * curvature
+        if p.phases is not None and p.phases[i] is not None and p.wavelengths is not None:
+            power = power + p.phases[i].powers(p.wavelengths[0])[1]
+        found = found.then_surface(power)
         if i + 1 < stop or gap:
             found = found.then_gap(p.thickness[..., i] / index[..., i + 1])
     return found
@@ -242,3 +262,199 @@ def _far_reach(system, whole: Matrix, n, place):
     if system.aperture_type == "stop":
         return (size / 2 / place).abs()
     return (1 / whole.c).abs() * (1 / (2 * size) if system.aperture_type == "F-number" else size)
+
+
+class ThirdOrder(NamedTuple):
+    """Third-order and chromatic aberrations; the axis S counts surfaces.
+
+    Attributes
+    ----------
+    seidel : torch.Tensor
+        Seidel coefficients of the wavefront of each surface, ``[..., 5, S]``: spherical aberration, coma, astigmatism,
+        Petzval curvature, distortion.
+    chromatic : torch.Tensor
+        Axial and lateral colour of each surface, ``[..., 2, S]``, between the shortest and the longest wavelength.
+    transverse : dict
+        Sums over all surfaces as transverse aberrations in the image: "SA", "TCO" (tangential coma), "TAS" and "SAS"
+        (tangential and sagittal astigmatism), "PTB" (Petzval blur), "DST" (distortion), "AX" and "LAT" (axial and
+        lateral colour).
+    """
+
+    seidel: torch.Tensor
+    chromatic: torch.Tensor
+    transverse: dict
+
+
+def seidel_sums(system: Any, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:
+    """Return the Seidel sums of a system by surface, and the transverse aberrations that they make.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, of surfaces with rotational symmetry.
+    field : float, optional
+        Field angle in degrees, or object height for a near object; by default the largest of the system's.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, with the indices of all wavelengths.
+
+    Returns
+    -------
+    ThirdOrder
+        float64, differentiable in the numbers.
+
+    Raises
+    ------
+    ValueError
+        If a surface has a shape or a phase without rotational symmetry.
+
+    Notes
+    -----
+    Welford, Aberrations of Optical Systems (1986), chapter 8 and section 10.2: marginal and chief rays traced
+    paraxially. The powers r² and r⁴ of aspheres enter, with the stop shift of section 8.5. The lateral colour
+    "LAT" and the distortion are heights in the image plane.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, seidel_sums
+    >>> tuple(seidel_sums(load_system("cooke_triplet")).seidel.shape)
+    (5, 6)
+    """
+    checked_system(system), checked_prescription(prescription)
+    p = system.prescription() if prescription is None else prescription
+    if (p.shapes is not None and any(p.shapes)) or (p.phases is not None and any(p.phases)):
+        raise ValueError("system must consist of planes, conics and even aspheres without diffractive phases")
+    one = p.at(system.reference)
+    n = signed_indices(system, one)
+    pupil = entrance_pupil(system, prescription=one)
+    ends = [p.index[..., i, :] for i in (0, -1)]
+    spread = (ends[0] - ends[1]) * n / one.index[..., 0, :]
+    if field is None:
+        size = max(math.hypot(*point) for point in system.fields)
+    else:
+        size = float(_validate.number("field", field))
+    if system.at_infinity:
+        chief_slope = math.tan(math.radians(size)) + 0 * pupil.distance
+        y, u = pupil.radius, 0 * pupil.radius
+        yb, ub = -pupil.distance * chief_slope, chief_slope
+    else:
+        y, u = system.object_distance * pupil.reach, pupil.reach
+        ub = -size * pupil.bend
+        yb = size + system.object_distance * ub
+    sums, colours = [], []
+    invariant = n[..., 0] * (ub * y - u * yb)
+    for i in range(len(system.surfaces)):
+        before, behind = n[..., i], n[..., i + 1]
+        c = one.shape(i).curvatures()[1]
+        a, ab = before * (u + y * c), before * (ub + yb * c)
+        power = (behind - before) * c
+        un, ubn = (before * u - y * power) / behind, (before * ub - yb * power) / behind
+        change = un / behind - u / before
+        curl = 1 / behind - 1 / before
+        s1, s2, s3 = -a * a * y * change, -a * ab * y * change, -ab * ab * y * change
+        s4 = -invariant * invariant * c * curl
+        squares = 1 / (behind * behind) - 1 / (before * before)
+        s5 = -ab * (ab * ab * squares * y - (invariant + ab * y) * yb * c * curl)
+        # Terms of r⁴ beyond the sphere of the same vertex curvature.
+        k, base = one.conic[..., i], one.curvature[..., i]
+        fourth = one.coefficients[..., i, 1] if one.coefficients.shape[-1] > 1 else 0 * base
+        extra = 8 * ((1 + k) * base**3 / 8 + fourth - c**3 / 8) * (behind - before)
+        s1, s2 = s1 + extra * y**4, s2 + extra * y**3 * yb
+        s3, s5 = s3 + extra * y * y * yb * yb, s5 + extra * y * yb**3
+        sums.append(torch.stack(torch.broadcast_tensors(s1, s2, s3, s4, s5), -1))
+        dispersion = spread[..., i + 1] / behind - spread[..., i] / before
+        colours.append(torch.stack(torch.broadcast_tensors(a * y * dispersion, ab * y * dispersion), -1))
+        gap = one.thickness[..., i]
+        y, yb, u, ub = y + gap * un, yb + gap * ubn, un, ubn
+    seidel, chromatic = torch.stack(sums, -1), torch.stack(colours, -1)
+    scale = 1 / (n[..., -1] * u)
+    s = [scale * value for value in seidel.sum(-1).unbind(-1)]
+    axial, lateral = (scale * value for value in chromatic.sum(-1).unbind(-1))
+    transverse = {
+        "SA": s[0] / 2,
+        "TCO": 3 * s[1] / 2,
+        "TAS": (3 * s[2] + s[3]) / 2,
+        "SAS": (s[2] + s[3]) / 2,
+        "PTB": s[3] / 2,
+        "DST": s[4] / 2,
+        "AX": axial,
+        "LAT": lateral,
+    }
+    return ThirdOrder(seidel, chromatic, transverse)
+
+
+def ghost_system(system: Any, first: int, second: int) -> optical_system:
+    """Return the sequence of a ghost: light reflected at one surface, back at an earlier one, and on to the image.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, without coordinate breaks and diffractive phases.
+    first : int
+        Number of the surface at which light is reflected forwards again.
+    second : int
+        Number of the later surface at which it is reflected backwards before.
+
+    Returns
+    -------
+    optical_system
+        With the same entrance beam, fields and wavelengths; the surfaces between the two are passed three times.
+
+    Raises
+    ------
+    ValueError
+        If the surfaces are not in this order, or the system holds what cannot be passed backwards.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ghost_system, load_system
+    >>> len(ghost_system(load_system("cooke_triplet"), 2, 4).surfaces)
+    10
+    """
+    items: list[Any] = list(checked_system(system).surfaces)
+    first, second = (_validate.place_in(n, v, len(items)) for n, v in (("first", first), ("second", second)))
+    if not first < second:
+        raise ValueError(f"first must be below second, got {first} and {second}")
+    if any(is_break(item) or item.phase is not None or item.reflects for item in items):
+        raise ValueError("system must be made of refracting surfaces without coordinate breaks and phases")
+
+    def medium(i: int):
+        item = items[i] if i >= 0 else None
+        if item is None:
+            return "air"
+        return float(item.index.detach()) if item.material is None else item.material
+
+    def passed(i: int, thickness, material) -> surface:
+        item = items[i]
+        return surface(
+            shape=item.shape,
+            thickness=float(thickness.detach()),
+            material=material,
+            semi_diameter=item.semi_diameter,
+            aperture=item.apertures or None,
+            shift=item.shift.detach(),
+            tilt=item.tilt.detach(),
+        )
+
+    with torch.no_grad():
+        sequence = [passed(i, items[i].thickness, medium(i)) for i in range(second)]
+        sequence.append(passed(second, -items[second - 1].thickness, "mirror"))
+        sequence += [passed(i, -items[i - 1].thickness, medium(i - 1)) for i in range(second - 1, first, -1)]
+        sequence.append(passed(first, items[first].thickness, "mirror"))
+        sequence += [passed(i, items[i].thickness, medium(i)) for i in range(first + 1, len(items))]
+        stop = system.stop if system.stop < second else system.stop + 2 * (second - first)
+        sequence[stop].stop = True
+        pupil = entrance_pupil(system)
+        size = float(2 * pupil.reach if system.at_infinity else torch.sin(torch.atan(pupil.reach)))
+    return optical_system(
+        sequence,
+        size,
+        "EPD" if system.at_infinity else "NA",
+        wavelengths=system.wavelengths,
+        reference=system.reference,
+        fields=system.fields,
+        object_distance=system.object_distance,
+        image=system.image,
+        unit=system.unit,
+        name=f"{system.name}, ghost of surfaces {second} and {first}",
+        source=system.source,
+    )

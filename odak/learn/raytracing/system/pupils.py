@@ -1,13 +1,24 @@
-"""Points of a pupil that rays are sent through."""
+"""Rays from field points through points of a pupil: pupil patterns, paraxial and real aiming."""
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import torch
 
 from odak import _validate
+from odak._array import is_readable
 from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn.raytracing.system.paraxial import entrance_pupil
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 
 PATTERNS = ("rings", "grid", "x", "y", "random")
+AIMS = ("paraxial", "real")
+# Steps of Newton's method, and steps along a continuation.
+ROUNDS, MARCHES = 8, 60
+# Newton's method ends with steps this small beside that along which it takes differences; one more follows.
+CLOSE = 1e-6
 
 
 def pupil_samples(
@@ -69,3 +80,336 @@ def pupil_samples(
 
 def _line(count: int) -> torch.Tensor:
     return torch.linspace(-1, 1, count, dtype=torch.float64) if count > 1 else torch.zeros(1, dtype=torch.float64)
+
+
+def launch(
+    system: Any,
+    pupil: str | torch.Tensor = "rings",
+    count: int = 6,
+    *,
+    fields: Any = None,
+    prescription: Prescription | None = None,
+    aim: str = "paraxial",
+    dtype: torch.dtype = torch.float64,
+) -> Rays:
+    """Return rays from each field point through points of the entrance pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points (x, y), or ``[F, 2]``, in place of the system's.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+    aim : str
+        "paraxial": at the paraxial entrance pupil. "real": so that the rays meet the stop at the points asked for,
+        at the reference wavelength; solved by Newton's method, for wide fields by continuation, differentiable.
+    dtype : torch.dtype
+        Precision of the rays; they are computed in float64.
+
+    Returns
+    -------
+    Rays
+        ``[..., 1, F, P]``, the first axes those of the batch of systems. For an object at infinity they start in the
+        plane of the first vertex. Pupil points are heights in the entrance pupil, for a near object slopes of rays: the
+        same up to a factor, but defined for a pupil at infinity too. Rays for which `aim` "real" finds no way to their
+        point of the stop have infinite direction cosines; their status behind the system is NOT_AIMED.
+    """
+    aim, dtype = _validate.one_of("aim", aim, AIMS), checked_dtype("dtype", dtype)
+    checked_prescription(prescription)
+    points = pupil_of(pupil, count, system)
+    chosen = field_points(system, fields).to(points.device)[:, None]
+    rays = through_pupil(system, points, chosen, prescription, aim)
+    return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+
+
+def field_points(system, fields=None) -> torch.Tensor:
+    """Return field points ``[F, 2]`` in float64, the system's own by default."""
+    if isinstance(fields, torch.Tensor):
+        if fields.ndim != 2 or fields.shape[-1] != 2 or len(fields) == 0:
+            raise ValueError(f"fields must be [F, 2], got {tuple(fields.shape)}")
+        return _validate.real("fields", fields).double()
+    if fields is not None and (isinstance(fields, str) or not isinstance(fields, Iterable)):
+        raise TypeError(f"fields must be a sequence of pairs (x, y), got {type(fields).__name__}")
+    pairs = [_validate.several("fields", point, 2) for point in (system.fields if fields is None else fields)]
+    if not pairs:
+        raise ValueError("fields must hold at least one pair (x, y)")
+    return torch.tensor(pairs, dtype=torch.float64)
+
+
+def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescription, aim: str) -> Rays:
+    """Return rays through points of the pupil, ``[P, 2]`` or ``[..., F, P, 2]``, from field points ``[F, 1, 2]``."""
+    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    pupil = entrance_pupil(system, prescription=numbers)
+    place = places_of(pupil, points)
+    if aim == "real":
+        return through_places(system, fields, pupil, *aimed(system, numbers, pupil, points, fields))
+    return through_places(system, fields, pupil, *place)
+
+
+def places_of(pupil, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return coordinates in the entrance pupil, as its `reach` has them, of points in units of its radius."""
+    reach = pupil.reach[..., None, None, None]
+    middle = (value[..., None, None, None] for value in pupil.middle)
+    return tuple(reach * points[..., i] + center for i, center in enumerate(middle))  # type: ignore[return-value]
+
+
+def through_places(system, fields: torch.Tensor, pupil, px, py) -> Rays:
+    """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil."""
+    distance, bend = (value[..., None, None, None] for value in (pupil.distance, pupil.bend))
+    # Rays without a place in the pupil are computed with as if they went through its centre.
+    lost = torch.isinf(px)
+    px, py = (torch.where(lost, 0.0, value) for value in (px, py))
+    rays = _far(fields, distance, px, py) if system.at_infinity else _near(system, fields, bend, px, py)
+    return Rays(*rays[:3], *(torch.where(lost, torch.inf, value) for value in rays[3:]))
+
+
+def pupil_of(pupil, count: int, system) -> torch.Tensor:
+    """Return the points of a pupil, from the name of a pattern or as given."""
+    checked_system(system)
+    device = system.surfaces[0].thickness.device
+    if isinstance(pupil, str):
+        return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)
+    if not isinstance(pupil, torch.Tensor) or pupil.ndim != 2 or pupil.shape[-1] != 2:
+        raise ValueError("pupil must be the name of a pattern or a tensor [P, 2]")
+    return pupil.to(device=device, dtype=torch.float64)
+
+
+def _far(fields, distance, px, py) -> Rays:
+    """Return rays of distant points through points of the plane of the entrance pupil."""
+    if is_readable(fields) and bool((fields.abs() >= 90).any()):
+        raise ValueError(f"fields must be below 90 degrees from the axis, got {fields.abs().max().item():g}")
+    tangent = torch.tan(torch.deg2rad(fields))
+    tx, ty = tangent[..., 0], tangent[..., 1]
+    w = 1 / (1 + tx * tx + ty * ty).sqrt()
+    x, y = px - distance * tx, py - distance * ty
+    u, v, w = (value.expand(x.shape) for value in (tx * w, ty * w, w))
+    return Rays(x, y, torch.zeros_like(x), u, v, w)
+
+
+def _near(system, fields, bend, sx, sy) -> Rays:
+    """Return rays of near points whose slopes are those given less the field's own towards the pupil's centre."""
+    sx, sy = sx - bend * fields[..., 0], sy - bend * fields[..., 1]
+    w = 1 / (1 + sx * sx + sy * sy).sqrt()
+    x, y = (fields[..., i].expand(sx.shape) for i in range(2))
+    return Rays(x, y, torch.full_like(sx, -system.object_distance), sx * w, sy * w, w)
+
+
+def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor):
+    """Return coordinates in the entrance pupil of rays that meet the stop at given points.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    numbers : Prescription
+        Its numbers at one wavelength.
+    pupil : EntrancePupil
+        Its paraxial entrance pupil.
+    points : torch.Tensor
+        ``[P, 2]`` or ``[..., F, P, 2]`` in units of the stop's radius.
+    fields : torch.Tensor
+        Field points ``[F, 1, 2]``.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Coordinates for :func:`through_places`; infinite for rays that were not found.
+
+    Notes
+    -----
+    Newton's method from the paraxial pupil. Where it fails, as for the outer fields of wide lenses, whose pupils lie
+    far from the paraxial one, the chief ray is followed from the axis to the field in steps of adaptive length, and
+    then the rays of the pupil from the chief ray outwards.
+    """
+    radius = pupil.stop_radius[..., None, None, None]
+    step = 1e-4 * pupil.reach[..., None, None, None]
+
+    def errors(px, py, share=1.0, part=1.0):
+        rays = through_places(system, _shrunk(system, fields, share), pupil, px, py)
+        x, y, kept = at_stop(system, numbers, rays)
+        return x - part * radius * points[..., 0], y - part * radius * points[..., 1], kept
+
+    with torch.no_grad():
+        start = torch.broadcast_tensors(*places_of(pupil, points))
+        shape = errors(*start)[0].shape
+        x, y = (value.expand(shape).clone() for value in start)
+        x, y, found = _solve(errors, x, y, step, radius)
+        if not bool(found.all()):
+            x, y, found = _continued(system, errors, places_of(pupil, 0 * points), x, y, found, step, radius)
+    safe = [torch.where(found, value, 0.0) for value in (x, y)]
+
+    def missed(px, py):
+        ex, ey, kept = errors(px, py)
+        return [torch.where(kept & found, value, 0.0) for value in (ex, ey)]
+
+    x, y = newton_step(missed, safe[0], safe[1], step)
+    return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
+
+
+def _shrunk(system, fields: torch.Tensor, share):
+    """Return field points a share of the way from the axis, per ray."""
+    if isinstance(share, float):
+        return fields
+    return fields * share[..., None]
+
+
+def _solve(errors, x, y, step, radius, *way, rounds: int = 12):
+    """Return coordinates after Newton's method for each ray, and which of them meet their points."""
+    for _ in range(rounds):
+        ex, ey, kept = errors(x, y, *way)
+        (ax, ay), (bx, by) = _differences(errors, x, y, step, (ex, ey), *way)
+        dx, dy = _newton((ex, ey), ((ax, ay), (bx, by)))
+        usable = kept & torch.isfinite(dx + dy)
+        x, y = x - torch.where(usable, dx, 0.0), y - torch.where(usable, dy, 0.0)
+        small = (torch.maximum(dx.abs(), dy.abs()) <= CLOSE * step.abs()) | ~usable
+        if bool(small.all()):
+            break
+    ex, ey, kept = errors(x, y, *way)
+    met = kept & (torch.maximum(ex.abs(), ey.abs()) <= 1e-7 * radius)
+    return x, y, met
+
+
+def _differences(errors, x, y, step, here, *way):
+    """Return the derivatives of both errors by x and by y, from differences on either side where a ray exists."""
+    found = []
+    for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))):
+        ex, ey, kept = errors(*ahead, *way)
+        if not bool(kept.all()):
+            fx, fy, _ = errors(*behind, *way)
+            found.append([torch.where(kept, a - c, c - b) / step for a, b, c in ((ex, fx, here[0]), (ey, fy, here[1]))])
+        else:
+            found.append([(a - c) / step for a, c in zip((ex, ey), here, strict=True)])
+    return found
+
+
+def _continued(system, errors, middle, x, y, found, step, radius):
+    """Return coordinates found by continuation for the rays that Newton's method from the paraxial pupil lost."""
+    zero = torch.zeros_like(x)
+    cx, cy = (value.expand(x.shape).clone() for value in middle)
+    # From the axis to the field, with the point in the stop at its centre; then from the centre to the point.
+    cx, cy, reached = _march(errors, cx, cy, found, step, radius, lambda s: (s, zero))
+    px, py, reached = _march(errors, cx, cy, found | ~reached, step, radius, lambda s: (1.0 + zero, s))
+    done = ~found & reached
+    return torch.where(done, px, x), torch.where(done, py, y), found | done
+
+
+def _march(errors, x, y, idle, step, radius, way):
+    """Return coordinates followed from s = 0 to s = 1 in steps that adapt to each ray, and which rays came through."""
+    s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
+    x, y, good = _solve(errors, x, y, step, radius, *way(s))
+    idle = idle | ~good
+    before, sb = (x, y), s.clone()
+    for _ in range(MARCHES):
+        active = ~idle & (s < 1)
+        if not bool(active.any()):
+            break
+        target = torch.where(active, (s + length).clamp(max=1.0), s)
+        # The way so far, extended in a straight line.
+        ahead = torch.where(s > sb, (target - s) / torch.where(s > sb, s - sb, 1.0), 0.0)
+        tx, ty = (a + ahead * (a - b) for a, b in zip((x, y), before, strict=True))
+        tx, ty, met = _solve(errors, tx, ty, step, radius, *way(target), rounds=6)
+        taken = active & met
+        before = tuple(torch.where(taken, a, b) for a, b in zip((x, y), before, strict=True))
+        sb = torch.where(taken, s, sb)
+        x, y, s = torch.where(taken, tx, x), torch.where(taken, ty, y), torch.where(taken, target, s)
+        length = torch.where(taken, 1.7 * length, torch.where(active, length / 3, length))
+        idle = idle | (length < 1e-5)
+    return x, y, s >= 1
+
+
+def at_stop(system, numbers: Prescription, rays):
+    """Return where rays meet the stop in its own frame, and whether they do, for numbers at one wavelength."""
+    hit = trace(system, rays, prescription=numbers, until=system.stop, vignetting=False)
+    x, y, _ = in_surface_frame(system, numbers, system.stop, hit)
+    return x[..., 0:1, :, :], y[..., 0:1, :, :], hit.arrived
+
+
+def solve_pairs(missed, x, y, step):
+    """Return the pairs (x, y) at which a pair of functions vanishes.
+
+    Parameters
+    ----------
+    missed : callable
+        Takes x and y, returns the values of both functions there.
+    x, y : torch.Tensor
+        First guess.
+    step : torch.Tensor
+        Length along which differences are taken.
+
+    Notes
+    -----
+    Newton's method for each pair, with a 2 × 2 Jacobian by differences. Solved without a graph; one more step with one,
+    whose Jacobian is by central differences, carries the gradient of the implicit function theorem.
+    """
+    with torch.no_grad():
+        for _ in range(ROUNDS):
+            here = missed(x, y)
+            change = _newton(here, _jacobian(missed, x, y, step, here))
+            x, y = x - change[0], y - change[1]
+            if x.device.type == "cpu" and bool((torch.maximum(*(v.abs() for v in change)) <= CLOSE * step.abs()).all()):
+                break
+    return newton_step(missed, x, y, step)
+
+
+def newton_step(missed, x, y, step):
+    """Return one step of Newton's method with a graph; its Jacobian, by central differences, has none."""
+    with torch.no_grad():
+        jacobian = _jacobian(missed, x, y, step)
+    change = _newton(missed(x, y), jacobian)
+    return x - change[0], y - change[1]
+
+
+def _jacobian(missed, x, y, step, here=None):
+    """Return the derivatives by x and by y, by central differences unless the values themselves are at hand."""
+    found = []
+    for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))):
+        before, width = (missed(*behind), 2 * step) if here is None else (here, step)
+        found.append([(a - b) / width for a, b in zip(missed(*ahead), before, strict=True)])
+    return found
+
+
+def _newton(here, jacobian):
+    """Return Newton's step, 0 where the Jacobian is singular."""
+    (ax, ay), (bx, by) = jacobian
+    determinant = ax * by - bx * ay
+    regular = (determinant != 0) & torch.isfinite(determinant)
+    inverse = torch.where(regular, 1 / torch.where(regular, determinant, 1.0), 0.0)
+    ex, ey = here
+    return inverse * (by * ex - bx * ey), inverse * (ax * ey - ay * ex)
+
+
+def trace_fields(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
+    """Launch rays from all field points and trace them to the image plane.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    **options
+        Of :func:`launch` (`fields`, `prescription`, `aim`, `dtype`) and :func:`trace` (`prescription`, `until`,
+        `vignetting`).
+
+    Returns
+    -------
+    Traced
+        ``[..., W, F, P]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, trace_fields
+    >>> tuple(trace_fields(load_system("cooke_triplet"), "rings", 6).x.shape)
+    (3, 3, 127)
+    """
+    own = {name: options[name] for name in ("fields", "prescription", "aim", "dtype") if name in options}
+    rest = {name: value for name, value in options.items() if name not in ("fields", "aim", "dtype")}
+    return trace(system, launch(system, pupil, count, **own), **rest)

@@ -1,18 +1,47 @@
-"""One surface of an optical system, as a module whose numbers may be parameters."""
+"""Optical systems: surfaces, coordinate breaks, their sequence, and their numbers as tensors."""
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import fields as fields_of
+from itertools import pairwise
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
+from odak._array import is_readable
 from odak.catalog.dispersion import Material
+from odak.catalog.materials import MICROMETRES, refractive_index
 from odak.catalog.materials import material as find_material
+from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
+from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
+from odak.raytracing.phases import Phase
+from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
 
 MIRROR, AIR = "mirror", "air"
+APERTURES = ("EPD", "F-number", "NA", "stop")
+D_LINE = 0.5875618  # micrometres
+ORDERS = ("shift", "tilt")
 VARIABLES = ("curvature", "radius", "conic", "coefficients", "thickness", "index", "shift", "tilt")
+
+
+class _Parameters(torch.nn.Module):
+    """Parameters of a shape or a phase as buffers, any of which may become a torch.nn.Parameter."""
+
+    def __init__(self, name: str, given: Any):
+        super().__init__()
+        self.kind = type(given)
+        for field in fields_of(given):
+            value = getattr(given, field.name)
+            value = list(value) if isinstance(value, tuple) else value
+            if not (isinstance(value, list) and not value):
+                value = _validate.real(f"{name}.{field.name}", value)
+            _hold(self, field.name, value)
+
+    def build(self) -> Any:
+        """Return the shape or phase, made of the parameters as they are."""
+        return self.kind(*(getattr(self, field.name) for field in fields_of(self.kind)))
 
 
 class surface(torch.nn.Module):
@@ -28,17 +57,26 @@ class surface(torch.nn.Module):
         Conic constant k: 0 a sphere, −1 a paraboloid.
     coefficients : sequence of float or torch.Tensor
         Of r², r⁴, r⁶, …, added to the conic.
+    shape : odak.raytracing.Shape, optional
+        Any other shape, in place of the four above: a Toroid, a ZernikeFreeform, a class of one's own.
     thickness : float or torch.Tensor
         Distance to the next vertex, that of the last surface to the image plane. Negative after a mirror.
     material : str, float, torch.Tensor or Material
-        What is behind it: a name of :func:`odak.catalog.material_names`, "air" (index 1), "mirror", or an index that
+        Medium behind it: a name of :func:`odak.catalog.material_names`, "air" (index 1), "mirror", or an index that
         holds for all wavelengths.
     semi_diameter : float, optional
         Distance from the axis beyond which rays are vignetted.
+    aperture : odak.raytracing.apertures.Aperture or sequence of them, optional
+        Further limits: rectangles, ellipses, polygons, rings, obscurations.
+    phase : odak.raytracing.phases.Phase, optional
+        A grating, a phase polynomial or an ideal lens on it.
     stop : bool
         Whether it is the aperture stop.
-    shift, tilt : sequence of float or torch.Tensor
-        Of this surface alone: its vertex off the axis along x and y, and rotations in degrees about x, then about y.
+    shift : sequence of float or torch.Tensor
+        Of this surface alone: position (x, y) of its vertex off the axis.
+    tilt : sequence of float or torch.Tensor
+        Of this surface alone: rotations in degrees about x, then about y; a third number rotates it about its own z
+        first. The axis goes on as if it were not tilted: for folds use :class:`coordinate_break`.
 
     Raises
     ------
@@ -65,6 +103,7 @@ class surface(torch.nn.Module):
     shift: torch.Tensor
     tilt: torch.Tensor
     index: torch.Tensor
+    order: str | int | None = None
 
     def __init__(
         self,
@@ -73,48 +112,84 @@ class surface(torch.nn.Module):
         curvature: float | None = None,
         conic: float = 0.0,
         coefficients: Sequence[float] = (),
+        shape: Shape | None = None,
         thickness: float = 0.0,
         material: Any = "air",
         semi_diameter: float | None = None,
+        aperture: Aperture | Sequence[Aperture] | None = None,
+        phase: Phase | None = None,
         stop: bool = False,
         shift: Sequence[float] = (0.0, 0.0),
         tilt: Sequence[float] = (0.0, 0.0),
     ):
         super().__init__()
+        if shape is not None and type(shape) in STANDARD:
+            curvature, conic = shape.base()
+            coefficients = getattr(shape, "coefficients", ())
+            shape = None
         if isinstance(radius, torch.nn.Parameter):
-            self._hold("radius_value", radius)
+            _hold(self, "radius_value", radius)
         elif curvature is None:
             value = float(number_or_infinity("radius", radius))
             if value == 0:
                 raise ValueError(f"radius must not be 0, got {value}")
             # As it was given, to the last digit.
-            self._hold(*(("curvature_value", 0.0) if math.isinf(value) else ("radius_value", value)))
+            _hold(self, *(("curvature_value", 0.0) if math.isinf(value) else ("radius_value", value)))
         else:
-            self._hold("curvature_value", _validate.real("curvature", curvature))
-        self._hold("conic", _validate.real("conic", conic))
+            _hold(self, "curvature_value", _validate.real("curvature", curvature))
+        _hold(self, "conic", _validate.real("conic", conic))
         coefficients = _listed("coefficients", coefficients)
-        self._hold("coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
-        self._hold("thickness", _validate.real("thickness", thickness))
-        self._hold("shift", _pair("shift", shift))
-        self._hold("tilt", _pair("tilt", tilt))
+        _hold(self, "coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
+        self.own_shape = None if shape is None else _Parameters("shape", _checked("shape", shape, Shape))
+        self.own_phase = None if phase is None else _Parameters("phase", _checked("phase", phase, Phase))
+        _hold(self, "thickness", _validate.real("thickness", thickness))
+        _hold(self, "shift", _several("shift", shift, (2,)))
+        _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
         self.material = _medium(material)
         if isinstance(self.material, (Real, torch.Tensor)):
-            self._hold("index", _validate.real("material", material, positive=True))
+            _hold(self, "index", _validate.real("material", material, positive=True))
             self.material = None
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
             self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
+        parts = [] if aperture is None else aperture if isinstance(aperture, (list, tuple)) else [aperture]
+        self.apertures = tuple(_checked("aperture", part, Aperture) for part in parts)
         self.stop = _validate.flag("stop", stop)
 
     @property
     def curvature(self) -> torch.Tensor:
-        """1/radius."""
-        return 1 / self.radius_value if self._has("radius_value") else self.curvature_value
+        """1/radius; of other shapes, the vertex curvature along y."""
+        if self.own_shape is not None:
+            return torch.as_tensor(self.own_shape.build().curvatures()[1], dtype=torch.float64)
+        return 1 / self.radius_value if _has(self, "radius_value") else self.curvature_value
 
     @property
     def radius(self) -> torch.Tensor:
-        """Radius of curvature, infinite for a plane."""
-        return self.radius_value if self._has("radius_value") else 1 / self.curvature_value
+        """Radius of curvature, infinite for a plane; of other shapes, that at the vertex along y."""
+        return self.radius_value if _has(self, "radius_value") else 1 / self.curvature
+
+    @property
+    def shape(self) -> Shape:
+        """Shape of the surface, made of its numbers as they are."""
+        if self.own_shape is not None:
+            return self.own_shape.build()
+        if self.coefficients.numel():
+            return EvenAsphere(self.curvature, self.conic, self.coefficients)
+        return Conic(self.curvature, self.conic)
+
+    @property
+    def phase(self) -> Phase | None:
+        """Diffractive phase on the surface, made of its numbers as they are."""
+        return None if self.own_phase is None else self.own_phase.build()
+
+    @property
+    def limit(self) -> Any:
+        """Aperture: a semi-diameter, an object with a method ``passes(x, y)``, or None."""
+        if not self.apertures:
+            return self.semi_diameter
+        rim = () if self.semi_diameter is None else (CircularAperture(radius=self.semi_diameter),)
+        parts = (*rim, *self.apertures)
+        return parts[0] if len(parts) == 1 else CombinedAperture(parts)
 
     @property
     def reflects(self) -> bool:
@@ -133,44 +208,29 @@ class surface(torch.nn.Module):
         ----------
         name : str
             "curvature", "radius", "conic", "coefficients", "thickness", "index" (of a material given as a number),
-            "shift" or "tilt".
+            "shift" or "tilt"; or a parameter of the shape or the phase.
         """
+        for held in (self.own_shape, self.own_phase):
+            if held is not None and isinstance(name, str) and _has(held, name):
+                return _vary(held, name)
         name = _validate.one_of("name", name, VARIABLES)
-        if name in ("curvature", "radius"):
+        if name in ("curvature", "radius") and self.own_shape is None:
             value = getattr(self, name).detach()
             if not bool(torch.isfinite(value)):
                 raise ValueError("the radius of a plane cannot be varied; vary its curvature")
             for old in ("curvature_value", "radius_value"):
-                if self._has(old) and old != f"{name}_value":
+                if _has(self, old) and old != f"{name}_value":
                     delattr(self, old)
+                    self.register_buffer(f"{name}_value", value.clone())
             name = f"{name}_value"
-        elif not self._has(name):
+        elif name in ("curvature", "radius", "conic", "coefficients") and self.own_shape is not None:
+            known = ", ".join(field.name for field in fields_of(self.own_shape.kind))
+            raise ValueError(f"{name} is no parameter of a {self.own_shape.kind.__name__}: it has {known}")
+        elif not _has(self, name):
             raise ValueError(
                 f"{name} of this surface cannot be varied: its material is {self.material!r}, not a number"
             )
-        else:
-            value = getattr(self, name).detach()
-        if name in self._parameters:
-            return getattr(self, name)
-        if value.numel() == 0:
-            raise ValueError(f"{name} of this surface is empty; give it zeros to vary")
-        if name in self._buffers:
-            delattr(self, name)
-        self.register_parameter(name, torch.nn.Parameter(value.clone()))
-        return getattr(self, name)
-
-    def _has(self, name: str) -> bool:
-        return name in self._parameters or name in self._buffers
-
-    def _hold(self, name: str, value) -> None:
-        if isinstance(value, torch.nn.Parameter):
-            self.register_parameter(name, value)
-        elif isinstance(value, torch.Tensor):
-            if value.requires_grad:
-                raise TypeError(f"{name} must be a number, a tensor without graph or a torch.nn.Parameter")
-            self.register_buffer(name, value.detach().to(torch.float64))
-        else:
-            self.register_buffer(name, torch.tensor(value, dtype=torch.float64))
+        return _vary(self, name)
 
     def extra_repr(self) -> str:
         """Return the surface in a line."""
@@ -178,6 +238,108 @@ class surface(torch.nn.Module):
         medium = f"index {float(self.index.detach()):g}" if medium is None else medium
         radius, thickness = (float(value.detach()) for value in (self.radius, self.thickness))
         return f"radius={radius:g}, thickness={thickness:g}, material={medium}, stop={self.stop}"
+
+
+class coordinate_break(surface):
+    """A change of the axis: all that follows stands in the new frame.
+
+    Parameters
+    ----------
+    shift : sequence of float or torch.Tensor
+        Of the new origin along x and y.
+    tilt : sequence of float or torch.Tensor
+        Rotations in degrees about x, y and z, right-handed.
+    thickness : float or torch.Tensor
+        Distance along the new axis to the next vertex.
+    order : str
+        "shift": shifted first, then rotated about x, the new y and the new z. "tilt": rotated about z, the new y and
+        the new x, then shifted along the new axes: the inverse of the former with the signs of all numbers changed.
+    return_to : int, optional
+        Number of an earlier surface whose frame is taken again, whatever came between; `shift` and `tilt` must be
+        left out then.
+
+    Notes
+    -----
+    A fold by 90° is a break of 45°, a mirror, and a second break of 45°, with negative thicknesses behind the mirror.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import coordinate_break, optical_system, surface, trace
+    >>> turn = {"tilt": (45.0, 0.0, 0.0)}
+    >>> fold = optical_system(
+    ...     [
+    ...         surface(thickness=10.0),
+    ...         coordinate_break(**turn),
+    ...         surface(material="mirror"),
+    ...         coordinate_break(**turn, thickness=-20.0),
+    ...     ],
+    ...     aperture=2.0,
+    ... )
+    >>> ray = torch.tensor([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    >>> float(trace(fold, ray).path)
+    30.0
+    """
+
+    def __init__(
+        self,
+        shift: Sequence[float] = (0.0, 0.0),
+        tilt: Sequence[float] = (0.0, 0.0, 0.0),
+        thickness: float = 0.0,
+        *,
+        order: str = "shift",
+        return_to: int | None = None,
+    ):
+        tilt = _several("tilt", tilt, (2, 3))
+        tilt = [*tilt, 0.0] if len(tilt) == 2 and not isinstance(tilt, torch.Tensor) else tilt
+        super().__init__(thickness=thickness, shift=shift, tilt=tilt)
+        self.order = _validate.one_of("order", order, ORDERS)
+        if return_to is not None:
+            self.order = _validate.integer("return_to", return_to)
+            if self.is_off_axis:
+                raise ValueError("return_to gives the frame: shift and tilt must be left out")
+
+    def extra_repr(self) -> str:
+        """Return the break in a line."""
+        shift, tilt = self.shift.tolist(), self.tilt.tolist()
+        return f"shift={shift}, tilt={tilt}, thickness={float(self.thickness.detach()):g}, order={self.order!r}"
+
+
+def is_break(item: Any) -> bool:
+    """Return whether an item of a system is a coordinate break."""
+    return isinstance(item, coordinate_break)
+
+
+def _has(module, name: str) -> bool:
+    return name in module._parameters or name in module._buffers
+
+
+def _hold(module, name: str, value) -> None:
+    if isinstance(value, torch.nn.Parameter):
+        module.register_parameter(name, value)
+    elif isinstance(value, torch.Tensor):
+        if value.requires_grad:
+            raise TypeError(f"{name} must be a number, a tensor without graph or a torch.nn.Parameter")
+        module.register_buffer(name, value.detach().to(torch.float64))
+    else:
+        module.register_buffer(name, torch.as_tensor(value, dtype=torch.float64).clone())
+
+
+def _vary(module, name: str) -> torch.nn.Parameter:
+    if name in module._parameters:
+        return getattr(module, name)
+    value = getattr(module, name).detach()
+    if value.numel() == 0:
+        raise ValueError(f"{name} of this surface is empty; give it zeros to vary")
+    delattr(module, name)
+    module.register_parameter(name, torch.nn.Parameter(value.clone()))
+    return getattr(module, name)
+
+
+def _checked(name: str, value, kind: type):
+    if not isinstance(value, kind):
+        raise TypeError(f"{name} must be a {kind.__name__} of odak.raytracing, got {type(value).__name__}")
+    return value
 
 
 def number_or_infinity(name: str, value):
@@ -197,10 +359,11 @@ def _listed(name: str, values):
     return [float(_validate.number(name, value)) for value in values]
 
 
-def _pair(name: str, values):
+def _several(name: str, values, counts: tuple[int, ...]):
     values = _validate.real(name, _listed(name, values))
-    if len(values) != 2:
-        raise ValueError(f"{name} must be two numbers (x, y), got {values!r}")
+    if len(values) not in counts:
+        accepted = "two numbers (x, y)" + (" or three (x, y, z)" if 3 in counts else "")
+        raise ValueError(f"{name} must be {accepted}, got {values!r}")
     return values
 
 
@@ -211,3 +374,514 @@ def _medium(value):
     if isinstance(value, str):
         return value.casefold() if value.casefold() in (MIRROR, AIR) else find_material(value)
     return value
+
+
+class Prescription(NamedTuple):
+    """Numbers of a batch of systems, float64; leading axes ``[...]`` are systems, S counts surfaces, W wavelengths.
+
+    Attributes
+    ----------
+    curvature, conic, thickness : torch.Tensor
+        ``[..., S]``.
+    coefficients : torch.Tensor
+        ``[..., S, K]`` of r², r⁴, …
+    index : torch.Tensor
+        ``[..., W, S + 1]``: before the first surface, and behind each.
+    shift, tilt : torch.Tensor or None
+        ``[..., S, 2]``, or ``[..., S, 3]`` for tilts with a rotation about z; None where no surface has any. Tilts in
+        degrees.
+    shapes : tuple or None
+        For each surface its shape if the numbers above do not describe it, its parameters ``[..., …]``, else None.
+    phases : tuple or None
+        For each surface its phase or None.
+    wavelengths : torch.Tensor or None
+        Vacuum wavelengths ``[W]``, which phases need.
+    """
+
+    curvature: torch.Tensor
+    conic: torch.Tensor
+    thickness: torch.Tensor
+    coefficients: torch.Tensor
+    index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
+    shift: torch.Tensor | None = None
+    tilt: torch.Tensor | None = None
+    shapes: tuple | None = None
+    phases: tuple | None = None
+    wavelengths: torch.Tensor | None = None
+
+    @property
+    def batch(self) -> torch.Size:
+        """Leading axes of the batch."""
+        return torch.broadcast_shapes(
+            self.curvature.shape[:-1],
+            self.conic.shape[:-1],
+            self.thickness.shape[:-1],
+            self.coefficients.shape[:-2],
+            self.index.shape[:-2],
+            *(value.shape[:-2] for value in (self.shift, self.tilt) if value is not None),
+            *(value.shape[: value.ndim - rank] for value, rank in self.others()),
+        )
+
+    def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
+        """Return the parameters of other shapes and of phases with their own axes, in the order of the surfaces."""
+        shapes = list(self.shapes or [None] * self.thickness.shape[-1])
+        phases = list(self.phases or [None] * len(shapes))
+        if image is not None:
+            shapes.append(image.shape if image.own_shape is not None else None)
+            phases.append(None)
+        like, found = self.thickness, []
+        for shape, phase in zip(shapes, phases, strict=True):
+            for held in (shape, phase):
+                if held is not None:
+                    pairs = zip(held.parameters(), held.ranks_of_parameters(), strict=True)
+                    found += [(torch.as_tensor(v, dtype=torch.float64, device=like.device), r) for v, r in pairs]
+        return found
+
+    def shape(self, i: int) -> Shape:
+        """Return the shape of a surface, its parameters ``[..., …]``."""
+        if self.shapes is not None and self.shapes[i] is not None:
+            return self.shapes[i]
+        return EvenAsphere(self.curvature[..., i], self.conic[..., i], self.coefficients[..., i, :])
+
+    def at(self, place: int) -> "Prescription":
+        """Return the prescription at one of its wavelengths; with a single wavelength, the prescription itself."""
+        if self.index.shape[-2] == 1:
+            return self
+        waves = None if self.wavelengths is None else self.wavelengths[place : place + 1]
+        place = place % self.index.shape[-2]
+        return self._replace(index=self.index[..., place : place + 1, :], wavelengths=waves)
+
+    def select(self, place: int) -> "Prescription":
+        """Return one system of a batch with one leading axis."""
+        count = self.batch[0]
+
+        def one(value, own: int):
+            tail = value.shape[value.ndim - own :]
+            return value.expand(count, *tail)[place] if value.ndim > own else value
+
+        axes = (1, 1, 1, 2, 2, 2, 2)
+        parts: Any = [None if value is None else one(value, own) for value, own in zip(self[:7], axes, strict=True)]
+        held = []
+        for group in (self.shapes, self.phases):
+            chosen = [
+                item
+                if item is None
+                else type(item)(*map(one, map(torch.as_tensor, item.parameters()), item.ranks_of_parameters()))
+                for item in group or ()
+            ]
+            held.append(tuple(chosen) if group is not None else None)
+        return Prescription(*(*parts, *held, self.wavelengths))
+
+    def requires_grad(self) -> bool:
+        """Return whether a number requires a gradient."""
+        values = [*self[:7], *(value for value, _ in self.others())]
+        return any(value is not None and value.requires_grad for value in values)
+
+    def numbers(self, image: Any = None) -> Numbers:
+        """Return the numbers with one row for each system and wavelength, ``[B, …]``, and the image added.
+
+        Parameters
+        ----------
+        image : surface, optional
+            The image surface; a plane by default.
+        """
+        batch, wavelengths = self.batch, self.index.shape[-2]
+        rows = (*batch, wavelengths)
+
+        def spread(value, own: int):
+            """Give `value` the wavelengths' axis and the batch's, and make rows of them."""
+            tail = value.shape[value.ndim - own :]
+            value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
+            return value.expand(*rows, *tail).reshape(math.prod(rows), *tail)
+
+        distance = torch.cat([torch.zeros_like(self.thickness[..., :1]), self.thickness], -1)
+        index = self.index.expand(*rows, self.index.shape[-1]).reshape(math.prod(rows), self.index.shape[-1])
+        index = torch.cat([index, index[:, -1:]], -1)
+        waves = torch.ones_like(index[:1, 0]) if self.wavelengths is None else self.wavelengths.to(index)
+        waves = waves.expand(rows).reshape(-1)
+        curvature, conic, coefficients = self._with(image)
+        placed: list[Any] = []
+        for name, count in (("shift", 2), ("tilt", 3)):
+            value = getattr(self, name)
+            if value is None:
+                value = torch.zeros(self.thickness.shape[-1], count, dtype=torch.float64, device=index.device)
+            value = torch.nn.functional.pad(value, (0, count - value.shape[-1]))
+            last = value.new_zeros(count) if image is None else _padded(getattr(image, name).double(), count)
+            last = last.expand(*value.shape[:-2], 1, count)
+            placed.append(spread(torch.cat([value, last.to(value)], -2), 2))
+        others = tuple(spread(value, rank) for value, rank in self.others(image))
+        parts = (spread(curvature, 1), spread(conic, 1), spread(distance, 1), spread(coefficients, 2), index)
+        return Numbers(*parts, waves, placed[0], torch.deg2rad(placed[1]), others)
+
+    def _with(self, image):
+        """Return curvatures, conic constants and coefficients with those of the image behind them."""
+        pad = torch.nn.functional.pad
+        if image is None or image.own_shape is not None:
+            return pad(self.curvature, (0, 1)), pad(self.conic, (0, 1)), pad(self.coefficients, (0, 0, 0, 1))
+        found = []
+        for own, last in ((self.curvature, image.curvature), (self.conic, image.conic)):
+            found.append(torch.cat([own, last.double().expand_as(own[..., :1])], -1))
+        own, last = self.coefficients, image.coefficients.double()
+        count = max(own.shape[-1], len(last))
+        own, last = (pad(value, (0, count - value.shape[-1])) for value in (own, last))
+        return *found, torch.cat([own, last.expand_as(own[..., :1, :])], -2)
+
+
+def _padded(value: torch.Tensor, count: int) -> torch.Tensor:
+    return torch.nn.functional.pad(value, (0, count - value.shape[-1]))
+
+
+def checked_prescription(prescription) -> Prescription | None:
+    """Return a prescription after checking that it is one; None stays None."""
+    if prescription is not None and not isinstance(prescription, Prescription):
+        raise TypeError(f"prescription must be a Prescription, got {type(prescription).__name__}")
+    return prescription
+
+
+def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool = True) -> Layout:
+    """Return the layout of a row of surfaces and the image behind it.
+
+    Parameters
+    ----------
+    surfaces : sequence of surface
+        The surfaces.
+    prescription : Prescription
+        Their numbers: a surface is plane only if no number bends it and none is being varied.
+    image : surface, optional
+        The image surface; a plane by default.
+    vignetting : bool
+        Let apertures block rays.
+
+    Raises
+    ------
+    ValueError
+        If the axis does not meet a surface: a fold without coordinate breaks.
+    """
+    kinds, actions, limits, phases, orders = [], [], [], [], []
+    before: tuple = ("air",)
+    p = prescription
+    for i, item in enumerate(surfaces):
+        shape = None if p.shapes is None else p.shapes[i]
+        kinds.append(_kind(p.curvature[..., i], p.coefficients[..., i, :]) if shape is None else type(shape))
+        medium = before if item.reflects or is_break(item) else _medium_key(item)
+        action = (
+            "break" if is_break(item) else "reflect" if item.reflects else "pass" if medium == before else "refract"
+        )
+        actions.append(action)
+        limits.append(item.limit if vignetting else None)
+        phases.append(None if p.phases is None or p.phases[i] is None else type(p.phases[i]))
+        orders.append(item.order)
+        before = medium
+    if image is None:
+        kinds.append(Plane)
+    else:
+        kinds.append(_kind(image.curvature, image.coefficients) if image.own_shape is None else image.own_shape.kind)
+    limits.append(image.limit if image is not None and vignetting else None)
+    actions, phases, orders = [*actions, "pass"], [*phases, None], [*orders, None]
+    slanted = image is not None and image.is_off_axis
+    placed = slanted or p.shift is not None or p.tilt is not None or "break" in actions
+    signs, sign = [], 1
+    for action in actions:
+        signs.append(sign)
+        sign = -sign if action == "reflect" else sign
+    if placed:
+        signs = _signs_along_axis(p, image, actions, orders) or signs
+    return Layout(tuple(kinds), tuple(actions), tuple(signs), tuple(limits), tuple(phases), tuple(orders), bool(placed))
+
+
+def _signs_along_axis(p: Prescription, image, actions, orders) -> list[int] | None:
+    """Return the signs with which the axis meets the surfaces of the first system of a batch."""
+    if not all(value is None or is_readable(value) for value in (p.shift, p.tilt, p.thickness)):
+        return None
+    with torch.no_grad():
+        numbers = p.numbers(image)
+        shift, tilt = numbers.shift, numbers.tilt
+        if shift is None or tilt is None or not len(shift):
+            return None
+        return axis_signs(shift[0], tilt[0], actions, orders, numbers.distance[0])
+
+
+def _kind(curvature: torch.Tensor, coefficients: torch.Tensor) -> type[Shape]:
+    if (coefficients.requires_grad and coefficients.shape[-1]) or _any(coefficients):
+        return EvenAsphere
+    return Conic if curvature.requires_grad or _any(curvature) else Plane
+
+
+def _any(value: torch.Tensor) -> bool:
+    """Return whether any number is not zero; numbers that a transform hides may be anything."""
+    if not is_readable(value) and not value.is_cuda:
+        return value.numel() > 0
+    return bool(value.detach().any())
+
+
+def _medium_key(item) -> tuple:
+    if item.material is None:
+        return ("index", id(item))
+    if isinstance(item.material, str):
+        return (item.material,)
+    # The numbers of the medium, not its name, which two materials of a user may share.
+    material = item.material
+    return (material.formula, repr(sorted(material.coefficients.items())), material.relative_to)
+
+
+class optical_system(torch.nn.Module):
+    """A sequential optical system: light passes its surfaces one after the other, from −z to the image plane.
+
+    Parameters
+    ----------
+    surfaces : sequence of surface
+        In the order in which light meets them, coordinate breaks among them. The image plane follows, at the last
+        one's thickness.
+    aperture : float
+        Size of the aperture, as `aperture_type` has it.
+    aperture_type : str
+        "EPD": diameter of the entrance pupil. "F-number": focal length over that diameter. "NA": n·sin of the marginal
+        ray's angle, on the object's side if the object is near, on the image's (paraxially) if not. "stop": diameter
+        of the stop.
+    wavelengths : float or sequence of float
+        Vacuum wavelengths in `unit`; the d line, 587.5618 nm, by default.
+    reference : int, optional
+        Which of them first-order properties, pupils and reference spheres are computed at; the middle one by default.
+    fields : sequence
+        Field points: numbers y or pairs (x, y). Angles in degrees for an object at infinity, heights otherwise.
+    object_distance : float
+        From the object to the first vertex.
+    image : surface, optional
+        Shape of the image surface: a curved sensor, a retina, a tilted plane. Of what a surface may be, its radius,
+        conic constant, coefficients, semi-diameter, shift and tilt count. A plane by default.
+    unit : str
+        Unit of all lengths, wavelengths included: "mm", "m", "um" or "nm".
+    name, source : str
+        What it is called and where it comes from.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Space in front is air. Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
+    relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
+    telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import first_order, optical_system, surface
+    >>> lens = optical_system(
+    ...     [surface(51.5, thickness=4.0, material="N-BK7"), surface(thickness=97.0)], aperture=20.0
+    ... )
+    >>> round(float(first_order(lens).focal_length), 2)
+    99.65
+    """
+
+    def __init__(
+        self,
+        surfaces: Sequence[surface],
+        aperture: float,
+        aperture_type: str = "EPD",
+        *,
+        wavelengths: float | Sequence[float] | None = None,
+        reference: int | None = None,
+        fields: Iterable = (0.0,),
+        object_distance: float = math.inf,
+        image: surface | None = None,
+        unit: str = "mm",
+        name: str = "",
+        source: str = "",
+    ):
+        super().__init__()
+        surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
+        if not surfaces or not all(isinstance(item, surface) for item in surfaces):
+            raise TypeError("surfaces must be a sequence of at least one odak.learn.raytracing.system.surface")
+        for i, item in enumerate(surfaces):
+            if isinstance(item.order, int) and not item.order < i:
+                raise ValueError(f"return_to of surfaces[{i}] must be the number of an earlier one, got {item.order}")
+        stops = [i for i, item in enumerate(surfaces) if item.stop]
+        first = next((i for i, item in enumerate(surfaces) if not is_break(item)), None)
+        if first is None:
+            raise ValueError("surfaces must hold a surface beside coordinate breaks")
+        if len(stops) > 1:
+            raise ValueError(f"only one surface may be the stop, got {stops}")
+        if surfaces[0].reflects is False and any(a is b for a, b in pairwise(surfaces)):
+            raise ValueError("a surface occurs twice in a row; make one for each place")
+        self.surfaces = torch.nn.ModuleList(surfaces)
+        self.stop = stops[0] if stops else first
+        self.aperture = float(_validate.number("aperture", aperture, positive=True))
+        self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
+        if self.aperture_type == "NA" and self.aperture >= 1:
+            raise ValueError(f"aperture must be below 1 as a numerical aperture in air, got {aperture}")
+        self.unit = _validate.one_of("unit", unit, MICROMETRES)
+        default = D_LINE / MICROMETRES[self.unit]
+        self.wavelengths = _wavelengths(default if wavelengths is None else wavelengths)
+        count = len(self.wavelengths)
+        self.reference = count // 2 if reference is None else _validate.integer("reference", reference)
+        if self.reference >= count:
+            raise ValueError(f"reference must be below the number of wavelengths, {count}, got {self.reference}")
+        self.fields = _fields(fields)
+        self.object_distance = float(number_or_infinity("object_distance", object_distance))
+        if not self.object_distance > 0:
+            raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
+        if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
+            raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
+        self.image = _image(image)
+        self.name, self.source = _validate.text("name", name), _validate.text("source", source)
+
+    @property
+    def at_infinity(self) -> bool:
+        """Whether the object is infinitely far away."""
+        return math.isinf(self.object_distance)
+
+    def prescription(self, wavelengths: Sequence[float] | None = None) -> Prescription:
+        """Return the system's numbers as tensors, differentiable in those that are parameters.
+
+        Parameters
+        ----------
+        wavelengths : sequence of float, optional
+            The system's by default.
+        """
+        wavelengths = self.wavelengths if wavelengths is None else _wavelengths(wavelengths)
+        items: list[Any] = list(self.surfaces)
+        longest = max(item.coefficients.numel() for item in items)
+        coefficients = [
+            torch.nn.functional.pad(item.coefficients.double(), (0, longest - item.coefficients.numel()))
+            for item in items
+        ]
+        curvature, conic, thickness = (
+            torch.stack([getattr(item, name).double().reshape(()) for item in items])
+            for name in ("curvature", "conic", "thickness")
+        )
+        index = self._indices(wavelengths)
+        shapes = tuple(None if item.own_shape is None else item.shape for item in items)
+        phases = tuple(item.phase for item in items)
+        return Prescription(
+            curvature,
+            conic,
+            thickness,
+            torch.stack(coefficients),
+            index,
+            _optional([item.shift for item in items]),
+            _optional([item.tilt for item in items]),
+            shapes if any(shapes) else None,
+            phases if any(phases) else None,
+            torch.tensor(wavelengths, dtype=torch.float64, device=index.device),
+        )
+
+    def frames(self, prescription: Prescription | None = None, own: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the frames of the surfaces and of the image in that of the first vertex: global coordinates.
+
+        Parameters
+        ----------
+        prescription : Prescription, optional
+            Numbers in place of the system's own, of one system.
+        own : bool
+            Include the shift and tilt of each surface; else the frames are those of the axis at its vertex, in which
+            :func:`trace` returns its points.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Rotations ``[S + 1, 3, 3]``, the columns of which are the axes of each frame, and origins ``[S + 1, 3]``.
+        """
+        given, own = checked_prescription(prescription), _validate.flag("own", own)
+        numbers = (self.prescription() if given is None else given).numbers(self.image)
+        shift: Any = numbers.shift
+        tilt: Any = numbers.tilt
+        frames, rotations, origins = Frames(), [], []
+        for i in range(len(self.surfaces) + 1):
+            item = self.surfaces[i] if i < len(self.surfaces) else None
+            frames.move(numbers.distance[0, i])
+            place = placement(shift[0, i], tilt[0, i], None if item is None else item.order)
+            if item is not None and is_break(item):
+                frames.turn(place, item.order)
+                place = frames.here
+            else:
+                frames.note()
+                place = frames.here.then(place) if own else frames.here
+            one = numbers.distance[0, i]
+            rotations.append(torch.stack([torch.stack([v + 0 * one for v in row]) for row in place.matrix]))
+            origins.append(torch.stack([v + 0 * one for v in place.origin]))
+        return torch.stack(rotations), torch.stack(origins)
+
+    def vary(self, **which: Any) -> list[torch.nn.Parameter]:
+        """Make parameters of numbers, for an optimizer, and return them.
+
+        Parameters
+        ----------
+        **which
+            Surfaces (numbers from 0, one or several) by the name of what is varied: ``curvature=[0, 1],
+            thickness=-1``.
+
+        Examples
+        --------
+        >>> from odak.learn.raytracing.system import load_system
+        >>> len(load_system("cooke_triplet").vary(curvature=[0, 1], thickness=-1))
+        3
+        """
+        surfaces: Any = self.surfaces
+        return [
+            surfaces[_validate.place_in(name, place, len(surfaces))].vary(name)
+            for name, places in which.items()
+            for place in (places if isinstance(places, Iterable) else [places])
+        ]
+
+    def _indices(self, wavelengths) -> torch.Tensor:
+        """Return the indices before the first surface and behind each, ``[W, S + 1]``."""
+        first: Any = self.surfaces[0]
+        one = torch.ones(len(wavelengths), dtype=torch.float64, device=first.thickness.device)
+        values = torch.tensor(wavelengths, dtype=torch.float64)
+        columns = [one]
+        for item in self.surfaces:
+            if item.reflects or is_break(item):
+                columns.append(columns[-1])
+            elif item.material is None:
+                columns.append(item.index.double() * one)
+            elif item.material == "air":
+                columns.append(one)
+            else:
+                index: Any = refractive_index(item.material, values, self.unit, medium="air")
+                columns.append(index.to(one))
+        return torch.stack(columns, -1)
+
+
+def checked_system(system) -> optical_system:
+    """Return a system after checking that it is one."""
+    if not isinstance(system, optical_system):
+        raise TypeError(f"system must be an optical_system, got {type(system).__name__}")
+    return system
+
+
+def _image(value) -> surface | None:
+    if value is not None and (not isinstance(value, surface) or is_break(value)):
+        raise TypeError(f"image must be a surface, got {type(value).__name__}")
+    if value is not None and (value.stop or value.material != "air" or bool(value.thickness != 0) or value.phase):
+        raise ValueError("image is where light ends: it has no thickness, no material, no phase and is no stop")
+    return value
+
+
+def _wavelengths(values) -> tuple[float, ...]:
+    found = tuple(
+        _validate.numbers(
+            _validate.real("wavelengths", values if not isinstance(values, tuple) else list(values), positive=True)
+        )
+    )
+    if not found:
+        raise ValueError("wavelengths must hold at least one")
+    return found
+
+
+def _fields(values) -> tuple[tuple[float, float], ...]:
+    if not isinstance(values, Iterable) or isinstance(values, str):
+        raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(values).__name__}")
+    values = values.tolist() if hasattr(values, "tolist") else values
+    points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
+    if not points or any(len(point) != 2 for point in points):
+        raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
+    return tuple((float(_validate.real("fields", x)), float(_validate.real("fields", y))) for x, y in points)
+
+
+def _optional(values):
+    """Return shifts or tilts of all surfaces, None where there are none and none are varied."""
+    count = max(len(value) for value in values)
+    stacked = torch.stack([_padded(value.double(), count) for value in values])
+    return stacked if stacked.requires_grad or bool(stacked.any()) else None

@@ -1,17 +1,61 @@
-"""Rays through a system, to the image plane or to any surface."""
+"""Traces rays through an optical system, to the image surface or to any surface."""
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import torch
 
-from odak import _array, _validate
-from odak.learn.raytracing.system import tilted
-from odak.learn.raytracing.system.fused import Trace, plain_trace
-from odak.learn.raytracing.system.lens import checked_system
-from odak.learn.raytracing.system.prescription import Prescription, checked_prescription, layout_of
-from odak.learn.raytracing.system.tilted import TiltedTrace
-from odak.raytracing.status import RayStatus
+from odak import _array, _torch_private, _validate
+from odak.learn.raytracing.recompute import in_pieces
+from odak.learn.raytracing.system.fused import Trace
+from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    checked_prescription,
+    checked_system,
+    coordinate_break,
+    layout_of,
+)
+
+# Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.
+BLOCK = 1 << 14
+
+
+class Rays(NamedTuple):
+    """Rays in front of a system, each component ``[..., wavelengths or 1, fields, pupil points]``.
+
+    Attributes
+    ----------
+    x, y, z : torch.Tensor
+        Points, from the first vertex.
+    u, v, w : torch.Tensor
+        Direction cosines along x, y, z; infinite for rays that could not be aimed.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    z: torch.Tensor
+    u: torch.Tensor
+    v: torch.Tensor
+    w: torch.Tensor
+
+    @classmethod
+    def from_tensor(cls, ray: torch.Tensor) -> "Rays":
+        """Return rays ``[..., 2, 3]`` (points and directions of any length) as components ``[1, 1, rays]``."""
+        if ray.shape[-2:] != (2, 3):
+            raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
+        ray = ray.reshape(1, 1, -1, 2, 3)
+        length = ray[..., 1, :].square().sum(-1, keepdim=True)
+        exists = length > 0
+        # A direction of length zero is no ray: NaN, which the trace reports as a miss.
+        unit = torch.where(exists, ray[..., 1, :] / torch.where(exists, length, 1.0).sqrt(), torch.nan)
+        return cls(*ray[..., 0, :].unbind(-1), *unit.unbind(-1))
+
+    def to_tensor(self) -> torch.Tensor:
+        """Return the rays as ``[..., 2, 3]``, for the functions of :mod:`odak.learn.raytracing`."""
+        parts = torch.broadcast_tensors(*self)
+        return torch.stack([torch.stack(parts[:3], -1), torch.stack(parts[3:], -1)], -2)
 
 
 class Traced(NamedTuple):
@@ -41,7 +85,7 @@ class Traced(NamedTuple):
     @property
     def arrived(self) -> torch.Tensor:
         """Whether the ray got through, bool."""
-        return self.status == RayStatus.HIT.value
+        return self.status == HIT
 
     def to_tensor(self) -> torch.Tensor:
         """Return the rays as ``[..., 2, 3]``."""
@@ -69,13 +113,13 @@ def trace(
     until : int, optional
         Surface to stop behind; the image plane by default.
     vignetting : bool
-        Let semi-diameters block rays.
+        Let apertures block rays.
 
     Returns
     -------
     Traced
-        ``[..., W, F, P]``, in the precision of the rays. Differentiable in rays and numbers, twice; rays that are lost
-        are NaN, with a status and without gradient.
+        ``[..., W, F, P]``, in the precision of the rays, in the frame of the last surface's axis. Differentiable in
+        rays and numbers, twice; rays that are lost are NaN, with a status and without gradient.
 
     Raises
     ------
@@ -84,17 +128,15 @@ def trace(
 
     Notes
     -----
-    Rays are traced in blocks that fit into the cache; for gradients only the rays that enter and their statuses are
-    kept, 25 bytes each in float32. Systems with tilted or shifted surfaces go by plain torch operations, block by
-    block, and keep no more than that. Under torch.func, autograd keeps what it needs.
+    Sequences of planes, conics and even aspheres without tilts go through a fused kernel, in blocks that fit into the
+    cache; all others through the intersections and interfaces of :mod:`odak.raytracing`, block by block. For gradients
+    only the rays that enter are kept (and their statuses). Under torch.func, autograd keeps what it needs.
     """
     # What is read of the system, and the threads, have no place in a graph of torch.compile.
     return _array.outside_graphs(_trace, system, rays, prescription, until, vignetting)
 
 
 def _trace(system, rays, prescription, until, vignetting):
-    from odak.learn.raytracing.system.launching import Rays
-
     checked_system(system), checked_prescription(prescription)
     vignetting = _validate.flag("vignetting", vignetting)
     if isinstance(rays, torch.Tensor):
@@ -106,55 +148,70 @@ def _trace(system, rays, prescription, until, vignetting):
     numbers = system.prescription() if prescription is None else prescription
     if len({value.device for value in (*rays, numbers.curvature)}) > 1:
         raise ValueError("rays and system must be on one device")
-    last = len(system.surfaces)
-    last = last if until is None else _validate.place_in("until", until, last) + 1
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     held = numbers.numbers(system.image)
     if until is not None:
-        layout, held = _shortened(layout, held, last)
+        last = _validate.place_in("until", until, len(system.surfaces)) + 1
+        held, layout = held.first(last, layout), layout.first(last)
     shape = _shape(rays, numbers)
     flat = [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays]
-    slanted = until is None and system.image is not None and system.image.is_off_axis
-    if slanted or numbers.shift is not None or numbers.tilt is not None:
-        held = (*held, *tilted.rows(numbers, shape, system.image))
-        traced = tilted.plain_trace if _plain((*flat, *held)) else TiltedTrace.apply
-        found = traced(layout, *flat, *held)
-    elif _plain((*flat, *held)):
-        state = plain_trace(layout, held, tuple(flat))
-        lost = state.status != RayStatus.HIT
-        found = (*(torch.where(lost, torch.nan, value) for value in state[:7]), state.status)
+    if layout.standard and not _torch_private.is_transformed(*flat, *held[:5]):
+        found = Trace.apply(layout, *flat, *held[:5])
     else:
-        found = Trace.apply(layout, *flat, *held)
+        given, ranks = flat_arguments(layout, held)
+        state = in_pieces(partial(plain_trace, layout), (0,) * 6 + tuple(ranks), *flat, *given, size=BLOCK)
+        found = (*(torch.where(state.status == HIT, value, torch.nan) for value in state[:7]), state.status)
     return Traced(*(value.reshape(shape) for value in found))
 
 
-def trace_fields(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> Traced:
-    """Launch rays from all field points and trace them to the image plane.
+def ray_paths(system: Any, rays: Rays, *, prescription: Prescription | None = None) -> torch.Tensor:
+    """Return the points of rays at all surfaces in global coordinates, those of the first vertex.
 
     Parameters
     ----------
-    system, pupil, count
-        As in :func:`launch`.
-    **options
-        Of :func:`launch` (`fields`, `prescription`, `aim`, `dtype`) and :func:`trace` (`prescription`, `until`,
-        `vignetting`).
+    system : optical_system
+        The system.
+    rays : Rays
+        From :func:`launch`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, of one system.
 
     Returns
     -------
-    Traced
-        ``[..., W, F, P]``.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import load_system, trace_fields
-    >>> tuple(trace_fields(load_system("cooke_triplet"), "rings", 6).x.shape)
-    (3, 3, 127)
+    torch.Tensor
+        ``[W, F, P, S + 2, 3]``: the start, each surface (coordinate breaks left as the surface before), the image; NaN
+        from where a ray is lost.
     """
-    from odak.learn.raytracing.system.launching import launch
+    checked_system(system), checked_prescription(prescription)
+    if not isinstance(rays, Rays):
+        raise TypeError(f"rays must be Rays, got {type(rays).__name__}")
+    matrices, origins = system.frames(prescription, own=False)
+    numbers = system.prescription() if prescription is None else prescription
+    shape = _shape(rays, numbers)
+    stations = [torch.stack([value.expand(shape) for value in rays[:3]], -1)]
+    for i in [*range(len(system.surfaces)), None]:
+        if i is not None and isinstance(system.surfaces[i], coordinate_break):
+            stations.append(stations[-1])
+            continue
+        found = trace(system, rays, prescription=prescription, until=i)
+        place = -1 if i is None else i
+        local = torch.stack(found[:3], -1)
+        stations.append(local @ matrices[place].to(local).mT + origins[place].to(local))
+    return torch.stack(stations, -2)
 
-    own = {name: options[name] for name in ("fields", "prescription", "aim", "dtype") if name in options}
-    rest = {name: value for name, value in options.items() if name not in ("fields", "aim", "dtype")}
-    return trace(system, launch(system, pupil, count, **own), **rest)
+
+def in_surface_frame(system, prescription: Prescription, place: int, traced: Traced) -> tuple:
+    """Return points ``(x, y, z)`` of a trace that ended behind a surface in that surface's own, tilted frame."""
+    if prescription.shift is None and prescription.tilt is None:
+        return traced[:3]
+    numbers = prescription.numbers()
+    shift: Any = numbers.shift
+    tilt: Any = numbers.tilt
+    shape = (*traced.x.shape[:-2], 1, 1)
+    rows = [value[:, place].expand(math.prod(shape), value.shape[-1]) for value in (shift, tilt)]
+    shift, tilt = (value.reshape(*shape, value.shape[-1]) for value in rows)
+    frame = placement(shift, tilt, system.surfaces[place].order)
+    return frame.enter(traced[:3], traced[3:6])[0]
 
 
 def _shape(rays, numbers: Prescription) -> tuple[int, ...]:
@@ -170,18 +227,3 @@ def _shape(rays, numbers: Prescription) -> tuple[int, ...]:
     if full[:-2] != systems[:-2]:
         raise ValueError(f"rays {tuple(shape)} must match the systems and wavelengths {systems[:-2]}")
     return tuple(full)
-
-
-def _shortened(layout, numbers, last: int):
-    """Return layout and numbers of the first surfaces, that at the end passed without being bent."""
-    layout = type(layout)(*(value[:last] for value in layout))
-    layout = layout._replace(actions=(*layout.actions[:-1], "pass"))
-    index = numbers.index[:, : last + 1]
-    return layout, type(numbers)(*(value[:, :last] for value in numbers[:4]), index)
-
-
-def _plain(tensors) -> bool:
-    """Say whether the tensors take part in a transform that only plain operations know."""
-    return torch.autograd.forward_ad._current_level >= 0 or any(
-        torch._C._functorch.is_functorch_wrapped_tensor(value) for value in tensors
-    )

@@ -1,4 +1,4 @@
-"""Rays to waves: the field that a system leaves on a regular grid, ready to be propagated on."""
+"""Diffraction images by Fourier transform and by propagation, and fields that a system leaves on a regular grid."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,20 +7,437 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
-from odak._array import phasor_of_cycles
-from odak.learn.raytracing.system.launching import AIMS
-from odak.learn.raytracing.system.lens import checked_system
-from odak.learn.raytracing.system.paraxial import first_order
-from odak.learn.raytracing.system.prescription import Prescription, checked_prescription
-from odak.learn.raytracing.system.ray_map import RayMap
+from odak._array import is_readable, phasor_of_cycles
+from odak._warnings import AccuracyWarning, warn
+from odak.learn._tensors import floating
+from odak.learn.raytracing.system.analysis import path_at_start, wavefront
+from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
+from odak.learn.raytracing.system.pupils import (
+    AIMS,
+    aimed,
+    at_stop,
+    field_points,
+    places_of,
+    pupil_samples,
+    solve_pairs,
+    through_places,
+)
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
-from odak.raytracing.status import RayStatus
+from odak.raytracing.intersections import RayStatus
 
 PLANES = ("axis", "chief")
-# How much wider than the light the grid is.
-ROOM = 1.1
+# Extent of the grid over that of the field.
+MARGIN = 1.1
 # Samples at a time: some ten rays each.
 PIECE = 1 << 18
+# Rays that the map is first guessed from, and the degree of the polynomials that guess it.
+RINGS, DEGREE = 10, 7
+# Along which differences are taken, in radii of the pupil: their error is its square, rounding's its inverse.
+STEP = 3e-4
+
+
+class PlaneRays(NamedTuple):
+    """Rays where they meet the plane, each ``[..., P]``.
+
+    Attributes
+    ----------
+    x, y : torch.Tensor
+        Along the plane's axes, from the chief ray.
+    u, v, cosine : torch.Tensor
+        Direction cosines along the plane's axes and its normal.
+    path : torch.Tensor
+        Optical path less that of the chief ray.
+    status : torch.Tensor
+        As in Traced.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    u: torch.Tensor
+    v: torch.Tensor
+    cosine: torch.Tensor
+    path: torch.Tensor
+    status: torch.Tensor
+
+
+class RayMap:
+    """Rays of one field point at one wavelength, from pupil coordinates to a plane behind the system.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription or None
+        Its numbers, of all wavelengths; None for its own.
+    place : int
+        Which of the wavelengths.
+    field : torch.Tensor
+        Field point ``[2]``.
+    distance : float or torch.Tensor
+        From the last vertex to where the plane crosses the chief ray, along z.
+    across : bool
+        Turn the plane's normal to the chief ray rather than to the axis.
+    """
+
+    def __init__(self, system, prescription, place: int, field: torch.Tensor, distance, across: bool):
+        numbers = system.prescription() if prescription is None else prescription
+        self.system = system
+        self.numbers, self.reference = numbers.at(place), numbers.at(system.reference)
+        self.pupil = entrance_pupil(system, prescription=self.reference)
+        self.field = field.reshape(1, 1, 2)
+        self.origin: Any = None
+        self.axes: Any = None
+        self.chief: Any = 0.0
+        chief = self._traced(torch.zeros(1, 2, dtype=torch.float64, device=field.device), False)
+        height = distance - numbers.thickness[..., -1]
+        self._place(chief, height, across)
+
+    def _place(self, chief, height, across: bool) -> None:
+        """Lay the plane: its origin on the chief ray, its axes next to x and y."""
+        point, direction = torch.stack(chief[:3], -1), torch.stack(chief[3:6], -1)
+        along = (height[..., None] - point[..., 2]) / direction[..., 2]
+        self.origin = point + along[..., None] * direction
+        ways = torch.eye(3, dtype=point.dtype, device=point.device).expand(*direction.shape[:-1], 3, 3)
+        normal = direction if across else ways[..., 2] * torch.sign(direction[..., 2:]).detach()
+        x = _unit(ways[..., 0] - ways[..., 0].mul(normal).sum(-1, keepdim=True) * normal)
+        y = ways[..., 1] - ways[..., 1].mul(normal).sum(-1, keepdim=True) * normal
+        y = _unit(y - y.mul(x).sum(-1, keepdim=True) * x)
+        self.axes = x, y, normal
+        self.to_image = ((point - self.origin) * normal).sum(-1)[..., 0]
+        # Zero where the map's path is measured from.
+        self.chief = self(torch.zeros(1, 2, dtype=point.dtype, device=point.device)).path
+
+    def _traced(self, places: torch.Tensor, vignetting: bool):
+        rays = self._rays(places)
+        found = trace(self.system, rays, prescription=self.numbers, vignetting=vignetting)
+        total = found.path + path_at_start(self.system, rays, self.numbers)
+        return type(found)(*(value[..., 0, 0, :] for value in found._replace(path=total)))
+
+    def _rays(self, places: torch.Tensor):
+        coordinates = places_of(self.pupil, places[..., None, None, :, :])
+        return through_places(self.system, self.field, self.pupil, *coordinates)
+
+    def __call__(self, places: torch.Tensor, vignetting: bool = False) -> PlaneRays:
+        """Return where rays meet the plane.
+
+        Parameters
+        ----------
+        places : torch.Tensor
+            Pupil coordinates ``[..., P, 2]``: 1 at the rim of the paraxial entrance pupil.
+        vignetting : bool
+            Let semi-diameters block rays.
+        """
+        found = self._traced(places, vignetting)
+        # Lost rays are computed with as if they were on the axis, so that nothing that is no number enters a gradient.
+        lost = found.status != RayStatus.HIT
+        alike = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+        held = [torch.where(lost, dummy, value) for dummy, value in zip(alike, found, strict=False)]
+        found = type(found)._make([*held, found.status])
+        point, direction = torch.stack(found[:3], -1) - self.origin, torch.stack(found[3:6], -1)
+        u, v, cosine = ((direction * axis).sum(-1) for axis in self.axes)
+        distance = -(point * self.axes[2]).sum(-1) / cosine
+        x, y = ((point * axis).sum(-1) + distance * slope for axis, slope in zip(self.axes, (u, v), strict=False))
+        path = found.path + self.numbers.index[..., 0, -1:] * distance - self.chief
+        met = [torch.where(lost, torch.nan, value) for value in (x, y, u, v, cosine, path)]
+        return PlaneRays._make([*met, found.status])
+
+    def samples(self, aim: str) -> torch.Tensor:
+        """Return places ``[..., P, 2]`` all over the pupil, its rim included."""
+        points = pupil_samples("rings", RINGS, device=self.pupil.reach.device)
+        return points if aim == "paraxial" else self._aimed(points)
+
+    def _aimed(self, points: torch.Tensor) -> torch.Tensor:
+        """Return places of rays that meet the stop at given points; those not found are left out of the pupil."""
+        found = aimed(self.system, self.reference, self.pupil, points, self.field)
+        centers = places_of(self.pupil, torch.zeros(1, 2, dtype=points.dtype, device=points.device))
+        reach = self.pupil.reach[..., None, None, None]
+        parts = [((a - b) / reach)[..., 0, 0, :] for a, b in zip(found, centers, strict=True)]
+        return torch.stack(parts, -1).nan_to_num(posinf=0.0, neginf=0.0)
+
+    def in_stop(self, places: torch.Tensor, aim: str) -> torch.Tensor:
+        """Return the coordinates by which the pupil ends at 1: of the paraxial pupil, or of the stop itself."""
+        if aim == "paraxial":
+            return places
+        radius = self.pupil.stop_radius[..., None, None, None]
+        x, y, _ = at_stop(self.system, self.reference, self._rays(places))
+        return (torch.stack([x, y], -1) / radius[..., None])[..., 0, 0, :, :]
+
+    def derivatives(self, places: torch.Tensor):
+        """Return the derivatives of (x, y) by the two pupil coordinates, and the mean place they were taken about."""
+        met = self(_around(places))
+        x, y = (value.reshape(*value.shape[:-1], 4, -1) for value in met[:2])
+        by = [[(value[..., i, :] - value[..., i + 1, :]) / (2 * STEP) for value in (x, y)] for i in (0, 2)]
+        return *by, [(value[..., 0, :] + value[..., 1, :]) / 2 for value in (x, y)]
+
+    def radius(self, places: torch.Tensor, aim: str):
+        """Return the radius that ends at 1 at the pupil's rim, and its derivatives by the two pupil coordinates."""
+        radius = self._length(places, aim)
+        if aim == "paraxial":
+            return radius, *(value / radius for value in places.unbind(-1))
+        there = self._length(_around(places), aim)
+        there = there.reshape(*there.shape[:-1], 4, -1)
+        return radius, *((there[..., i, :] - there[..., i + 1, :]) / (2 * STEP) for i in (0, 2))
+
+    def _length(self, places: torch.Tensor, aim: str) -> torch.Tensor:
+        # At the centre the root has no gradient; nothing depends on it there.
+        return self.in_stop(places, aim).square().sum(-1).clamp(min=1e-12).sqrt()
+
+    def solve(self, target: torch.Tensor, guess: torch.Tensor) -> torch.Tensor:
+        """Return the places whose rays meet the points `target`, ``[P, 2]`` of the plane."""
+
+        def missed(x, y):
+            met = self(torch.stack([x, y], -1))
+            kept = met.status == RayStatus.HIT
+            return [torch.where(kept, a - b, 0.0) for a, b in zip(met[:2], target.unbind(-1), strict=True)]
+
+        return torch.stack(solve_pairs(missed, guess[..., 0], guess[..., 1], torch.full_like(guess[..., 0], STEP)), -1)
+
+    def guess(self, places: torch.Tensor, met: PlaneRays, target: torch.Tensor) -> torch.Tensor:
+        """Return about where the rays through `target` start, by polynomials through the samples."""
+        size = torch.maximum(met.x.abs(), met.y.abs()).nan_to_num().amax(-1, keepdim=True)
+        kept = (met.status == RayStatus.HIT)[..., None]
+        basis = torch.where(kept, _powers(met.x / size, met.y / size), 0.0)
+        found = torch.linalg.lstsq(basis, torch.where(kept, places, 0.0).expand(*basis.shape[:-1], 2)).solution
+        here = target / size[..., None]
+        return _powers(here[..., 0].clamp(-1.3, 1.3), here[..., 1].clamp(-1.3, 1.3)) @ found
+
+
+def _around(places: torch.Tensor) -> torch.Tensor:
+    """Return the neighbours of places ``[..., P, 2]`` on both sides along both axes, ``[..., 4P, 2]``."""
+    steps = STEP * torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=places.dtype).to(places)
+    return (places[..., None, :, :] + steps[:, None, :]).reshape(*places.shape[:-2], -1, 2)
+
+
+def _unit(vector: torch.Tensor) -> torch.Tensor:
+    return vector / vector.square().sum(-1, keepdim=True).sqrt()
+
+
+def _powers(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Return all products xⁱyʲ up to the degree."""
+    terms = [x.nan_to_num() ** i * y.nan_to_num() ** j for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+    return torch.stack(terms, -1)
+
+
+class Spread(NamedTuple):
+    """A diffraction image of a point.
+
+    Attributes
+    ----------
+    intensity : torch.Tensor
+        ``[..., W, F, rows, columns]``, 1 at the peak of the same pupil without aberrations; sample n // 2 of each axis
+        is the chief ray's point. Rows are y, columns x.
+    pitch : torch.Tensor
+        Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
+    strehl : torch.Tensor
+        Largest value of the intensity, ``[..., W, F]``.
+    """
+
+    intensity: torch.Tensor
+    pitch: torch.Tensor
+    strehl: torch.Tensor
+
+
+def point_spread_function(system: Any, samples: int = 64, size: int = 256, **options: Any) -> Spread:
+    """Return the image of a point with diffraction, by a Fourier transform of the exit pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    samples : int
+        Samples across the pupil.
+    size : int
+        Pixels along each side of the image, at least `samples`; the more, the finer they are. The modulation transfer
+        needs twice `samples`, and a Strehl ratio to a hundredth eight times: the peak may lie between pixels.
+    **options
+        Of :func:`wavefront` (`prescription`, `fields`, `aim`, `vignetting`).
+
+    Returns
+    -------
+    Spread
+        Differentiable.
+
+    Notes
+    -----
+    Scalar diffraction, Goodman, Introduction to Fourier Optics (2005), section 6.1. The pupil is uniformly filled; the
+    direction cosines of its rays are taken to be linear in the pupil coordinates (Abbe's sine condition), of the slopes
+    that fit the traced rays best. Numerical apertures up to 0.5 or so. Fields off both axes mix the two coordinates:
+    that is left out, with an AccuracyWarning where it is more than 2 %; :func:`propagated_point_spread_function` has
+    it. The number of samples must resolve the phase: less than half a wave from one to the next.
+    """
+    samples = _validate.integer("samples", samples, minimum=8)
+    size = _validate.integer("size", size, minimum=samples)
+    step = 2 / samples
+    line = (torch.arange(samples, dtype=torch.float64) - samples // 2) * step
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    radius = (x * x + y * y).sqrt()
+    # Pixels on the rim count by the share of them that lies inside.
+    share = ((1 - radius) / step + 0.5).clamp(0, 1)
+    inside = share > 0
+    found = wavefront(system, torch.stack([x[inside], y[inside]], -1), **options)
+    weight = torch.where(found.status == 0, share[inside].to(found.path.device), 0.0)
+    phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
+    pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
+    pupil[..., inside.to(phase.device)] = phase
+    before = size // 2 - samples // 2
+    after = size - samples - before
+    field = torch.nn.functional.pad(pupil, (before, after, before, after))
+    field = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field, dim=(-2, -1))), dim=(-2, -1))
+    intensity = field.abs().square() / weight.sum(-1).square()[..., None, None]
+    slopes = _derivatives(found, weight)
+    waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=phase.device)[: phase.shape[-3]]
+    given = options.get("prescription")
+    index = (system.prescription() if given is None else given).index[..., -1].abs()
+    pitch = (waves / index)[..., None, None] / (size * step * slopes)
+    return Spread(intensity, pitch, intensity.amax((-2, -1)))
+
+
+def _derivatives(found, weight):
+    """Return |∂v/∂p_y| and |∂u/∂p_x| by weighted least squares over the rays, ``[..., W, F, 2]``."""
+    slopes, mixed = [], []
+    for axis in (1, 0):
+        place = found.pupil[:, axis]
+        mean = (weight * place).sum(-1, keepdim=True) / weight.sum(-1, keepdim=True)
+        along, across = (
+            (weight * (place - mean) * torch.where(weight > 0, found.cosines[..., of], 0.0)).sum(-1)
+            / (weight * (place - mean).square()).sum(-1)
+            for of in (axis, 1 - axis)
+        )
+        slopes.append(along)
+        mixed.append(across)
+    straight, skew = torch.stack(slopes, -1).abs(), torch.stack(mixed, -1).detach().abs()
+    if is_readable(skew) and bool((skew > 0.02 * straight.detach()).any()):
+        warn(
+            "point_spread_function leaves out that direction cosines along y change with x in the pupil, as they do by "
+            "more than 2 % for fields off both axes: use propagated_point_spread_function",
+            AccuracyWarning,
+        )
+    return straight
+
+
+def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the modulation transfer along an axis.
+
+    Parameters
+    ----------
+    spread : Spread
+        From :func:`point_spread_function`.
+    axis : str
+        "y": of gratings whose lines are along x (tangential for fields along y). "x": the other.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Frequencies in cycles per unit of length, ``[..., W, F, n]``, from 0, and the modulation, 1 at frequency 0.
+
+    Notes
+    -----
+    The modulus of the Fourier transform of the point spread function (Goodman 2005, section 6.3).
+    """
+    if not isinstance(spread, Spread):
+        raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    profile = spread.intensity.sum(-1 if axis == "y" else -2)
+    size = profile.shape[-1]
+    transfer = torch.fft.rfft(profile).abs()
+    pitch = spread.pitch[..., 0 if axis == "y" else 1]
+    frequencies = torch.fft.rfftfreq(size, dtype=torch.float64, device=pitch.device) / pitch[..., None]
+    return frequencies, transfer / transfer[..., :1]
+
+
+def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: float) -> Any:
+    """Return the diffraction image (2J₁(v)/v)² of a point, v = 2π·NA·r/λ.
+
+    Parameters
+    ----------
+    radius : torch.Tensor
+        Distances from the centre.
+    wavelength, numerical_aperture : float
+        In the unit of `radius`; of the image side.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the wavelength or the aperture is not positive.
+
+    Notes
+    -----
+    Airy, Trans. Camb. Phil. Soc. 5, 283 (1835); Born and Wolf, Principles of Optics (1999), section 8.5.2.
+    """
+    radius = floating("radius", radius)
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.number("numerical_aperture", numerical_aperture, positive=True)
+    # Torch has no Bessel functions in half precision.
+    wide = radius if radius.dtype in (torch.float32, torch.float64) else radius.float()
+    v = wide * (2 * math.pi * numerical_aperture / wavelength)
+    centre = v.abs() < 1e-8
+    safe = torch.where(centre, 1.0, v)
+    return torch.where(centre, 1.0, (2 * torch.special.bessel_j1(safe) / safe).square()).to(radius.dtype)
+
+
+def propagated_point_spread_function(
+    system: Any,
+    size: int = 512,
+    pitch: float | None = None,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    *,
+    fields: Any = None,
+    **options: Any,
+) -> Spread:
+    """Return the image of a point with diffraction by propagating the field of the exit pupil to the image.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    size : int
+        Samples along each side of the field and of the image.
+    pitch : float, optional
+        Their pitch, by default such that the light fills most of the field.
+    propagation_type : str
+        As in :func:`odak.learn.wave.propagate_beam`.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points (x, y), or ``[F, 2]``, in place of `field`, all on grids of one pitch.
+    **options
+        Of :func:`exit_field` (`field`, `wavelength`, `distance`, `aim`, `vignetting`, `apodization`, `prescription`).
+
+    Returns
+    -------
+    Spread
+        Of one wavelength, ``[..., 1, F, rows, columns]``, in the plane perpendicular to the chief ray through its image
+        point; F is 1 unless `fields` are given. Differentiable.
+
+    Notes
+    -----
+    Unlike :func:`point_spread_function` this takes neither Abbe's sine condition nor a small aperture for granted: the
+    field has the amplitude and the phase of the rays where they are. It costs more: the pitch must hold the phase of
+    the whole converging wave. The unit is the peak of a sphere of the same amplitude about the image point, by the
+    Rayleigh–Sommerfeld integral (Goodman 2005, section 3.5).
+    """
+    from odak.learn.wave.propagation import propagate_beam
+
+    if fields is not None:
+        points = field_points(system, fields)
+        if pitch is None:
+            with torch.no_grad():
+                pitch = max(exit_field(system, size, plane="chief", **{**options, "field": f}).pitch for f in points)
+        parts = [
+            propagated_point_spread_function(system, size, pitch, propagation_type, **{**options, "field": point})
+            for point in points
+        ]
+        return Spread(*(torch.cat([part[i] for part in parts], axis) for i, axis in enumerate((-3, -2, -1))))
+    wave = exit_field(system, size, pitch, plane="chief", **options)
+    count = wave.field.shape[-1]
+    line = (torch.arange(count, dtype=torch.float64, device=wave.field.device) - count // 2) * wave.pitch
+    distance = wave.to_image[..., None, None]
+    squared = line[:, None] ** 2 + line**2 + distance * distance
+    peak = (wave.field.abs() * distance.abs() / squared).sum((-2, -1)) * (wave.pitch**2 / wave.wavelength)
+    image = propagate_beam(wave.field, None, wave.to_image, wave.pitch, wave.wavelength, propagation_type)
+    intensity = (image.abs().square() / peak[..., None, None].square())[..., None, None, :, :]
+    pitches = torch.full((*intensity.shape[:-2], 2), wave.pitch, dtype=torch.float64, device=intensity.device)
+    return Spread(intensity, pitches, intensity.amax((-2, -1)))
 
 
 class ExitField(NamedTuple):
@@ -57,7 +474,7 @@ def exit_field(
     *,
     distance: float | None = None,
     plane: str = "axis",
-    field: int = 0,
+    field: int | torch.Tensor | Sequence[float] = 0,
     wavelength: int | None = None,
     aim: str = "paraxial",
     vignetting: bool = True,
@@ -81,8 +498,10 @@ def exit_field(
     plane : str
         "axis": perpendicular to the axis. "chief": perpendicular to the chief ray, for fields off the axis, whose phase
         otherwise asks for a much smaller pitch.
-    field, wavelength : int
-        Which of the system's; the first field and the reference wavelength by default.
+    field : int or pair of float
+        Number of one of the system's fields, or a field point (x, y).
+    wavelength : int
+        Number of one of the system's wavelengths; the reference one by default.
     aim : str
         "paraxial": the light fills the paraxial entrance pupil. "real": it fills the stop.
     vignetting : bool
@@ -130,17 +549,19 @@ def exit_field(
     if dtype not in (torch.complex64, torch.complex128):
         raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype}")
     place = _place("wavelength", wavelength, len(system.wavelengths), system.reference)
-    point = torch.tensor(
-        system.fields[_place("field", field, len(system.fields), 0)],
-        dtype=torch.float64,
-        device=system.surfaces[0].thickness.device,
-    )
+    if isinstance(field, (list, tuple)):
+        _validate.several("field", field, 2)
+    if isinstance(field, (torch.Tensor, list, tuple)):
+        point = field_points(system, [field] if not isinstance(field, torch.Tensor) else field[None])[0]
+    else:
+        point = torch.tensor(system.fields[_place("field", field, len(system.fields), 0)], dtype=torch.float64)
+    point = point.to(system.surfaces[0].thickness.device)
     distance = _exit_pupil(system, prescription) if distance is None else _validate.number("distance", distance)
     rays = RayMap(system, prescription, place, point, distance, plane == "chief")
     vacuum, index = system.wavelengths[place], rays.numbers.index[..., 0, -1].detach()
     grid = _grid(rays, aim, (rows, columns), pitch, vacuum / float(index.abs().max()))
     pieces = zip(grid.chosen.split(PIECE), grid.guess.split(PIECE, -2), strict=True)
-    parts = [_light(rays, grid, *piece, aim, vignetting, apodization) for piece in pieces]
+    parts = [_samples(rays, grid, *piece, aim, vignetting, apodization) for piece in pieces]
     amplitude, path, status = (torch.cat(values, -1) for values in zip(*parts, strict=True))
     wave = phasor_of_cycles(path / vacuum, dtype)
     wave = wave * amplitude.to(torch.float64 if dtype == torch.complex128 else torch.float32)
@@ -166,7 +587,7 @@ class _Grid(NamedTuple):
     sign: torch.Tensor
 
 
-def _place(name: str, value: int | None, count: int, default: int) -> int:
+def _place(name: str, value: Any, count: int, default: int) -> int:
     value = default if value is None else value
     if isinstance(value, bool) or not isinstance(value, int) or not -count <= value < count:
         raise ValueError(f"{name} must be the number of one of the system's {count}, got {value!r}")
@@ -197,11 +618,11 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
     extent = [float(torch.where(lost, 0.0, value).abs().max()) for value in (met.y, met.x)]
     steep = max(float(torch.where(lost, 0.0, value).abs().max()) for value in (met.u, met.v))
     if pitch is None:
-        pitch = max(2 * ROOM * size / count for size, count in zip(extent, shape, strict=True))
+        pitch = max(2 * MARGIN * size / count for size, count in zip(extent, shape, strict=True))
     pitch = float(_validate.number("pitch", pitch, positive=True))
     if pitch * steep > wavelength / 2:
         most = wavelength / 2 / steep
-        count = math.ceil(2 * ROOM * max(extent) / most)
+        count = math.ceil(2 * MARGIN * max(extent) / most)
         raise ValueError(
             f"pitch must be at most {most:.4g} for the phase of these rays, got {pitch:.4g}: take a size of {count} or "
             "more, a plane nearer to the focus (distance), or one perpendicular to the chief ray (plane)"
@@ -223,19 +644,19 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
 
 def _sign(rays: RayMap, places: torch.Tensor) -> torch.Tensor:
     """Return the sign of the map's Jacobian, ``[..., 1]``; raise if rays cross: then a place has several of them."""
-    (xa, ya), (xb, yb), _ = rays.slopes(places)
+    (xa, ya), (xb, yb), _ = rays.derivatives(places)
     signs = torch.sign(xa * yb - xb * ya).nan_to_num()
     if bool(((signs > 0).any(-1) & (signs < 0).any(-1)).any()):
         raise ValueError("distance must put the plane where rays do not cross: this one is within their caustic")
     return signs.sum(-1, keepdim=True)
 
 
-def _light(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: bool, apodization):
+def _samples(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: bool, apodization):
     """Return amplitude, optical path and status of some samples, ``[..., P]``."""
     target = grid.target[chosen]
     places = rays.solve(target, guess)
     met = rays(places, vignetting)
-    share, area = _tube(rays, places, target, aim, grid)
+    share, area = _tube_area(rays, places, target, aim, grid)
     kept = (met.status == RayStatus.HIT) & (share > 0)
     amplitude = share if apodization is None else share * apodization(places)
     scale = torch.where(kept, math.pi * area * torch.where(kept, met.cosine, 1.0).abs(), 1.0).sqrt()
@@ -243,9 +664,9 @@ def _light(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: bool,
     return torch.where(kept, amplitude, 0.0) / scale, torch.where(kept, met.path, 0.0), status
 
 
-def _tube(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: str, grid: _Grid):
+def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: str, grid: _Grid):
     """Return the share of each sample that lies inside the pupil, and the area of the plane per area of the pupil."""
-    (xa, ya), (xb, yb), middle = rays.slopes(places)
+    (xa, ya), (xb, yb), middle = rays.derivatives(places)
     # No tube without the ray itself and its neighbours; a dummy keeps NaN out of the gradients.
     near = (torch.stack(middle, -1).detach() - target).abs().amax(-1) < 1e-3 * grid.pitch
     whole = near & torch.isfinite(xa + ya + xb + yb)

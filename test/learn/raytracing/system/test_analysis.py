@@ -8,21 +8,30 @@ import torch
 from odak.learn.raytracing.system import (
     Perturbation,
     distortion,
+    encircled_energy,
     field_curvature,
     first_order,
+    lateral_color,
     launch,
+    lens_report,
     levenberg_marquardt,
     load_system,
     optical_system,
+    path_fan,
+    point_spread_function,
     pupil_samples,
     ray_fan,
     rms_spot,
+    seidel_sums,
     spot_diagram,
     surface,
+    through_focus,
     tolerance,
     trace,
     trace_fields,
+    wavefront,
 )
+from odak.raytracing.phases import IdealLens
 
 F64 = torch.float64
 
@@ -203,7 +212,7 @@ def test_tolerances_are_reproducible_and_each_is_a_system_of_its_own():
     assert torch.equal(first.merit, again.merit)
     assert not torch.equal(first.merit, tolerance(system, off, samples=8, seed=5).merit)
     numbers = first.prescription
-    one = type(numbers)(*(value[3] for value in numbers))
+    one = numbers.select(3)
     torch.testing.assert_close(rms_spot(system, prescription=one), first.merit[3], rtol=1e-10, atol=0)
     torch.testing.assert_close(numbers.shift[:, 2], numbers.shift[:, 3])
     assert float((numbers.thickness[:, 0] - 4.831).abs().max()) <= 0.05
@@ -233,3 +242,64 @@ def test_no_error_no_harm():
     system = load_system("cooke_triplet")
     result = tolerance(system, [Perturbation("radius", [0], 0.0), Perturbation("tilt", [1], 0.0)], samples=2)
     torch.testing.assert_close(result.merit, result.nominal.expand(2, 3), rtol=1e-12, atol=0)
+
+
+def test_path_fan_is_the_wavefront_along_a_diameter():
+    lens = load_system("cooke_triplet")
+    place, path = path_fan(lens, "y", 5)
+    points = torch.stack([0 * place, place], -1)
+    torch.testing.assert_close(path, wavefront(lens, points).path, atol=1e-12, rtol=0, equal_nan=True)
+    with pytest.raises(ValueError, match="count must be odd"):
+        path_fan(lens, "y", 4)
+
+
+def test_lateral_colour_agrees_with_the_third_order_sum():
+    """For a small field: transverse lateral colour between the shortest and the longest wavelength."""
+    lens = load_system("double_gauss")
+    lens.fields = ((0.0, 0.2),)
+    found = lateral_color(lens)[:, 0]
+    assert float(found[lens.reference]) == 0.0
+    expected = float(seidel_sums(lens).transverse["LAT"])
+    assert float(found[0] - found[2]) == pytest.approx(expected, rel=0.01)
+
+
+def test_spots_through_focus_are_spots_in_moved_planes():
+    lens = load_system("cooke_triplet")
+    sizes = through_focus(lens, [-0.2, 0.0, 0.3])
+    torch.testing.assert_close(sizes[:, 1], rms_spot(lens), rtol=1e-10, atol=0)
+    with torch.no_grad():
+        lens.surfaces[-1].thickness += 0.3
+    torch.testing.assert_close(sizes[:, 2], rms_spot(lens), rtol=1e-10, atol=0)
+
+
+def test_encircled_energy_of_the_airy_pattern_and_of_spots():
+    """1 − J₀² − J₁² within a radius (Born and Wolf, section 8.5.2); 83.8 % in the first ring, 91.0 % in the second."""
+    lens = optical_system([surface(phase=IdealLens(100.0), thickness=100.0)], 2.0, wavelengths=0.5e-3)
+    spread = point_spread_function(lens, 64, 1024)
+    ring = 0.5e-3 / (2 * 0.01)
+    radii, energy = encircled_energy(spread, [1.2197 * ring, 2.2331 * ring])
+    assert energy[0, 0].tolist() == pytest.approx([0.838, 0.910], abs=0.01)
+    spots = spot_diagram(load_system("cooke_triplet"), "grid", 15)
+    radii, energy = encircled_energy(spots)
+    assert energy.shape == (3, 100) and torch.allclose(energy[:, -1], torch.ones(3, dtype=torch.float64))
+    assert bool((energy.diff(dim=-1) >= 0).all())
+    inside = (spots.x[:, 1].square() + spots.y[:, 1].square()).sqrt() <= radii[1, 50]
+    assert float(energy[1, 50]) == pytest.approx(float(inside.sum() / torch.isfinite(spots.x[:, 1]).sum()))
+
+
+def test_reports_hold_all_figures(tmp_path):
+    lens = load_system("singlet")
+    lens_report(lens, tmp_path / "report.html")
+    page = (tmp_path / "report.html").read_text()
+    for part in (
+        "Layout",
+        "First order",
+        "Prescription",
+        "Spots",
+        "Ray fans",
+        "Modulation",
+        "Field curvature",
+        "Seidel",
+    ):
+        assert part in page
+    assert page.count("<svg") == 5

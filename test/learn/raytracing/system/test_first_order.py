@@ -6,7 +6,16 @@ import pytest
 import torch
 
 from odak.catalog import refractive_index
-from odak.learn.raytracing.system import first_order, load_system, optical_system, sample_systems, surface, trace_fields
+from odak.learn.raytracing.system import (
+    first_order,
+    load_system,
+    optical_system,
+    sample_systems,
+    seidel_sums,
+    surface,
+    trace_fields,
+)
+from odak.raytracing import Toroid
 
 F64 = torch.float64
 
@@ -123,3 +132,65 @@ def test_dispersion_moves_the_focus():
     assert lengths == sorted(lengths)
     # Abbe: f_C − f_F = f/V for a thin lens.
     assert lengths[2] - lengths[0] == pytest.approx(lengths[1] / 64.17, rel=0.02)
+
+
+def test_third_order_sums_of_the_double_gauss():
+    """CODE V's values for this published lens; glass data differ in the sixth digit."""
+    expected = {
+        "SA": -0.306954,
+        "TCO": 0.037071,
+        "TAS": -0.074910,
+        "SAS": -0.160505,
+        "PTB": -0.203302,
+        "DST": -0.232420,
+        "AX": -0.035003,
+        "LAT": 0.012274,
+    }
+    lens = load_system("double_gauss")
+    found = seidel_sums(lens)
+    for name, value in expected.items():
+        assert float(found.transverse[name]) == pytest.approx(value, abs=1e-5)
+    properties = first_order(lens)
+    assert float(properties.focal_length) == pytest.approx(100.0038, abs=1e-4)
+    assert float(properties.back_focal_distance) == pytest.approx(61.4875, abs=1e-4)
+    assert float(properties.front_focal_distance) == pytest.approx(-29.3208, abs=2e-4)
+    # The image plane of the file lies in the paraxial focus.
+    assert abs(float(properties.image_distance - lens.surfaces[-1].thickness)) < 1e-4
+
+
+@pytest.mark.parametrize("conic", [0.0, -2.0])
+@pytest.mark.parametrize("distance", [math.inf, 150.0])
+def test_third_order_sums_are_the_limit_of_real_rays(conic, distance):
+    """Transverse aberrations of narrow beams: spherical aberration with aspheres, coma, distortion."""
+    faces = [
+        surface(40.0, conic=conic, coefficients=[1e-4, 2e-7], thickness=4.0, material=1.6),
+        surface(thickness=6.0),
+        surface(thickness=3.0, stop=True),
+        surface(-30.0, thickness=3.0, material=1.7, conic=0.5),
+        surface(-25.0, thickness=80.0),
+    ]
+    settings = {"object_distance": distance, "fields": [0.2]} if distance < math.inf else {"fields": [0.1]}
+    form = {"aperture": 0.4, "aperture_type": "stop"}
+    lens = optical_system(faces, **form, **settings)
+    focus = float(first_order(lens).image_distance)
+    faces[-1] = surface(-25.0, thickness=focus)
+    lens = optical_system(faces, **form, **settings)
+    sums = {name: float(value) for name, value in seidel_sums(lens).transverse.items()}
+    points = torch.tensor([[0.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=torch.float64)
+    axis = trace_fields(lens, points, fields=[(0.0, 0.0)], vignetting=False).y[0, 0]
+    assert float(axis[1]) == pytest.approx(sums["SA"], rel=2e-3)
+    y = trace_fields(lens, points, vignetting=False).y[0, 0]
+    assert float(y[1] + y[2]) / 2 - float(y[0]) == pytest.approx(sums["TCO"], rel=0.02)
+
+
+def test_third_order_sums_are_differentiable_and_name_what_they_cannot_do():
+    lens = load_system("cooke_triplet")
+    numbers = lens.prescription()
+
+    def sums(curvature, thickness):
+        found = seidel_sums(lens, prescription=numbers._replace(curvature=curvature, thickness=thickness))
+        return found.seidel, found.chromatic
+
+    assert torch.autograd.gradcheck(sums, [numbers.curvature.requires_grad_(), numbers.thickness.requires_grad_()])
+    with pytest.raises(ValueError, match="planes, conics and even aspheres"):
+        seidel_sums(optical_system([surface(shape=Toroid(0.1, 0.2))], 1.0))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from odak import AccuracyWarning
 from odak.learn.raytracing import rays_from_field
 from odak.learn.raytracing.system import (
     airy_pattern,
@@ -312,9 +313,20 @@ def test_waves_are_shorter_in_image_space():
     assert ring == pytest.approx(0.61 * 550e-6 / first_order(eye).numerical_aperture.item(), rel=0.03)
 
 
-def test_fields_off_both_axes_are_told_of(caplog):
+def test_fields_off_both_axes_are_warned_about():
     ball = [surface(20.0, thickness=20.0, material=1.5), surface(thickness=20.0, material=1.5, stop=True)]
     ball.append(surface(-20.0, thickness=9.25))
-    for fields, told in (([0.0, (0, 20.0)], False), ([(15.0, 15.0)], True)):
-        point_spread_function(optical_system(ball, aperture=1.0, fields=fields, image=surface(-29.25)), 32, 64)
-        assert ("off both axes" in caplog.text) == told
+    image = surface(-29.25)
+    point_spread_function(optical_system(ball, aperture=1.0, fields=[0.0, (0, 20.0)], image=image), 32, 64)
+    with pytest.warns(AccuracyWarning, match="off both axes"):
+        point_spread_function(optical_system(ball, aperture=1.0, fields=[(15.0, 15.0)], image=image), 32, 64)
+
+
+def test_several_fields_are_each_of_them():
+    lens = optical_system([surface(5.0, thickness=0.2, material=1.5), surface(thickness=9.8)], 0.2, fields=[0.0, 1.0])
+    several = propagated_point_spread_function(lens, 64, fields=[(0.0, 0.0), (0.0, 1.0), (0.5, 0.5)])
+    assert several.intensity.shape == (1, 3, 64, 64) and several.strehl.shape == (1, 3)
+    pitch = float(several.pitch[0, 0, 0])
+    for i in (0, 1):
+        one = propagated_point_spread_function(lens, 64, pitch, field=i)
+        torch.testing.assert_close(several.intensity[:, i : i + 1], one.intensity, rtol=1e-12, atol=1e-15)

@@ -1,11 +1,14 @@
 """Zemax text files and JSON: round trips, what is refused, what is reported."""
 
 import json
+import math
 
 import pytest
 import torch
 
 from odak.learn.raytracing.system import (
+    coordinate_break,
+    first_order,
     load_system,
     optical_system,
     read_zmx,
@@ -17,6 +20,9 @@ from odak.learn.raytracing.system import (
     trace_fields,
     write_zmx,
 )
+from odak.raytracing import Biconic, OddAsphere, PolynomialFreeform, Toroid, ZernikeFreeform
+from odak.raytracing.apertures import CircularAperture, EllipticAperture, RectangularAperture
+from odak.raytracing.phases import IdealLens, LinearGrating, RadialPhase
 
 FILE = """VERS 140124 258 36214
 MODE SEQ
@@ -105,22 +111,19 @@ def test_lengths_in_inches_become_millimetres(tmp_path):
     [
         (
             "GLAS SF5 0 0 1.6727 32.2",
-            "GLAS SF555 0 0 1.6727 32.2",
-            r"surface 2: name 'SF555'.*nearest.*nd = 1\.6727.*SF5",
+            "GLAS SF555 0 0 1.5 40 0",
+            r"surface 2: name 'SF555'.*nearest.*nd = 1\.5.*LLF1",
         ),
-        ("GLAS SF5 0 0 1.6727 32.2", "GLAS ___BLANK 1 0 1.52 64", r"surface 2: .*Nearest to its nd = 1\.52.*N-BK7"),
-        ("TYPE EVENASPH", "TYPE COORDBRK", "surface 3: TYPE must be one of STANDARD, EVENASPH"),
+        ("TYPE EVENASPH", "TYPE USERSURF", "surface 3: TYPE must be one of STANDARD, EVENASPH"),
         ("MODE SEQ", "MODE NSC", "MODE must be SEQ"),
-        ("FTYP 0", "FTYP 3", "FTYP must be 0"),
+        ("FTYP 0", "FTYP 1", "FTYP must be 0"),
         ("UNIT MM", "UNIT FURLONG", "UNIT must be one of"),
         ("ENPD 10.0", "ENPX 10.0", "no aperture"),
         ("CURV -0.0078", "CURV __import__('os')", "line 35: CURV must have a number"),
         ("CURV -0.0078", "CURV nan", "CURV is not a number"),
         ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
         ("PARM 2", "PARM 9", "PARM must be 1 to 8"),
-        ("CLAP 0 12.0", "CLAP 3 12.0", "CLAP with a hole"),
-        ("CLAP 0 12.0", "OBSC 0 2.0", "OBSC blocks light"),
-        ("CLAP 0 12.0", "SQAP 3 3", "SQAP blocks light"),
+        ("CLAP 0 12.0", "UDAP 3 3", "UDAP, a polygon"),
         ("SURF 0\n", "SURF 0\n  GLAS WATER 0 0 1.33 55\n", "the object must be flat and in air"),
         ("SURF 0\n", "SURF 0\n  CURV 0.1\n", "the object must be flat and in air"),
     ],
@@ -129,6 +132,86 @@ def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
     assert FILE.count(old) >= 1
     with pytest.raises(ValueError, match=message):
         read_zmx(written(tmp_path, FILE.replace(old, new, 1)))
+
+
+def test_glasses_of_makers_and_model_glasses(tmp_path):
+    text = FILE.replace("GLAS SF5 0 0 1.6727 32.2", "GLAS ___BLANK 1 0 1.6727 32.2 0.001").replace("N-BK7", "S-BSL7")
+    system, report = read_zmx(written(tmp_path, text.replace("GCAT SCHOTT", "GCAT OHARA")))
+    model = system.surfaces[1].material
+    assert model.index(0.5875618) == pytest.approx(1.6727, abs=1e-12)
+    assert model.abbe_number() == pytest.approx(32.2, rel=1e-9)
+    assert system.surfaces[0].material.source.startswith("OHARA")
+    assert "surface 2: ___BLANK is a model glass of nd = 1.6727, Vd = 32.2" in report.notes[0]
+    write_zmx(system, tmp_path / "again.zmx")
+    again, _ = read_zmx(tmp_path / "again.zmx")
+    torch.testing.assert_close(trace_fields(again).y, trace_fields(system).y, atol=1e-9, rtol=0)
+
+
+@pytest.mark.parametrize(("kind", "real"), [(2, False), (3, True)])
+def test_image_heights_become_field_angles(tmp_path, kind, real):
+    text = FILE.replace("FTYP 0", f"FTYP {kind}").replace("YFLN 0.0 1.5 0.0", "YFLN 0.0 12.0 0.0")
+    system, report = read_zmx(written(tmp_path, text))
+    assert any("image heights" in note for note in report.notes)
+    chief = trace_fields(system, torch.zeros(1, 2), fields=system.fields).y[system.reference, 1, 0]
+    paraxial = float(first_order(system).focal_length) * math.tan(math.radians(system.fields[1][1]))
+    assert (float(chief) if real else paraxial) == pytest.approx(12.0, abs=1e-9)
+
+
+def test_what_is_not_used_is_named(tmp_path):
+    text = FILE.replace("FTYP 0 0 2", "FTYP 0 1 2").replace("WAVM 1 0.4861327 1", "WAVM 1 0.4861327 0.5")
+    text = text.replace("PWAV 2", "VCYN 0 0.2 0\nVDXN 0 0 0\nPWAV 2")
+    _, report = read_zmx(written(tmp_path, text))
+    assert any("telecentric flag" in note for note in report.notes)
+    assert any("weights of the wavelengths, 0.5, 1, 1" in note for note in report.notes)
+    assert any("VCYN 0 0.2 0" in line for line in report.ignored) and not any("VDXN" in i for i in report.ignored)
+
+
+FORMS = {
+    "odd": surface(shape=OddAsphere(0.01, -0.2, [0.0, 1e-4, 1e-5])),
+    "toroid": surface(shape=Toroid(0.01, 0.02, -0.3, [1e-5, 1e-7])),
+    "cylinder": surface(shape=Toroid(0.0, 0.02)),
+    "biconic": surface(shape=Biconic(0.01, 0.02, 0.1, -0.3)),
+    "polynomial": surface(shape=PolynomialFreeform(0.01, 0.1, [0.0, 0.01, 0.02, 0.03, 0.01], 10.0)),
+    "Zernike": surface(shape=ZernikeFreeform(0.01, 0.1, [0.0, 0.01, 0.0, 0.02, 0.01], 10.0)),
+    "grating": surface(-80.0, phase=LinearGrating(0.0, 50.0, -1.0)),
+    "binary": surface(60.0, coefficients=[0.0, 1e-6], phase=RadialPhase([-20.0, 1.0], 10.0)),
+    "ideal": surface(phase=IdealLens(80.0)),
+    "rectangle": surface(50.0, aperture=RectangularAperture((0.5, -0.2), half_width=3.0, half_height=4.0)),
+    "ring": surface(50.0, aperture=[CircularAperture(radius=6.0, inner=1.5)]),
+    "vane": surface(50.0, semi_diameter=6.0, aperture=[EllipticAperture(obscures=True, half_width=1, half_height=3)]),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+@pytest.mark.parametrize("unit", ["mm", "um"])
+def test_every_form_survives_both_files(tmp_path, name, unit):
+    """Written and read again, in another unit too: the same rays."""
+    item = system_from_dict(system_to_dict(optical_system([FORMS[name], surface(thickness=30.0)], 12.0))).surfaces[0]
+    lens = optical_system(
+        [
+            item,
+            coordinate_break((0.2, 0.1), (5.0, -3.0, 2.0), 20.0),
+            coordinate_break(tilt=(1.0, 2.0, 0.0), order="tilt"),
+        ],
+        aperture=12.0,
+        fields=[(0.0, 1.0)],
+    )
+    write_zmx(lens, tmp_path / "a.zmx")
+    again, report = read_zmx(tmp_path / "a.zmx")
+    expected = trace_fields(lens, "grid", 9)
+    found = trace_fields(again, "grid", 9)
+    assert torch.equal(found.status, expected.status) and bool(expected.arrived.any())
+    torch.testing.assert_close(found.y, expected.y, atol=1e-10, rtol=0, equal_nan=True)
+    assert report.notes == () or "STOP" in report.notes[0]
+    save_system(lens, tmp_path / "a.json")
+    assert torch.equal(
+        trace_fields(load_system(tmp_path / "a.json"), "grid", 9).y.nan_to_num(), expected.y.nan_to_num()
+    )
+    if unit == "um" and not FORMS[name].apertures:
+        text = (tmp_path / "a.zmx").read_text().replace("UNIT MM", "UNIT CM")
+        (tmp_path / "b.zmx").write_text(text)
+        large, _ = read_zmx(tmp_path / "b.zmx")
+        assert float(large.surfaces[1].thickness) == pytest.approx(200.0)
 
 
 def test_a_stand_in_for_a_glass_is_the_callers_choice(tmp_path):

@@ -1,0 +1,253 @@
+"""Makes the gallery: a page for each script in docs/gallery, with its figures, its output and its downloads.
+
+    PYTHONPATH=. python docs/gallery.py [docs/gallery/group/script.py …]
+
+runs the scripts, each in an empty folder, and stores their figures, a thumbnail and what they print. A build of the site
+makes the pages from these. A script begins with a docstring: its title, an empty line, a description. A line
+`# Picture: …` describes each of its figures, in order: the open figures of matplotlib, or the PNG files that it writes.
+"""
+
+import ast
+import contextlib
+import html
+import io
+import json
+import os
+import re
+import sys
+import tempfile
+from functools import cache
+from pathlib import Path
+
+DOCS = Path(__file__).resolve().parent
+SCRIPTS = DOCS / "gallery"
+PICTURES = DOCS / "pictures" / "gallery"
+GROUPS = {
+    "propagation": "Propagation",
+    "holograms": "Holograms",
+    "displays": "Displays",
+    "lenses": "Lenses and rays",
+    "polarisation": "Polarisation",
+    "perception": "Perception",
+    "learning": "Learning",
+    "blender": "Renders",
+}
+_PICTURE = re.compile(r"^# Picture: (?P<text>.+)$", re.MULTILINE)
+_THUMBNAIL = re.compile(r"^# Thumbnail: ([\d.]+)$", re.MULTILINE)
+_FRAMES = re.compile(r"^```frames (?P<name>\w+)\n(?P<text>.*)\n```$", re.MULTILINE)
+_BLOCK = re.compile(r"^```gallery(?: (?P<group>\w+))?\n```$", re.MULTILINE)
+
+
+def scripts() -> list[Path]:
+    """Return the scripts of the gallery, by group and name."""
+    return [path for group in GROUPS for path in sorted((SCRIPTS / group).glob("*.py"))]
+
+
+@cache
+def described(path: Path) -> tuple[str, str, str]:
+    """Return the title, the description and the code of a script."""
+    source = path.read_text(encoding="utf-8")
+    docstring = ast.get_docstring(ast.parse(source)) or ""
+    title, _, text = docstring.partition("\n\n")
+    return title.strip().rstrip("."), text.strip(), source.split('"""', 2)[2].lstrip()
+
+
+def texts(path: Path) -> list[str]:
+    """Return the descriptions of a script's figures."""
+    return _PICTURE.findall(path.read_text(encoding="utf-8"))
+
+
+@cache
+def uses(path: Path) -> tuple[str, ...]:
+    """Return the public paths that a script imports from odak, or reaches as attributes of what it imports."""
+    tree, found, modules = ast.parse(path.read_text(encoding="utf-8")), set(), {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("odak"):
+            found |= {f"{node.module}.{name.name}" for name in node.names}
+            modules |= {name.asname or name.name: f"{node.module}.{name.name}" for name in node.names}
+        elif isinstance(node, ast.Import):
+            modules |= {name.asname or "odak": name.asname and name.name or "odak" for name in node.names if name.name.startswith("odak")}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute):
+            parts = [node.attr]
+            inner = node.value
+            while isinstance(inner, ast.Attribute):
+                parts.append(inner.attr)
+                inner = inner.value
+            if isinstance(inner, ast.Name) and inner.id in modules:
+                found.add(".".join([modules[inner.id], *reversed(parts)]))
+    return tuple(sorted(found))
+
+
+def run(path: Path, folder: Path) -> tuple[str, list]:
+    """Run a script in a folder; return what it prints and its figures as images."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+    from PIL import Image
+
+    printed, before = io.StringIO(), Path.cwd()
+    os.chdir(folder)
+    try:
+        with plt.style.context(["default", str(SCRIPTS / "odak.mplstyle")]), contextlib.redirect_stdout(printed):
+            exec(compile(path.read_text(encoding="utf-8"), str(path), "exec"), {"__name__": "__main__"})
+            images = []
+            for number in plt.get_fignums():
+                stream = io.BytesIO()
+                plt.figure(number).savefig(stream, format="png")
+                images.append(Image.open(stream).convert("RGB"))
+            images += [Image.open(name).convert("RGB") for name in sorted(folder.glob("*.png"))]
+    finally:
+        plt.close("all")
+        os.chdir(before)
+    return printed.getvalue(), images
+
+
+def stored(path: Path) -> Path:
+    """Return the folder and stem of what is stored for a script."""
+    return PICTURES / path.parent.name / path.stem
+
+
+def refresh(path: Path) -> int:
+    """Run a script, store its figures, thumbnail and output, and return the number of figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        printed, images = run(path, Path(folder))
+    place = stored(path)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    for old in place.parent.glob(f"{path.stem}[._][0-9t]*"):
+        if re.fullmatch(rf"{path.stem}(_\d+\.webp|\.txt)", old.name):
+            old.unlink()
+    for number, image in enumerate(images, 1):
+        image.save(f"{place}_{number}.webp", quality=84, method=6)
+    thumbnail(path)
+    if printed:
+        Path(f"{place}.txt").write_text(printed, encoding="utf-8")
+    return len(images)
+
+
+def thumbnail(path: Path) -> None:
+    """Store a part of the first figure, 4:3, of its whole height: about its middle, or the share of its width given.
+
+    The line `# Thumbnail: 0.2` asks for the part about a fifth of the width.
+    """
+    from PIL import Image
+
+    image = Image.open(f"{stored(path)}_1.webp").convert("RGB")
+    width = min(image.width, round(image.height * 4 / 3))
+    share = _THUMBNAIL.search(path.read_text(encoding="utf-8"))
+    left = round((float(share[1]) if share else 0.5) * image.width - width / 2)
+    left = min(max(left, 0), image.width - width)
+    part = image.crop((left, 0, left + width, image.height))
+    part.thumbnail((480, 360), Image.LANCZOS)
+    canvas = Image.new("RGB", (480, 360), "white")
+    canvas.paste(part, ((480 - part.width) // 2, (360 - part.height) // 2))
+    canvas.save(f"{stored(path)}.webp", quality=80, method=6)
+
+
+def _page(path):
+    """Return the Markdown of a script's page."""
+    title, text, code = described(path)
+    place = stored(path)
+    up = "../../pictures/gallery/" + path.parent.name
+    lines = [f"# {title}", "", text, ""]
+    for number, alt in enumerate(texts(path), 1):
+        lines += [f"![{alt}]({up}/{path.stem}_{number}.webp)", ""]
+    lines += ["```python", re.sub(r"^# (?:Picture:.*|Thumbnail:.*|%%)\n", "", code, flags=re.MULTILINE).rstrip(), "```", ""]
+    output = Path(f"{place}.txt")
+    if output.exists():
+        lines += ["Output:", "", "```text", output.read_text(encoding="utf-8").rstrip(), "```", ""]
+    lines += [
+        f'<p>Download: <a href="../{path.stem}.py" download>{path.stem}.py</a>, '
+        f'<a href="../{path.stem}.ipynb" download>{path.stem}.ipynb</a></p>',
+        "",
+    ]
+    if str(DOCS) not in sys.path:
+        sys.path.append(str(DOCS))
+    from reference import entries
+
+    listed = [name for name in uses(path) if name in entries()]
+    if listed:
+        lines.append("Used here: " + ", ".join(f"[`{name}`][{name}]" for name in listed) + ".")
+    return "\n".join(lines) + "\n"
+
+
+def notebook(path: Path):
+    """Return a script as a notebook: its description, then a cell for each part after a line `# %%`."""
+    import nbformat
+
+    title, text, code = described(path)
+    parts = re.split(r"^# %%.*\n", code, flags=re.MULTILINE)
+    cells = [nbformat.v4.new_markdown_cell(f"# {title}\n\n{text}")]
+    cells += [nbformat.v4.new_code_cell(part.strip()) for part in parts if part.strip()]
+    for number, cell in enumerate(cells):
+        cell.id = f"cell-{number}"
+    return nbformat.v4.new_notebook(cells=cells, metadata={"kernelspec": {"name": "python3", "display_name": "Python 3", "language": "python"}})
+
+
+def thumbnails(group: str, up: str = "") -> str:
+    """Return the thumbnails of a group as HTML; `up` is the path from the page to the gallery's folder."""
+    items = []
+    for path in scripts():
+        if path.parent.name == group:
+            title = described(path)[0]
+            picture = f"{up}../pictures/gallery/{group}/{path.stem}.webp"
+            items.append(f'<a href="{up}{group}/{path.stem}/"><img src="{picture}" alt="{texts(path)[0]}" loading="lazy" width="480" height="360"><span>{title}</span></a>')
+    return '<div class="gallery">\n' + "\n".join(items) + "\n</div>"
+
+
+def on_files(files, config):
+    """Add the pages of the scripts to those of the site."""
+    from mkdocs.structure.files import File
+
+    for path in scripts():
+        files.append(File.generated(config, f"gallery/{path.parent.name}/{path.stem}.md", content=_page(path)))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Put thumbnails where a page asks for them."""
+
+    def expanded(match):
+        if match["group"]:
+            return thumbnails(match["group"])
+        return "\n\n".join(f"## {title}\n\n{thumbnails(group)}" for group, title in GROUPS.items())
+
+    if page.file.src_path == "gallery/index.md":
+        return _BLOCK.sub(expanded, markdown)
+    return _FRAMES.sub(_slider, markdown)
+
+
+def _slider(match):
+    """Return a figure with a slider for the frames that docs/make_frames.py computed."""
+    folder = DOCS / "pictures" / "interactive"
+    figure = json.loads((folder / "labels.json").read_text(encoding="utf-8"))[match["name"]]
+    labels = html.escape(json.dumps(figure["labels"], ensure_ascii=False), quote=True)
+    picture = f"../pictures/interactive/{match['name']}.webp"
+    return (
+        f'<div class="frames" data-labels="{labels}"><div class="frame" role="img" aria-label="{match["text"]}" '
+        f'style="aspect-ratio: 480 / {figure["height"]}; background-image: url({picture})"></div>'
+        f'<input type="range" min="0" max="{len(figure["labels"]) - 1}" value="0" aria-label="{match["text"]}">'
+        f"<output>{figure['labels'][0]}</output></div>"
+    )
+
+
+def on_post_build(config):
+    """Write the notebooks beside the scripts."""
+    import nbformat
+
+    for path in scripts():
+        nbformat.write(notebook(path), Path(config["site_dir"]) / "gallery" / path.parent.name / f"{path.stem}.ipynb")
+
+
+def main(arguments: list[str]) -> None:
+    """Run the scripts named, or all of them."""
+    import time
+
+    for path in [Path(name).resolve() for name in arguments] or scripts():
+        start = time.perf_counter()
+        print(path.relative_to(SCRIPTS), refresh(path), f"{time.perf_counter() - start:.1f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,20 @@
+"""A ball of glass before a photograph
+
+Seen through a ball of glass, the photograph behind it stands on its head.
+"""
+
+from importlib.resources import files
+
+import numpy as np
+
+from odak.tools import load_image
+from odak.visualize import blender
+
+photo = load_image(str(files("odak") / "assets" / "scene.png")).astype(np.uint8)
+picture = blender.scene(unit="mm", resolution=(700, 900))
+picture.add_sphere([0, 0, 0], 5.0, material="N-BK7")
+picture.add_image(photo, [44, 44], location=[0, 0, 25], rotation=[0, 180, 0])
+picture.add_camera([0, 0, -30], [0, 0, 0], fov=34)
+picture.set_background("#ffffff", 0.2)
+# Picture: A ball of glass before a colourful scene, which is seen upside down through it
+picture.render("ball.png", samples=64, denoise=True, verbose=False)

@@ -1,0 +1,50 @@
+"""An image as a sum of Gaussians
+
+Three hundred two-dimensional Gaussians are fitted to an image by gradient descent.
+"""
+
+from importlib.resources import files
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.models import gaussians_2d
+from odak.learn.tools import load_image, psnr
+
+photo = (
+    load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3]
+    .mean(0)
+    .float()
+)
+target = torch.nn.functional.interpolate(photo[None, None], (64, 64), mode="area")[0, 0]
+y, x = torch.meshgrid(
+    torch.linspace(-1, 1, 64), torch.linspace(-1, 1, 64), indexing="ij"
+)
+torch.manual_seed(0)
+model = gaussians_2d(300)
+optimizer = torch.optim.Adam(model.parameters(), lr=2e-2)
+losses, stages = [], {}
+for step in range(251):
+    image = model(x, y)[..., 0]
+    loss = (image - target).square().mean()
+    if step in (10, 50, 250):
+        stages[step] = image.detach()
+    optimizer.zero_grad()
+    loss.backward()
+    optimizer.step()
+    losses.append(float(loss.detach()))
+
+# %%
+figure, axes = plt.subplots(1, 5, figsize=(14, 2.9))
+axes[0].imshow(target, cmap="gray", vmin=0, vmax=1)
+axes[0].set_title("target")
+for axis, (step, image) in zip(axes[1:4], stages.items()):
+    axis.imshow(image, cmap="gray", vmin=0, vmax=1)
+    axis.set_title(f"step {step}, {psnr(image, target):.1f} dB")
+for axis in axes[:4]:
+    axis.axis("off")
+axes[4].semilogy(losses)
+axes[4].set(xlabel="step", ylabel="mean squared error")
+# Thumbnail: 0.6
+# Picture: A scene, and the sum of three hundred Gaussians at three steps of the fit
+plt.show()

@@ -1,0 +1,49 @@
+"""Glass map
+
+Refractive index and Abbe number of all glasses of the catalogue.
+"""
+
+import matplotlib.pyplot as plt
+
+from odak.catalog import abbe_number, material_names, refractive_index
+
+points = {}
+for name in material_names():
+    try:
+        points[name] = (abbe_number(name), refractive_index(name, 587.5618e-9))
+    except ValueError:  # materials that are not transparent at the F, d and C lines
+        continue
+glasses = {
+    name: point
+    for name, point in points.items()
+    if 15 < point[0] < 100 and 1.4 < point[1] < 2.1
+}
+print(f"{len(glasses)} materials")
+
+# %%
+figure, axis = plt.subplots(figsize=(9, 5.5))
+axis.scatter(
+    *zip(*glasses.values()),
+    c=[value[1] for value in glasses.values()],
+    cmap="viridis",
+    s=18,
+)
+for name in (
+    "N-BK7",
+    "N-SF11",
+    "N-SK16",
+    "F2",
+    "CAF2",
+    "N-LAK14",
+    "N-LASF31A",
+    "N-SF66",
+    "FUSED_SILICA",
+    "SF6",
+):
+    if name in glasses:
+        axis.annotate(
+            name, glasses[name], xytext=(5, 3), textcoords="offset points", fontsize=9
+        )
+axis.set(xlabel="Abbe number", ylabel="refractive index at 587.6 nm", xlim=(100, 15))
+# Picture: Refractive index against Abbe number for the glasses of the catalogue
+plt.show()

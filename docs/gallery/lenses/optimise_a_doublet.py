@@ -1,0 +1,65 @@
+"""Optimisation of an achromatic doublet
+
+Levenberg–Marquardt changes three curvatures and the distance to the image plane of a cemented doublet until the spots of
+three wavelengths are as small as they can be.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.raytracing.system import (
+    draw_layout,
+    first_order,
+    levenberg_marquardt,
+    optical_system,
+    spot_diagram,
+    surface,
+)
+
+lens = optical_system(
+    [
+        surface(60.0, thickness=6.0, material="N-BK7", semi_diameter=12.0, stop=True),
+        surface(-60.0, thickness=2.5, material="N-SF5", semi_diameter=12.0),
+        surface(-300.0, thickness=98.0, semi_diameter=12.0),
+    ],
+    aperture=20.0,
+    wavelengths=[486.1e-6, 587.6e-6, 656.3e-6],
+    fields=[0.0, 1.0],
+)
+before, drawing = spot_diagram(lens, "rings", 6), draw_layout(lens)
+parameters = lens.vary(curvature=[0, 1, 2], thickness=[2])
+
+
+def residuals():
+    spots = spot_diagram(lens, "rings", 4)
+    length = first_order(lens).focal_length
+    return torch.cat(
+        (spots.x.flatten(), spots.y.flatten(), 0.1 * (length - 100.0).reshape(1))
+    )
+
+
+result = levenberg_marquardt(residuals, parameters, iterations=40)
+after = spot_diagram(lens, "rings", 6)
+print("RMS spot before:", [f"{1e3 * v:.1f} µm" for v in before.rms.tolist()])
+print("RMS spot after: ", [f"{1e3 * v:.1f} µm" for v in after.rms.tolist()])
+print(f"focal length {first_order(lens).focal_length.item():.2f} mm")
+
+# %%
+figure = plt.figure(figsize=(11, 5))
+left, right = figure.subfigures(1, 2, width_ratios=(1.3, 1))
+for axis, picture, title in zip(
+    left.subplots(2, 1), (drawing, draw_layout(lens)), ("before", "after")
+):
+    axis.imshow(picture)
+    axis.set_title(title)
+    axis.axis("off")
+for axis, spots in zip(right.subplots(2, 1), (before, after)):
+    for x, y, color in zip(
+        spots.x[:, 0].detach(),
+        spots.y[:, 0].detach(),
+        ("tab:blue", "tab:green", "tab:red"),
+    ):
+        axis.plot(1e3 * x, 1e3 * y, ".", color=color, ms=4)
+    axis.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
+# Picture: A doublet and its axial spot in three wavelengths, before and after optimisation
+plt.show()

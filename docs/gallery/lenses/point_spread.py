@@ -1,0 +1,66 @@
+"""Wavefront, point spread and modulation transfer
+
+From the rays of a Cooke triplet: the wavefront in the exit pupil, the diffraction image of a point, and the modulation
+transfer function beside that of a perfect lens.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.raytracing.system import (
+    load_system,
+    modulation_transfer_function,
+    point_spread_function,
+    wavefront,
+)
+
+lens = load_system("cooke_triplet")
+waves = wavefront(lens, "grid", 41)
+spread = point_spread_function(lens, samples=64, size=256)
+frequency, modulation = modulation_transfer_function(spread, "y")
+middle = len(lens.wavelengths) // 2
+print("wavefront RMS (waves):", [round(v, 3) for v in waves.rms[middle].tolist()])
+
+# %%
+figure, axes = plt.subplots(2, 3, figsize=(12, 6.6), height_ratios=(1, 1))
+for index, field in enumerate(lens.fields[:2]):
+    axis = axes[0, index]
+    drawn = axis.scatter(
+        *waves.pupil.T,
+        c=waves.path[middle, index].detach(),
+        s=9,
+        marker="s",
+        cmap="RdBu",
+    )
+    axis.set(
+        title=f"wavefront, field {field[1]:g}°",
+        xlabel="pupil x",
+        ylabel="pupil y",
+        aspect="equal",
+    )
+    figure.colorbar(drawn, ax=axis, label="waves")
+    axis = axes[1, index]
+    pitch = 1e3 * float(spread.pitch[middle, index, 0])
+    image = spread.intensity[middle, index, 64:192, 64:192].detach()
+    drawn = axis.imshow(
+        image.sqrt(), extent=[-64 * pitch, 64 * pitch, 64 * pitch, -64 * pitch]
+    )
+    axis.set(title="point spread function", xlabel="x (µm)", ylabel="y (µm)")
+    figure.colorbar(drawn, ax=axis, label="amplitude")
+for index, field in enumerate(lens.fields):
+    axes[0, 2].plot(
+        frequency[middle, index],
+        modulation[middle, index].detach(),
+        label=f"{field[1]:g}°",
+    )
+axes[0, 2].set(
+    xlim=(0, 200),
+    ylim=(0, 1),
+    xlabel="cycles/mm",
+    ylabel="modulation",
+    title="modulation transfer, tangential",
+)
+axes[0, 2].legend(title="field")
+axes[1, 2].axis("off")
+# Picture: Wavefronts and point spread functions of a triplet for two fields, and its modulation transfer
+plt.show()

@@ -1,0 +1,33 @@
+"""Tolerances of a triplet
+
+Five hundred triplets are drawn with radii, thicknesses and tilts that are off at random, and traced in one call. The
+histogram shows how many of them keep their spots small.
+"""
+
+import matplotlib.pyplot as plt
+
+from odak.learn.raytracing.system import Perturbation, load_system, tolerance
+
+lens = load_system("cooke_triplet")
+off = [
+    Perturbation("radius", range(6), 5e-4, relative=True),
+    Perturbation("thickness", range(5), 0.01),
+    Perturbation("tilt", range(6), 0.01),
+]
+result = tolerance(lens, off, samples=500, seed=0)
+
+# %%
+figure, axes = plt.subplots(1, 3, figsize=(12, 3.4), sharey=True)
+for index, (axis, field) in enumerate(zip(axes, lens.fields)):
+    sizes = 1e3 * result.merit[:, index]
+    axis.hist(sizes.numpy(), bins=40)
+    axis.axvline(
+        1e3 * float(result.nominal[index]), color="k", ls="--", label="as designed"
+    )
+    axis.axvline(float(sizes.quantile(0.9)), color="tab:red", label="90 % are below")
+    axis.set(title=f"field {field[1]:g}°", xlabel="RMS spot (µm)")
+axes[0].set_ylabel("systems")
+axes[0].legend()
+# Thumbnail: 0.17
+# Picture: Histograms of the spot sizes of 500 perturbed triplets for three fields
+plt.show()

@@ -1,0 +1,51 @@
+"""Chromaticity diagram
+
+The spectral locus of the CIE 1931 observer, the gamuts of two displays, and the colours that sRGB can show.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.perception import (
+    color_matching_functions,
+    linear_rgb_to_rgb,
+    rgb_to_xyz_matrix,
+    xyz_to_linear_rgb,
+)
+
+wavelengths = torch.arange(400, 701, dtype=torch.float64)
+locus = color_matching_functions(wavelengths)
+locus = locus / locus.sum(0)
+size = 500
+x, y = torch.meshgrid(
+    torch.linspace(0, 0.8, size), torch.linspace(1e-3, 0.9, size), indexing="xy"
+)
+xyz = torch.stack((x / y, torch.ones_like(y), (1 - x - y) / y))
+rgb = xyz_to_linear_rgb(xyz[None])[0].clamp(0)
+rgb = linear_rgb_to_rgb((rgb / rgb.amax(0).clamp_min(1e-6))[None])[0].permute(1, 2, 0)
+figure, axis = plt.subplots(figsize=(6.5, 6.5))
+drawn = axis.imshow(rgb, extent=[0, 0.8, 0, 0.9], origin="lower")
+outline = plt.Polygon(
+    locus[:2].T.numpy(), closed=True, transform=axis.transData, fc="none", ec="k"
+)
+axis.add_patch(outline)
+drawn.set_clip_path(outline)
+srgb = torch.tensor([[0.64, 0.33], [0.30, 0.60], [0.15, 0.06], [0.64, 0.33]])
+lasers = color_matching_functions(torch.tensor([639.0, 515.0, 473.0]))
+lasers = (lasers / lasers.sum(0))[:2].T
+axis.plot(*srgb.T, "k-", lw=1, label="sRGB")
+axis.plot(
+    *torch.cat((lasers, lasers[:1])).T,
+    "k--",
+    lw=1,
+    label="lasers at 639, 515 and 473 nm",
+)
+for wavelength in (460, 480, 500, 520, 540, 560, 580, 600, 620):
+    point = locus[:2, wavelength - 400]
+    axis.annotate(
+        f"{wavelength}", point, xytext=(4, 4), textcoords="offset points", fontsize=8
+    )
+axis.set(xlabel="x", ylabel="y", xlim=(0, 0.8), ylim=(0, 0.9))
+axis.legend()
+# Picture: The chromaticity diagram in colour, with the spectral locus and the gamuts of sRGB and of three lasers
+plt.show()

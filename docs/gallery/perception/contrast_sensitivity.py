@@ -1,0 +1,38 @@
+"""Contrast sensitivity of the eye
+
+Sensitivity to gratings by spatial frequency and luminance after Barten, and a chart on which one can see one's own: the
+contrast at which the bars disappear traces the curve.
+"""
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.perception import contrast_sensitivity
+
+frequency = torch.logspace(-0.7, 1.78, 200, dtype=torch.float64)
+figure, axes = plt.subplots(1, 2, figsize=(12, 4.2))
+for luminance in (0.1, 1.0, 10.0, 100.0, 1000.0):
+    axes[0].loglog(
+        frequency,
+        contrast_sensitivity(frequency, luminance, 10.0),
+        label=f"{luminance:g} cd/m²",
+    )
+axes[0].set(xlabel="cycles per degree", ylabel="sensitivity", ylim=(1, 1000))
+axes[0].legend()
+# The frequency grows to the right, the contrast downwards (Campbell and Robson).
+x = torch.linspace(0, 1, 1200, dtype=torch.float64)
+phase = 2 * torch.pi * 4 * (torch.exp(4.2 * x) - 1) / 4.2
+contrast = torch.logspace(-3, 0, 600, dtype=torch.float64)[:, None]
+axes[1].imshow(
+    0.5 + 0.5 * contrast * torch.sin(phase), cmap="gray", vmin=0, vmax=1, aspect="auto"
+)
+axes[1].set(
+    title="chart of Campbell and Robson",
+    xticks=[],
+    yticks=[],
+    xlabel="frequency →",
+    ylabel="← contrast",
+)
+# Thumbnail: 0.22
+# Picture: Contrast sensitivity by frequency for five luminances, and a chart of Campbell and Robson
+plt.show()

@@ -1,0 +1,34 @@
+"""Blur that follows the gaze
+
+Each pixel is averaged over the region that the eye pools at its distance from the gaze. Seen from the stated distance with
+the eye on the cross, the image looks sharp.
+"""
+
+from importlib.resources import files
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.perception import RadiallyVaryingBlur
+from odak.learn.tools import load_image
+
+scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[
+    None, :3
+].float()
+scene = torch.nn.functional.interpolate(scene, (512, 512), mode="area")
+blur = RadiallyVaryingBlur()
+figure, axes = plt.subplots(1, 3, figsize=(12, 4.1))
+axes[0].imshow(scene[0].permute(1, 2, 0))
+axes[0].set_title("image, 0.4 m wide, seen from 0.4 m")
+for axis, gaze in zip(axes[1:], ((0.25, 0.7), (0.8, 0.5))):
+    image = blur.blur(
+        scene, alpha=0.2, real_image_width=0.4, real_viewing_distance=0.4, centre=gaze
+    )
+    axis.imshow(image[0].permute(1, 2, 0).clamp(0, 1))
+    axis.plot(512 * gaze[0], 512 * gaze[1], "k+", ms=14, mew=2)
+    axis.set_title("gaze at the cross")
+for axis in axes:
+    axis.axis("off")
+# Thumbnail: 0.5
+# Picture: A scene, and two versions of it that are sharp at the gaze and blurred away from it
+plt.show()

@@ -1,0 +1,52 @@
+"""Width of a Gaussian beam
+
+A Gaussian beam of 100 µm waist is propagated over 20 cm; its radius follows w(z) = w₀·√(1 + (z/z₀)²).
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from odak.wave import propagate_to_window
+
+wavelength, waist, pitch, size = 633e-9, 100e-6, 10e-6, 256
+place = (np.arange(size) - size // 2) * pitch
+field = np.exp(-(place[:, None] ** 2 + place**2) / waist**2).astype(complex)
+z = np.linspace(0, 0.2, 81)
+section = (
+    np.stack(
+        [
+            np.abs(propagate_to_window(field, wavelength, d, pitch))[size // 2]
+            for d in z
+        ],
+        axis=1,
+    )
+    ** 2
+)
+power = section / section.sum(0)
+radius = 2 * np.sqrt((power * place[:, None] ** 2).sum(0))
+exact = waist * np.sqrt(1 + (z * wavelength / (np.pi * waist**2)) ** 2)
+print(f"largest deviation from the closed form: {np.abs(radius / exact - 1).max():.1e}")
+
+# %%
+figure, axis = plt.subplots(figsize=(9, 4))
+drawn = axis.imshow(
+    section,
+    extent=[0, 100 * z[-1], 1e3 * place[-1], 1e3 * place[0]],
+    aspect="auto",
+    norm="log",
+    vmin=1e-5,
+    vmax=1,
+)
+for sign in (-1, 1):
+    axis.plot(
+        100 * z,
+        sign * 1e3 * exact,
+        "w--",
+        lw=1,
+        label="w(z), closed form" if sign > 0 else None,
+    )
+axis.set(xlabel="z (cm)", ylabel="x (mm)", ylim=(-1, 1))
+axis.legend(labelcolor="w")
+figure.colorbar(drawn, label="intensity")
+# Picture: Section along a Gaussian beam that widens, with the closed form of its radius
+plt.show()

@@ -1,0 +1,88 @@
+"""Draws the pictures of the front page and of the README: a hologram, its reconstruction, a lens with rays, a metamer.
+
+    PYTHONPATH=. python docs/make_front.py
+
+The lens is the render of docs/gallery/blender/triplet.py.
+"""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import torch
+from matplotlib import colormaps
+from PIL import Image, ImageDraw, ImageFont
+
+from odak.learn.perception import MetamerMSELoss
+from odak.learn.tools import load_image
+from odak.learn.wave import calculate_intensity, calculate_phase, stochastic_gradient_descent
+
+DOCS = Path(__file__).resolve().parent
+FRONT = DOCS / "pictures" / "front"
+SIZE = (640, 480)
+CAPTIONS = {
+    "hologram": "a phase-only hologram",
+    "reconstruction": "its image, 5 cm away",
+    "lens": "a lens, and rays through it",
+    "metamer": "sharp where one looks",
+}
+
+
+def pictures() -> dict[str, Image.Image]:
+    """Return the pictures by name."""
+    scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3].float()
+    target = torch.nn.functional.interpolate(scene[None], (600, 600), mode="area")[0, :, 120:570, :]
+    target = target.mean(0)
+    hologram, field = stochastic_gradient_descent(
+        target, wavelength=532e-9, distance=0.05, pixel_pitch=8e-6, n_iteration=150, learning_rate=0.2, scale=True,
+        initial_phase=torch.zeros_like(target), progress=False,
+    )
+    phase = calculate_phase(hologram) % (2 * torch.pi) / (2 * torch.pi)
+    intensity = calculate_intensity(field)
+    intensity = (intensity * (intensity * target).sum() / (intensity**2).sum()).clamp(0, 1).numpy()
+    green = intensity[..., None] ** 1.1 * np.array([0.35, 1.0, 0.45])
+    photo = load_image(files("odak") / "assets" / "photo.png", torch_style=True)[None, :3, :384, :512].float()
+    loss = MetamerMSELoss(real_image_width=0.5, real_viewing_distance=0.5)
+    metamer = loss.gen_metamer(photo, (0.54, 0.55)).clamp(0, 1)[0].permute(1, 2, 0).numpy()
+    lens = Image.open(DOCS / "pictures" / "gallery" / "blender" / "triplet_1.webp")
+    side = round(lens.height * SIZE[0] / SIZE[1])
+    return {
+        "hologram": _image(colormaps["twilight"](phase.numpy())[60:390, 80:520, :3]),
+        "reconstruction": _image(green[:, :600]),
+        "lens": lens.crop((120, 0, 120 + side, lens.height)),
+        "metamer": _image(metamer),
+    }
+
+
+def _image(values):
+    return Image.fromarray(np.round(255 * values).astype(np.uint8))
+
+
+def _filled(image):
+    """Return the middle of an image in the size and shape of all."""
+    scale = max(SIZE[0] / image.width, SIZE[1] / image.height)
+    image = image.resize((round(image.width * scale), round(image.height * scale)), Image.LANCZOS)
+    left, top = (image.width - SIZE[0]) // 2, (image.height - SIZE[1]) // 2
+    return image.crop((left, top, left + SIZE[0], top + SIZE[1]))
+
+
+def main() -> None:
+    """Write the pictures, and the four of them side by side for the README."""
+    FRONT.mkdir(parents=True, exist_ok=True)
+    drawn = {name: _filled(image.convert("RGB")) for name, image in pictures().items()}
+    gap, line = 12, 44
+    banner = Image.new("RGB", (4 * SIZE[0] + 3 * gap, SIZE[1] + line), "white")
+    font = ImageFont.load_default(28)
+    for column, (name, image) in enumerate(drawn.items()):
+        image.save(FRONT / f"{name}.webp", quality=85, method=6)
+        left = column * (SIZE[0] + gap)
+        banner.paste(image, (left, 0))
+        place = (left + SIZE[0] // 2, SIZE[1] + line // 2)
+        ImageDraw.Draw(banner).text(place, CAPTIONS[name], "#333333", font, anchor="mm")
+    banner.resize((banner.width * 5 // 8, banner.height * 5 // 8), Image.LANCZOS).save(
+        FRONT / "banner.webp", quality=86, method=6
+    )
+
+
+if __name__ == "__main__":
+    main()

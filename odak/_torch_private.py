@@ -1,0 +1,62 @@
+"""Access to the private interface of torch: transforms that are running, and the state of single tensors."""
+
+from contextlib import AbstractContextManager, nullcontext
+
+import torch
+
+
+def is_wrapped(*tensors: torch.Tensor) -> bool:
+    """Say whether torch.func (vmap, grad, jvp, …) stands for any of the tensors, whose numbers cannot be read then."""
+    return any(torch._C._functorch.is_functorch_wrapped_tensor(tensor) for tensor in tensors)
+
+
+def in_functional_transform() -> bool:
+    """Say whether a transform of torch.func is running, whatever tensors it stands for."""
+    return torch._C._functorch.peek_interpreter_stack() is not None
+
+
+def as_constant(tensor: torch.Tensor) -> torch.Tensor:
+    """Return the tensor for which grad, jvp and the like of torch.func stand, without its derivatives."""
+    while torch._C._functorch.is_gradtrackingtensor(tensor):
+        tensor = torch._C._functorch.get_unwrapped(tensor)
+    return tensor
+
+
+def outside_functional_transforms(*tensors: torch.Tensor) -> AbstractContextManager:
+    """Return a context in which no transform of torch.func is running, unless one stands for a tensor.
+
+    What is computed there from these tensors, with derivatives of its own, is a constant to the transforms.
+    """
+    if is_wrapped(*tensors) or not in_functional_transform():
+        return nullcontext()
+    from torch._functorch.pyfunctorch import temporarily_clear_interpreter_stack
+
+    return temporarily_clear_interpreter_stack()
+
+
+def in_forward_mode() -> bool:
+    """Say whether forward-mode differentiation is running."""
+    return torch.autograd.forward_ad._current_level >= 0
+
+
+def is_transformed(*tensors: torch.Tensor) -> bool:
+    """Say whether torch.compile or forward-mode differentiation is running, or torch.func stands for a tensor.
+
+    Operators with an autograd.Function of their own, and values kept between calls, have no place there.
+    """
+    return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
+
+
+def count_of_writes(tensor: torch.Tensor) -> int:
+    """Return the number of times that operations in place have written to a tensor."""
+    return tensor._version
+
+
+def has_hooks(tensor: torch.Tensor) -> bool:
+    """Say whether functions are called with the gradient of a tensor, those of a file included."""
+    return bool(tensor._backward_hooks)
+
+
+def entries_of_sparse(tensor: torch.Tensor) -> list[torch.Tensor]:
+    """Return indices and values of a tensor in coordinate format, whether or not they are coalesced."""
+    return [tensor._indices(), tensor._values()]

@@ -1,0 +1,60 @@
+"""Warning categories of the package, and the function that issues a warning at the caller's own line."""
+
+import sys
+import warnings
+from pathlib import Path
+
+# Frames of these folders are skipped: a warning belongs to the line of the user's program that made the call.
+_PACKAGE = str(Path(__file__).parent)
+_SKIPPED = ("torch", "array_api_compat")
+
+
+class OdakWarning(UserWarning):
+    """Base class of all warnings of the package."""
+
+
+class SamplingWarning(OdakWarning):
+    """A field, a kernel or a surface is sampled too coarsely, or a method is used outside its range of validity."""
+
+
+class AccuracyWarning(OdakWarning):
+    """A result is less accurate than its caller would expect, or an input does not have the property it should have."""
+
+
+class ConvergenceWarning(OdakWarning):
+    """An iteration stopped without reaching its tolerance, or an optimisation made its result worse."""
+
+
+class DeviceWarning(OdakWarning):
+    """A computation runs on another device than the one that was asked for."""
+
+
+class MissingPackageWarning(OdakWarning):
+    """A part of a result was left out because an optional package is not installed."""
+
+
+class ArgumentWarning(OdakWarning):
+    """An argument has no effect, or was interpreted in a way that its caller may not have meant."""
+
+
+def warn(message: str, category: type[Warning] = OdakWarning) -> None:
+    """Issue a warning that is attributed to the first line outside the package on the call stack.
+
+    Python's own filters decide what happens with it: by default it is shown once for each place and text.
+
+    Parameters
+    ----------
+    message : str
+        Text of the warning.
+    category : type
+        One of the categories of this module, or DeprecationWarning.
+    """
+    level, frame = 2, sys._getframe(1)
+    while frame is not None and _is_inside(frame):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level if frame is not None else 2)
+
+
+def _is_inside(frame) -> bool:
+    module = frame.f_globals.get("__name__", "").partition(".")[0]
+    return module in _SKIPPED or frame.f_code.co_filename.startswith(_PACKAGE)

@@ -1,0 +1,195 @@
+"""Interactive pages of results, for `odak show`: folders of runs, pictures, fields and lenses."""
+
+import base64
+import html
+import io
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from odak.cli.files import FINGERPRINT, REPORT
+from odak.cli.job import InputError
+from odak.tools.paths import replacing
+
+PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
+LENSES = (".json", ".zmx")
+LARGEST_SIDE = 1024
+HEIGHT = "560px"
+_PAGE = """\
+<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
+<title>{title}</title>
+<style>
+body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem; }}
+img {{ max-width: 100%; image-rendering: auto; }}
+table {{ border-collapse: collapse; }} td {{ padding: 0.1rem 1rem 0.1rem 0; vertical-align: top; }}
+figure {{ margin: 1.5rem 0; }}
+@media (prefers-color-scheme: dark) {{ body {{ background: #16181c; color: #e6e6e6; }} }}
+</style></head><body><h1>{title}</h1>
+{body}
+</body></html>
+"""
+
+
+def run(path: str, page: Path) -> Path:
+    """Write an interactive page of a result.
+
+    Parameters
+    ----------
+    path : str
+        A folder that `odak hologram`, `metamer`, `trace` or `simulate` wrote, a picture, a field or an image in
+        ``.npy`` or ``.pt``, a lens (``.json``, ``.zmx``), or the name of a sample lens.
+    page : Path
+        HTML file to write; it needs nothing else, and no network.
+
+    Returns
+    -------
+    Path
+        The page.
+
+    Raises
+    ------
+    InputError
+        If there is nothing at the path that can be drawn.
+    """
+    source = Path(os.path.expanduser(path))
+    if source.is_dir():
+        body = _folder(source)
+    elif source.suffix.lower() in PICTURES and source.is_file():
+        body = _figures([_picture_figure(source)])
+    elif source.suffix.lower() in (".npy", ".pt") and source.is_file():
+        body = _figures([_field_figure(_load(source), source.name)])
+    elif source.suffix.lower() in LENSES or not source.suffix:
+        body = _figures([_lens_figure(path)])
+    elif not source.is_file():
+        raise InputError(f"FILE not found: {str(source)!r}")
+    else:
+        accepted = ", ".join([*PICTURES, ".npy", ".pt", *LENSES])
+        raise InputError(f"FILE must be a folder of results, or end in {accepted}; got {str(source)!r}")
+    text = _PAGE.format(title=html.escape(source.name or str(source)), body=body)
+    with replacing(str(page)) as stream:
+        stream.write(text.encode("utf-8"))
+    return page
+
+
+def _folder(folder: Path) -> str:
+    pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    fields = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".npy")
+    report = {}
+    if (folder / REPORT).is_file():
+        try:
+            report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        except ValueError:
+            raise InputError(f"FILE {str(folder / REPORT)!r} is not the report of a run") from None
+    if not pictures and not fields:
+        raise InputError(f"FILE is a folder without pictures and fields: {str(folder)!r}")
+    parts = [_table(report)] if isinstance(report, dict) and report else []
+    parts += [
+        f'<figure><img alt="{html.escape(path.name)}" src="data:image/{_kind(path)};base64,{_encoded(path)}">'
+        f"<figcaption>{html.escape(path.name)}</figcaption></figure>"
+        for path in sorted(pictures, key=lambda path: path.name != "comparison.png")
+    ]
+    pitch, wavelength = _scales(report)
+    figures = [_field_figure(_load(path), path.name, pitch, wavelength) for path in fields]
+    patterns = report.get("pattern", {}).get("files", []) if isinstance(report, dict) else []
+    figures += [_pattern_figure(folder / name, pitch) for name in patterns if (folder / name).is_file()]
+    return "\n".join([*parts, _figures(figures)])
+
+
+def _scales(report: dict) -> tuple[float | None, float | None]:
+    settings = report.get("bench") or report.get("parameters") or {}
+    return settings.get("pixel_pitch"), settings.get("wavelength")
+
+
+def _table(report: dict) -> str:
+    """Return the single numbers and texts of a report as rows."""
+    shown = {name: value for name, value in report.items() if isinstance(value, (int, float, str))}
+    shown.pop(FINGERPRINT, None)
+    rows = [(name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in shown.items()]
+    rows += [("warning", str(text)) for text in report.get("warnings", [])]
+    cells = [f"<tr><td>{html.escape(name)}</td><td>{html.escape(text)}</td></tr>" for name, text in rows]
+    return f"<table>{''.join(cells)}</table>"
+
+
+def _kind(path: Path) -> str:
+    return {".jpg": "jpeg", ".tif": "png", ".tiff": "png"}.get(path.suffix.lower(), path.suffix.lower()[1:])
+
+
+def _encoded(path: Path) -> str:
+    if path.suffix.lower() not in (".tif", ".tiff"):
+        return base64.b64encode(path.read_bytes()).decode()
+    from PIL import Image
+
+    stream = io.BytesIO()
+    with Image.open(path) as image:
+        image.convert("RGB").save(stream, "PNG")
+    return base64.b64encode(stream.getvalue()).decode()
+
+
+def _load(path: Path) -> np.ndarray:
+    """Return an array of two axes from a file; nothing in it is run."""
+    try:
+        if path.suffix.lower() == ".npy":
+            values = np.load(path, allow_pickle=False)
+        else:
+            from odak.learn.tools import torch_load
+
+            values = torch_load(str(path), weights_only=True)
+            if not isinstance(values, torch.Tensor):
+                raise ValueError(f"it holds a {type(values).__name__}, not a tensor")
+            values = values.detach().cpu().numpy()
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"FILE {str(path)!r} cannot be drawn: {' '.join(str(error).split())}") from None
+    values = np.squeeze(values)
+    if values.ndim < 2 or values.ndim > 3 or not np.issubdtype(values.dtype, np.number):
+        raise InputError(f"FILE {str(path)!r} must hold a field or a stack of fields, got shape {values.shape}")
+    return values
+
+
+def _smaller(values: np.ndarray) -> tuple[np.ndarray, int]:
+    """Return every n-th sample of a field that is too large for a page, and n."""
+    step = -(-max(values.shape[-2:]) // LARGEST_SIDE)
+    return values[..., ::step, ::step], step
+
+
+def _field_figure(values: np.ndarray, title: str, pitch: float | None = None, wavelength: float | None = None):
+    from odak.visualize.plotly import field_show
+
+    values, step = _smaller(values)
+    pitch = None if pitch is None else pitch * step
+    title = title if step == 1 else f"{title}, every sample number {step}"
+    return field_show(values, pitch, wavelength, title=title, show=False).fig
+
+
+def _picture_figure(path: Path):
+    from odak.cli.target import read_picture
+
+    picture = read_picture(path, "FILE").double()
+    return _field_figure(picture.mean(0).numpy(), path.name)
+
+
+def _pattern_figure(path: Path, pitch: float | None):
+    from odak.cli.files import load_pattern, stored_bits
+    from odak.visualize.plotly import field_show
+
+    values, step = _smaller(np.exp(1j * load_pattern(path, stored_bits(path)).numpy()))
+    pitch = None if pitch is None else pitch * step
+    return field_show(values, pitch, quantities=["phase"], title=path.name, show=False).fig
+
+
+def _lens_figure(name: str):
+    from odak.cli.trace import read_system
+    from odak.visualize.plotly import system_show
+
+    return system_show(read_system(name)[0], show=False).fig
+
+
+def _figures(figures: list) -> str:
+    """Return figures as parts of a page, the first of which brings the library along."""
+    return "\n".join(
+        f"<figure>{figure.to_html(full_html=False, include_plotlyjs=number == 0, default_height=HEIGHT)}</figure>"
+        for number, figure in enumerate(figures)
+    )

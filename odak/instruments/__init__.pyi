@@ -1,0 +1,16 @@
+from .calibration import Calibration as Calibration
+from .calibration import Registration as Registration
+from .calibration import calibrate_table as calibrate_table
+from .calibration import load_calibration as load_calibration
+from .calibration import measure_distance as measure_distance
+from .calibration import measure_illumination as measure_illumination
+from .calibration import measure_phase_response as measure_phase_response
+from .calibration import measure_wavefront as measure_wavefront
+from .calibration import register_camera as register_camera
+from .calibration import save_calibration as save_calibration
+from .protocols import Camera as Camera
+from .protocols import Laser as Laser
+from .protocols import Modulator as Modulator
+from .protocols import Stage as Stage
+from .protocols import open_instrument as open_instrument
+from .simulated import SimulatedTable as SimulatedTable

@@ -1,0 +1,860 @@
+"""Calibration of an optical table through the protocols of its instruments, and files of the results.
+
+The functions are called in this order, each with the results of those before: phase response, registration of the
+camera, wavefront, distance, illumination.
+"""
+
+import io
+import itertools
+import json
+import math
+import os
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates, uniform_filter
+from scipy.optimize import least_squares
+
+from odak import _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.simulated import plane_points
+from odak.tools.paths import replacing, validate_path
+from odak.tools.zernike import zernike_polynomial
+from odak.wave import propagate_beam
+
+__all__ = [
+    "Calibration",
+    "Registration",
+    "calibrate_table",
+    "load_calibration",
+    "measure_distance",
+    "measure_illumination",
+    "measure_phase_response",
+    "measure_wavefront",
+    "register_camera",
+    "save_calibration",
+]
+
+FORMAT, VERSION = "odak calibration", 1
+UNITS = {
+    "wavelength": "m",
+    "pitch": "m",
+    "distance": "m",
+    "phases": "rad",
+    "amplitude": "fraction of the largest",
+    "wavefront": "rad",
+    "homography": "pixel to m",
+    "distortion": "1/(half diagonal)²",
+}
+# Harmonics of the steps of the two halves of the pixels, and of their interference: no product of the orders of a
+# binary lens that is focused near the spot has this one, modulo the number of steps.
+STEPS, FIRST, SECOND = 11, 1, -3
+# Part of the range of the camera that the brightest pixel should reach.
+EXPOSED = 0.6
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Mapping from pixels of the camera to the plane in which the modulator forms its image.
+
+    Attributes
+    ----------
+    homography : numpy.ndarray
+        ``[3, 3]``, from undistorted pixels (column, row), counted from the middle of the sensor, to metres (x, y).
+    distortion : float
+        Radial distortion: undistorted = distorted·(1 + distortion·r²), r in half diagonals of the sensor.
+    shape : tuple of int
+        Rows and columns of the camera.
+    residual : float
+        Root mean square distance of the measured spots from the mapping, in pixels.
+    """
+
+    homography: np.ndarray
+    distortion: float
+    shape: tuple[int, int]
+    residual: float = 0.0
+
+    def plane_points(self, pixels: np.ndarray) -> np.ndarray:
+        """Return the points x, y in metres ``[..., 2]`` that pixels (column, row) ``[..., 2]`` see."""
+        return plane_points(np.asarray(pixels, float), self.shape, self.homography, self.distortion)
+
+    def camera_pixels(self, points: np.ndarray) -> np.ndarray:
+        """Return the pixels (column, row) ``[..., 2]`` that see points x, y in metres ``[..., 2]``."""
+        points = np.asarray(points, float)
+        back = np.linalg.inv(self.homography)
+        found = points @ back[:, :2].T + back[:, 2]
+        straight = found[..., :2] / found[..., 2:]
+        rows, columns = self.shape
+        bent = straight
+        for _ in range(20):
+            squared = (bent**2).sum(-1, keepdims=True) / ((rows**2 + columns**2) / 4)
+            bent = straight / (1 + self.distortion * squared)
+        return bent + np.array([columns / 2, rows / 2])
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Results of the calibration of an optical table.
+
+    Attributes
+    ----------
+    wavelength : float
+        Vacuum wavelength in metres.
+    pitch : float
+        Distance between pixels of the modulator in metres.
+    distance : float
+        From the modulator to the plane of the camera in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, less that of level 0.
+    amplitude : numpy.ndarray
+        Amplitude of the illumination at each pixel of the modulator, 1 at its largest.
+    wavefront : numpy.ndarray
+        Aberration at each pixel of the modulator in radians.
+    registration : Registration
+        Mapping of the camera.
+    """
+
+    wavelength: float
+    pitch: float
+    distance: float
+    phases: np.ndarray
+    amplitude: np.ndarray
+    wavefront: np.ndarray
+    registration: Registration = field(repr=False)
+
+    def levels(self, phase: np.ndarray) -> np.ndarray:
+        """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected."""
+        return nearest_levels(np.asarray(phase) - self.wavefront, self.phases)
+
+
+def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Return the levels whose phases are nearest to a phase, modulo 2π.
+
+    Parameters
+    ----------
+    phase : numpy.ndarray
+        Phase in radians.
+    phases : numpy.ndarray
+        Phase of each level in radians ``[levels]``.
+    """
+    wrapped = np.mod(phases, 2 * np.pi)
+    order = np.argsort(wrapped, kind="stable")
+    sorted_phases = wrapped[order]
+    wanted = np.mod(phase, 2 * np.pi)
+    above = np.searchsorted(sorted_phases, wanted) % len(order)
+    below = above - 1
+
+    def apart(index):
+        difference = np.abs(sorted_phases[index] - wanted)
+        return np.minimum(difference, 2 * np.pi - difference)
+
+    return order[np.where(apart(above) < apart(below), above, below)]
+
+
+def calibrate_table(
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, *, rounds: int = 3
+) -> Calibration:
+    """Calibrate an optical table: phase response, registration, wavefront, distance and illumination.
+
+    Registration and wavefront depend on each other and are repeated: an aberration moves the spots of the registration,
+    and a wrong registration tilts the wavefront's gradients.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera, without a lens, roughly at `distance`.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Nominal distance from the modulator to the camera in metres.
+    rounds : int
+        Number of measurements of the wavefront, of ten captures each.
+
+    Returns
+    -------
+    Calibration
+        The results; its wavefront has no tilt and no defocus, which are in the registration and the distance.
+
+    Examples
+    --------
+    >>> from odak.instruments import SimulatedTable, calibrate_table
+    >>> table = SimulatedTable(seed=1)
+    >>> found = calibrate_table(table.modulator, table.camera, table.laser.wavelength, 20e-3)  # doctest: +SKIP
+    """
+    phases = measure_phase_response(modulator, camera, wavelength, distance)
+    wavefront: np.ndarray | float = 0.0
+    for _ in range(_validate.integer("rounds", rounds, minimum=1)):
+        registration = register_camera(modulator, camera, wavelength, distance, phases, wavefront=wavefront)
+        wavefront = measure_wavefront(
+            modulator, camera, wavelength, distance, phases, registration, iterations=2, captures=5
+        )
+    there = (modulator, camera, wavelength)
+    distance = measure_distance(*there, distance, phases, registration, wavefront=wavefront)
+    wavefront = without(np.asarray(wavefront), _modes(modulator, 2)[[0, 1, _DEFOCUS]])
+    registration = register_camera(*there, distance, phases, wavefront=wavefront)
+    amplitude = measure_illumination(*there, distance, phases, registration, wavefront=wavefront)
+    return Calibration(wavelength, modulator.pitch, distance, phases, amplitude, wavefront, registration)
+
+
+def measure_phase_response(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    *,
+    samples: int = 25,
+    captures: int = 4,
+) -> np.ndarray:
+    """Measure the phase of each level of a modulator.
+
+    Half of the pixels show a binary lens of the levels 0 and g, the other half one of fixed levels; both form the same
+    spot. Shifting the rings of a binary lens shifts the phase of its first order exactly, whatever its levels are, so
+    that the interference of the two orders is separated from all else. It is proportional to e^{iφ(g)} − 1: a circle
+    through the origin, whose angle about its centre is the phase.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera, roughly at `distance`.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Nominal distance from the modulator to the camera in metres.
+    samples : int
+        Number of levels measured, at least 8; those between are interpolated by a cubic spline.
+    captures : int
+        Number of captures that are averaged for each pattern.
+
+    Returns
+    -------
+    numpy.ndarray
+        Phases in radians ``[2^bits]``, less that of level 0, unwrapped; the phase is taken to grow with the level.
+    """
+    top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
+    levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
+    lens = lens_phase(modulator, wavelength, distance)
+    rows, columns = modulator.shape
+    second = np.add.outer(np.arange(rows) // 8, np.arange(columns) // 8) % 2 == 1
+
+    def pattern(level: int, step: int) -> np.ndarray:
+        angle = 2 * np.pi * step / STEPS
+        turned = np.mod(lens + np.where(second, SECOND, FIRST) * angle, 2 * np.pi) < np.pi
+        return np.where(turned, np.where(second, level, (top + 1) // 2), 0).astype(np.int64)
+
+    modulator.show(pattern((top + 1) // 2, 0))
+    spot = _brightest(_averaged(camera, captures))
+    _read_around(camera, spot, 6)
+    _expose(camera, lambda: modulator.show(pattern((top + 1) // 2, 0)))
+    carrier = np.exp(-2j * np.pi * (FIRST - SECOND) * np.arange(STEPS) / STEPS)
+    found = []
+    for level in levels:
+        frames = []
+        for step in range(STEPS):
+            modulator.show(pattern(int(level), step))
+            frames.append(_averaged(camera, captures))
+        found.append(np.tensordot(carrier, np.stack(frames), axes=1))
+    camera.region = None
+    stack = np.stack(found)
+    strongest = stack[np.abs(stack).sum((1, 2)).argmax()]
+    values = (stack * strongest.conj()).sum((1, 2))
+    # |c|² + 2·Re(c*·κ) = 0 for points c = κ·(e^{iφ} − 1).
+    system = 2 * np.stack([values.real, values.imag], axis=-1)
+    (real, imaginary), *_ = np.linalg.lstsq(system, -(np.abs(values) ** 2), rcond=None)
+    centre = complex(real, imaginary)
+    misfit = np.abs(np.abs(values / centre + 1) - 1)
+    if np.median(misfit) > 0.1:
+        warn(
+            f"the phase response is uncertain: interference misses its circle by {np.median(misfit):.0%}",
+            AccuracyWarning,
+        )
+    phases = np.unwrap(np.angle(values / centre + 1))
+    phases = phases if phases[-1] >= phases[0] else -phases
+    return CubicSpline(levels, phases - phases[0])(np.arange(top + 1))
+
+
+def register_camera(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    *,
+    wavefront: np.ndarray | float = 0.0,
+    grid: Sequence[int] = (6, 6),
+    extent: float = 0.75,
+    captures: int = 8,
+) -> Registration:
+    """Find which points of the image plane the pixels of a camera see.
+
+    Three single spots give an affine estimate; then a grid of spots, computed by weighted Gerchberg–Saxton iterations
+    (Di Leonardo, Ianni and Ruocco 2007), is found by centroids, and a homography with radial distortion is fitted.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`measure_phase_response`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians that is corrected; coma and astigmatism that are not shift the spots.
+    grid : sequence of int
+        Rows and columns of spots.
+    extent : float
+        Width and height of the grid as a fraction of those of the modulator.
+    captures : int
+        Number of captures that are averaged.
+
+    Returns
+    -------
+    Registration
+        The mapping.
+
+    Raises
+    ------
+    RuntimeError
+        If the spots are not found.
+    """
+    rows, columns = modulator.shape
+    half = np.array([columns, rows]) * modulator.pitch * _validate.number("extent", extent, positive=True) / 2
+
+    def show(points: np.ndarray) -> None:
+        phase = spots_phase(modulator, wavelength, distance, points)
+        modulator.show(nearest_levels(phase - wavefront, phases))
+
+    three = np.array([[0.0, 0.0], [half[0], 0.0], [0.0, half[1]]])
+    show(three[:1])
+    _expose(camera, lambda: None)
+    pixels = []
+    for point in three:
+        show(point[None])
+        pixels.append(_centroid(_averaged(camera, captures), _brightest(_averaged(camera, 1)), 8))
+    matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), np.array(pixels))
+    down, across = _validate.size("grid", grid)
+    y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    expected = np.column_stack([points, np.ones(len(points))]) @ matrix
+    spacing = np.abs(np.linalg.norm(matrix[:2], axis=-1) * 2 * half / np.maximum([across - 1, down - 1], 1)).min()
+    show(points)
+    _expose(camera, lambda: None)
+    frame = _averaged(camera, captures)
+    reach = int(0.4 * spacing)
+    inside = ((expected > reach) & (expected < np.array(camera.shape[::-1]) - reach - 1)).all(-1)
+    if inside.sum() < 6:
+        raise RuntimeError(f"the camera sees {inside.sum()} of {len(points)} spots; at least 6 are needed")
+    seen = []
+    for place in expected[inside]:
+        corner = np.rint(place).astype(int) - reach
+        window = frame[corner[1] : corner[1] + 2 * reach + 1, corner[0] : corner[0] + 2 * reach + 1]
+        seen.append(_centroid(frame, _brightest(window) + corner, min(reach, 8)))
+    seen, points = np.array(seen), points[inside]
+    pitch = 1 / np.linalg.norm(matrix[0])
+    start = np.linalg.inv(np.vstack([matrix.T, [0, 0, 1]]))
+    middle = np.array([[1, 0, camera.shape[1] / 2], [0, 1, camera.shape[0] / 2], [0, 0, 1.0]])
+    start = start @ middle
+
+    def mapping(parameters: np.ndarray) -> Registration:
+        homography = np.append(parameters[:8], 1.0).reshape(3, 3)
+        homography[:2] *= pitch
+        return Registration(homography, float(parameters[8]), (camera.shape[0], camera.shape[1]))
+
+    def misfit(parameters: np.ndarray) -> np.ndarray:
+        return ((mapping(parameters).plane_points(seen) - points) / pitch).ravel()
+
+    begin = np.append((start / start[2, 2] / np.array([[pitch], [pitch], [1.0]])).ravel()[:8], 0.0)
+    scale = np.array([1, 1, 10, 1, 1, 10, 1e-3, 1e-3, 0.1])
+    # Spots that were missed do not bend the mapping.
+    fitted = least_squares(misfit, begin, x_scale=scale, loss="soft_l1", f_scale=0.3)
+    found = mapping(fitted.x)
+    residual = float(np.sqrt((misfit(fitted.x).reshape(-1, 2) ** 2).sum(-1).mean()))
+    if residual > 0.5:
+        warn(f"the registration of the camera is uncertain: spots miss it by {residual:.2f} pixels", AccuracyWarning)
+    return Registration(found.homography, found.distortion, found.shape, residual)
+
+
+def measure_wavefront(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    *,
+    amplitude: np.ndarray | float = 1.0,
+    cells: int = 6,
+    order: int = 4,
+    iterations: int = 4,
+    captures: int = 5,
+) -> np.ndarray:
+    """Measure the aberration at a modulator, which acts as the lenslets of a Shack–Hartmann sensor.
+
+    Each of cells × cells parts of the modulator focuses at its own middle. The displacements of the spots from those
+    of an ideal table, which is simulated, are the gradients of the wavefront; Zernike polynomials are fitted to them
+    and corrected, and the measurement is repeated until the gradients vanish.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`measure_phase_response`.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    amplitude : numpy.ndarray or float
+        Amplitude of the illumination, for the simulation of the ideal table.
+    cells : int
+        Number of lenslets along each axis.
+    order : int
+        Highest radial order of the Zernike polynomials.
+    iterations : int
+        Number of patterns.
+    captures : int
+        Number of captures that are averaged for each pattern; iterations·captures are taken in all.
+
+    Returns
+    -------
+    numpy.ndarray
+        Aberration in radians at each pixel of the modulator, without piston and tilt. Defocus stands for an error of
+        the distance too.
+    """
+    rows, columns = modulator.shape
+    cells = _validate.integer("cells", cells, minimum=3)
+    y, x = _axes(modulator)
+    number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
+    cell = number[0][:, None] * cells + number[1]
+    count = np.bincount(cell.ravel())
+    middles = np.stack([np.bincount(cell.ravel(), np.broadcast_to(a, cell.shape).ravel()) / count for a in (x, y)], -1)
+    lenslets = -np.pi / (wavelength * distance) * ((x - middles[cell, 0]) ** 2 + (y - middles[cell, 1]) ** 2)
+    modes = _modes(modulator, _validate.integer("order", order, minimum=2))
+    slopes = np.stack([np.gradient(mode, modulator.pitch) for mode in modes])
+    means = np.stack([[np.bincount(cell.ravel(), part.ravel()) / count for part in pair[::-1]] for pair in slopes])
+    system = np.moveaxis(means, 0, -1).transpose(1, 0, 2).reshape(-1, len(modes))
+    expected = registration.camera_pixels(middles)
+    spacing = np.linalg.norm(
+        registration.camera_pixels(middles[:1] + np.array([[columns * modulator.pitch / cells, 0.0]])) - expected[:1]
+    )
+    reach = int(0.42 * spacing)
+    ideal = _ideal_capture(modulator, lenslets, amplitude, wavelength, distance, registration)
+    wanted = np.stack([_centroid(ideal, place, reach) for place in expected])
+    wavefront = np.zeros((rows, columns))
+    camera.region = None
+    for step in range(_validate.integer("iterations", iterations, minimum=1)):
+        modulator.show(nearest_levels(lenslets - wavefront, phases))
+        if step == 0:
+            _expose(camera, lambda: None)
+        frame = _averaged(camera, _validate.integer("captures", captures, minimum=1))
+        seen = np.stack([_centroid(frame, place, reach) for place in expected])
+        moved = registration.plane_points(seen) - registration.plane_points(wanted)
+        gradient = 2 * np.pi / wavelength * moved / distance
+        coefficients, *_ = np.linalg.lstsq(system, gradient.ravel(), rcond=None)
+        # Tilts belong to the registration.
+        wavefront = wavefront + np.tensordot(coefficients[2:], modes[2:], axes=1)
+    return wavefront - wavefront.mean()
+
+
+def measure_distance(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    *,
+    wavefront: np.ndarray | float = 0.0,
+    span: float = 0.15,
+    samples: int = 15,
+    captures: int = 4,
+) -> float:
+    """Measure the distance from a modulator to a camera by the lens of sharpest focus.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Nominal distance in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`measure_phase_response`.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians that is corrected; its defocus is left out, for it cannot be told from the distance.
+    span : float
+        Half the range of the focal lengths, as a fraction of the distance.
+    samples : int
+        Number of focal lengths, of a first and of a finer sweep.
+    captures : int
+        Number of captures that are averaged for each.
+
+    Returns
+    -------
+    float
+        The distance in metres.
+    """
+    span = float(_validate.number("span", span, positive=True))
+    correction = np.asarray(wavefront, float)
+    if correction.ndim:
+        correction = without(correction, _modes(modulator, 2)[[0, 1, _DEFOCUS]])
+    _read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
+    samples = _validate.integer("samples", samples, minimum=5)
+
+    def sharpness(power: float) -> float:
+        modulator.show(nearest_levels(lens_phase(modulator, wavelength, 1 / power) - correction, phases))
+        frame = _averaged(camera, captures)
+        frame = np.clip(frame - np.median(frame), 0, None)
+        return float((frame**2).sum() / frame.sum() ** 2)
+
+    sharpness(1 / distance)
+    _expose(camera, lambda: None)
+    powers = np.linspace(1 - span, 1 + span, samples) / distance
+    values = np.array([sharpness(power) for power in powers])
+    best = int(values.argmax())
+    if best in (0, samples - 1):
+        warn("the sharpest focus lies at the end of the range: give a larger span", AccuracyWarning)
+    # Within the depth of focus the sharpness is a parabola.
+    depth = wavelength / (min(modulator.shape) * modulator.pitch) ** 2
+    powers = powers[best] + np.linspace(-1.5, 1.5, samples) * max(depth, (powers[1] - powers[0]) / 2)
+    values = np.array([sharpness(power) for power in powers])
+    camera.region = None
+    peak = powers[values.argmax()]
+    near = np.abs(powers - peak) <= 1.2 * depth
+    curve = np.polynomial.Polynomial.fit(powers[near], values[near], 2)
+    return 1 / float(curve.deriv().roots()[0].real)
+
+
+def measure_illumination(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    *,
+    wavefront: np.ndarray | float = 0.0,
+    cells: int = 8,
+    order: int = 4,
+    patterns: int = 150,
+    captures: int = 1,
+) -> np.ndarray:
+    """Measure the amplitude of the illumination at a modulator.
+
+    All pixels focus at one point, and cells × cells parts of them get random phases. The intensities at that point and
+    its neighbours are those of a sum of waves whose amplitudes are the exponential of a polynomial of the position;
+    its coefficients are fitted.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`measure_phase_response`.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians that is corrected.
+    cells : int
+        Number of parts along each axis.
+    order : int
+        Order of the polynomial of the two coordinates.
+    patterns : int
+        Number of patterns shown.
+    captures : int
+        Number of captures that are averaged for each pattern.
+
+    Returns
+    -------
+    numpy.ndarray
+        Amplitude at each pixel of the modulator, 1 at its largest.
+    """
+    rows, columns = modulator.shape
+    cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
+    number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
+    cell = number[0][:, None] * cells + number[1]
+    lens = lens_phase(modulator, wavelength, distance) - wavefront
+    _read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 2)
+    draw = np.random.default_rng(0)
+    steps = draw.integers(4, size=(_validate.integer("patterns", patterns, minimum=40), cells * cells)) * (np.pi / 2)
+
+    def show(step: np.ndarray) -> None:
+        modulator.show(nearest_levels(lens + step[cell], phases))
+
+    _expose(camera, lambda: show(0 * steps[0]))
+    # Random phases spread the light over a region as many times larger as there are cells; speckles are up to five
+    # times as bright as their mean.
+    camera.exposure *= cells**2 / 8
+    frames = []
+    for step in steps:
+        show(step)
+        frames.append(_averaged(camera, captures))
+    camera.exposure /= cells**2 / 8
+    row, column, high, wide = camera.region or (0, 0, *camera.shape)
+    camera.region = None
+    seen = np.stack(frames).reshape(len(steps), -1)
+    fine = seen.max(-1) < 0.95 * ((1 << camera.bits) - 1)
+    # The darkest of many speckles is black.
+    seen, steps = seen[fine] - np.quantile(seen, 0.005), steps[fine]
+    v, u = np.meshgrid(np.arange(row, row + high), np.arange(column, column + wide), indexing="ij")
+    # A pixel averages over its area: Gauss's formula of two points along each axis.
+    offsets = np.array(list(itertools.product((-1, 1), repeat=2))) / math.sqrt(12)
+    points = registration.plane_points(np.stack([u, v], axis=-1).reshape(-1, 1, 2) + offsets)
+    y, x = _axes(modulator)
+    half = max(rows, columns) * modulator.pitch / 2
+    count = np.bincount(cell.ravel())
+    places = np.stack([np.bincount(cell.ravel(), np.broadcast_to(a, cell.shape).ravel()) / count for a in (x, y)], -1)
+    powers = [(i, j) for i, j in itertools.product(range(order + 1), repeat=2) if 0 < i + j <= order]
+    system = np.stack([(places[:, 0] / half) ** i * (places[:, 1] / half) ** j for i, j in powers], axis=-1)
+    tilts = np.exp(-2j * np.pi / (wavelength * distance) * (points @ places.T))
+    waves = np.exp(1j * steps)
+
+    def intensities(parameters: np.ndarray) -> np.ndarray:
+        amplitude = count * np.exp(system @ parameters[3:] + 1j * (places @ parameters[1:3]) / half)
+        field = np.tensordot(waves, amplitude * tilts, axes=(1, 2))
+        return np.exp(parameters[0]) * (field.real**2 + field.imag**2).mean(-1)
+
+    start = np.zeros(3 + len(powers))
+    start[0] = math.log(seen.mean() / intensities(start).mean())
+    noise = np.sqrt(np.clip(seen, 0, None) + 0.02 * seen.max())
+    fitted = least_squares(lambda parameters: ((intensities(parameters) - seen) / noise).ravel(), start)
+    x, y = x / half, y / half
+    surface = np.sum([c * x**i * y**j for c, (i, j) in zip(fitted.x[3:], powers, strict=True)], axis=0)
+    return np.exp(surface - np.max(surface))
+
+
+def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
+    """Write a calibration to a ``.npz`` file, atomically.
+
+    The file holds the arrays phases, amplitude, wavefront and homography, and as UTF-8 text in ``header`` a JSON object
+    with the format, its version, the units of all quantities, and the numbers wavelength, pitch, distance, distortion,
+    camera_shape and residual.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.npz`` file to write.
+    calibration : Calibration
+        The results.
+    """
+    if not isinstance(calibration, Calibration):
+        raise TypeError(f"calibration must be a Calibration, got {type(calibration).__name__}")
+    registration = calibration.registration
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "units": UNITS,
+        "wavelength": calibration.wavelength,
+        "pitch": calibration.pitch,
+        "distance": calibration.distance,
+        "distortion": registration.distortion,
+        "camera_shape": list(registration.shape),
+        "residual": registration.residual,
+    }
+    packed = io.BytesIO()
+    np.savez(
+        packed,
+        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
+        phases=calibration.phases,
+        amplitude=calibration.amplitude,
+        wavefront=calibration.wavefront,
+        homography=registration.homography,
+    )
+    with replacing(validate_path(path, [".npz"])) as stream:
+        stream.write(packed.getbuffer())
+
+
+def load_calibration(path: str | os.PathLike) -> Calibration:
+    """Read a calibration that :func:`save_calibration` wrote.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.npz`` file.
+
+    Returns
+    -------
+    Calibration
+        The results.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not a calibration; the message names it.
+    """
+    path = validate_path(path, [".npz"])
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"there is no file {path!r}")
+    try:
+        with np.load(path, allow_pickle=False) as store:
+            header = json.loads(store["header"].tobytes().decode())
+            if header["format"] != FORMAT or header["version"] != VERSION:
+                raise ValueError(f"its format is {header['format']!r}, version {header['version']!r}")
+            arrays = {name: store[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
+        rows, columns = header["camera_shape"]
+        registration = Registration(arrays.pop("homography"), header["distortion"], (rows, columns), header["residual"])
+        return Calibration(
+            header["wavelength"], header["pitch"], header["distance"], **arrays, registration=registration
+        )
+    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error
+
+
+def lens_phase(modulator: Modulator, wavelength: float, distance: float, point: Sequence[float] = (0, 0)) -> np.ndarray:
+    """Return the phase in radians ``[rows, columns]`` of a lens that focuses at a point x, y of a plane.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Focal length in metres.
+    point : sequence of float
+        x and y in metres.
+    """
+    wavelength = float(_validate.number("wavelength", wavelength, positive=True))
+    distance = float(_validate.number("distance", distance, positive=True))
+    y, x = _axes(modulator)
+    squared = (x - point[0]) ** 2 + (y - point[1]) ** 2
+    return -2 * np.pi / wavelength * squared / (np.sqrt(squared + distance**2) + distance)
+
+
+def spots_phase(
+    modulator: Modulator, wavelength: float, distance: float, points: np.ndarray, iterations: int = 12
+) -> np.ndarray:
+    """Return the phase ``[rows, columns]`` that forms spots of equal intensity at points x, y ``[n, 2]`` of a plane."""
+    lenses = np.stack([lens_phase(modulator, wavelength, distance, point) for point in points]).reshape(len(points), -1)
+    waves = np.exp(1j * lenses)
+    angles = 2 * np.pi * np.random.default_rng(0).random(len(points))
+    weights = np.ones(len(points))
+    for _ in range(iterations if len(points) > 1 else 1):
+        phase = np.angle((weights * np.exp(1j * angles)) @ waves)
+        spots = waves.conj() @ np.exp(1j * phase)
+        angles, weights = np.angle(spots), weights * np.abs(spots).mean() / np.abs(spots)
+    return phase.reshape(modulator.shape)
+
+
+def without(surface: np.ndarray, modes: np.ndarray) -> np.ndarray:
+    """Return a surface ``[rows, columns]`` without its mean and its components along modes ``[n, rows, columns]``."""
+    system = np.column_stack([np.ones(surface.size), modes.reshape(len(modes), -1).T])
+    coefficients, *_ = np.linalg.lstsq(system, surface.ravel(), rcond=None)
+    return surface - (system @ coefficients).reshape(surface.shape)
+
+
+# Place of defocus among the modes below: two tilts, then radial order 2 with m = −2, 0, 2.
+_DEFOCUS = 3
+
+
+def _modes(modulator: Modulator, order: int) -> np.ndarray:
+    """Return the Zernike polynomials of orders 1 to `order` over the circle around the modulator."""
+    y, x = _axes(modulator)
+    half = math.hypot(*modulator.shape) * modulator.pitch / 2
+    rho, theta = np.hypot(x, y) / half, np.arctan2(y, x)
+    pairs = [(n, m) for n in range(1, order + 1) for m in range(-n, n + 1, 2)]
+    return np.stack([zernike_polynomial(n, m, rho, theta) for n, m in pairs])
+
+
+def _axes(modulator: Modulator) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coordinates y ``[rows, 1]`` and x ``[1, columns]`` of the pixels in metres."""
+    rows, columns = modulator.shape
+    y, x = ((np.arange(n) - n // 2) * modulator.pitch for n in (rows, columns))
+    return y[:, None], x[None]
+
+
+def _averaged(camera: Camera, count: int) -> np.ndarray:
+    return camera.capture(count).astype(np.float64).mean(0)
+
+
+def _brightest(frame: np.ndarray) -> np.ndarray:
+    """Return the column and row of the brightest spot."""
+    row, column = np.unravel_index(uniform_filter(frame, 3).argmax(), frame.shape)
+    return np.array([column, row])
+
+
+def _centroid(frame: np.ndarray, place: np.ndarray, reach: int) -> np.ndarray:
+    """Return the column and row of the centroid of a spot, within a window about a place that follows the spot."""
+    for _ in range(5):
+        column, row = np.rint(place).astype(int)
+        first = max(row - reach, 0), max(column - reach, 0)
+        window = frame[first[0] : row + reach + 1, first[1] : column + reach + 1]
+        if not window.size:
+            raise RuntimeError(f"a spot was expected at column {column}, row {row}, which the camera does not see")
+        floor = np.quantile(window, 0.3)
+        light = np.clip(window - floor - 0.1 * (window.max() - floor), 0, None)
+        total = light.sum() or 1.0
+        down, across = (np.arange(n) for n in window.shape)
+        found = np.array([first[1] + (light.sum(0) @ across) / total, first[0] + (light.sum(1) @ down) / total])
+        if np.abs(np.rint(found) - np.rint(place)).max() == 0:
+            break
+        place = found
+    return found
+
+
+def _read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
+    """Set the region of a camera to a window about a place (column, row)."""
+    column, row = (
+        int(np.clip(p - reach, 0, n - 2 * reach - 1)) for p, n in zip(place, camera.shape[::-1], strict=True)
+    )
+    camera.region = (row, column, 2 * reach + 1, 2 * reach + 1)
+
+
+def _expose(camera: Camera, show: Callable[[], None]) -> None:
+    """Set the exposure so that the brightest pixel reaches `EXPOSED` of the range."""
+    show()
+    top = (1 << camera.bits) - 1
+    for _ in range(6):
+        brightest = float(camera.capture(1).max())
+        if 0.8 * EXPOSED * top < brightest < 1.1 * EXPOSED * top:
+            return
+        camera.exposure *= (
+            0.25 if brightest >= 0.98 * top else float(np.clip(EXPOSED * top / max(brightest, 1), 0.1, 10))
+        )
+
+
+def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:
+    """Return what the camera would see of a pattern on a table without faults."""
+    rows, columns = modulator.shape
+    wide = [2 * n for n in (rows, columns)]
+    field = np.zeros(wide, dtype=complex)
+    first = [n // 2 - m // 2 for n, m in zip(wide, (rows, columns), strict=True)]
+    field[first[0] : first[0] + rows, first[1] : first[1] + columns] = amplitude * np.exp(1j * phase)
+    kind = "Bandlimited Angular Spectrum"
+    there: Any = propagate_beam(
+        field, None, distance, modulator.pitch, wavelength, kind, zero_padding=[False, False, False]
+    )
+    v, u = np.indices(registration.shape)
+    points = registration.plane_points(np.stack([u, v], axis=-1)) / modulator.pitch
+    return map_coordinates(
+        np.abs(np.asarray(there)) ** 2, [points[..., 1] + wide[0] // 2, points[..., 0] + wide[1] // 2], order=3
+    )

@@ -1,0 +1,136 @@
+"""Protocols of the instruments of an optical table, and the entry points by which drivers are found."""
+
+from importlib.metadata import entry_points
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from odak import _validate
+
+__all__ = ["Camera", "Laser", "Modulator", "Stage", "open_instrument"]
+
+# Group of entry points of packages that hold drivers: name → class or function that opens an instrument.
+ENTRY_POINTS = "odak.instruments"
+
+
+@runtime_checkable
+class Modulator(Protocol):
+    """Spatial light modulator that shows patterns of grey levels.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns.
+    pitch : float
+        Distance between pixels in metres.
+    bits : int
+        Bit depth: levels are 0 … 2^bits − 1.
+    settling_time : float
+        Seconds after which a new pattern is shown completely; :meth:`show` waits for it.
+    """
+
+    shape: tuple[int, int]
+    pitch: float
+    bits: int
+    settling_time: float
+
+    def show(self, levels: np.ndarray) -> None:
+        """Show a pattern of levels, integers ``[rows, columns]``, and return when it has settled."""
+        ...
+
+
+@runtime_checkable
+class Camera(Protocol):
+    """Camera that captures intensities.
+
+    Attributes
+    ----------
+    shape : tuple of int
+        Rows and columns of the sensor.
+    pitch : float
+        Distance between pixels in metres.
+    bits : int
+        Bit depth: counts are 0 … 2^bits − 1.
+    exposure : float
+        Exposure time in seconds; may be set.
+    region : tuple of int or None
+        First row, first column, rows and columns that are read out; None for the whole sensor. May be set.
+    """
+
+    shape: tuple[int, int]
+    pitch: float
+    bits: int
+    exposure: float
+    region: tuple[int, int, int, int] | None
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures as integers ``[count, rows, columns]`` of the region."""
+        ...
+
+
+@runtime_checkable
+class Laser(Protocol):
+    """Laser of one wavelength.
+
+    Attributes
+    ----------
+    wavelength : float
+        Vacuum wavelength in metres.
+    power : float
+        Power as a fraction of the largest, 0 … 1; may be set.
+    """
+
+    wavelength: float
+    power: float
+
+
+@runtime_checkable
+class Stage(Protocol):
+    """Linear stage that carries the camera along the optical axis.
+
+    Attributes
+    ----------
+    position : float
+        Position in metres, positive away from the modulator.
+    """
+
+    position: float
+
+    def move(self, position: float) -> None:
+        """Move to a position and return when it is reached."""
+        ...
+
+
+def open_instrument(name: str, **options: Any) -> Any:
+    """Open an instrument by the name under which an installed package registered its driver.
+
+    A driver package registers a class or function in the group of entry points ``odak.instruments``; it needs no
+    base class, only the attributes and methods of the protocol.
+
+    Parameters
+    ----------
+    name : str
+        Name of the entry point.
+    **options
+        Arguments of the driver.
+
+    Returns
+    -------
+    Modulator, Camera, Laser or Stage
+        The instrument.
+
+    Raises
+    ------
+    ValueError
+        If no installed package registers the name; the message lists the names that are.
+    TypeError
+        If what the driver returns is none of the four.
+    """
+    found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
+    if _validate.text("name", name) not in found:
+        known = ", ".join(map(repr, sorted(found))) or "none"
+        raise ValueError(f"name must be that of an installed driver ({known}), got {name!r}")
+    instrument = found[name].load()(**options)
+    if not isinstance(instrument, (Modulator, Camera, Laser, Stage)):
+        raise TypeError(f"driver {name!r} returned {type(instrument).__name__}, which follows none of the protocols")
+    return instrument

@@ -1,0 +1,202 @@
+"""Makes the PyTorch function of a function of the NumPy core: its conversions, signature and documentation."""
+
+import inspect
+import re
+import sys
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+import torch
+from array_api_compat import torch as torch_namespace
+
+from odak._array import Array, ArrayT
+from odak.learn._tensors import checked_device, tensors_of
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_TITLES = ("Parameters", "Returns", "Yields", "Raises", "Warns", "See Also", "Notes", "References", "Examples")
+_TYPED = ("Returns", "Yields", "Raises", "Warns")
+_SECTION = re.compile(rf"\n\n({'|'.join(_TITLES)})\n-{{3,}}\n")
+_TYPES = {"device": torch.device | str | None, "dtype": torch.dtype | None}
+_ENTRIES = {
+    "device": "torch.device or str, optional\n"
+    "Device of the result; by default that of the tensors given, else torch's default.",
+    "dtype": "torch.dtype, optional",
+}
+_IN_TYPES = (
+    (r"numpy\.float64 or (numpy\.ndarray|array)", "torch.Tensor"),
+    (r"\b(numpy\.ndarray|array)\b", "torch.Tensor"),
+)
+_IN_TEXT = (
+    (r"\bnumpy\.ndarray\b", "torch.Tensor"),
+    (r"\b([Aa])n array\b", r"\1 tensor"),
+    (r"(?<!NumPy )\barray(s?)\b", r"tensor\1"),
+)
+
+
+@typing.overload
+def torch_face(
+    core: Callable[P, Array],
+    *,
+    tensors: Iterable[str] = (),
+    defaults: Mapping[str, Any] | None = None,
+    through: Callable | None = None,
+    describe: Mapping[str, str] | None = None,
+) -> Callable[P, torch.Tensor]: ...
+
+
+@typing.overload
+def torch_face(
+    core: Callable[P, R],
+    *,
+    tensors: Iterable[str] = (),
+    defaults: Mapping[str, Any] | None = None,
+    through: Callable | None = None,
+    describe: Mapping[str, str] | None = None,
+) -> Callable[P, R]: ...
+
+
+def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None):
+    """Return the PyTorch function of a function of the core.
+
+    It calls the core's function with torch as the array library (where the core has an argument `xp`, which it hides)
+    and with the device checked (where there is an argument `device`). It belongs to the module that calls this
+    function. Its signature and docstring are those of the core, in terms of tensors.
+
+    Parameters
+    ----------
+    core : callable
+        Function of the core, written for any array library.
+    tensors : iterable of str
+        Arguments whose numbers, lists and NumPy arrays become tensors before the call: on one device, that of the first
+        tensor among them, and in one precision, the widest of the floating tensors among them, else torch's default.
+        Leave out what the core takes as numbers with all their digits, such as a pixel pitch.
+    defaults : mapping, optional
+        Defaults that differ from those of the core, by argument.
+    through : callable, optional
+        Called as ``through(core, **arguments)`` instead of the core, to change what goes in or comes out.
+    describe : mapping, optional
+        Texts that replace those of the core: by argument its type and, from the second line on, its description; by
+        title ("Returns", "Notes", "Examples") a section; by "" the summary. The core's examples, which show arrays, are
+        left out.
+
+    Returns
+    -------
+    callable
+        The function; a type checker sees the core's parameters.
+    """
+    signature = _signature(core, defaults or {})
+    named = tuple(signature.parameters)
+    positional = [name for name, p in signature.parameters.items() if p.kind is p.POSITIONAL_OR_KEYWORD]
+    preset = dict(defaults or {})
+    fixed = {"xp": torch_namespace} if "xp" in inspect.signature(core).parameters else {}
+    converted = tuple(tensors)
+
+    def face(*args, **options):
+        if len(args) > len(positional) or any(name not in named or name in positional[: len(args)] for name in options):
+            signature.bind(*args, **options)  # raises the error that Python gives for such a call
+        options = {**preset, **dict(zip(positional, args, strict=False)), **options}
+        if converted:
+            options.update(_converted({name: options[name] for name in converted if name in options}))
+        if "device" in options:
+            options["device"] = checked_device("device", options["device"])
+        return through(core, **fixed, **options) if through is not None else core(**fixed, **options)
+
+    face.__name__ = face.__qualname__ = core.__name__
+    face.__module__ = sys._getframe(1).f_globals["__name__"]
+    face.__signature__ = signature
+    face.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
+    face.__annotations__["return"] = signature.return_annotation
+    face.__doc__ = _documentation(core, named, preset, describe or {})
+    return face
+
+
+def _converted(given):
+    return dict(zip(given, tensors_of(**given), strict=True))
+
+
+def _signature(core, defaults) -> inspect.Signature:
+    signature = inspect.signature(core)
+    hints = typing.get_type_hints(core)
+    unknown = set(defaults) - set(signature.parameters)
+    if unknown:
+        raise ValueError(f"defaults names no argument of {core.__name__}: {', '.join(sorted(unknown))}")
+    parameters = [
+        p.replace(
+            annotation=_TYPES.get(name, _torch_type(hints.get(name, p.annotation))),
+            default=defaults.get(name, p.default),
+        )
+        for name, p in signature.parameters.items()
+        if name != "xp"
+    ]
+    returned = hints.get("return", signature.return_annotation)
+    return signature.replace(parameters=parameters, return_annotation=_torch_type(returned))
+
+
+def _torch_type(annotation):
+    """Return a type in which arrays have become tensors."""
+    if annotation is Array or annotation is ArrayT or annotation is np.ndarray or annotation is Any:
+        return torch.Tensor
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    if origin is np.ndarray:
+        return torch.Tensor
+    if not inner or origin is typing.Literal:
+        return annotation
+    changed = tuple(_torch_type(argument) if argument is not Ellipsis else argument for argument in inner)
+    if origin in (typing.Union, types.UnionType):
+        kept = [t for t in changed if not (isinstance(t, type) and issubclass(t, np.generic))]
+        return typing.Union[tuple(kept)]
+    return origin[changed] if isinstance(origin, type) and origin is not Callable else annotation
+
+
+def _documentation(core, named, defaults, describe) -> str:
+    """Return the docstring of the core in terms of tensors."""
+    summary, *parts = _SECTION.split(inspect.cleandoc(core.__doc__ or ""))
+    sections = dict(zip(parts[::2], parts[1::2], strict=True))
+    sections.pop("Examples", None)
+    texts = {t: _in_torch(text) if t in _TYPED else _replaced(text, _IN_TEXT) for t, text in sections.items()}
+    if "Parameters" in sections:
+        texts["Parameters"] = _parameters(sections["Parameters"], named, defaults, describe)
+    package = core.__module__.rpartition(".")[0]
+    texts["See Also"] = f"{package}.{core.__name__} : The same function of the arrays of any library."
+    texts.update({title: text.strip() for title, text in describe.items() if title in _TITLES})
+    summary = describe.get("", _replaced(summary, _IN_TEXT))
+    written = [f"{title}\n{'-' * len(title)}\n{texts[title].rstrip()}" for title in _TITLES if title in texts]
+    return "\n\n".join([summary, *written]) + "\n"
+
+
+def _parameters(text, named, defaults, describe) -> str:
+    entries = []
+    for entry in re.split(r"\n(?=\S)", text.strip("\n")):
+        heading, _, body = entry.partition("\n")
+        names, _, kind = heading.partition(" : ")
+        kept = [name for name in names.split(", ") if name.lstrip("*") in named and name not in describe]
+        if not kept:
+            continue
+        replaced = _ENTRIES.get(kept[0], "").split("\n") if len(kept) == 1 else [""]
+        kind = replaced[0] or _replaced(kind, _IN_TYPES)
+        body = "    " + replaced[1] if len(replaced) > 1 else _replaced(body, _IN_TEXT)
+        if kept[0] in defaults:
+            kind = f"{kind.removesuffix(', optional')}, default: {defaults[kept[0]]}"
+        entries.append((named.index(kept[0].lstrip("*")), f"{', '.join(kept)} : {kind}\n{body}"))
+    for name, words in describe.items():
+        if name in named:
+            kind, _, body = words.partition("\n")
+            lines = "\n".join(f"    {line}" for line in inspect.cleandoc(body).split("\n"))
+            entries.append((named.index(name), f"{name} : {kind}\n{lines}"))
+    return "\n".join(entry for _, entry in sorted(entries, key=lambda pair: pair[0]))
+
+
+def _replaced(text: str, words) -> str:
+    for pattern, replacement in words:
+        text = re.sub(pattern, replacement, text)
+    return text
+
+
+def _in_torch(text: str) -> str:
+    """Return a section whose lines at the margin are types or names."""
+    return "\n".join(_replaced(line, _IN_TEXT if line.startswith(" ") else _IN_TYPES) for line in text.split("\n"))

@@ -1,0 +1,23 @@
+from odak.jones.thin_films import StackResponse as StackResponse
+from odak.jones.thin_films import thin_film_stack as thin_film_stack
+
+from .elements import apply_matrix as apply_matrix
+from .elements import cascade as cascade
+from .elements import circular_polarizer as circular_polarizer
+from .elements import diattenuator as diattenuator
+from .elements import electricfield as electricfield
+from .elements import half_wave_plate as half_wave_plate
+from .elements import linearpolarizer as linearpolarizer
+from .elements import mirror as mirror
+from .elements import polarizer as polarizer
+from .elements import quarter_wave_plate as quarter_wave_plate
+from .elements import retarder as retarder
+from .elements import reverse as reverse
+from .elements import rotator as rotator
+from .stokes_vectors import degree_of_polarization as degree_of_polarization
+from .stokes_vectors import depolarizer as depolarizer
+from .stokes_vectors import field_from_stokes as field_from_stokes
+from .stokes_vectors import mueller as mueller
+from .stokes_vectors import polarization_ellipse as polarization_ellipse
+from .stokes_vectors import stokes as stokes
+from .stokes_vectors import stokes_ellipse as stokes_ellipse

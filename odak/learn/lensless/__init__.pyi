@@ -1,0 +1,1 @@
+from .speckle_tracking import spec_track as spec_track

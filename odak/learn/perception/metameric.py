@@ -1,0 +1,1042 @@
+"""Metameric losses and metamers: pooled statistics of steerable pyramids, compared and matched."""
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from functools import partial
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from odak import _array, _torch_private, _validate
+from odak.learn._tensors import checked_device
+from odak.learn.perception.color_conversion import rgb_2_ycrcb, ycrcb_2_rgb
+from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.foveation import RadiallyVaryingBlur, _growth, _point, level_map, make_radial_map
+from odak.learn.perception.pooling import (
+    Sampler,
+    UniformSampler,
+    as_maps,
+    is_blocked,
+    level_weights,
+    local_statistics,
+    pooled,
+    squared_distance,
+)
+from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
+from odak.learn.perception.util import check_loss_inputs, check_values
+
+RESOLVED = 1e-6
+FOVEA_SHARPNESS = 10
+RADIAL_OFFSET, RADIAL_POWER = 1.1, 4
+RMS_FLOOR = 1e-6
+# Evaluations of the distance by which a metamer is made.
+METAMER_ITERATIONS = 60
+# Pixels: smaller pooling regions would only take memory.
+FINEST = 1 / 64
+
+
+class _StatisticsLoss(nn.Module):
+    """Base of the losses that compare the pooled statistics of two pictures' steerable pyramids.
+
+    A subclass defines in `_parts(picture, where)` which bands are pooled, and how; `where` holds its parameters.
+    """
+
+    _place: torch.Tensor
+
+    def __init__(self, device, n_pyramid_levels, n_orientations, trust_target) -> None:
+        super().__init__()
+        self.register_buffer("_place", torch.empty(0, device=checked_device("device", device)), persistent=False)
+        self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
+        self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
+        self.pyramid_maker: SpatialSteerablePyramid | None = None
+        self.target_stats: Any = None
+        self.loss_map: torch.Tensor | None = None
+        self._kept = TargetCache(trust_target)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the loss was last moved to."""
+        return self._place.device
+
+    def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
+        """Keep the sum of the absolute differences from the last target's statistics as `loss_map` ``[B, H, W]``."""
+        if self.target_stats is None:
+            raise ValueError("visualise_loss_map needs the statistics of a target: call the loss first")
+        one, two = checked_statistics(image_stats=image_stats, target_stats=self.target_stats)
+        size = one[0].shape[-2:]
+        differences = [(a[:, :1] - b[:, :1]).abs() for a, b in zip(one, two, strict=True)]
+        enlarged = [functional.interpolate(d, size, mode="bilinear", align_corners=False) for d in differences]
+        self.loss_map = torch.stack(enlarged).sum(0)[:, 0]
+
+    def _parts(self, picture, where):
+        """Return groups of bands, what pools each, its mask or None, and the masked map that is not pooled."""
+        raise NotImplementedError
+
+    def _apply(self, function, recurse=True):
+        self._kept.clear()
+        return super()._apply(function, recurse)
+
+    def _converted(self, picture, colourspace):
+        """Return a picture padded for the pyramid and, if it is RGB, converted to Y′CrCb."""
+        if not isinstance(colourspace, str):
+            raise TypeError(f"image_colorspace must be a string, got {type(colourspace).__name__}")
+        picture = pad_image_for_pyramid(picture, self.n_pyramid_levels)
+        return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
+
+    def _described(self, picture, colourspace, where):
+        """Return a target padded and converted, its statistics, and these as :meth:`_distance` reads them.
+
+        The last is None where they are not computed in strips; otherwise both share their memory.
+        """
+        picture = self._converted(picture, colourspace)
+        groups, samplers, masks, rest = self._parts(picture, where)
+        if not is_blocked(picture) or picture.requires_grad:
+            return picture, statistics_maps(groups, samplers, masks, rest), None
+        values = [local_statistics(bands, sampler) for bands, sampler in zip(groups, samplers, strict=True)]
+        for value, mask in zip(values, masks, strict=True):
+            if mask is not None:
+                value.mul_(mask[:, None, None])
+        maps = [one for value, bands in zip(values, groups, strict=True) for one in as_maps(value, bands.shape)]
+        return picture, [*maps, rest], [*values, rest]
+
+    def _distance(self, picture, kept, where):
+        """Return the mean distance of a picture's statistics from a target's, computed in strips."""
+        groups, samplers, masks, rest = self._parts(picture, where)
+        total = functional.mse_loss(rest, kept[-1].expand_as(rest))
+        for values, bands, sampler, mask in zip(kept[:-1], groups, samplers, masks, strict=True):
+            total = total + squared_distance(bands, sampler, mask, values) / bands[:, :, 0].numel()
+        return total / (2 * sum(bands.shape[2] for bands in groups) + 1)
+
+    def _maker(self, channels):
+        """Return the pyramid, made anew where channels or orientations have changed."""
+        maker = self.pyramid_maker
+        if maker is None or (maker.n_channels, maker.n_orientations) != (channels, self.n_orientations):
+            maker = SpatialSteerablePyramid(False, channels, 5, self.n_orientations, "cropped", self.device)
+            self.pyramid_maker = maker
+        return maker
+
+    def _metamer(self, image, where, levels, seed, iterations, progress):
+        """Return a picture with the pooled statistics of an RGB or grey one: matched noise, then gradient descent.
+
+        `levels` is the MIP level of the pooling region of each pixel; colours stay within the range that the picture
+        has there.
+        """
+        iterations = _validate.integer("iterations", iterations)
+        if progress is not None and not callable(progress):
+            raise TypeError(f"progress must be callable, got {type(progress).__name__}")
+        if not image.numel():
+            raise ValueError(f"image must not be empty, got {tuple(image.shape)}")
+        with torch.inference_mode(False), torch.no_grad():
+            padded, statistics, kept = self._described(image.detach().clone(), "RGB", where)
+            maker = self._maker(image.shape[1])
+            metamer = matched_noise(padded, statistics, maker, self.n_pyramid_levels, seed)
+            if iterations:
+                low, high = local_range(padded, levels(padded.shape[-2:]))
+
+                def distance(picture):
+                    if kept is not None and is_blocked(picture):
+                        return self._distance(picture, kept, where)
+                    return mean_distance(statistics_maps(*self._parts(picture, where)), statistics)
+
+                least, most = min(0.0, float(image.min())), max(1.0, float(image.max()))
+
+                def held(picture):
+                    picture = picture.maximum(low).minimum(high)
+                    if picture.shape[1] != 3:
+                        return picture
+                    return rgb_2_ycrcb(ycrcb_2_rgb(picture).clamp(least, most))
+
+                metamer = _descended(metamer, held, distance, iterations, progress)
+        metamer = metamer[..., : image.shape[-2], : image.shape[-1]]
+        return ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer
+
+
+class MetamericLoss(_StatisticsLoss):
+    """Distance between two pictures as an eye with one gaze sees them.
+
+    Away from the gaze only means and standard deviations of steerable bands count, over regions that grow with
+    eccentricity. Around it pixels count.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    alpha : float
+        Growth of the pooling regions with eccentricity. Set it once; then describe each display by the next two.
+    real_image_width : float
+        Width of the picture as shown.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
+    n_pyramid_levels : int
+        Levels of the pyramid, at least 2.
+    mode : str
+        "quadratic" or "linear" growth.
+    n_orientations : int
+        Orientations of the bands.
+    use_l2_foveal_loss : bool
+        Add `fovea_weight` times the mean squared error in Y′CrCb around the gaze, where statistics then do not count.
+    fovea_weight : float
+        Weight of that error.
+    use_radial_weight : bool
+        Weight statistics by 1.1 − r⁴, r being the distance from the gaze, at most 1.
+    use_fullres_l0 : bool
+        Compare the blurred picture at full resolution instead of the last low-pass; not with `use_l2_foveal_loss`.
+    equi : bool
+        Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
+    trust_target : bool
+        Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
+        values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
+        at every call unless this is set.
+
+    Attributes
+    ----------
+    target_stats, fovea_mask, periphery_mask, loss_map
+        Of the last call.
+    pyramid_maker, blurs
+        The pyramid and, for each level, its blur; None before the first use.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range or two exclude one another.
+
+    Notes
+    -----
+    Walton et al., ACM Trans. Graph. 40, 48 (2021), and IEEE VR (2022). Statistics of the target are kept as long as a
+    target of the same values comes with the same gaze and parameters.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import MetamericLoss
+    >>> loss = MetamericLoss(real_image_width=0.6, real_viewing_distance=0.7)
+    >>> target = torch.rand(1, 3, 64, 64)
+    >>> float(loss(target, target, gaze=[0.7, 0.3]))
+    0.0
+    """
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        n_pyramid_levels: int = 5,
+        mode: str = "quadratic",
+        n_orientations: int = 2,
+        use_l2_foveal_loss: bool = True,
+        fovea_weight: float = 20.0,
+        use_radial_weight: bool = False,
+        use_fullres_l0: bool = False,
+        equi: bool = False,
+        trust_target: bool = False,
+    ) -> None:
+        super().__init__(device, n_pyramid_levels, n_orientations, trust_target)
+        self.use_l2_foveal_loss = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
+        self.use_fullres_l0 = _validate.flag("use_fullres_l0", use_fullres_l0)
+        if use_l2_foveal_loss and use_fullres_l0:
+            raise ValueError("use_l2_foveal_loss and use_fullres_l0 exclude one another, got both")
+        self.alpha, self.mode = _growth(alpha, mode)
+        self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
+        self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
+        self.fovea_weight = _validate.number("fovea_weight", fovea_weight)
+        self.use_radial_weight = _validate.flag("use_radial_weight", use_radial_weight)
+        self.equi = _validate.flag("equi", equi)
+        self.blurs: nn.ModuleList | None = None
+        self.fovea_mask = self.periphery_mask = None
+        self._masks: tuple | None = None
+
+    def forward(
+        self,
+        image: torch.Tensor,
+        target: torch.Tensor,
+        gaze: Sequence[float] = (0.5, 0.5),
+        image_colorspace: str = "RGB",
+        visualise_loss: bool = False,
+    ) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
+        gaze : sequence of float
+            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+        image_colorspace : str
+            "RGB", or anything else if both pictures are in Y′CrCb already.
+        visualise_loss : bool
+            Keep a map of the differences as `loss_map`.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable; 0 for equal pictures.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures cannot be compared or are too small for the pyramid.
+        """
+        checked_pictures("MetamericLoss", image, target, self.n_pyramid_levels)
+        visualise_loss, geometry = _validate.flag("visualise_loss", visualise_loss), self._geometry(gaze)
+        key = (geometry, self._options(), image_colorspace)
+        reference, self.target_stats, kept = self._kept.get(
+            target, key, lambda: self._described(target, image_colorspace, geometry)
+        )
+        image = self._converted(image, image_colorspace)
+        if kept is None or visualise_loss or self.use_radial_weight or not is_blocked(image):
+            stats = statistics_maps(*self._parts(image, geometry))
+            if visualise_loss:
+                self.visualise_loss_map(stats)
+            loss = self.metameric_loss_stats(stats, self.target_stats, gaze)
+        else:
+            loss = self._distance(image, kept, geometry)
+        if self.use_l2_foveal_loss:
+            loss = loss + self.fovea_weight * ((self.fovea_mask * (image - reference)) ** 2).mean()
+        return loss
+
+    def calc_statsmaps(
+        self,
+        image: torch.Tensor,
+        gaze: Sequence[float] | None = None,
+        alpha: float = 0.01,
+        real_image_width: float = 0.3,
+        real_viewing_distance: float = 0.6,
+        mode: str = "quadratic",
+        equi: bool = False,
+    ) -> list[torch.Tensor]:
+        """Return the pooled statistics of a picture.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            ``[B, C, H, W]``, sides multiples of 2ⁿ⁻¹ for n levels, in the colour space to compare in.
+        gaze : sequence of float, optional
+            (x, y), the picture's centre by default.
+        alpha : float
+            Growth of the pooling regions with eccentricity.
+        real_image_width : float
+            Width of the picture as shown.
+        real_viewing_distance : float
+            Distance of the eye from the picture's centre, in the same unit.
+        mode : str
+            "quadratic" or "linear" growth.
+        equi : bool
+            The picture is equirectangular.
+
+        Returns
+        -------
+        list of torch.Tensor
+            Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture does not fit the pyramid, or an argument makes no map.
+        """
+        equi = _validate.flag("equi", equi) or self.equi
+        _validate.image("image", image, axes=4)
+        gaze = _point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
+        geometry = (alpha, real_image_width, real_viewing_distance, gaze, mode, equi)
+        return statistics_maps(*self._parts(image, geometry))
+
+    def metameric_loss_stats(
+        self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor], gaze: Sequence[float]
+    ) -> torch.Tensor:
+        """Return the mean over two lists of statistics of their mean squared differences.
+
+        Parameters
+        ----------
+        statsmap_a, statsmap_b : list of torch.Tensor
+            As :meth:`calc_statsmaps` returns them.
+        gaze : sequence of float
+            (x, y); counts with `use_radial_weight` only.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the lists are not statistics of pictures of one size.
+        """
+        gaze = _point("gaze", gaze)
+        statsmap_a, statsmap_b = checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b)
+        if self.use_radial_weight:
+            weights = {}
+            for value in statsmap_a:
+                size = tuple(value.shape[-2:])
+                if size not in weights:
+                    radius = make_radial_map(size, gaze, dtype=value.dtype, device=value.device)
+                    weights[size] = RADIAL_OFFSET - radius**RADIAL_POWER
+            statsmap_a, statsmap_b = (
+                [value * weights[tuple(value.shape[-2:])] for value in stats] for stats in (statsmap_a, statsmap_b)
+            )
+        return mean_distance(statsmap_a, statsmap_b)
+
+    def _apply(self, function, recurse=True):
+        self._masks = None
+        return super()._apply(function, recurse)
+
+    def _options(self):
+        return self.n_pyramid_levels, self.n_orientations, self.use_l2_foveal_loss, self.use_fullres_l0
+
+    def _geometry(self, gaze):
+        lengths = self.real_image_width, self.real_viewing_distance
+        return self.alpha, *lengths, _point("gaze", gaze), self.mode, self.equi
+
+    def _parts(self, picture, where):
+        groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
+        if self.blurs is None or len(self.blurs) != self.n_pyramid_levels:
+            self.blurs = nn.ModuleList(RadiallyVaryingBlur() for _ in range(self.n_pyramid_levels))
+        samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
+        rest = samplers[0](picture) if self.use_fullres_l0 else low[-1]
+        masks = self._level_masks(picture, where, [bands.shape[-2:] for bands in groups[1:]] + [rest.shape[-2:]])
+        *level_masks, last = masks
+        groups_masks = [level_masks[0], *level_masks]
+        return groups, [samplers[0], *samplers], groups_masks, rest if last is None else last * rest
+
+    def _level_masks(self, image, geometry, sizes):
+        """Return, for each size, how much each pixel's statistics count; None where all of it does."""
+        if not (self.use_l2_foveal_loss or self.use_fullres_l0):
+            return [None] * len(sizes)
+        key = (tuple(image.shape), geometry, self._options(), image.dtype, image.device)
+        if self._masks is None or self._masks[0] != key:
+            with torch.inference_mode(False), torch.no_grad():
+                self._masks = (key, self._new_masks(image, sizes))
+        return self._masks[1]
+
+    def _new_masks(self, image, sizes):
+        levels = [blur.lod_map for blur in self.blurs[:-1]]
+        if self.use_fullres_l0:
+            return [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
+        fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
+        fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
+        self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
+        masks = [1 - fovea]
+        for size in sizes[1:]:
+            masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
+        return masks
+
+
+class MetamericLossUniform(_StatisticsLoss):
+    """Distance between the pooled statistics of two pictures, the same everywhere.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    pooling_size : float
+        Side of the pooling regions in pixels of the finest level; half of it at each next level.
+    n_pyramid_levels : int
+        Levels of the pyramid, at least 2.
+    n_orientations : int
+        Orientations of the bands.
+    trust_target : bool
+        Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
+        values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
+        at every call unless this is set.
+
+    Attributes
+    ----------
+    target, target_stats, loss_map, pyramid_maker
+        Of the last call; None before.
+
+    Notes
+    -----
+    See :class:`odak.learn.perception.MetamericLoss`; statistics of the target are kept in the same way.
+    """
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        pooling_size: float = 32,
+        n_pyramid_levels: int = 5,
+        n_orientations: int = 2,
+        trust_target: bool = False,
+    ) -> None:
+        super().__init__(device, n_pyramid_levels, n_orientations, trust_target)
+        self.pooling_size = _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
+        self.target: torch.Tensor | None = None
+
+    def forward(
+        self,
+        image: torch.Tensor,
+        target: torch.Tensor,
+        image_colorspace: str = "RGB",
+        visualise_loss: bool = False,
+    ) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
+        image_colorspace : str
+            "RGB", or anything else if both pictures are in Y′CrCb already.
+        visualise_loss : bool
+            Keep a map of the differences of the first picture as `loss_map`.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable; 0 for equal pictures.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures cannot be compared or are too small for the pyramid.
+        """
+        checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
+        visualise_loss, where = _validate.flag("visualise_loss", visualise_loss), self.pooling_size
+        key = (where, self.n_pyramid_levels, self.n_orientations, image_colorspace)
+        self.target, self.target_stats, kept = self._kept.get(
+            target, key, lambda: self._described(target, image_colorspace, where)
+        )
+        image = self._converted(image, image_colorspace)
+        if kept is not None and not visualise_loss and is_blocked(image):
+            return self._distance(image, kept, where)
+        stats = statistics_maps(*self._parts(image, where))
+        if visualise_loss:
+            self.visualise_loss_map(stats)
+        return self.metameric_loss_stats(stats, self.target_stats)
+
+    def calc_statsmaps(self, image: torch.Tensor, pooling_size: float) -> list[torch.Tensor]:
+        """Return the pooled statistics of a picture.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            ``[B, C, H, W]``, sides multiples of 2ⁿ⁻¹ for n levels, in the colour space to compare in.
+        pooling_size : float
+            Side of the pooling regions in pixels of the finest level.
+
+        Returns
+        -------
+        list of torch.Tensor
+            Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture does not fit the pyramid, or the size is below 1/64.
+        """
+        _validate.image("image", image, axes=4)
+        _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
+        return statistics_maps(*self._parts(image, pooling_size))
+
+    def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
+        """Return the mean over two lists of statistics of their mean squared differences."""
+        return mean_distance(*checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b))
+
+    def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
+        """Keep how far the first picture's statistics are from the target's as `loss_map` ``[H, W]``."""
+        super().visualise_loss_map(image_stats)
+        self.loss_map = None if self.loss_map is None else self.loss_map[0]
+
+    def gen_metamer(
+        self,
+        image: torch.Tensor,
+        seed: int = 0,
+        iterations: int = METAMER_ITERATIONS,
+        progress: Callable[[], object] | None = None,
+    ) -> torch.Tensor:
+        """Return another picture with the pooled statistics of a picture.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            RGB or grey ``[B, C, H, W]``, about 0 … 1.
+        seed : int
+            Seed of the noise that it starts from.
+        iterations : int
+            Evaluations of the distance between the statistics, which L-BFGS makes smaller; 0 for matched noise.
+        progress : callable, optional
+            Called without arguments at each evaluation.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, H, W]``. With iterations its colours (Y′CrCb) lie within the range that the picture's have in each
+            region, clipped to RGB of 0 … 1; matched noise is not clipped.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture is too small for the pyramid, or no picture.
+        """
+        checked_pictures("MetamericLossUniform", image, image, self.n_pyramid_levels)
+        level = max(0.0, math.log2(self.pooling_size))
+        levels = partial(torch.full, fill_value=level, dtype=torch.float64, device=image.device)
+        return self._metamer(image, self.pooling_size, levels, seed, iterations, progress)
+
+    def _parts(self, picture, where):
+        groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
+        samplers = [_uniform_sampler(bands, where / 2**level) for level, bands in enumerate(groups[1:])]
+        return groups, [samplers[0], *samplers], [None] * len(groups), low[-1]
+
+
+def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
+    """Return means over squares, enlarged bilinearly to the picture's size.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``.
+    pooling_size : float
+        Side of the squares in pixels, at least 1/64; at least one square fits always.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, H, W]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the picture has not four axes, or the size is below 1/64.
+    """
+    if as_pictures("image", image, None).ndim != 4 or 0 in _validate.image("image", image, axes=4).shape:
+        raise ValueError(f"image must be [B, C, H, W], none empty, got {tuple(image.shape)}")
+    return _uniform_sampler(image, float(_validate.number("pooling_size", pooling_size, positive=True, least=FINEST)))(
+        image
+    )
+
+
+def _uniform_sampler(image, pooling_size):
+    size = tuple(image.shape[-2:])
+    squares = tuple(max(1, int(side / pooling_size)) for side in size)
+    return UniformSampler(size, squares, image.device, image.dtype)
+
+
+def _of_the_metameric_loss(name: str) -> Any:
+    """Return a property that is the attribute of the same name of the loss that makes the statistics."""
+    return property(
+        lambda self: getattr(self.metameric_loss, name), lambda self, value: setattr(self.metameric_loss, name, value)
+    )
+
+
+class MetamerMSELoss(nn.Module):
+    """Mean squared distance from one metamer of the target.
+
+    Parameters
+    ----------
+    device : torch.device
+        Where the loss is first; results follow their inputs.
+    alpha : float
+        Growth of the pooling regions with eccentricity.
+    real_image_width : float
+        Width of the picture as shown.
+    real_viewing_distance : float
+        Distance of the eye from the picture's centre, in the same unit.
+    mode : str
+        "quadratic" or "linear" growth.
+    n_pyramid_levels : int
+        Levels of the pyramid, at least 2.
+    n_orientations : int
+        Orientations of the bands.
+    equi : bool
+        Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
+    trust_target : bool
+        Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
+        values with those of the last call. On a GPU values are never compared, and the target's metamer is computed
+        at every call unless this is set.
+    iterations : int
+        Evaluations of the metameric loss by which a metamer is made; 0 for matched noise.
+
+    Attributes
+    ----------
+    alpha, real_image_width, real_viewing_distance, mode, n_pyramid_levels, n_orientations, equi
+        As given; a change counts from the next call on.
+    target, target_metamer
+        Of the last call; None before.
+    metameric_loss : MetamericLoss
+        Makes the statistics.
+    loss_func : torch.nn.MSELoss
+        The distance.
+
+    Notes
+    -----
+    Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. The metamer is
+    kept as long as a target of the same values comes with the same gaze and parameters.
+    """
+
+    alpha = _of_the_metameric_loss("alpha")
+    mode = _of_the_metameric_loss("mode")
+    equi = _of_the_metameric_loss("equi")
+    real_image_width = _of_the_metameric_loss("real_image_width")
+    real_viewing_distance = _of_the_metameric_loss("real_viewing_distance")
+    n_pyramid_levels = _of_the_metameric_loss("n_pyramid_levels")
+    n_orientations = _of_the_metameric_loss("n_orientations")
+
+    def __init__(
+        self,
+        device: torch.device | str = "cpu",
+        alpha: float = 0.2,
+        real_image_width: float = 0.2,
+        real_viewing_distance: float = 0.7,
+        mode: str = "quadratic",
+        n_pyramid_levels: int = 5,
+        n_orientations: int = 2,
+        equi: bool = False,
+        trust_target: bool = False,
+        iterations: int = METAMER_ITERATIONS,
+    ) -> None:
+        super().__init__()
+        self.iterations = _validate.integer("iterations", iterations)
+        self.metameric_loss = MetamericLoss(
+            device=device,
+            alpha=alpha,
+            real_image_width=real_image_width,
+            real_viewing_distance=real_viewing_distance,
+            n_pyramid_levels=n_pyramid_levels,
+            mode=mode,
+            n_orientations=n_orientations,
+            use_l2_foveal_loss=False,
+            equi=equi,
+        )
+        self.loss_func = nn.MSELoss()
+        self.target: Any = None
+        self.target_metamer: Any = None
+        self.noise: Any = None
+        self._kept = TargetCache(trust_target)
+
+    @property
+    def device(self) -> torch.device:
+        """Where the loss was last moved to."""
+        return self.metameric_loss.device
+
+    def gen_metamer(
+        self,
+        image: torch.Tensor,
+        gaze: Sequence[float],
+        seed: int = 0,
+        iterations: int | None = None,
+        progress: Callable[[], object] | None = None,
+    ) -> torch.Tensor:
+        """Return a picture that looks like another to an eye with one gaze, because its pooled statistics are the same.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            RGB or grey ``[B, C, H, W]``, about 0 … 1.
+        gaze : sequence of float
+            (x, y), 0 to 1 from the top-left corner.
+        seed : int
+            Seed of the noise that it starts from; equal input gives equal output.
+        iterations : int, optional
+            Evaluations of the distance between the statistics, which L-BFGS makes smaller; that of the class by
+            default, 0 for matched noise.
+        progress : callable, optional
+            Called without arguments at each evaluation.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, H, W]``. Where single pixels are resolved it is the picture; elsewhere its
+            colours (Y′CrCb) lie within the range that the picture's have in the pooling region, clipped to RGB of
+            0 … 1.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture is too small for the pyramid, or no picture.
+
+        Notes
+        -----
+        The start is that of Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4: noise whose bands are given
+        local means and deviations. Bands overlap, so that the sum does not have them; L-BFGS then lowers the distance.
+        """
+        inner = self.metameric_loss
+        checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
+        geometry = inner._geometry(gaze)
+        levels = partial(_level_map, geometry=geometry, device=image.device)
+        iterations = self.iterations if iterations is None else iterations
+        return inner._metamer(image, geometry, levels, seed, iterations, progress)
+
+    def forward(self, image: torch.Tensor, target: torch.Tensor, gaze: Sequence[float] = (0.5, 0.5)) -> torch.Tensor:
+        """Return the loss.
+
+        Parameters
+        ----------
+        image, target : torch.Tensor
+            ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
+        gaze : sequence of float
+            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+
+        Returns
+        -------
+        torch.Tensor
+            Without axes, differentiable in the image. The metamer counts as a constant.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pictures cannot be compared or are too small for the pyramid.
+        """
+        inner = self.metameric_loss
+        checked_pictures("MetamerMSELoss", image, target, inner.n_pyramid_levels)
+        # Descent magnifies the rounding of a compiled graph: the metamer is the same with and without one.
+        self.target_metamer = _array.outside_graphs(self._metamer_of, target, gaze)
+        return self.loss_func(image, self.target_metamer)
+
+    def _metamer_of(self, target, gaze):
+        inner = self.metameric_loss
+        key = (inner._geometry(gaze), inner._options(), self.iterations)
+        constant = _torch_private.as_constant(target)
+        with _torch_private.outside_functional_transforms(constant):
+            self.target = constant.detach()
+            return self._kept.get(self.target, key, lambda: self.gen_metamer(self.target, gaze))
+
+    def _apply(self, function, recurse=True):
+        self._kept.clear()
+        return super()._apply(function, recurse)
+
+
+def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_levels: int) -> None:
+    """Raise unless two pictures can be compared: one shape, finite, about 0 … 1, large enough for the pyramid.
+
+    Parameters
+    ----------
+    name : str
+        Name of the loss, with which a message begins.
+    image, target : torch.Tensor
+        ``[B, C, H, W]``. Values on a GPU are not read.
+    n_levels : int
+        Levels of the pyramid.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If they cannot.
+    """
+    for label, picture in (("image", image), ("target", target)):
+        if not isinstance(picture, torch.Tensor) or not picture.is_floating_point():
+            raise TypeError(f"{name} ERROR: {label} must be a tensor of real floats [B, C, H, W]")
+    check_loss_inputs(name, image, target)
+    step = 1 << n_levels
+    smallest = 7 << max(0, n_levels - 2)
+    if any(-(-side // step) * step < smallest for side in image.shape[-2:]) or min(image.shape[-2:]) < 2:
+        raise ValueError(
+            f"{name} ERROR: image and target are too small: sides must be at least 2 and fill {n_levels} pyramid "
+            f"levels, got {tuple(image.shape)}"
+        )
+    pictures: dict[str, Any] = {f"{name} ERROR: image": image, f"{name} ERROR: target": target}
+    check_values(**pictures)
+
+
+def checked_maps(name: str, value: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    """Return statistics as a list after checking that they are tensors ``[B, C, H, W]``."""
+    maps: list[Any] = list(value) if isinstance(value, (list, tuple)) else [None]
+    if not maps or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in maps):
+        raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
+    return maps
+
+
+def checked_statistics(**lists: Sequence[torch.Tensor]) -> list[list[torch.Tensor]]:
+    """Return two lists of statistics after checking that they come from pictures of one size."""
+    checked = [checked_maps(name, value) for name, value in lists.items()]
+    if [one.shape[-2:] for one in checked[0]] != [two.shape[-2:] for two in checked[1]]:
+        raise ValueError(f"{' and '.join(lists)} must be statistics of pictures of one size and as many levels")
+    return checked
+
+
+def statistics_maps(
+    groups: list[torch.Tensor],
+    samplers: Sequence[Sampler],
+    masks: Sequence[torch.Tensor | None],
+    rest: torch.Tensor,
+) -> list[torch.Tensor]:
+    """Return mean and standard deviation of a pyramid's bands, each over a pixel's pooling region.
+
+    Parameters
+    ----------
+    groups : list of torch.Tensor
+        Bands ``[B, C, K, H, W]`` as :meth:`SpatialSteerablePyramid.stacked_bands` returns them.
+    samplers : sequence of Sampler
+        Those that compute the local means of each group.
+    masks : sequence of torch.Tensor or None
+        How much each pixel counts ``[H, W]``, for each group.
+    rest : torch.Tensor
+        The map that is not pooled, times its own mask.
+
+    Returns
+    -------
+    list of torch.Tensor
+        Mean and deviation of the high-pass residual, of each band of each level, and `rest`: 2(1 + (n − 1)K) + 1
+        tensors ``[B, C, H, W]``.
+    """
+    maps: list[torch.Tensor] = []
+    for bands, sampler, mask in zip(groups, samplers, masks, strict=True):
+        if is_blocked(bands) and not (bands.requires_grad and torch.is_grad_enabled()):
+            found = as_maps(local_statistics(bands, sampler), bands.shape)
+        else:
+            pairs = zip(*(value.unbind(2) for value in pooled(bands, sampler)), strict=True)
+            found = [one for pair in pairs for one in pair]
+        maps += found if mask is None else [mask * one for one in found]
+    return [*maps, rest]
+
+
+def matched_noise(
+    image: torch.Tensor, statistics: list[torch.Tensor], maker: SpatialSteerablePyramid, n_levels: int, seed: int = 0
+) -> torch.Tensor:
+    """Return noise whose pyramid has the pooled statistics of a picture, and the picture's low-pass.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``, as padded for the pyramid.
+    statistics : list of torch.Tensor
+        As :func:`statistics_maps` returns them for the picture.
+    maker : SpatialSteerablePyramid
+        The pyramid that they come from.
+    n_levels : int
+        Its levels.
+    seed : int
+        Of the noise, which is one and the same for every picture of a batch.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, H, W]``.
+
+    Notes
+    -----
+    Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4.
+    """
+    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+    noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
+    pyramid = maker.construct_pyramid(noise, n_levels)
+    maps = iter(statistics)
+
+    def match(band):
+        band = band - band.mean((2, 3), keepdim=True)
+        rms = (band**2).mean((2, 3), keepdim=True).sqrt().clamp_min(RMS_FLOOR)
+        mean, deviation = next(maps), next(maps)
+        return band / rms * deviation + mean
+
+    matched = []
+    for level, content in enumerate(pyramid[:-1]):
+        matched.append({"h": match(content["h"])} if level == 0 else {})
+        matched[-1]["b"] = [match(band) for band in content["b"]]
+    matched.append({"l": maker.construct_pyramid(image, n_levels)[-1]["l"]})
+    return maker.reconstruct_from_pyramid(matched)
+
+
+def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the least and the largest value of each channel within a square region around each pixel.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        ``[B, C, H, W]``.
+    levels : torch.Tensor
+        Of a MIP chain ``[H, W]``, in float64: the square reaches half of 2ˡ pixels to each side, and is the pixel
+        itself at level 0. Between levels the bounds are interpolated.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Lower and upper bounds ``[B, C, H, W]``.
+    """
+    weights = level_weights(levels).to(picture.dtype)
+    bounds = []
+    for sign in (-1, 1):
+        extreme, reach, total = sign * picture, 0, sign * picture * weights[0]
+        for level, weight in enumerate(weights[1:]):
+            step = (1 << level) - reach
+            reach += step
+            # The largest of three shifted copies: the reach doubles from level to level.
+            for axis in (-1, -2):
+                pad = (step, step, 0, 0) if axis == -1 else (0, 0, step, step)
+                padded, length = functional.pad(extreme, pad, value=-torch.inf), extreme.shape[axis]
+                extreme = extreme.maximum(padded.narrow(axis, 0, length)).maximum(padded.narrow(axis, 2 * step, length))
+            total = total + extreme * weight
+        bounds.append(sign * total)
+    return bounds[0], bounds[1]
+
+
+def _level_map(size, geometry, device):
+    return level_map(tuple(size), *geometry, dtype=torch.float64, device=device)
+
+
+def _descended(picture, held, distance, iterations, progress):
+    """Return a picture of the form `held(free)` that L-BFGS has brought closer to the target of a distance."""
+    with torch.enable_grad():
+        free = held(picture).detach().requires_grad_()
+        unit = distance(free.detach()).clamp_min(torch.finfo(free.dtype).tiny)
+        optimizer = torch.optim.LBFGS(
+            [free], max_iter=iterations, max_eval=iterations, tolerance_grad=0, tolerance_change=0,
+            history_size=10, line_search_fn="strong_wolfe",
+        )  # fmt: skip
+
+        def evaluate():
+            inside = held(free)
+            # What lies outside is drawn back, so that it does not stay at the bound for ever.
+            value = (distance(inside) + (free - inside).square().mean()) / unit
+            # L-BFGS takes contiguous gradients only.
+            free.grad = torch.autograd.grad(value, free)[0].contiguous()
+            if progress is not None:
+                progress()
+            return value
+
+        optimizer.step(evaluate)
+    return held(free.detach())
+
+
+def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:
+    """Return the mean over pairs of maps of their mean squared differences."""
+    return torch.stack([functional.mse_loss(a, b) for a, b in zip(one, two, strict=True)]).mean()
+
+
+class TargetCache:
+    """Cache of the last result computed from a target, valid while the target and all parameters are the same.
+
+    A copy of the target is kept and compared value by value, so that a buffer that was filled again is another target
+    whoever wrote to it. Values on a GPU are not compared, because the host would have to wait for the answer: what
+    depends on them is computed at every call.
+
+    Parameters
+    ----------
+    trusting : bool
+        Compare addresses and torch's count of changes instead of values, on every device. Changes that torch does not
+        count (`.data`, memory shared with NumPy) go unseen.
+    """
+
+    def __init__(self, trusting: bool = False) -> None:
+        self.trusting = _validate.flag("trust_target", trusting)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._target: Any = None
+        self._key: Any = None
+        self._value: Any = None
+
+    def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable):
+        """Return `compute()`, from memory if it was computed for this target and these parameters.
+
+        Parameters
+        ----------
+        target : torch.Tensor
+            Of these numbers the result is made. If it requires a gradient, nothing is kept.
+        parameters : hashable
+            Everything else that the result depends on.
+        compute : callable
+            Makes the result; without gradients if it is to be kept.
+        """
+        if target.requires_grad or target.is_inference() or _torch_private.is_transformed(target):
+            return compute()
+        key = (parameters, tuple(target.shape), target.dtype, target.device)
+        if self.trusting:
+            key = (*key, target.data_ptr(), target.stride(), _torch_private.count_of_writes(target))
+        elif not _array.is_readable(target):
+            with torch.inference_mode(False), torch.no_grad():
+                return compute()
+        if key != self._key or not (self.trusting or torch.equal(target, self._target)):
+            # Tensors made in inference mode could not be used with autograd later.
+            with torch.inference_mode(False), torch.no_grad():
+                value = compute()
+                # A trusted target is held, so that its memory cannot become another's.
+                self._target = target.detach() if self.trusting else target.detach().clone()
+            self._key, self._value = key, value
+        return self._value

@@ -1,0 +1,772 @@
+"""Steerable pyramids: filter banks, a spatial pyramid by small convolutions and an exact one by Fourier masks."""
+
+import functools
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.nn import functional
+
+from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn.perception import pyramid_filter_design
+from odak.learn.perception.color_matrices import is_plain
+from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
+
+FILTER_TYPES = ("full", "cropped", "trained")
+# Sizes of l, l0, h0 and the bands of the full bank.
+FULL_SIZES = {1: (13, 7, 9, 9), 2: (17, 9, 9, 9), 6: (17, 9, 9, 9)}
+OTHER_FULL_SIZES = (17, 9, 15, 9)
+CROPPED_LOW, CROPPED_LOW0 = 13, 5
+TRAINED_SIZE = 5
+# Profiles across and along of a small derivative, and its largest tap.
+TRAINED_ACROSS, TRAINED_ALONG, TRAINED_PEAK = (0.478, 1.0, 0.0, -1.0, -0.478), (0.155, 0.645, 1.0, 0.645, 0.155), 0.061
+
+
+def get_steerable_pyramid_filters(
+    size: int,
+    n_orientations: int,
+    filter_type: str,
+    *,
+    bilinear: bool = False,
+    dtype: torch.dtype = torch.float32,
+    device: torch.device | str | None = None,
+) -> dict[str, Any]:
+    """Return the filters of a steerable pyramid.
+
+    Parameters
+    ----------
+    size : int
+        Odd size of the bands and of the high-pass residual of a "cropped" or "trained" bank; "full" has its own.
+    n_orientations : int
+        Number K ≥ 1 of orientations.
+    filter_type : str
+        "full": sizes at which the pyramid reconstructs best; "cropped": designed at the smaller sizes that cropping to
+        `size` would give, and so an order of magnitude flatter than cut filters; "trained": the cropped bank of size 5
+        with two small derivative kernels as bands (K = 2 only).
+    bilinear : bool
+        Filters for the bilinear mode of :class:`SpatialSteerablePyramid`, which does not use "l".
+    dtype : torch.dtype
+        Precision of the taps.
+    device : torch.device, optional
+        Where they are.
+
+    Returns
+    -------
+    dict
+        "l": low-pass between levels (sum 2), "l0": first low-pass (sum 1), "h0": high-pass residual (sum 0), each
+        ``[1, 1, k, k]``; "b": list of K bands ``[1, 1, k, k]`` (sum 0). They are applied by correlation (conv2d).
+        Band k is tuned to a frequency at 180°·k/K, counter-clockwise with y upwards; of an even K it is odd, and band
+        0 falls where brightness rises to the right.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the type is unknown, or the size or the number of orientations is not one that the type has.
+
+    Notes
+    -----
+    Designed by :func:`odak.learn.perception.pyramid_filter_design.design` on first use (under a second) and kept.
+    Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.02 for K = 1, 2, 3, 4, 6. In the bilinear
+    mode cos⁴(ωₓ/2)·cos⁴(ω_y/2) is in place of L²/4, and the deviation is below 0.05.
+    """
+    count = _validate.integer("n_orientations", n_orientations, minimum=1)
+    kind = _validate.one_of("filter_type", filter_type, FILTER_TYPES)
+    sizes = FULL_SIZES.get(count, OTHER_FULL_SIZES)
+    if kind != "full":
+        sizes = _cropped_sizes(size, sizes)
+    bank = pyramid_filter_design.design(count, sizes, _validate.flag("bilinear", bilinear))
+    bands = bank["b"]
+    if kind == "trained":
+        bands = _trained(size, count)
+    options: dict[str, Any] = {"dtype": checked_dtype("dtype", dtype), "device": checked_device("device", device)}
+    filters = {name: torch.tensor(bank[name], **options)[None, None] for name in ("l", "l0", "h0")}
+    return {**filters, "b": [torch.tensor(band, **options)[None, None] for band in bands]}
+
+
+def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[str, Any]:
+    """Return the middles of a bank's filters.
+
+    Parameters
+    ----------
+    filters : dict
+        "l", "l0", "h0" ``[..., k, k]`` and "b", a list of the same.
+    size : int
+        Odd, at least 3: size of the bands and of the high-pass residual. The low-passes become 13 and 5 wide. Smaller
+        filters stay as they are.
+
+    Returns
+    -------
+    dict
+        New tensors. The low-passes keep their sums; the bands and "h0" have a mean of zero.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the size is even or below 3.
+
+    Notes
+    -----
+    A bank that is cut reconstructs worse than one designed at its size, which is what
+    :func:`get_steerable_pyramid_filters` gives for "cropped".
+    """
+    size = _odd(size)
+    if not isinstance(filters, dict) or not {"l", "l0", "h0", "b"} <= set(filters):
+        raise TypeError(f"filters must be a dictionary with 'l', 'l0', 'h0' and 'b', got {type(filters).__name__}")
+    low = {name: _middle(filters[name], wide) for name, wide in (("l", CROPPED_LOW), ("l0", CROPPED_LOW0))}
+    high = [_middle(taps, size) for taps in (filters["h0"], *filters["b"])]
+    residual, *bands = [taps - taps.mean() for taps in high]
+    return {
+        **{name: value * (filters[name].sum() / value.sum()) for name, value in low.items()},
+        "h0": residual,
+        "b": bands,
+    }
+
+
+def _odd(size):
+    size = _validate.integer("size", size, minimum=3)
+    if size % 2 == 0:
+        raise ValueError(f"size must be odd, got {size}")
+    return size
+
+
+def _middle(taps, size):
+    cut = max(0, (taps.shape[-1] - size) // 2)
+    return taps[..., cut : taps.shape[-2] - cut, cut : taps.shape[-1] - cut]
+
+
+def _cropped_sizes(size, full):
+    """Return the sizes of l, l0, h0 and the bands after cropping."""
+    size = _odd(size)
+    if size > max(full[2:]):
+        raise ValueError(f"size must be at most {max(full[2:])} with these orientations, got {size}")
+    low, low0, high0, band = full
+    return min(low, CROPPED_LOW), min(low0, CROPPED_LOW0), min(high0, size), min(band, size)
+
+
+def _trained(size, count):
+    if size != TRAINED_SIZE or count != 2:
+        raise ValueError(
+            f"filter_type 'trained' needs size={TRAINED_SIZE} and n_orientations=2, got {size} and {count}"
+        )
+    band = TRAINED_PEAK * np.outer(TRAINED_ALONG, TRAINED_ACROSS)
+    return band, band.T
+
+
+# Tensors, and under "b" lists of them.
+Pyramid = list[dict[str, Any]]
+
+
+def pad_image_for_pyramid(image: torch.Tensor, n_pyramid_levels: int) -> torch.Tensor:
+    """Return a picture whose sides are multiples of 2ⁿ, padded at its right and bottom by reflection.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``.
+    n_pyramid_levels : int
+        n ≥ 0.
+
+    Returns
+    -------
+    torch.Tensor
+        The picture itself where it fits; otherwise its top-left part is the picture. Sides too short to be reflected
+        repeat their last pixel.
+    """
+    step = 2 ** _validate.integer("n_pyramid_levels", n_pyramid_levels)
+    rows, columns = _validate.image("image", image, axes=4).shape[-2:]
+    down, right = -rows % step, -columns % step
+    if not (down or right):
+        return image
+    mode = "reflect" if down < rows and right < columns else "replicate"
+    return functional.pad(image, (0, right, 0, down), mode=mode)
+
+
+def checked_pyramid(pyramid: Pyramid, n_orientations: int) -> Pyramid:
+    """Return a pyramid after checking that it has levels with K bands, a high-pass residual and a last low-pass."""
+    if not isinstance(pyramid, (list, tuple)) or not all(isinstance(level, dict) for level in pyramid):
+        raise TypeError(f"pyramid must be a list of dictionaries, got {type(pyramid).__name__}")
+    if len(pyramid) < 2 or "h" not in pyramid[0] or "l" not in pyramid[-1]:
+        raise ValueError("pyramid must have two levels or more, 'h' in the first one and 'l' in the last one")
+    counts = [len(level.get("b", ())) for level in pyramid[:-1]]
+    if any(count != n_orientations for count in counts):
+        raise ValueError(f"pyramid must have n_orientations = {n_orientations} bands 'b' in each level, got {counts}")
+    return pyramid
+
+
+class SpatialSteerablePyramid(nn.Module):
+    """Steerable pyramid by convolution with small filters, mirrored at the borders.
+
+    Parameters
+    ----------
+    use_bilinear_downup : bool
+        Halve by 2 × 2 means and enlarge bilinearly: fast; fine detail comes back with aliasing, at about 36 dB in
+        photographs. Otherwise filter and take every second pixel: reconstruction of 51 to 60 dB, and each level's mean
+        is twice the last one's. Each mode has filters of its own.
+    n_channels : int
+        Channels of the pictures.
+    filter_size : int
+        Odd size of the bands and of the high-pass residual of a "cropped" or "trained" bank.
+    n_orientations : int
+        Number K ≥ 1 of orientations.
+    filter_type : str
+        "full", "cropped" or "trained", see :func:`odak.learn.perception.get_steerable_pyramid_filters`.
+    device : torch.device
+        Where the filters are first; they follow the pictures.
+
+    Attributes
+    ----------
+    filt_h0, filt_l0, filt_l : torch.Tensor
+        Filters ``[C, 1, k, k]``; `filt_l` only without `use_bilinear_downup`.
+    band_filters : list of torch.Tensor
+        K filters ``[C, 1, k, k]``.
+
+    Notes
+    -----
+    Simoncelli and Freeman, IEEE ICIP 3, 444 (1995). A mirrored picture has bands that are mirrored with a change of
+    sign where their filter is odd. Reconstruction steers the bands to filters that are even or odd along each axis and
+    mirrors each with its sign, so that it is as good at the borders as inside.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import SpatialSteerablePyramid
+    >>> maker = SpatialSteerablePyramid(use_bilinear_downup=False, n_orientations=4)
+    >>> picture = torch.linspace(0, 3, 64).sin().expand(1, 1, 64, 64)
+    >>> pyramid = maker.construct_pyramid(picture, 3)
+    >>> bool((maker.reconstruct_from_pyramid(pyramid) - picture).abs().max() < 0.01)
+    True
+    """
+
+    filt_h0: torch.Tensor
+    filt_l0: torch.Tensor
+    filt_l: torch.Tensor
+    _bands: torch.Tensor
+    _mixing: torch.Tensor
+    _parts: torch.Tensor
+
+    def __init__(
+        self,
+        use_bilinear_downup: bool = True,
+        n_channels: int = 1,
+        filter_size: int = 9,
+        n_orientations: int = 6,
+        filter_type: str = "full",
+        device: torch.device | str = "cpu",
+    ) -> None:
+        super().__init__()
+        self.use_bilinear_downup = _validate.flag("use_bilinear_downup", use_bilinear_downup)
+        self.n_channels = _validate.side("n_channels", n_channels)
+        self.filter_size = _validate.integer("filter_size", filter_size, minimum=1)
+        self.n_orientations, self.filter_type = n_orientations, filter_type
+        self._build(torch.float32, checked_device("device", device) or torch.device("cpu"))
+
+    @property
+    def device(self) -> torch.device:
+        """Where the filters are."""
+        return self.filt_h0.device
+
+    @property
+    def band_filters(self) -> list[torch.Tensor]:
+        """Return the K band filters."""
+        return list(self._bands.reshape(self.n_channels, self.n_orientations, 1, *self._bands.shape[-2:]).unbind(1))
+
+    def construct_pyramid(self, image: torch.Tensor, n_levels: int, multiple_highpass: bool = False) -> Pyramid:
+        """Return the pyramid of a picture, fine to coarse.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Real floats ``[B, C, H, W]``.
+        n_levels : int
+            At least 2: the last level holds only what is left.
+        multiple_highpass : bool
+            Put a high-pass residual into every level but the last; reconstruction uses the first alone.
+
+        Returns
+        -------
+        list of dict
+            Level 0: "h" high-pass residual, "l" low-pass, "b" list of K bands; then "l" and "b" at half the size each;
+            last "l" alone.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture does not fit the pyramid, or is too small for so many levels.
+        """
+        multiple_highpass = _validate.flag("multiple_highpass", multiple_highpass)
+        groups, low = self.stacked_bands(image, n_levels)
+        pyramid: Pyramid = [{"h": groups[0].flatten(1, 2), "l": low[0], "b": list(groups[1].unbind(2))}]
+        for bands, level in zip(groups[2:], low[1:], strict=False):
+            pyramid.append({"l": level, "b": list(bands.unbind(2))})
+            if multiple_highpass:
+                pyramid[-1]["h"] = self._filter(level, self.filt_h0)
+        return [*pyramid, {"l": low[-1]}]
+
+    def stacked_bands(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
+        """Return what :meth:`construct_pyramid` does, with the bands of each level in one tensor.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Real floats ``[B, C, H, W]``.
+        n_levels : int
+            At least 2.
+
+        Returns
+        -------
+        tuple of lists
+            The high-pass residual ``[B, C, 1, H, W]`` and each level's bands ``[B, C, K, H, W]``: n tensors; and the
+            n low-passes ``[B, C, H, W]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            As :meth:`construct_pyramid` does.
+        """
+        _validate.integer("n_levels", n_levels, minimum=2)
+        self._check(image, n_levels)
+        self._follow(image)
+        low = [self._filter(image, self.filt_l0)]
+        groups = [correlate(image, self.filt_h0[:1, 0]), self._split(low[0])]
+        for level in range(1, n_levels):
+            low.append(self._halve(low[-1]))
+            if level < n_levels - 1:
+                groups.append(self._split(low[-1]))
+        return groups, low
+
+    def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
+        """Return the picture of a pyramid, which stays as it is.
+
+        Parameters
+        ----------
+        pyramid : list of dict
+            As :meth:`construct_pyramid` makes it. Used are the "h" of level 0, every "b" and the last "l".
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, H, W]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pyramid is not one that :meth:`construct_pyramid` makes.
+        """
+        checked_pyramid(pyramid, self.n_orientations)
+        image = pyramid[-1]["l"]
+        self._follow(image)
+        for level in reversed(pyramid[:-1]):
+            image = self._enlarge(image, level["b"][0].shape[-2:]) + self._join(level["b"])
+        return self._filter(image, self.filt_l0) + self._filter(pyramid[0]["h"], self.filt_h0)
+
+    def _build(self, dtype, device) -> None:
+        options: dict[str, Any] = {"dtype": dtype, "device": device}
+        arguments = (self.filter_size, self.n_orientations, self.filter_type)
+        filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
+        # Whatever mode the caller is in, the filters must serve gradients later.
+        with torch.inference_mode(False):
+            for name in ("h0", "l0") if self.use_bilinear_downup else ("h0", "l0", "l"):
+                self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
+            bands = torch.cat(filters["b"])
+            self._set("_bands", bands.repeat(self.n_channels, 1, 1, 1))
+            mixing, parts = _unsteered(*arguments, self.use_bilinear_downup)
+            self._set("_mixing", torch.tensor(mixing, **options))
+            self._set("_parts", torch.tensor(parts, **options)[None].repeat(self.n_channels, 1, 1, 1).flip(2, 3))
+
+    def _set(self, name, value) -> None:
+        self.register_buffer(name, value, persistent=False)
+
+    def _apply(self, function, recurse=True):
+        super()._apply(function, recurse)
+        # Designed anew, taps have the full precision that they were moved to.
+        self._build(self.filt_h0.dtype, self.filt_h0.device)
+        return self
+
+    def _follow(self, image) -> None:
+        if (image.dtype, image.device) != (self.filt_h0.dtype, self.filt_h0.device):
+            self._build(image.dtype, image.device)
+
+    def _check(self, image, n_levels) -> None:
+        if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+            raise TypeError("image must be a tensor of real floats [B, C, H, W]")
+        if image.ndim != 4 or image.shape[1] != self.n_channels:
+            raise ValueError(
+                f"image must be [B, C, H, W] with C = n_channels = {self.n_channels}, got {tuple(image.shape)}"
+            )
+        # A side has to be longer than a filter reaches, where the filter is used: the first ones at full size, the
+        # others down to the last level that has bands.
+        first, others = [self.filt_h0, self.filt_l0], [self._bands]
+        others += [] if self.use_bilinear_downup else [self.filt_l]
+        needed = [max(taps.shape[-1] // 2 + 1 for taps in some) for some in (first, others)]
+        smallest = max(needed[0], needed[1] << (n_levels - 2))
+        if min(image.shape[-2:]) < smallest:
+            raise ValueError(
+                f"image must have sides of at least {smallest} for {n_levels} levels, got {tuple(image.shape[-2:])}"
+            )
+
+    def _filter(self, image, taps, stride=1):
+        return correlate(image, taps[:1, 0], stride).flatten(1, 2)
+
+    def _split(self, low):
+        return correlate(low, self._bands[: self.n_orientations, 0])
+
+    @in_own_precision
+    def _join(self, bands):
+        """Apply the adjoints of the band filters and sum, each mirrored at the borders as its filter asks."""
+        stacked = torch.einsum("ik,kbchw->bcihw", self._mixing, torch.stack(tuple(bands))).flatten(1, 2)
+        reach = self._parts.shape[-1] // 2
+        padded = functional.pad(stacked, (reach,) * 4, mode="reflect")
+        if self._parts.shape[1] > 1:
+            signs = self._signs(padded, reach)
+            padded = (padded.unflatten(1, (self.n_channels, -1)) * signs).flatten(1, 2)
+        return functional.conv2d(padded, self._parts, groups=self.n_channels)
+
+    def _signs(self, padded, reach):
+        """Return −1 for the mirrored pixels of parts that are odd along an axis ``[K, H, W]``, 1 elsewhere."""
+        order = self.n_orientations - 1
+        across = torch.arange(self.n_orientations, device=padded.device)
+        signs = []
+        for odd, length in (((order - across) % 2, padded.shape[-2]), (across % 2, padded.shape[-1])):
+            mirrored = torch.ones(length, dtype=torch.bool, device=padded.device)
+            mirrored[reach : length - reach] = False
+            signs.append(1 - 2 * (odd[:, None] * mirrored).to(padded.dtype))
+        return signs[0][:, :, None] * signs[1][:, None, :]
+
+    def _halve(self, low):
+        if self.use_bilinear_downup:
+            return functional.adaptive_avg_pool2d(low, [max(1, side // 2) for side in low.shape[-2:]])
+        return self._filter(low, self.filt_l, stride=2)
+
+    def _enlarge(self, low, size):
+        if self.use_bilinear_downup:
+            return functional.interpolate(low, size, mode="bilinear", align_corners=False)
+        spread = low.new_zeros(*low.shape[:2], *size)
+        spread[..., ::2, ::2] = low
+        return self._filter(spread, self.filt_l)
+
+
+@functools.lru_cache(maxsize=64)
+def _unsteered(size, count, kind, bilinear):
+    """Return the matrix ``[K, K]`` and the filters ``[K, k, k]`` that turn bands into parts of one symmetry and back.
+
+    With filters b = S·m of parts m, Σₖ b̃ₖ∗yₖ = Σᵢ m̃ᵢ∗(Sᵀ·y)ᵢ for any bands y and transposed filters b̃, m̃: the
+    matrix is Sᵀ.
+    """
+    bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
+    shares = steering(count, orientations(count))
+    parts = np.linalg.solve(shares, torch.cat(bands)[:, 0].numpy().reshape(count, -1))
+    return shares.T, parts.reshape(count, *bands[0].shape[-2:])
+
+
+class FrequencySteerablePyramid(nn.Module):
+    """Steerable pyramid whose masks add up to one: its adjoint is its inverse, to rounding.
+
+    Parameters
+    ----------
+    n_levels : int
+        At least 2: the last level holds only what is left.
+    n_orientations : int
+        Number K ≥ 1 of orientations.
+
+    Notes
+    -----
+    Portilla and Simoncelli, Int. J. Comput. Vis. 40, 49 (2000), eqs. 1 to 4, with the masks as formulas of the
+    frequency rather than tables. Transforms are orthonormal, so that the energies of high-pass residual, bands and
+    last low-pass add up to the picture's, and each level's mean is about twice the last one's. Pictures count as
+    periodic. Masks are kept for the last picture size, precision and device.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import FrequencySteerablePyramid
+    >>> maker = FrequencySteerablePyramid(n_levels=4, n_orientations=6)
+    >>> picture = torch.rand(1, 3, 45, 70, dtype=torch.float64)
+    >>> pyramid = maker.construct_pyramid(picture)
+    >>> bool((maker.reconstruct_from_pyramid(pyramid) - picture).abs().max() < 1e-12)
+    True
+    """
+
+    def __init__(self, n_levels: int = 5, n_orientations: int = 6) -> None:
+        super().__init__()
+        self.n_levels = _validate.integer("n_levels", n_levels, minimum=2)
+        self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
+        self._masks: tuple | None = None
+
+    def forward(self, image: torch.Tensor) -> Pyramid:
+        """Return :meth:`construct_pyramid`."""
+        return self.construct_pyramid(image)
+
+    def construct_pyramid(self, image: torch.Tensor) -> Pyramid:
+        """Return the pyramid of a picture, fine to coarse; differentiable.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Real floats ``[..., H, W]``, each side at least 2ⁿ for n + 1 levels.
+
+        Returns
+        -------
+        list of dict
+            Level 0: "h" high-pass residual and "b", list of K bands; then "b" at half the size each, rounded up; last
+            "l", the low-pass that is left. Band k is tuned to a frequency at 180°·k/K, counter-clockwise with y
+            upwards; of an even K it is odd, and band 0 falls where brightness rises to the right.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the picture is not of real floats or too small for the levels.
+        """
+        size = self._size(image)
+        high, levels = self._prepare(size, image.dtype, image.device)
+        spectrum = torch.fft.rfft2(image, norm="ortho")
+        pyramid = [{"h": _picture(spectrum * high, size)}]
+        for level, (size_here, bands, low) in enumerate(levels):
+            if level:
+                spectrum = _cropped(spectrum, size_here)
+                pyramid.append({})
+            masked = _picture(spectrum[..., None, :, :] * bands, size_here)
+            pyramid[-1]["b"] = list(masked.unbind(-3))
+            spectrum = spectrum * low
+        smallest = _halved(levels[-1][0])
+        pyramid.append({"l": _picture(_cropped(spectrum, smallest), smallest)})
+        return pyramid
+
+    def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
+        """Return the picture of a pyramid, which stays as it is; differentiable.
+
+        Parameters
+        ----------
+        pyramid : list of dict
+            As :meth:`construct_pyramid` makes it.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., H, W]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the pyramid has not `n_levels` levels of `n_orientations` bands.
+        """
+        checked_pyramid(pyramid, self.n_orientations)
+        if len(pyramid) != self.n_levels:
+            raise ValueError(f"pyramid must have n_levels = {self.n_levels} levels, got {len(pyramid)}")
+        residual = pyramid[0]["h"]
+        size = self._size(residual)
+        high, levels = self._prepare(size, residual.dtype, residual.device)
+        spectrum = torch.fft.rfft2(pyramid[-1]["l"], norm="ortho")
+        for (size_here, bands, low), level in zip(reversed(levels), reversed(pyramid[:-1]), strict=True):
+            spectrum = _spread(spectrum, size_here) * low
+            transformed = torch.fft.rfft2(torch.stack(tuple(level["b"]), -3), norm="ortho")
+            spectrum = spectrum + (transformed * bands.conj()).sum(-3)
+        return _picture(spectrum + torch.fft.rfft2(residual, norm="ortho") * high, size)
+
+    def _size(self, image) -> tuple[int, int]:
+        if not isinstance(image, torch.Tensor) or image.dtype not in (torch.float32, torch.float64):
+            kind = getattr(image, "dtype", type(image).__name__)
+            raise TypeError(f"image must be a tensor of real floats [..., H, W], float32 or float64, got {kind}")
+        smallest = 1 << (self.n_levels - 1)
+        if image.ndim < 2 or 0 in image.shape or min(image.shape[-2:]) < smallest:
+            raise ValueError(
+                f"image must have sides of at least {smallest} for {self.n_levels} levels, got {tuple(image.shape)}"
+            )
+        rows, columns = image.shape[-2:]
+        return rows, columns
+
+    def _prepare(self, size, dtype, device):
+        """Return the high-pass mask and, of each level with bands, its size, band masks ``[K, H, W]`` and low-pass."""
+        key = (size, dtype, device)
+        if self._masks is None or self._masks[0] != key:
+            with torch.inference_mode(False):
+                self._masks = (key, *_masks(size, self.n_levels, self.n_orientations, dtype, device))
+        return self._masks[1:]
+
+
+def _masks(size, n_levels, count, dtype, device):
+    def real(mask):
+        return torch.from_numpy(mask).to(device, dtype)
+
+    high = ideal_gains(_polar(size, size)[0])[0]
+    levels, here = [], size
+    for level in range(n_levels - 1):
+        radius, angle = _polar(here, size)
+        _, _, band, low = ideal_gains(radius * 2**level)
+        # What came before has cut the low-pass of the finer level already; the first one is cut here.
+        before = ideal_gains(radius)[1] if level == 0 else 1.0
+        toward = np.cos(angle - orientations(count)[:, None, None]) ** (count - 1)
+        bands = real(before * band * band_amplitude(count) * toward)
+        levels.append(
+            (here, bands if count % 2 else torch.complex(torch.zeros_like(bands), -bands), real(before * low / 2))
+        )
+        here = _halved(here)
+    return real(high), levels
+
+
+def _polar(here, size):
+    """Return length and angle (y upwards) of the frequencies of a level's half spectrum, in radians per fine pixel."""
+    rows = np.fft.fftfreq(here[0], 1 / here[0]) / size[0]
+    columns = np.arange(here[1] // 2 + 1) / size[1]
+    y, x = -2 * math.pi * rows[:, None], 2 * math.pi * columns[None, :]
+    return np.hypot(x, y), np.arctan2(y, x)
+
+
+def _halved(size):
+    return tuple(-(-side // 2) for side in size)
+
+
+def _picture(spectrum, size):
+    return torch.fft.irfft2(spectrum, size, norm="ortho")
+
+
+def _rows_kept(rows):
+    """Return how many rows of least frequency a spectrum has from zero upwards, and below zero."""
+    return (rows + 1) // 2, rows // 2
+
+
+def _cropped(spectrum, size):
+    """Return the part of a half spectrum that a smaller picture has."""
+    up, down = _rows_kept(size[0])
+    columns = spectrum[..., : size[1] // 2 + 1]
+    return torch.cat([columns[..., :up, :], columns[..., columns.shape[-2] - down :, :]], -2)
+
+
+def _spread(spectrum, size):
+    """Return a half spectrum among zeros as that of a larger picture."""
+    up, down = _rows_kept(spectrum.shape[-2])
+    middle = spectrum.new_zeros(*spectrum.shape[:-2], size[0] - up - down, spectrum.shape[-1])
+    rows = torch.cat([spectrum[..., :up, :], middle, spectrum[..., up:, :]], -2)
+    return nn.functional.pad(rows, (0, size[1] // 2 + 1 - spectrum.shape[-1]))
+
+
+# A vector register's worth of results is computed as so many output channels.
+LANES = 16
+
+
+@in_own_precision
+def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch.Tensor:
+    """Return the correlations of every plane, mirrored at its borders, with every filter.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        Real floats ``[B, C, H, W]``, sides longer than half a filter.
+    taps : torch.Tensor
+        Filters ``[K, k, k]`` of odd k, the same for all channels, in the image's precision.
+    stride : int
+        Every so many rows and columns, from the first on.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, K, H / stride, W / stride]``, rounded up; differentiable any number of times in the image. On a CPU its
+        memory is laid out as ``[H, B, C, K, W]``, which is what samplers of :mod:`odak.learn.perception.pooling`
+        read fastest.
+
+    Notes
+    -----
+    Convolutions compute output channels side by side, and a plane has one. Sixteen copies of the filter, each shifted
+    by one column more, are sixteen channels of a convolution that takes sixteen columns at a step: more products, and
+    several times less time.
+    """
+    if _is_laned(image, taps):
+        return _Correlation.apply(image, taps, stride)
+    padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
+    planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)
+    return planes.unflatten(0, image.shape[:2])
+
+
+def _is_laned(image, taps):
+    return is_plain(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad
+
+
+class _Correlation(torch.autograd.Function):
+    """The linear map; its gradient is the adjoint's value and the other way round."""
+
+    @staticmethod
+    def forward(image, taps, stride):
+        reach = taps.shape[-1] // 2
+        rows, columns = (-(-length // stride) for length in image.shape[-2:])
+        planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
+        # Whole steps of the lanes; what they compute of zeros is dropped.
+        beyond = (-(-columns // LANES) * LANES - 1) * stride + taps.shape[-1] - planes.shape[-1]
+        planes = _as_channels_last(functional.pad(planes, (0, beyond)) if beyond > 0 else planes)
+        result = image.new_empty(rows, len(planes), len(taps), columns)
+        for index, filt in enumerate(taps):
+            lanes = functional.conv2d(planes, _shifted(filt[None], LANES, stride), stride=(stride, stride * LANES))
+            result[:, :, index] = lanes.permute(2, 0, 3, 1).flatten(2)[..., :columns]
+        return result.permute(1, 2, 0, 3).unflatten(0, image.shape[:2])
+
+    @staticmethod
+    def setup_context(context, inputs, output):
+        image, context.taps, context.stride = inputs
+        context.size = image.shape[-2:]
+
+    @staticmethod
+    def backward(context, gradient):
+        return _Adjoint.apply(gradient, context.taps, context.stride, context.size), None, None
+
+
+class _Adjoint(torch.autograd.Function):
+    """The adjoint: each pixel gets what every correlation took of it."""
+
+    @staticmethod
+    def forward(gradient, taps, stride, size):
+        # Pixels fall into stride² phases, each a correlation of its own.
+        lanes, side = LANES // stride**2, taps.shape[-1]
+        padded = [length + side - 1 for length in size]
+        cells = -(-padded[0] // stride), -(-padded[1] // (stride * lanes)) * lanes
+        before = -(-side // stride) - 1
+        after = [cell - length for cell, length in zip(cells, gradient.shape[-2:], strict=True)]
+        total = None
+        for filt, part in zip(taps, gradient.flatten(0, 1).unbind(1), strict=True):
+            planes = _as_channels_last(functional.pad(part, (before, after[1], before, after[0])))
+            spread = functional.conv2d(planes, _shifted(_phases(filt, stride), lanes, 1), stride=(1, lanes))
+            total = spread if total is None else total.add_(spread)
+        phases = total.permute(0, 2, 3, 1).unflatten(-1, (stride, stride, lanes))
+        # [N, cell, cells of lanes, row in the cell, column in the cell, lane] to rows and columns.
+        pixels = phases.permute(0, 1, 3, 2, 5, 4).flatten(3).flatten(1, 2)[..., : padded[0], : padded[1]]
+        folded = _folded(_folded(pixels, 1, side // 2), 2, side // 2)
+        return folded.unflatten(0, gradient.shape[:2])
+
+    @staticmethod
+    def setup_context(context, inputs, output):
+        _, context.taps, context.stride, _ = inputs
+
+    @staticmethod
+    def backward(context, gradient):
+        return _Correlation.apply(gradient, context.taps, context.stride), None, None, None
+
+
+def _as_channels_last(planes):
+    """Return planes ``[N, H, W]`` as ``[N, 1, H, W]`` in the layout whose convolution vectorises output channels."""
+    return planes.contiguous()[..., None].permute(0, 3, 1, 2)
+
+
+def _shifted(filters, lanes, step):
+    """Return filters ``[F, h, w]`` at `lanes` places along the row, `step` columns apart, ``[F·lanes, 1, h, …]``."""
+    room = (lanes - 1) * step
+    wide = functional.pad(filters, (room, room))
+    places = wide.unfold(-1, filters.shape[-1] + room, step).flip(-2)
+    return places.transpose(1, 2).flatten(0, 1)[:, None].contiguous(memory_format=torch.channels_last)
+
+
+def _phases(filt, stride):
+    """Return the parts of a filter that meet each phase of the pixels, turned round."""
+    room = -filt.shape[-1] % stride
+    parts = functional.pad(filt, (0, room, 0, room)).unflatten(1, (-1, stride)).unflatten(0, (-1, stride))
+    return parts.permute(1, 3, 0, 2).flatten(0, 1).flip(-2, -1)
+
+
+def _folded(planes, axis, reach):
+    """Return the adjoint of mirroring an axis at both ends: what was mirrored goes back to where it came from."""
+    length = planes.shape[axis] - 2 * reach
+    middle = planes.narrow(axis, reach, length)
+    if reach:
+        middle.narrow(axis, 1, reach).add_(planes.narrow(axis, 0, reach).flip(axis))
+        middle.narrow(axis, length - 1 - reach, reach).add_(planes.narrow(axis, reach + length, reach).flip(axis))
+    return middle

@@ -1,0 +1,773 @@
+"""Measures of image quality: PSNR, SSIM, MS-SSIM, FLIP and PU21 metrics, reports by eccentricity, and contrast."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import nn
+
+from odak import _validate
+from odak.learn._precision import in_own_precision
+from odak.learn.perception.color_conversion import srgb_decoded
+from odak.learn.perception.color_matrices import (
+    BT709_PRIMARIES,
+    IEC_WHITE,
+    _rgb_to_xyz_rows,
+    as_pictures,
+    constant,
+    mix,
+    rows,
+)
+from odak.learn.perception.foveation import make_eccentricity_distance_maps
+from odak.learn.perception.hdr import PU21_LIMITS, PU21_PARAMETERS, pu21_encode
+from odak.learn.perception.util import checked_pair
+from odak.learn.tools import loss
+from odak.learn.tools.loss import psnr
+
+WINDOW, SIGMA = 11, 1.5
+K1, K2 = 0.01, 0.03
+SCALE_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+# Perceptually uniform value that stands for white of 100 cd/m².
+PU21_WHITE = 256.0
+_FLIP_TO_XYZ = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
+_FLIP_WHITE = tuple(_FLIP_TO_XYZ.sum(1).tolist())
+# Amplitudes and squared widths of the contrast sensitivities of luminance, red–green and blue–yellow.
+_FLIP_CSF = (((1.0, 0.0047),), ((1.0, 0.0053),), ((34.1, 0.04), (13.5, 0.025)))
+
+
+class PSNR(nn.Module):
+    """Peak signal-to-noise ratio in decibels: the larger, the closer."""
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor, peak_value: float = 1.0) -> torch.Tensor:
+        """Return 10·log₁₀(peak²/MSE) over all values.
+
+        Parameters
+        ----------
+        predictions, targets : torch.Tensor
+            Pictures of one shape.
+        peak_value : float
+            Largest value that a picture could have.
+
+        Returns
+        -------
+        torch.Tensor
+            Decibels, without axes; infinite for equal pictures.
+
+        Raises
+        ------
+        ValueError
+            If the shapes differ, the peak is not positive, or values are NaN or far outside 0 … peak.
+        """
+        _validate.number("peak_value", peak_value, positive=True)
+        return psnr(*checked_pair(predictions, targets, peak_value), peak_value)
+
+
+class SSIM(nn.Module):
+    """Structural similarity: 1 for equal pictures."""
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
+        """Return :func:`structural_similarity`."""
+        return structural_similarity(predictions, targets, data_range)
+
+
+class MSSSIM(nn.Module):
+    """Structural similarity at five scales: 1 for equal pictures."""
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
+        """Return :func:`multi_scale_structural_similarity`."""
+        return multi_scale_structural_similarity(predictions, targets, data_range)
+
+
+def structural_similarity(predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
+    """Return the mean structural similarity of pictures.
+
+    Parameters
+    ----------
+    predictions, targets : torch.Tensor
+        ``[..., H, W]`` of one shape, each side at least 11.
+    data_range : float
+        Largest value that a picture could have, less the smallest.
+
+    Returns
+    -------
+    torch.Tensor
+        Mean over every place where the window fits and over the leading axes, without axes, in the input's precision;
+        exactly 1 for equal pictures. Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, a picture is smaller than the window, or it does not hold real floats of about
+        0 … `data_range`.
+
+    Notes
+    -----
+    Wang, Bovik, Sheikh and Simoncelli, IEEE Trans. Image Process. 13, 600 (2004): Gaussian window of 11 × 11 with
+    σ = 1.5, K₁ = 0.01, K₂ = 0.03.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import structural_similarity
+    >>> picture = torch.linspace(0, 1, 400).reshape(1, 20, 20)
+    >>> structural_similarity(picture, picture).item()
+    1.0
+    """
+    predictions, targets = _checked(predictions, targets, WINDOW, data_range)
+    luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)
+    return (luminance * structure).mean()
+
+
+def multi_scale_structural_similarity(
+    predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0
+) -> torch.Tensor:
+    """Return the mean multi-scale structural similarity of pictures.
+
+    Parameters
+    ----------
+    predictions, targets : torch.Tensor
+        ``[..., H, W]`` of one shape, each side at least 176.
+    data_range : float
+        Largest value that a picture could have, less the smallest.
+
+    Returns
+    -------
+    torch.Tensor
+        Mean over the leading axes, without axes, in the input's precision. A channel of which a scale's structure is
+        negative on average scores 0, with a gradient of zero. Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, a picture is smaller than 176, or it does not hold real floats of about
+        0 … `data_range`.
+
+    Notes
+    -----
+    Wang, Simoncelli and Bovik, Asilomar Conf. Signals Syst. Comput. 37, 1398 (2003), eq. 7 with the weights of its
+    section 3.2; halved between scales by 2 × 2 means.
+    """
+    predictions, targets = _checked(predictions, targets, WINDOW << (len(SCALE_WEIGHTS) - 1), data_range)
+    one, two = _planes(predictions), _planes(targets)
+    result = torch.ones(len(one), dtype=one.dtype, device=one.device)
+    for scale, weight in enumerate(SCALE_WEIGHTS):
+        luminance, structure = _similarities(one, two, data_range)
+        last = scale == len(SCALE_WEIGHTS) - 1
+        mean = (luminance * structure if last else structure).mean((-3, -2, -1))
+        result = result * _positive_power(mean, weight)
+        if not last:
+            one, two = (nn.functional.avg_pool2d(planes, 2) for planes in (one, two))
+    return result.mean()
+
+
+def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: float = 67.02) -> torch.Tensor:
+    """Return the map of differences that an observer sees when two pictures alternate at one place (FLIP).
+
+    Parameters
+    ----------
+    predictions : torch.Tensor
+        sRGB pictures ``[..., 3, H, W]``, 0 … 1.
+    targets : torch.Tensor
+        Pictures of the same shape that they are compared with.
+    pixels_per_degree : float
+        Pixels in one degree of visual angle; by default those of a display 0.7 m wide with 3840 pixels, seen from
+        0.7 m.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 1, H, W]``, four axes for three: 0 where nothing differs, at most about 1. Differentiable; the gradient
+        between equal pictures is 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, the pictures do not have three channels of real floats of about 0 … 1, or the number of
+        pixels per degree is not positive.
+
+    Notes
+    -----
+    Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, Proc. ACM Comput. Graph. Interact. Tech. 3, 15
+    (2020): opponent channels filtered by contrast sensitivity, their distance in L*a*b* with Hunt's effect, raised by
+    differences of edges and points.
+    """
+    density = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
+    predictions, targets = checked_pair(predictions, targets)
+    as_pictures("predictions", predictions)
+    pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
+    opponent = _opponent(mix(rows(_FLIP_TO_XYZ), srgb_decoded(pair.flatten(0, -4).clamp(0, 1))))
+    seen = _hunt_lab(mix(rows(np.linalg.inv(_FLIP_TO_XYZ)), _from_opponent(_seen(opponent, density))).clamp(0, 1))
+    color = _redistributed(_hyab(*seen.chunk(2)))
+    levels = ((opponent[:, :1] + 16) / 116).chunk(2)
+    feature = _feature_difference(levels[0], levels[1], density)
+    some = color > 0
+    result = torch.where(some, torch.where(some, color, 1.0) ** (1 - feature), 0.0)
+    return result.reshape(*pair.shape[1:-3], 1, *pair.shape[-2:])
+
+
+class FLIP(nn.Module):
+    """Mean difference seen when two pictures alternate at one place: 0 for equal pictures, at most about 1.
+
+    Parameters
+    ----------
+    pixels_per_degree : float
+        Pixels in one degree of visual angle.
+    """
+
+    def __init__(self, pixels_per_degree: float = 67.02) -> None:
+        super().__init__()
+        self.pixels_per_degree = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Return the mean of :func:`flip` over all pixels."""
+        return flip(predictions, targets, self.pixels_per_degree).mean()
+
+
+class PU21PSNR(nn.Module):
+    """Peak signal-to-noise ratio of high-dynamic-range pictures in decibels, on perceptually uniform values.
+
+    Parameters
+    ----------
+    variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
+        Curve of :func:`pu21_encode`.
+
+    Notes
+    -----
+    Mantiuk and Azimi, Picture Coding Symposium (2021). The peak is 256, the value of white of 100 cd/m², so that the
+    result compares with that of ordinary pictures.
+    """
+
+    def __init__(self, variant: str = "banding_glare") -> None:
+        super().__init__()
+        self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Return the ratio in decibels, without axes, of pictures of absolute luminance in cd/m² of one shape."""
+        one, two = _uniform_pair(predictions, targets, self.variant)
+        return psnr(one, two, PU21_WHITE)
+
+
+class PU21SSIM(nn.Module):
+    """Structural similarity of high-dynamic-range pictures, on perceptually uniform values; 1 for equal pictures.
+
+    Parameters
+    ----------
+    variant : {"banding_glare", "banding", "peaks", "peaks_glare"}
+        Curve of :func:`pu21_encode`.
+
+    Notes
+    -----
+    Mantiuk and Azimi, Picture Coding Symposium (2021), with a data range of 256.
+    """
+
+    def __init__(self, variant: str = "banding_glare") -> None:
+        super().__init__()
+        self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
+
+    def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+        """Return the similarity, without axes, of pictures of absolute luminance in cd/m² of one shape."""
+        one, two = _uniform_pair(predictions, targets, self.variant)
+        return structural_similarity(one, two, PU21_WHITE)
+
+
+def _uniform_pair(predictions, targets, variant):
+    pair = checked_pair(predictions, targets, PU21_LIMITS[1])
+    return pu21_encode(pair[0], variant), pu21_encode(pair[1], variant)
+
+
+def _opponent(xyz):
+    """Return Y, Cx, Cz: L*a*b* without its cube root."""
+    x, y, z = (xyz / _white(xyz)).unbind(-3)
+    return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
+
+
+def _white(like):
+    return constant(_FLIP_WHITE, like.dtype, like.device)[:, None, None]
+
+
+def _from_opponent(opponent):
+    level, red, blue = opponent.unbind(-3)
+    y = (level + 16) / 116
+    relative = torch.stack([y + red / 500, y, y - blue / 200], -3)
+    return relative * _white(opponent)
+
+
+def _seen(opponent, density):
+    """Return opponent channels filtered by the contrast sensitivity of each: sums of two Gaussians."""
+    reach = math.ceil(3 * math.sqrt(max(b for *_, b in _FLIP_CSF[2]) / (2 * math.pi**2)) * density)
+    offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
+    square = (offsets / density) ** 2
+    square = square + square[:, None]
+    kernels = torch.stack(
+        [
+            sum(a * math.sqrt(math.pi / b) * torch.exp(-(math.pi**2) * square / b) for a, b in pairs)
+            for pairs in _FLIP_CSF
+        ]
+    )
+    return _filtered(opponent, kernels / kernels.sum((1, 2), keepdim=True))
+
+
+@in_own_precision
+def _filtered(pictures, kernels):
+    """Return channels each correlated with a kernel of its own, borders repeated."""
+    padded = nn.functional.pad(pictures, (kernels.shape[-1] // 2,) * 4, mode="replicate")
+    return nn.functional.conv2d(padded, kernels[:, None].to(pictures), groups=len(kernels))
+
+
+def _hunt_lab(rgb):
+    """Return L*a*b* of linear RGB, a* and b* times L*/100 (Hunt's effect)."""
+    relative = mix(rows(_FLIP_TO_XYZ), rgb) / _white(rgb)
+    joint = 6 / 29
+    high = relative > joint**3
+    roots = torch.where(high, torch.where(high, relative, 1.0) ** (1 / 3), relative / (3 * joint**2) + 4 / 29)
+    x, y, z = roots.unbind(-3)
+    lightness = 116 * y - 16
+    return torch.stack([lightness, 5 * lightness * (x - y), 2 * lightness * (y - z)], -3)
+
+
+def _hyab(one, two):
+    """Return the difference of lightness plus the distance in a* and b* ``[N, 1, H, W]``."""
+    difference = one - two
+    square = difference[:, 1:].square().sum(1, keepdim=True)
+    none = square <= 0
+    return difference[:, :1].abs() + torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
+
+
+def _redistributed(distance):
+    """Return differences of colour in 0 … 1, most of it for those that are not extreme."""
+    corners = constant(((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), distance.dtype, distance.device)[:, :, None, None]
+    largest = _hyab(*_hunt_lab(corners).chunk(2)).reshape(()) ** 0.7
+    none = distance <= 0
+    power = torch.where(none, 0.0, torch.where(none, 1.0, distance) ** 0.7)
+    knee = 0.4 * largest
+    return torch.where(power < knee, 0.95 / knee * power, 0.95 + 0.05 * (power - knee) / (largest - knee))
+
+
+def _feature_difference(one, two, density):
+    """Return the larger of the differences of edges and of points, to the power of ½ ``[N, 1, H, W]``."""
+    deviation = 0.5 * 0.082 * density
+    offsets = torch.arange(-math.ceil(3 * deviation), math.ceil(3 * deviation) + 1, dtype=torch.float64)
+    gauss = torch.exp(-(offsets**2 + offsets[:, None] ** 2) / (2 * deviation**2))
+    differences = []
+    for profile in (-offsets, offsets**2 / deviation**2 - 1):
+        kernel = profile * gauss
+        # Positive and negative taps have sums of 1 and −1.
+        kernel = kernel / torch.where(kernel > 0, kernel.clamp_min(0).sum(), -kernel.clamp_max(0).sum())
+        pair = [_length(*(_filtered(picture, taps[None]) for taps in (kernel, kernel.T))) for picture in (one, two)]
+        differences.append((pair[0] - pair[1]).abs())
+    larger = torch.maximum(*differences) / math.sqrt(2)
+    none = larger <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, larger).sqrt())
+
+
+def _length(x, y):
+    square = x**2 + y**2
+    none = square <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
+
+
+def _checked(predictions, targets, smallest, data_range):
+    _validate.number("data_range", data_range, positive=True)
+    pair = checked_pair(predictions, targets, data_range)
+    if predictions.ndim < 2 or predictions.numel() == 0 or min(predictions.shape[-2:]) < smallest:
+        raise ValueError(
+            f"predictions and targets must be pictures [..., H, W] of at least {smallest} x {smallest}, "
+            f"got {tuple(predictions.shape)}"
+        )
+    return pair
+
+
+def _planes(pictures):
+    return pictures.reshape(-1, 1, *pictures.shape[-2:])
+
+
+def _similarities(one, two, data_range):
+    """Return the luminance term and the contrast–structure term of SSIM, where the window fits.
+
+    2ab/(a² + b²) = 1 − (a − b)²/(a² + b²), likewise with variances: four windowed means instead of five, and no
+    digits lost where pictures are close.
+    """
+    # Products: a power of a large number would be an error, where infinity is right.
+    c1, c2 = (k * data_range * k * data_range for k in (K1, K2))
+    difference = one - two
+    maps = torch.cat([one, difference, one**2 + two**2, difference**2])
+    mean_one, mean_difference, power, power_difference = _windowed(maps).chunk(4)
+    mean_two = mean_one - mean_difference
+    level = mean_one**2 + mean_two**2
+    luminance = 1 - mean_difference**2 / (level + c1)
+    # Rounding must not make a variance negative.
+    variances = (power - level).clamp_min(0)
+    variance_of_difference = (power_difference - mean_difference**2).clamp_min(0)
+    return luminance, 1 - variance_of_difference / (variances + c2)
+
+
+@in_own_precision
+def _windowed(planes):
+    """Return Gaussian-weighted means of planes ``[N, 1, H, W]``, where the window fits."""
+    axis = torch.arange(WINDOW, dtype=torch.float64, device=planes.device) - WINDOW // 2
+    line = torch.exp(-(axis**2) / (2 * SIGMA**2))
+    line = (line / line.sum()).to(planes.dtype)
+    # As channels of one picture, over which libraries vectorise; a window is then as fast as two lines.
+    taps = (line[:, None] * line).expand(len(planes), 1, WINDOW, WINDOW)
+    return nn.functional.conv2d(planes.transpose(0, 1), taps, groups=len(planes)).transpose(0, 1)
+
+
+def _positive_power(value, exponent):
+    """Return value^exponent, 0 with a gradient of 0 where the value is not positive."""
+    # What is not a number stays so.
+    none = value <= 0
+    return torch.where(none, 0.0, torch.where(none, 1.0, value) ** exponent)
+
+
+DEFAULT_EDGES = (0.0, 2.5, 5.0, 10.0, 20.0, 40.0)
+
+
+@dataclass(frozen=True)
+class Ring:
+    """Quality between two eccentricities.
+
+    Attributes
+    ----------
+    inner, outer : float
+        Limits in degrees; the inner one belongs to the ring.
+    pixels : int
+        Pixels of a picture in the ring.
+    psnr, ssim : torch.Tensor
+        Without axes, over all pictures and channels; not a number where the ring holds no pixel, or for the SSIM no
+        place where the window fits. The window reaches 5 pixels beyond the ring.
+    """
+
+    inner: float
+    outer: float
+    pixels: int
+    psnr: torch.Tensor
+    ssim: torch.Tensor
+
+
+@dataclass(frozen=True)
+class EccentricityReport:
+    """Rings from the inside out, and how the picture was seen; ``str`` gives a table.
+
+    Attributes
+    ----------
+    rings : tuple of Ring
+        The rings.
+    conditions : str
+        Size, gaze and geometry in words.
+    """
+
+    rings: tuple[Ring, ...]
+    conditions: str
+
+    def __str__(self) -> str:
+        lines = [self.conditions, "degrees        pixels  PSNR [dB]    SSIM"]
+        lines += [
+            f"{ring.inner:5.1f} … {ring.outer:5.1f} {ring.pixels:8d} {float(ring.psnr.detach()):10.2f} "
+            f"{float(ring.ssim.detach()):7.4f}"
+            for ring in self.rings
+        ]
+        return "\n".join(lines)
+
+
+def eccentricity_report(
+    predictions: torch.Tensor,
+    targets: torch.Tensor,
+    gaze: Sequence[float] = (0.5, 0.5),
+    edges: Sequence[float] = DEFAULT_EDGES,
+    real_image_width: float = 0.2,
+    real_viewing_distance: float = 0.7,
+    data_range: float = 1.0,
+) -> EccentricityReport:
+    """Return PSNR and SSIM of pictures by rings around the gaze.
+
+    Parameters
+    ----------
+    predictions, targets : torch.Tensor
+        ``[..., H, W]`` of one shape, each side at least 11.
+    gaze : sequence of float
+        Where the viewer looks, (x, y) from the top left corner (0, 0) to the bottom right one (1, 1); may lie off the
+        picture.
+    edges : sequence of float
+        Rising eccentricities in degrees; ring i lies between edge i and the next.
+    real_image_width : float
+        Width of the flat picture.
+    real_viewing_distance : float
+        Distance of the eye in front of the picture's middle, in the same unit.
+    data_range : float
+        Largest value that a picture could have, less the smallest.
+
+    Returns
+    -------
+    EccentricityReport
+        One ring for each pair of edges. PSNR and SSIM are differentiable in the pictures.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ, a picture is smaller than SSIM's window, or an argument is outside its range.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import eccentricity_report
+    >>> target = torch.zeros(1, 64, 64)
+    >>> worse_outside = target + 0.1 * (torch.linspace(-1, 1, 64).abs() > 0.5)
+    >>> report = eccentricity_report(worse_outside, target, edges=(0, 2, 12))
+    >>> [round(ring.psnr.item(), 1) for ring in report.rings]
+    [inf, 22.8]
+    """
+    predictions, targets = _checked(predictions, targets, WINDOW, data_range)
+    size = tuple(predictions.shape[-2:])
+    masks = ring_masks(size, gaze, edges, real_image_width, real_viewing_distance, device=predictions.device)
+    luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)
+    similarity = luminance * structure
+    border = WINDOW // 2
+    rings = []
+    for mask, inner, outer in zip(masks, edges[:-1], edges[1:], strict=True):
+        inside = mask[border:-border, border:-border]
+        values = psnr(predictions[..., mask], targets[..., mask], data_range)
+        rings.append(Ring(float(inner), float(outer), int(mask.sum()), values, similarity[..., inside].mean()))
+    x, y = (float(value) for value in gaze)
+    conditions = (
+        f"{size[0]} x {size[1]} pixels, gaze ({x:g}, {y:g}), width {real_image_width:g} at {real_viewing_distance:g}"
+    )
+    return EccentricityReport(tuple(rings), conditions)
+
+
+def ring_masks(
+    size: Sequence[int],
+    gaze: Sequence[float] = (0.5, 0.5),
+    edges: Sequence[float] = DEFAULT_EDGES,
+    real_image_width: float = 0.2,
+    real_viewing_distance: float = 0.7,
+    *,
+    device: torch.device | str | None = None,
+) -> torch.Tensor:
+    """Return which pixels lie between eccentricities.
+
+    Parameters
+    ----------
+    size : sequence of int
+        Rows and columns.
+    gaze : sequence of float
+        (x, y) from the top-left corner (0, 0) to the bottom-right one (1, 1); may lie off the picture.
+    edges : sequence of float
+        Rising eccentricities in degrees; ring i lies between edge i and the next.
+    real_image_width : float
+        Width of the flat picture.
+    real_viewing_distance : float
+        Distance of the eye in front of the picture's middle, in the same unit.
+    device : torch.device or str, optional
+        Where the result lives; the CPU by default.
+
+    Returns
+    -------
+    torch.Tensor
+        Booleans ``[len(edges) − 1, H, W]``; no pixel is in two rings.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    size = _validate.size("size", size)
+    limits = _validate.numbers(_validate.real("edges", edges))
+    if len(limits) < 2 or limits[0] < 0 or any(low >= high for low, high in itertools.pairwise(limits)):
+        raise ValueError(f"edges must be two or more rising numbers of at least 0, got {edges!r}")
+    eccentricity, _ = make_eccentricity_distance_maps(
+        gaze, size, real_image_width, real_viewing_distance, dtype=torch.float64, device=device
+    )
+    device = eccentricity.device
+    bounds = torch.tensor([math.radians(limit) for limit in limits], dtype=torch.float64, device=device)
+    places = torch.bucketize(eccentricity, bounds, right=True) - 1
+    return torch.stack([places == index for index in range(len(limits) - 1)])
+
+
+_ALMOST_BLACK = 1e-12
+_PIXELS_AT_ONCE = 1 << 22
+
+
+def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
+    """Return Weber's contrast (H − L)/L of the mean values H and L in two regions.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+    roi_high, roi_low : sequence of int
+        Regions ``[first row, last row + 1, first column, last column + 1]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[C]``, or ``[B, C]`` when there are several images; negative where the regions are swapped.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a region is empty or leaves the image, the image has other axes, or L is not positive.
+
+    See Also
+    --------
+    odak.learn.tools.weber_contrast : The same without the check of L, for losses.
+    """
+    _require_positive("roi_low", loss.region_means(image, roi_high, roi_low)[1])
+    return loss.weber_contrast(image, roi_high, roi_low)
+
+
+def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
+    """Return Michelson's contrast (H − L)/(H + L) of the mean values H and L in two regions.
+
+    Parameters, result and errors are those of :func:`weber_contrast`, but it is H + L that must be positive.
+    """
+    _require_positive("roi_high and roi_low", sum(loss.region_means(image, roi_high, roi_low)))
+    return loss.michelson_contrast(image, roi_high, roi_low)
+
+
+def content_aware_contrast_ratio(
+    image: torch.Tensor,
+    window_size: int = 15,
+    step: int = 3,
+    pooling_percentile: float = 75.0,
+    eps: float = 1e-6,
+    max_iter: int = 100,
+    lightness_channel: int = 0,
+) -> dict | list[dict]:
+    """Return the contrast between what is dark and what is bright in each window of a picture, and its pooled value.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[H, W]``, ``[B, H, W]`` or ``[B, C, H, W]``; held to 0 … 1. Three axes whose first is above 100 are refused.
+    window_size : int
+        Side of a window, odd, at least 3.
+    step : int
+        Distance between windows.
+    pooling_percentile : float
+        The windows whose contrast is at least this percentile are pooled.
+    eps, max_iter : float, int
+        A window's threshold is found when it moves by no more than `eps`, or after so many iterations.
+    lightness_channel : int
+        Which channel of ``[B, C, H, W]`` is the lightness.
+
+    Returns
+    -------
+    dict or list of dict
+        One per picture (the dictionary itself for a single one): ``contrast_map``, ``threshold_map``,
+        ``foreground_mean_map`` and ``background_mean_map`` ``[H, W]``, zero except at the windows' centres;
+        ``pooled_harmonic_mean`` and ``max_contrast_ratio``; ``window_size``, ``step`` and ``n_patches``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Each window is split at the threshold that is the mean of the means on its two sides (ISODATA; Ridler and Calvard,
+    IEEE Trans. Syst. Man Cybern. 8, 630 (1978)); its contrast is 1 − dark/bright. They are pooled by the
+    harmonic mean.
+    """
+    pictures = _lightness(image, lightness_channel)
+    _validate.number("eps", eps, least=0)
+    side = _validate.integer("window_size", window_size, minimum=3)
+    step = _validate.integer("step", step, minimum=1)
+    if side % 2 == 0 or side > min(pictures.shape[-2:]):
+        raise ValueError(f"window_size must be odd and fit the picture {tuple(pictures.shape[-2:])}, got {side}")
+    if not 0 < _validate.number("pooling_percentile", pooling_percentile) <= 100:
+        raise ValueError(f"pooling_percentile must be above 0 and at most 100, got {pooling_percentile!r}")
+    results = []
+    for picture in pictures:
+        windows = picture.unfold(0, side, step).unfold(1, side, step)
+        maps = _in_strips(windows, eps, _validate.integer("max_iter", max_iter, minimum=1))
+        results.append(
+            {name: _at_centres(values, picture, side, step) for name, values in maps.items()}
+            | _pooled(maps["contrast_map"].flatten(), pooling_percentile)
+            | {"window_size": side, "step": step, "n_patches": maps["contrast_map"].numel()}
+        )
+    return results[0] if len(results) == 1 else results
+
+
+def _require_positive(names, value):
+    if bool((value <= 0).any()):
+        raise ValueError(f"{names} must have a positive mean, got {value.min().item():.6g}")
+
+
+def _lightness(image, channel) -> torch.Tensor:
+    """Return pictures ``[B, H, W]`` of 0 … 1."""
+    channel = _validate.integer("lightness_channel", channel)
+    if not isinstance(image, torch.Tensor) or image.is_complex():
+        raise TypeError(f"image must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+    if image.ndim not in (2, 3, 4) or 0 in image.shape or (image.ndim == 3 and len(image) > 100):
+        raise ValueError(
+            f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {tuple(image.shape)}"
+        )
+    if image.ndim == 4:
+        if not 0 <= channel < image.shape[1]:
+            raise ValueError(f"lightness_channel must be from 0 to {image.shape[1] - 1}, got {channel}")
+        image = image[:, channel]
+    # Half precision would lose the sums of windows.
+    image = image if image.dtype in (torch.float32, torch.float64) else image.float()
+    return image.reshape(-1, *image.shape[-2:]).clamp(0, 1)
+
+
+def _in_strips(windows, eps, max_iter) -> dict[str, torch.Tensor]:
+    """Return :func:`_split` of windows ``[rows, columns, side, side]``, so many at once as memory should hold."""
+    rows = max(1, _PIXELS_AT_ONCE // windows[0].numel())
+    parts = [_split(strip.flatten(-2), eps, max_iter) for strip in windows.split(rows)]
+    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
+
+
+def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
+    """Return contrast, threshold and the means on its two sides of windows ``[rows, columns, pixels]``."""
+    ordered, threshold = windows.sort(-1).values, windows.mean(-1)
+    sums = torch.nn.functional.pad(ordered.cumsum(-1, dtype=torch.float64), (1, 0))
+    for _ in range(max_iter):
+        dark, bright = _sides(ordered, sums, threshold)
+        moved, threshold = threshold, (dark + bright) / 2
+        if bool(((threshold - moved).abs() <= eps).all()):
+            break
+    dark, bright = _sides(ordered, sums, threshold)
+    contrast = torch.where(bright > _ALMOST_BLACK, 1 - dark / bright.clamp_min(_ALMOST_BLACK), 0).clamp_min(0)
+    return {
+        "contrast_map": contrast,
+        "threshold_map": threshold,
+        "foreground_mean_map": dark,
+        "background_mean_map": bright,
+    }
+
+
+def _sides(ordered, sums, threshold):
+    """Return the means of the pixels below a threshold and of those from it on; the threshold where there are none.
+
+    The pixels of a window come in ascending order, with the sums of the first 0, 1, … of them.
+    """
+    below = torch.searchsorted(ordered, threshold[..., None].detach())
+    dark = sums.gather(-1, below)[..., 0]
+    means = []
+    for count, light in ((below[..., 0], dark), (ordered.shape[-1] - below[..., 0], sums[..., -1] - dark)):
+        mean = (light / count.clamp_min(1)).to(ordered.dtype)
+        means.append(torch.where(count > 0, mean, threshold))
+    return means
+
+
+def _at_centres(values, picture, side, step):
+    result = torch.zeros_like(picture)
+    rows, columns = ((count - 1) * step + 1 for count in values.shape)
+    first = side // 2
+    result[first : first + rows : step, first : first + columns : step] = values
+    return result
+
+
+def _pooled(contrast, percentile) -> dict[str, float]:
+    # Of the sorted values, because torch.quantile refuses more than 16 million.
+    ordered = contrast.sort().values
+    place = percentile / 100 * (len(ordered) - 1)
+    low = ordered[int(place)]
+    bound = low + (ordered[min(int(place) + 1, len(ordered) - 1)] - low) * (place - int(place))
+    kept = contrast[contrast >= bound]
+    pooled = 0.0 if bool((kept <= 0).any()) else (len(kept) / (1 / kept).sum()).item()
+    return {"pooled_harmonic_mean": pooled, "max_contrast_ratio": contrast.max().item()}

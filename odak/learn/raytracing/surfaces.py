@@ -1,0 +1,231 @@
+"""Intersections of rays with surfaces z = sag(x, y) and with level sets of functions, differentiable in both."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import torch
+
+from odak import _validate
+from odak.learn.raytracing import arguments
+from odak.learn.raytracing.recompute import in_pieces
+from odak.raytracing import boundary, surfaces
+from odak.raytracing.geometry import dot, unit
+from odak.raytracing.intersections import Hit
+from odak.raytracing.surfaces import (
+    Biconic,
+    ChebyshevFreeform,
+    Conic,
+    EvenAsphere,
+    OddAsphere,
+    Plane,
+    PolynomialFreeform,
+    QbfsAsphere,
+    QconAsphere,
+    Shape,
+    SplineFreeform,
+    Toroid,
+    ZernikeFreeform,
+)
+from odak.tools.transformation import rotation_matrix
+
+__all__ = [
+    "Biconic",
+    "ChebyshevFreeform",
+    "Conic",
+    "EvenAsphere",
+    "OddAsphere",
+    "Plane",
+    "PolynomialFreeform",
+    "QbfsAsphere",
+    "QconAsphere",
+    "Shape",
+    "SplineFreeform",
+    "Toroid",
+    "ZernikeFreeform",
+    "intersect_parametric",
+    "intersect_w_sag",
+]
+
+
+def intersect_w_sag(
+    ray: torch.Tensor,
+    surface: Shape,
+    center: torch.Tensor | None = None,
+    angles: torch.Tensor | None = None,
+    aperture: float | torch.Tensor | None = None,
+    ahead: bool = True,
+) -> Hit:
+    """Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and all parameters of the surface.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[..., 2, 3]``. Directions need not be unit vectors.
+    surface : Shape
+        A Conic, EvenAsphere, Toroid or any other shape, its vertex at the origin and its axis along z. Parameters that
+        are tensors broadcast against the rays' batch axes (coefficients with their last axis, heights as a whole,
+        aside).
+    center : torch.Tensor, optional
+        Where its vertex is, ``[3]``.
+    angles : torch.Tensor, optional
+        Its rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
+    aperture : float or torch.Tensor, optional
+        Distance from the axis at which it ends.
+    ahead : bool
+        Take only points ahead of the start; else also those behind it, at negative distances.
+
+    Returns
+    -------
+    Hit
+        Distance ``[...]`` in lengths of the direction, point and unit normal ``[..., 3]`` (towards the surface's +z),
+        status ``[...]``. NaN, without gradient, where the status is not HIT.
+
+    Notes
+    -----
+    Large batches are evaluated block by block, forward and backward, and keep nothing but their arguments. Derivatives
+    are those of the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import Conic, intersect_w_sag
+    >>> curvature = torch.tensor(0.2, dtype=torch.float64, requires_grad=True)
+    >>> ray = torch.tensor([[0.0, 3.0, -10.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
+    >>> distance = intersect_w_sag(ray, Conic(curvature)).distance
+    >>> distance.backward()
+    >>> round(distance.item(), 9), round(curvature.grad.item(), 9)
+    (11.0, 6.25)
+    """
+    surfaces.checked_shape("surface", surface)
+    names = [field.name for field in fields(surface)]
+    extra = {"center": center, "angles": angles, "aperture": aperture}
+    extra = {name: value for name, value in extra.items() if value is not None}
+    given = {name: getattr(surface, name) for name in names}
+    # Surfaces without coefficients are right as they are.
+    empty = [name for name, value in given.items() if isinstance(value, (list, tuple)) and not len(value)]
+    values = arguments.tensors(ray=ray, **given | {name: torch.zeros(0) for name in empty}, **extra)
+    ray, parameters = values[0], values[1 : 1 + len(names)]
+    extra = dict(zip(extra, values[1 + len(names) :], strict=True))
+    if ray.shape[-2:] != (2, 3):
+        raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
+    ahead = _validate.flag("ahead", ahead)
+    if "aperture" in extra:
+        _validate.fitting(ray=ray.shape[:-2], aperture=extra["aperture"])
+    matrix = rotation_matrix(arguments.vector("angles", extra["angles"])) if "angles" in extra else None
+    center = extra.get("center")
+    if center is not None:
+        center = (
+            arguments.shaped("center", center, (3,), "[3]") if center.ndim > 1 else arguments.vector("center", center)
+        )
+        _validate.fitting(ray=ray[..., 0, :], center=center)
+    start, direction = surfaces.to_local(ray[..., 0, :], ray[..., 1, :], center, matrix)
+    function, ranks = surfaces.hits_of(type(surface), ahead)
+    if "aperture" in extra:
+        hit = in_pieces(function, ranks, start, direction, extra["aperture"], *parameters)
+    else:
+        ranks = ranks[:2] + ranks[3:]
+        hit = in_pieces(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
+    return surfaces.to_global(hit, center, matrix)
+
+
+def intersect_parametric(
+    ray: torch.Tensor,
+    parametric_surface: Any,
+    surface_function: Callable,
+    surface_normal_function: Callable | None = None,
+    target_error: float = 0.00000001,
+    iter_no_limit: int = 100000,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Meet a surface given as a function: the nearest point ahead of each ray.
+
+    Parameters
+    ----------
+    ray : torch.Tensor
+        ``[2, 3]`` or ``[m, 2, 3]``.
+    parametric_surface : object
+        Handed on to both functions, with whatever tensors the surface is to be differentiated by.
+    surface_function : callable
+        ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
+        signs on its sides, in torch operations.
+    surface_normal_function : callable, optional
+        Takes the same and returns normals as rays; by default along the function's gradient.
+    target_error, iter_no_limit
+        Of the search, as in :func:`odak.raytracing.intersect_parametric`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
+
+    Notes
+    -----
+    The search keeps no graph. Two steps of Newton's method from where it ends carry first and second derivatives, those
+    of the implicit function theorem. The search itself runs on the CPU in float64.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_parametric, sphere_function
+    >>> radius = torch.tensor(1.0, requires_grad=True)
+    >>> sphere = torch.cat((torch.zeros(3), radius[None]))
+    >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
+    >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
+    >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
+    [4.0, -1.0]
+    """
+    _validate.number("target_error", target_error, positive=True)
+    _validate.function("surface_function", surface_function)
+    _validate.function_or_none("surface_normal_function", surface_normal_function)
+    (ray,) = arguments.tensors(ray=ray)
+    batch = arguments.rays("ray", ray).shape[:-2]
+    rays = ray.reshape(-1, 2, 3)
+    found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)
+    hit = torch.isfinite(found)
+    if not bool(hit.any()):
+        return found.reshape(batch), torch.full_like(rays, torch.nan).reshape(*batch, 2, 3)
+    # In place of a ray that misses, one that hits: the functions may not even be differentiable elsewhere.
+    first = hit.nonzero()[0, 0]
+    rays = torch.where(hit[:, None, None], rays, rays[first].detach())
+    distance = torch.where(hit, found, found[first])
+    for _ in range(2):
+        value, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+        slope = dot(gradient, rays[:, 1])
+        regular = hit & (slope != 0)
+        distance = distance - torch.where(regular, value, 0.0) / torch.where(regular, slope, 1.0)
+    point = rays[:, 0] + distance[:, None] * rays[:, 1]
+    if surface_normal_function is None:
+        _, gradient = _gradient(rays, distance, parametric_surface, surface_function)
+        normal = arguments.as_rays(point, unit(gradient))
+    else:
+        normal = surface_normal_function(point, parametric_surface).reshape(-1, 2, 3)
+    distance, normal = torch.where(hit, distance, torch.nan), torch.where(hit[:, None, None], normal, torch.nan)
+    return distance.reshape(batch), normal.reshape(*batch, 2, 3)
+
+
+@torch.no_grad()
+def _search(rays, surface, function: Callable, target_error: float, limit: int) -> torch.Tensor:
+    """Return the distances found, NaN for misses."""
+
+    def plain(points, surface):
+        return function(torch.from_numpy(np.ascontiguousarray(points)).to(rays.device), surface).double().cpu().numpy()
+
+    def none(points, surface):
+        return np.zeros((len(points), 2, 3))
+
+    lines = rays.double().cpu().numpy()
+    distance, _ = boundary.intersect_parametric(lines, surface, plain, none, target_error, limit)
+    distance = np.full(len(lines), np.nan) if distance is False else distance
+    return torch.from_numpy(distance).to(rays)
+
+
+def _gradient(rays, distance, surface, function: Callable):
+    """Return the function where the rays are, and its gradient by the place; with a graph if there is one to follow."""
+    point = rays[:, 0] + distance[:, None] * rays[:, 1]
+    differentiable = point.requires_grad or (torch.is_grad_enabled() and function(point, surface).requires_grad)
+    with torch.enable_grad():
+        place = point if point.requires_grad else point.detach().requires_grad_()
+        value = function(place, surface)
+        (gradient,) = torch.autograd.grad(value.sum(), place, create_graph=differentiable)
+    return (value if differentiable else value.detach()).to(rays.dtype), gradient

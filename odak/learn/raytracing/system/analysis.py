@@ -1,0 +1,549 @@
+"""Geometric and wavefront analysis: spots, ray fans, distortion, field curvature, optical path differences."""
+
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order, matrix, signed_indices
+from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
+from odak.learn.raytracing.system.surfaces import Prescription
+from odak.learn.raytracing.system.tracing import Traced, trace
+from odak.raytracing.geometry import safe_sqrt
+from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
+
+REFERENCES = ("centroid", "chief")
+CENTRE = torch.zeros(1, 2, dtype=torch.float64)
+FAR = 1e8
+
+
+class Spots(NamedTuple):
+    """A spot diagram.
+
+    Attributes
+    ----------
+    x, y : torch.Tensor
+        Points in the image plane, from the reference point, ``[..., W, F, P]``; NaN where a ray is lost.
+    center : torch.Tensor
+        Reference points, ``[..., F, 2]``.
+    rms, largest : torch.Tensor
+        Root mean square and largest distance from the reference point, all wavelengths together, ``[..., F]``.
+    status : torch.Tensor
+        As in Traced.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    center: torch.Tensor
+    rms: torch.Tensor
+    largest: torch.Tensor
+    status: torch.Tensor
+
+
+def spot_diagram(
+    system: Any,
+    pupil: Any = "rings",
+    count: int = 6,
+    *,
+    reference: str = "centroid",
+    prescription: Prescription | None = None,
+    **options: Any,
+) -> Spots:
+    """Return where the rays of each field point land in the image plane.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    reference : str
+        "centroid": of the spot, all wavelengths together. "chief": the chief ray at the reference wavelength.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+    **options
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    Spots
+        Differentiable. Where no ray of a field arrives, its size is NaN. Distances are across the axis: on a tilted or
+        strongly curved image surface they are those of its view along the axis.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, spot_diagram
+    >>> tuple(spot_diagram(load_system("cooke_triplet")).rms.shape)
+    (3,)
+    """
+    reference = _validate.one_of("reference", reference, REFERENCES)
+    traced = trace_fields(system, pupil, count, prescription=prescription, **options)
+    x, y, kept = _clean(traced)
+    number = kept.sum((-3, -1))
+    if reference == "chief":
+        chief = trace_fields(
+            system,
+            torch.zeros(1, 2, dtype=torch.float64),
+            prescription=prescription,
+            **{**options, "vignetting": False},
+        )
+        cx, cy = (value[..., system.reference, :, 0].to(x.dtype) for value in (chief.x, chief.y))
+    else:
+        cx, cy = (value.sum((-3, -1)) / number for value in (x, y))
+    around = [torch.where(kept, value - c[..., None, :, None], 0.0) for value, c in ((x, cx), (y, cy))]
+    squared = around[0].square() + around[1].square()
+    mean = squared.sum((-3, -1)) / number
+    # NaN where nothing arrived: 0/0 above, which the root must not hide.
+    rms = torch.where(number > 0, safe_sqrt(mean), torch.nan)
+    largest = torch.where(number > 0, safe_sqrt(squared.amax((-3, -1))), torch.nan)
+    x, y = (torch.where(kept, value, torch.nan) for value in around)
+    return Spots(x, y, torch.stack([cx, cy], -1), rms, largest, traced.status)
+
+
+def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+    """Return the root mean square distance of the rays from their centroid, ``[..., F]``, all wavelengths together.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    **options
+        Of :func:`spot_diagram`.
+    """
+    return spot_diagram(system, pupil, count, **options).rms
+
+
+def _clean(traced: Traced):
+    """Return the points with zeros where rays are lost, and which are not."""
+    kept = traced.arrived
+    return torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0), kept
+
+
+def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the transverse ray aberration along a diameter of the pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    axis : str
+        "y" (the tangential fan of a field along y) or "x".
+    count : int
+        Number of rays; odd, so that the chief ray is one of them.
+    **options
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Pupil coordinates ``[count]``, −1 … 1, and distances along the axis in the image plane from the chief ray of the
+        reference wavelength, ``[..., W, F, count]``; NaN where a ray is lost.
+    """
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    if _validate.integer("count", count, minimum=3) % 2 == 0:
+        raise ValueError(f"count must be odd, got {count}")
+    traced = trace_fields(system, axis, count, **options)
+    value = getattr(traced, axis)
+    chief = value[..., system.reference : system.reference + 1, :, count // 2 : count // 2 + 1]
+    return torch.linspace(-1, 1, count, dtype=torch.float64, device=value.device), value - chief
+
+
+def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the optical path difference along a diameter of the pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    axis : str
+        "y" (the tangential fan of a field along y) or "x".
+    count : int
+        Number of rays; odd, so that the chief ray is one of them.
+    **options : Any
+        Of :func:`wavefront` (`prescription`, `fields`, `aim`, `vignetting`).
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Pupil coordinates ``[count]``, −1 … 1, and paths to the reference sphere less that of the chief ray in
+        wavelengths, ``[..., W, F, count]``; NaN where a ray is lost.
+    """
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    if _validate.integer("count", count, minimum=3) % 2 == 0:
+        raise ValueError(f"count must be odd, got {count}")
+    found = wavefront(system, axis, count, **options)
+    return torch.linspace(-1, 1, count, dtype=torch.float64, device=found.path.device), found.path
+
+
+def lateral_color(system: Any, **options: Any) -> torch.Tensor:
+    """Return how far the chief rays of all wavelengths land from that of the reference wavelength.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    **options : Any
+        Of :func:`trace_fields` (`fields`, `prescription`, `aim`).
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., W, F]``: along the direction from the axis to the reference chief ray's point, along y on the axis;
+        positive outwards.
+    """
+    options.setdefault("vignetting", False)
+    chief = trace_fields(system, CENTRE, **options)
+    place = torch.stack([chief.x[..., 0], chief.y[..., 0]], -1)
+    middle = place[..., system.reference : system.reference + 1, :, :]
+    size = middle.square().sum(-1, keepdim=True)
+    off = size > 0
+    upwards = torch.tensor([0.0, 1.0], dtype=place.dtype, device=place.device)
+    outward = torch.where(off, middle / torch.where(off, size, 1.0).sqrt(), upwards)
+    return ((place - middle) * outward).sum(-1)
+
+
+def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
+    """Return the root mean square size of the spots in planes before and behind the image plane.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    shifts : sequence of float or torch.Tensor
+        Distances of the planes from the image plane along z, ``[n]``.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    **options : Any
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., F, n]``, all wavelengths together.
+    """
+    shifts = torch.as_tensor(_validate.real("shifts", shifts), dtype=torch.float64)
+    traced = trace_fields(system, pupil, count, **options)
+    kept = traced.arrived
+    parts = []
+    for value, cosine in ((traced.x, traced.u), (traced.y, traced.v)):
+        value, slope = (torch.where(kept, v, 0.0) for v in (value, cosine / traced.w))
+        gap = shifts.to(value) - torch.where(kept, traced.z, 0.0)[..., None]
+        parts.append(value[..., None] + gap * slope[..., None])
+    number = kept.sum((-3, -1))[..., None]
+    total = 0.0
+    for place in parts:
+        held = torch.where(kept[..., None], place, 0.0)
+        mean = held.sum((-4, -2)) / number
+        total = total + torch.where(kept[..., None], held - mean[..., None, :, None, :], 0.0).square().sum((-4, -2))
+    return torch.where(number > 0, safe_sqrt(total / number), torch.nan)
+
+
+def encircled_energy(found: Any, radii: Any = None) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the share of the energy within circles about the centroid of an image of a point.
+
+    Parameters
+    ----------
+    found : Spread or Spots
+        Diffraction image of :func:`point_spread_function`, or the geometric one of :func:`spot_diagram`.
+    radii : sequence of float or torch.Tensor, optional
+        Radii of the circles; by default 100 of them, for a Spread up to a quarter of its width.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Radii and energies, ``[..., W, F, n]`` for a Spread, ``[..., F, n]`` for Spots (all wavelengths together).
+    """
+    if radii is not None:
+        radii = torch.as_tensor(_validate.real("radii", radii), dtype=torch.float64)
+    if isinstance(found, Spots):
+        x, y = (value.transpose(-3, -2).flatten(-2) for value in (found.x, found.y))
+        kept = torch.isfinite(x)
+        distance = torch.where(kept, (x.square() + y.square()).sqrt(), torch.inf)
+        weight = kept.to(x.dtype)
+        if radii is None:
+            radii = torch.linspace(0, 1, 100, dtype=torch.float64, device=x.device) * found.largest[..., None]
+    else:
+        intensity, pitch = getattr(found, "intensity", None), getattr(found, "pitch", None)
+        if intensity is None or pitch is None:
+            raise TypeError(f"found must be a Spread or Spots, got {type(found).__name__}")
+        rows, columns = intensity.shape[-2:]
+        line_y, line_x = (
+            torch.arange(n, dtype=torch.float64, device=intensity.device) - n // 2 for n in (rows, columns)
+        )
+        y, x = line_y * pitch[..., :1], line_x * pitch[..., 1:]
+        total = intensity.sum((-2, -1))
+        y = y - ((intensity.sum(-1) * y).sum(-1) / total)[..., None]
+        x = x - ((intensity.sum(-2) * x).sum(-1) / total)[..., None]
+        distance = (y[..., :, None].square() + x[..., None, :].square()).sqrt().flatten(-2)
+        weight = intensity.flatten(-2)
+        if radii is None:
+            width = rows * pitch.amax(-1) / 4
+            radii = torch.linspace(0, 1, 100, dtype=torch.float64, device=intensity.device) * width[..., None]
+    radii = radii.to(weight.device).expand(*weight.shape[:-1], radii.shape[-1])
+    order = distance.argsort(-1)
+    grown = weight.gather(-1, order).cumsum(-1)
+    number = torch.searchsorted(distance.gather(-1, order).contiguous(), radii.contiguous(), right=True)
+    inside = torch.nn.functional.pad(grown, (1, 0)).gather(-1, number)
+    return radii, inside / grown[..., -1:]
+
+
+def distortion(system: Any, prescription: Prescription | None = None, **options: Any) -> torch.Tensor:
+    """Return how far the chief ray lands from where the paraxial one does, over the paraxial image height.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    **options
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., W, F]``, along the paraxial image point's direction; 0 for a field on the axis. The paraxial height is
+        that of the reference wavelength, in the image plane.
+
+    Notes
+    -----
+    Welford, Aberrations of Optical Systems (1986), section 7.7: the object's tangent, not its angle, is imaged.
+    """
+    options.setdefault("vignetting", False)
+    chief = trace_fields(system, CENTRE, prescription=prescription, **options)
+    ideal = paraxial_points(system, prescription, options.get("fields"))
+    size = ideal.square().sum(-1)
+    off = size > 0
+    found = torch.stack([chief.x[..., 0], chief.y[..., 0]], -1)
+    along = (found * ideal[..., None, :, :]).sum(-1) / torch.where(off, size, 1.0)[..., None, :]
+    return torch.where(off[..., None, :], along - 1, 0.0)
+
+
+def paraxial_points(system, prescription: Prescription | None = None, fields=None) -> torch.Tensor:
+    """Return where the paraxial chief rays meet the image plane, ``[..., F, 2]``, at the reference wavelength."""
+    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    index = signed_indices(system, numbers)
+    whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
+    pupil = entrance_pupil(system, prescription=numbers)
+    points = field_points(system, fields).to(index.device)
+    if system.at_infinity:
+        slope = torch.tan(torch.deg2rad(points))
+        height = -pupil.distance[..., None, None] * slope
+    else:
+        slope = -points * pupil.bend[..., None, None]
+        height = points + system.object_distance * slope
+    a, b, n = (value[..., None, None] for value in (whole.a, whole.b, index[..., 0]))
+    return a * height + b * n * slope
+
+
+def field_curvature(
+    system: Any, prescription: Prescription | None = None, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the distances from the image surface to the tangential and the sagittal focus along z.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    **options
+        Of :func:`launch` and :func:`trace`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Tangential (rays in the y–z plane) and sagittal (x–z), ``[..., W, F]``, for fields along y.
+
+    Notes
+    -----
+    Foci of rays infinitely close to the chief ray: Coddington's equations, by automatic differentiation.
+    """
+    own = {name: options[name] for name in ("fields", "aim") if name in options}
+    place = CENTRE.clone().requires_grad_()
+    with torch.enable_grad():
+        rays = launch(system, place, prescription=prescription, **own)
+        traced = trace(system, rays, prescription=prescription, vignetting=False)
+        foci = []
+        for axis, (point, cosine) in ((1, (traced.y, traced.v)), (0, (traced.x, traced.u))):
+            slope = cosine / traced.w
+            # In the plane through the chief ray's point, whatever the shape of the image surface.
+            moved = _along(point, place, axis) - slope[..., 0] * _along(traced.z, place, axis)
+            foci.append(-moved / _along(slope, place, axis))
+    required = any(value.requires_grad for value in system.parameters())
+    required = required or (prescription is not None and prescription.requires_grad())
+    if not (torch.is_grad_enabled() and required):
+        foci = [value.detach() for value in foci]
+    return foci[0], foci[1]
+
+
+def _along(value: torch.Tensor, place: torch.Tensor, axis: int) -> torch.Tensor:
+    """Return the derivative of each entry ``[..., W, F, 1]`` by the pupil coordinate, ``[..., W, F]``."""
+    flat = value.reshape(-1)
+    found = [torch.autograd.grad(entry, place, create_graph=True)[0][0, axis] for entry in flat]
+    return torch.stack(found).reshape(value.shape[:-1])
+
+
+class Wavefront(NamedTuple):
+    """Path differences of a bundle of rays.
+
+    Attributes
+    ----------
+    path : torch.Tensor
+        Optical path to the reference sphere less that of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN where
+        a ray is lost. Positive where the wave lags.
+    rms : torch.Tensor
+        Its standard deviation over the rays, ``[..., W, F]``.
+    pupil : torch.Tensor
+        Pupil coordinates, ``[P, 2]``.
+    cosines : torch.Tensor
+        Direction cosines u, v of the rays in image space less those of the chief ray, ``[..., W, F, P, 2]``.
+    status : torch.Tensor
+        As in Traced.
+    """
+
+    path: torch.Tensor
+    rms: torch.Tensor
+    pupil: torch.Tensor
+    cosines: torch.Tensor
+    status: torch.Tensor
+
+
+def wavefront(
+    system: Any,
+    pupil: Any = "rings",
+    count: int = 12,
+    *,
+    prescription: Prescription | None = None,
+    fields: Any = None,
+    aim: str = "paraxial",
+    vignetting: bool = True,
+) -> Wavefront:
+    """Return the wavefront in the exit pupil, against the sphere about the chief ray's image point.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points in place of the system's.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+    vignetting : bool
+        Let apertures block rays.
+
+    Returns
+    -------
+    Wavefront
+        float64, differentiable.
+
+    Notes
+    -----
+    The sphere of each wavelength and field has its centre where the chief ray of that wavelength meets the image
+    surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
+    Optical Systems (1986), section 7.2.
+    """
+    vignetting = _validate.flag("vignetting", vignetting)
+    points = pupil_of(pupil, count, system)
+    options = {"prescription": prescription, "fields": fields, "aim": aim}
+    rays = launch(system, torch.cat([CENTRE.to(points), points]), **options)
+    traced = trace(system, rays, prescription=prescription, vignetting=vignetting)
+    if vignetting:
+        # The chief ray is the reference even where the centre of the pupil is blocked.
+        alone = trace(system, launch(system, CENTRE.to(points), **options), prescription=prescription, vignetting=False)
+        traced = type(traced)(*(torch.cat([a, b[..., 1:]], -1) for a, b in zip(alone, traced, strict=True)))
+    status = traced.status[..., 1:]
+    kept = status == 0
+    # Lost rays stand where the chief ray is, so that nothing that is no number enters a gradient.
+    lost = torch.cat([torch.zeros_like(kept[..., :1]), ~kept], -1)
+    held = [torch.where(lost, value[..., :1].detach(), value) for value in traced[:-1]]
+    traced = type(traced)._make([*held, traced.status])
+    numbers = system.prescription() if prescription is None else prescription
+    index = numbers.index[..., -1][..., None, None]
+    total = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
+    lag = total[..., 1:] - total[..., :1]
+    waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=lag.device)[: lag.shape[-3]]
+    lag = torch.where(kept, lag, 0.0) / waves[:, None, None]
+    number = kept.sum(-1)
+    mean = lag.sum(-1) / number.clamp_min(1)
+    spread = torch.where(kept, lag - mean[..., None], 0.0).square().sum(-1) / number.clamp_min(1)
+    rms = torch.where(spread > 0, torch.where(spread > 0, spread, 1.0).sqrt(), 0 * spread)
+    rms = torch.where(number > 0, rms, torch.nan)
+    cosines = torch.stack([value[..., 1:] - value[..., :1] for value in (traced.u, traced.v)], -1)
+    cosines = torch.where(kept[..., None], cosines, torch.nan)
+    return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status)
+
+
+def path_at_start(system, rays, numbers: Prescription):
+    """Return the path that rays have behind them where they start: they left a plane wavefront, or one point."""
+    if not system.at_infinity:
+        return 0.0
+    return numbers.index[..., :1][..., None] * (rays.x * rays.u + rays.y * rays.v)
+
+
+def _to_sphere(system, traced, prescription):
+    """Return the distance from the image surface back along each ray to the sphere, less the sphere's radius."""
+    properties = first_order(system, prescription=prescription)
+    last = (system.surfaces[-1].thickness if prescription is None else prescription.thickness[..., -1]).double()
+    center = [value[..., :1] for value in traced[:3]]
+    gap = (last - properties.exit_pupil_distance)[..., None, None, None]
+    gap = gap.clamp(-FAR, FAR) + center[2]
+    side = torch.sign(gap * traced.w[..., :1]).detach()
+    radius = (center[0].square() + center[1].square() + gap * gap).sqrt()
+    away = [value - middle for value, middle in zip(traced[:3], center, strict=True)]
+    along = sum(cosine * value for cosine, value in zip(traced[3:6], away, strict=True))
+    rest = along * along - sum(value * value for value in away)
+    # s + R with s = −b ∓ √(b² − q + R²), written so that the large radius does not swallow the difference.
+    return -along - side * rest / ((rest + radius * radius).sqrt() + radius)
+
+
+def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the Zernike polynomials of a wavefront, by least squares over its rays.
+
+    Parameters
+    ----------
+    found : Wavefront
+        From :func:`wavefront`.
+    terms : int
+        Number of polynomials, in Noll's order from j = 1 (piston).
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Coefficients ``[..., W, F, terms]`` in wavelengths, each polynomial having a root mean square of 1 over the
+        disc, and the root mean square of what they leave, ``[..., W, F]``.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer rays than polynomials.
+    """
+    if not isinstance(found, Wavefront):
+        raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
+    terms = _validate.integer("terms", terms, minimum=1)
+    radius, angle = found.pupil.square().sum(-1).sqrt(), torch.atan2(found.pupil[:, 1], found.pupil[:, 0])
+    radius = radius.clamp(max=1.0)
+    if len(radius) < terms:
+        raise ValueError(f"terms must be at most the number of rays, {len(radius)}, got {terms}")
+    modes = [noll_to_nm(j) for j in range(1, terms + 1)]
+    basis = torch.stack([zernike_norm(*mode) * zernike_polynomial(*mode, radius, angle) for mode in modes], -1)
+    kept = (found.status == 0)[..., None]
+    weighted = torch.where(kept, basis, 0.0)
+    values = torch.where(kept, found.path[..., None], 0.0)
+    coefficients = torch.linalg.lstsq(weighted, values).solution
+    left = torch.where(kept, weighted @ coefficients - values, 0.0).square().sum((-2, -1)) / kept.sum((-2, -1))
+    return coefficients[..., 0], torch.where(left > 0, torch.where(left > 0, left, 1.0).sqrt(), 0.0)

@@ -1,0 +1,417 @@
+"""Sequences of surfaces for blocks of rays: their numbers, their frames, and the trace in operations of the core."""
+
+from typing import Any, NamedTuple
+
+import torch
+
+from odak._array import is_readable
+from odak.raytracing import components as vec
+from odak.raytracing import interfaces
+from odak.raytracing.intersections import RayStatus
+from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersection
+
+# Shapes whose numbers stand in `curvature`, `conic` and `coefficients`; those of all others are listed apart.
+STANDARD = (Plane, Conic, EvenAsphere)
+HIT = int(RayStatus.HIT)
+
+
+class Layout(NamedTuple):
+    """Properties of a sequence of surfaces that are no differentiable numbers.
+
+    Attributes
+    ----------
+    kinds : tuple of type
+        Class of the shape of each surface.
+    actions : tuple of str
+        "refract", "reflect", "pass" (the same medium on both sides) or "break" (a change of coordinates).
+    signs : tuple of int
+        Sign of the direction cosine along z with which rays arrive in the surface's frame.
+    limits : tuple
+        Apertures: a semi-diameter, an object with a method ``passes(x, y)``, or None.
+    phases : tuple
+        Class of the diffractive phase of each surface, or None.
+    orders : tuple
+        Of coordinate breaks: "shift", "tilt", or the number of the surface to whose frame the axis returns.
+    placed : bool
+        Surfaces are shifted or tilted, or coordinates change.
+    """
+
+    kinds: tuple[type[Shape], ...]
+    actions: tuple[str, ...]
+    signs: tuple[int, ...]
+    limits: tuple[Any, ...]
+    phases: tuple[Any, ...] = ()
+    orders: tuple[Any, ...] = ()
+    placed: bool = False
+
+    @property
+    def standard(self) -> bool:
+        """Whether the fused kernel knows all of the sequence."""
+        return (
+            not self.placed
+            and all(kind in STANDARD for kind in self.kinds)
+            and not any(self.phases)
+            and all(limit is None or isinstance(limit, float) for limit in self.limits)
+        )
+
+    def first(self, count: int) -> "Layout":
+        """Return the layout of the first surfaces, the last of which is met but does not act."""
+        parts: Any = [value[:count] for value in self[:-1]]
+        last = parts[1][-1]
+        parts[1] = (*parts[1][:-1], last if last == "break" else "pass")
+        return Layout(*(*parts, self.placed))
+
+
+class Numbers(NamedTuple):
+    """Numbers of a batch of B systems of S surfaces, in float64.
+
+    Attributes
+    ----------
+    curvature, conic, distance : torch.Tensor
+        ``[B, S]``; `distance` is that from the vertex before (of the first surface: from the rays' plane z = 0).
+    coefficients : torch.Tensor
+        ``[B, S, K]`` of r², r⁴, …
+    index : torch.Tensor
+        ``[B, S + 1]``: before the first surface, and behind each.
+    wavelength : torch.Tensor or None
+        In vacuum, ``[B]``.
+    shift, tilt : torch.Tensor or None
+        ``[B, S, 2]`` and ``[B, S, 3]``, tilts in radians.
+    others : tuple of torch.Tensor
+        Parameters ``[B, …]`` of the shapes that are not standard and of phases, in the order of the surfaces.
+    """
+
+    curvature: torch.Tensor
+    conic: torch.Tensor
+    distance: torch.Tensor
+    coefficients: torch.Tensor
+    index: torch.Tensor  # type: ignore[assignment]  # hides tuple.index
+    wavelength: torch.Tensor | None = None
+    shift: torch.Tensor | None = None
+    tilt: torch.Tensor | None = None
+    others: tuple[torch.Tensor, ...] = ()
+
+    def first(self, count: int, layout: Layout) -> "Numbers":
+        """Return the numbers of the first surfaces."""
+        others = sum(_other_count(layout, i) for i in range(count))
+        placed = [None if value is None else value[:, :count] for value in (self.shift, self.tilt)]
+        parts: Any = [value[:, :count] for value in self[:4]]
+        parts += [self.index[:, : count + 1], self.wavelength, *placed, self.others[:others]]
+        return Numbers(*parts)
+
+
+class State(NamedTuple):
+    """Rays between two surfaces, each component a tensor of one shape.
+
+    Attributes
+    ----------
+    x, y, z : torch.Tensor
+        Points, from the vertex of the surface last passed.
+    u, v, w : torch.Tensor
+        Direction cosines.
+    path : torch.Tensor
+        Optical path so far.
+    status : torch.Tensor
+        int8, numbers of :class:`odak.raytracing.RayStatus`.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    z: torch.Tensor
+    u: torch.Tensor
+    v: torch.Tensor
+    w: torch.Tensor
+    path: torch.Tensor
+    status: torch.Tensor
+
+
+def _other_count(layout: Layout, i: int) -> int:
+    kind, phase = layout.kinds[i], layout.phases[i] if layout.phases else None
+    return (0 if kind in STANDARD else len(kind.ranks_of_parameters())) + (
+        0 if phase is None else len(phase.ranks_of_parameters())
+    )
+
+
+def flat_arguments(layout: Layout, numbers: Numbers) -> tuple[list[torch.Tensor], list[int]]:
+    """Return the numbers as tensors ``[B, 1, …]`` for :func:`plain_trace`, and how many axes follow the batch's two."""
+    tensors: Any = [value[:, None] for value in numbers[:5]]
+    ranks = [1, 1, 1, 2, 1]
+    if layout.placed or any(layout.phases):
+        tensors += [value[:, None] for value in numbers[5:8]]  # type: ignore[index]
+        ranks += [0, 2, 2]
+    tensors += [value[:, None] for value in numbers.others]
+    return tensors, ranks + [value.ndim - 1 for value in numbers.others]
+
+
+def initial_status(rays) -> torch.Tensor:
+    """Return statuses of rays as they start: those that are not finite are lost."""
+    total: Any = sum(rays)
+    status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
+    # Rays that could not be aimed have infinite direction cosines.
+    return torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
+
+
+def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
+    """Return rays behind the last surface; those that fail lie on the axis.
+
+    Parameters
+    ----------
+    layout : Layout
+        The sequence.
+    *tensors : torch.Tensor
+        The six components of the rays ``[B, R]``, and what :func:`flat_arguments` returns.
+
+    Notes
+    -----
+    Every step is that of a single surface: :func:`odak.raytracing.surfaces.intersection`, then
+    :func:`odak.raytracing.interfaces.refracted` or its siblings. Failed rays continue along the axis, so that no NaN
+    enters a gradient.
+    """
+    rays, rest = tensors[:6], tensors[6:]
+    dtype = rays[0].dtype
+    curvature, conic, distance, coefficients, index, *rest = (value.to(dtype) for value in rest)
+    wavelength, shift, tilt = None, None, None
+    if layout.placed or any(layout.phases):
+        wavelength, shift, tilt, *rest = rest
+    others = iter(rest)
+    status = initial_status(rays)
+    x, y, z, u, v, w = (torch.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
+    point, direction, path = (x, y, z), (u, v, w), torch.zeros_like(x + distance[..., 0])
+    status = status.expand(path.shape)
+    frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
+    for i, kind in enumerate(layout.kinds):
+        phase_kind = layout.phases[i] if layout.phases else None
+        shape = _shape(kind, curvature[..., i], conic[..., i], coefficients[..., i, :], others)
+        phase = None if phase_kind is None else _taken(phase_kind, others)
+        action, sign = layout.actions[i], layout.signs[i]
+        point = (point[0], point[1], point[2] - distance[..., i])
+        if frames is not None:
+            frames.move(distance[..., i])
+        place: Frame | None = None
+        if layout.placed:
+            place = placement(shift[..., i, :], tilt[..., i, :], layout.orders[i])  # type: ignore[index]
+            if action == "break":
+                if frames is not None:
+                    place = frames.turn(place, layout.orders[i])
+                point, direction = place.enter(point, direction)
+                continue
+            point, direction = place.enter(point, direction)
+        if frames is not None:
+            frames.note()
+        # A ray must arrive from the side that its surface is passed from.
+        moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
+        status = _marked(status, moves, RayStatus.MISS)
+        point, direction = _on_axis(status, sign, point, direction)
+        found, state = intersection(point, direction, shape, None, "through")
+        status = _marked(status, found.hit, state)
+        kept = status == HIT
+        path = path + index[..., i] * torch.where(kept, found.distance, 0.0)
+        point, direction = _on_axis(status, sign, found.point, direction)
+        limit = layout.limits[i]
+        if limit is not None:
+            inside = _passes(limit, point[0], point[1])
+            status = _marked(status, inside, RayStatus.VIGNETTED)
+        if action != "pass" or phase is not None:
+            normal = _on_axis(status, 1, point, found.normal)[1]
+            n1, n2 = index[..., i], index[..., i + 1]
+            if phase is not None:
+                wave = wavelength  # type: ignore[assignment]
+                direction, through, extra = phase.deflect(point, direction, normal, n1, n2, wave, action == "reflect")
+                path = path + torch.where(status == HIT, extra, 0.0)
+            elif action == "reflect":
+                direction, through = interfaces.reflected(direction, normal), torch.ones_like(kept)
+            else:
+                direction, through, _ = interfaces.refracted(direction, normal, n1, n2)
+            status = _marked(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
+            point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
+        if place is not None:
+            point, direction = place.leave(point, direction)
+    held: Any = (*point, *direction, path, status)
+    return State(*held)
+
+
+def _shape(kind, curvature, conic, coefficients, others) -> Shape:
+    if kind is Plane:
+        return Plane()
+    if kind is Conic:
+        return Conic(curvature, conic)
+    if kind is EvenAsphere:
+        return EvenAsphere(curvature, conic, coefficients)
+    return _taken(kind, others)
+
+
+def _taken(kind, others):
+    return kind(*(next(others) for _ in kind.ranks_of_parameters()))
+
+
+def _passes(limit, x, y):
+    return x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
+
+
+def _marked(status, good, otherwise):
+    """Return statuses after an event: the first that befalls a ray stays."""
+    event = otherwise if isinstance(otherwise, torch.Tensor) else int(otherwise)
+    return torch.where((status == HIT) & ~good, event, status).to(torch.int8)
+
+
+def _on_axis(status, sign: int, point, direction):
+    """Return points and directions, those of failed rays at the vertex and along the axis."""
+    kept = status == HIT
+    x, y, z, u, v = (torch.where(kept, value, 0.0) for value in (*point, *direction[:2]))
+    return (x, y, z), (u, v, torch.where(kept, direction[2], float(sign)))
+
+
+class Frame(NamedTuple):
+    """A frame: rotation as rows of components, and the position of its origin in the frame that it stands in.
+
+    Attributes
+    ----------
+    matrix : list of list
+        Columns are the axes of the frame: p = matrix·p_local + origin.
+    origin : tuple
+        Components.
+    """
+
+    matrix: Any
+    origin: tuple
+
+    def enter(self, point, direction):
+        """Return points and directions in this frame."""
+        point = vec.minus(point, self.origin)
+        return tuple(_dot(column, point) for column in _columns(self.matrix)), tuple(
+            _dot(column, direction) for column in _columns(self.matrix)
+        )
+
+    def leave(self, point, direction):
+        """Return points and directions of this frame in the one that it stands in."""
+        turned = tuple(_dot(row, point) for row in self.matrix)
+        point = tuple(a + b for a, b in zip(turned, self.origin, strict=True))
+        return point, tuple(_dot(row, direction) for row in self.matrix)
+
+    def then(self, other: "Frame") -> "Frame":
+        """Return the frame `other`, which stands in this one, in the frame that this one stands in."""
+        origin, _ = self.leave(other.origin, other.origin)
+        matrix = [[_dot(row, column) for column in _columns(other.matrix)] for row in self.matrix]
+        return Frame(matrix, origin)
+
+    def inverse(self) -> "Frame":
+        """Return the frame that this one stands in, as seen from this one."""
+        origin, _ = self.enter((0.0, 0.0, 0.0), self.origin)
+        return Frame(_columns(self.matrix), origin)
+
+
+IDENTITY = Frame([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (0.0, 0.0, 0.0))
+
+
+class Frames:
+    """Frames of the axis at the surfaces of a sequence, in that of the first vertex."""
+
+    def __init__(self):
+        self.here, self.found = IDENTITY, []
+
+    def move(self, distance) -> None:
+        """Go on along the axis."""
+        self.here = self.here.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance)))
+
+    def note(self) -> None:
+        """Note the frame of a surface."""
+        self.found.append(self.here)
+
+    def turn(self, place: Frame, order) -> Frame:
+        """Change to the frame of a coordinate break, or back to that of an earlier surface; return the change."""
+        if isinstance(order, int):
+            place = self.here.inverse().then(self.found[order])
+        self.here = self.here.then(place)
+        self.found.append(self.here)
+        return place
+
+
+def placement(shift, tilt, order=None) -> Frame:
+    """Return the frame of a surface or of a coordinate break.
+
+    Parameters
+    ----------
+    shift, tilt : array
+        ``[..., 2]`` along x and y, ``[..., 3]`` in radians about x, y, z.
+    order : str or None
+        None for a surface: rotation about its own z, then about the fixed x, then the fixed y axis; then shifted. For a
+        coordinate break "shift": shifted, then rotated about x, the new y and the new z. "tilt": rotated about z, the
+        new y and the new x, then shifted along the new axes.
+    """
+    (ca, cb, cc), (sa, sb, sc) = (_split(value) for value in _cos_sin(tilt))
+    rx = [[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]]
+    ry = [[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]]
+    rz = [[cc, -sc, 0.0], [sc, cc, 0.0], [0.0, 0.0, 1.0]]
+    first, second, third = (ry, rx, rz) if order is None else (rz, ry, rx) if order == "tilt" else (rx, ry, rz)
+    matrix = _product(_product(first, second), third)
+    origin = (*_split(shift), 0.0)
+    if order == "tilt":
+        origin = tuple(_dot(row, origin) for row in matrix)
+    return Frame(matrix, origin)
+
+
+def _cos_sin(angle):
+    return (angle.cos(), angle.sin())
+
+
+def _split(value) -> tuple:
+    return tuple(value.unbind(-1))
+
+
+def _columns(matrix) -> list:
+    return [list(column) for column in zip(*matrix, strict=True)]
+
+
+def _dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _product(a, b) -> list:
+    return [[_dot(row, column) for column in _columns(b)] for row in a]
+
+
+def axis_signs(shift, tilt, actions, orders, distances) -> list[int] | None:
+    """Return the signs with which the axis arrives at the surfaces, followed through mirrors and coordinate breaks.
+
+    Parameters
+    ----------
+    shift, tilt : torch.Tensor
+        ``[S, 2]`` and ``[S, 3]`` of one system; None is returned if they cannot be read.
+    actions, orders : sequence
+        As in :class:`Layout`.
+    distances : torch.Tensor
+        ``[S]``.
+
+    Raises
+    ------
+    ValueError
+        If the axis runs along a surface, or a tilted mirror turns it away from the surfaces behind without a
+        coordinate break.
+    """
+    if not all(is_readable(value) for value in (shift, tilt, distances)):
+        return None
+    shift, tilt = shift.detach().double().cpu(), tilt.detach().double().cpu()
+    direction: Any = (torch.tensor(0.0), torch.tensor(0.0), torch.tensor(1.0, dtype=torch.float64))
+    frames, signs, parity, broken = Frames(), [], 1, False
+    for i, action in enumerate(actions):
+        frames.move(distances[i].detach().double().cpu())
+        place = placement(shift[i], tilt[i], orders[i])
+        if action == "break":
+            place, broken = frames.turn(place, orders[i]), True
+            _, direction = place.enter(direction, direction)
+            signs.append(1)
+            continue
+        frames.note()
+        _, local = place.enter(direction, direction)
+        along = float(local[2])
+        if abs(along) < 1e-3 or (not broken and along * parity < 0):
+            raise ValueError(
+                f"surfaces[{i}] is not met by the axis, which tilted mirrors in front of it turn by 90 degrees or "
+                "more: put a coordinate_break behind each fold, and one in front of it"
+            )
+        signs.append(1 if along > 0 else -1)
+        if action == "reflect":
+            parity = -parity
+            local = (local[0], local[1], -local[2])
+        _, direction = place.leave(local, local)
+    return signs

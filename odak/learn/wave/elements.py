@@ -1,0 +1,77 @@
+"""Elements, beams, pupils and polarised fields as tensors, by the formulas of :mod:`odak.wave`."""
+
+from collections.abc import Sequence
+
+import torch
+from array_api_compat import torch as torch_namespace
+
+from odak import _validate
+from odak._array import phasor
+from odak.learn._face import torch_face
+from odak.wave import beams, elements, imaging, polarized
+
+_SINGLE = {"Returns": "torch.Tensor\n    complex64 ``[nx, ny]``."}
+
+
+def _to_single(core, **arguments) -> torch.Tensor:
+    return core(**arguments).to(torch.complex64)
+
+
+aspheric_lens_phase = torch_face(elements.aspheric_lens_phase)
+axicon_phase = torch_face(elements.axicon_phase)
+blazed_grating = torch_face(elements.blazed_grating, through=_to_single, describe=_SINGLE)
+circular_aperture = torch_face(elements.circular_aperture)
+cylindrical_lens_phase = torch_face(elements.cylindrical_lens_phase)
+dammann_grating = torch_face(elements.dammann_grating)
+double_convergence = torch_face(elements.double_convergence, through=_to_single, describe=_SINGLE)
+fresnel_zone_plate = torch_face(elements.fresnel_zone_plate)
+lens_phase = torch_face(elements.lens_phase)
+linear_grating = torch_face(elements.linear_grating, defaults={"add": None})
+metalens_phase = torch_face(elements.metalens_phase)
+prism_grating = torch_face(elements.prism_grating, through=_to_single, describe=_SINGLE)
+prism_phase_function = torch_face(elements.prism_phase_function, through=_to_single, describe=_SINGLE)
+rectangular_aperture = torch_face(elements.rectangular_aperture)
+spiral_phase = torch_face(elements.spiral_phase)
+zernike_basis = torch_face(elements.zernike_basis)
+zernike_phase = torch_face(elements.zernike_phase)
+
+airy_beam = torch_face(beams.airy_beam)
+bessel_beam = torch_face(beams.bessel_beam)
+flat_top_beam = torch_face(beams.flat_top_beam)
+gaussian_beam = torch_face(beams.gaussian_beam)
+hermite_gaussian_beam = torch_face(beams.hermite_gaussian_beam)
+laguerre_gaussian_beam = torch_face(beams.laguerre_gaussian_beam)
+
+pupil_function = torch_face(imaging.pupil_function)
+q_plate = torch_face(polarized.q_plate)
+thin_film_transfer = torch_face(polarized.thin_film_transfer)
+
+
+def quadratic_phase_function(
+    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
+) -> torch.Tensor:
+    """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    k : float
+        Wave number in rad/m.
+    focal : float
+        Focal length in metres.
+    dx : float
+        Pixel pitch in metres. The grid is the older linspace(−n·dx/2, n·dx/2, n); :func:`lens_phase` has the exact one.
+    offset : sequence of float
+        Shift of the lens in pixels: `offset[1]` along the first axis, `offset[0]` along the second.
+
+    Returns
+    -------
+    torch.Tensor
+        complex64 ``[nx, ny]``.
+    """
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
+    _validate.real("focal", focal, nonzero=True)
+    squared = elements.squared_radius(nx, ny, dx, offset, torch_namespace)
+    return phasor(-k * squared / (2 * focal), torch.complex64)

@@ -1,0 +1,527 @@
+"""Complex-valued Gaussians in space: parameters, initialisation, and their assignment to planes."""
+
+import math
+import os
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from odak import _validate
+from odak.learn._tensors import floating, rows_of, shaped, tensor, trainable
+from odak.learn.tools.device import get_device
+from odak.learn.tools.transformation import quaternion_to_rotation_matrix
+from odak.learn.wave.gaussians import parameters as shared
+from odak.learn.wave.gaussians.splat_files import load_splats, view_colours
+from odak.log import logger
+from odak.tools.paths import validate_path
+
+_INIT_TYPES = {"gaussians": "load_path", "random": "num_points", "point": "pointcloud_data"}
+# Square pixels added to each axis of a projected covariance, so that no Gaussian falls between pixels.
+_SOFTNESS = 0.3
+_MARGIN = 1.3
+_AWAY = 1e6
+
+
+class complex_3d_gaussians(nn.Module):
+    """Gaussians in space, each with an amplitude and a phase in three colours, an opacity and one plane of several.
+
+    Parameters
+    ----------
+    init_type : {"gaussians", "random", "point"}
+        Where the first parameters come from: a file, a random cloud, or the points of a point cloud.
+    device : torch.device or str
+        Where the parameters live.
+    load_path : str or os.PathLike, optional
+        ``.pth`` or ``.pt`` file of :meth:`save_gaussians`, or a ``.ply`` file of 3-D Gaussian splatting, whose colours
+        are those without dependence on the direction; phases and planes are then random.
+    num_points : int, optional
+        Number of random Gaussians.
+    args_prop : argparse.Namespace
+        With the attribute `num_planes`, P; for a point cloud `is_outdoor` too.
+    pointcloud_data : dict, optional
+        "positions" and "colors", ``[M, 3]``.
+    generate_dense_point : bool or int
+        Copies of the point cloud to add, scattered about it.
+    densepoint_scatter : float
+        Standard deviation of that scatter.
+    img_size : tuple of int, optional
+        Kept as an attribute.
+    seed : int, optional
+        Makes random parameters reproducible.
+
+    Attributes
+    ----------
+    pre_act_quats, means, pre_act_scales, colours, pre_act_phase : torch.nn.Parameter
+        ``[N, 4]`` and ``[N, 3]``.
+    pre_act_opacities, pre_act_plane_assignment : torch.nn.Parameter
+        ``[N]`` and ``[N, P]``.
+
+    Raises
+    ------
+    ValueError
+        If `init_type` is unknown, or what it needs is missing or of a wrong shape.
+
+    Notes
+    -----
+    Kerbl et al., ACM Trans. Graph. 42, 139 (2023); complex-valued: Zhan et al., ACM Trans. Graph. (2025).
+
+    Examples
+    --------
+    >>> from argparse import Namespace
+    >>> from odak.learn.wave import complex_3d_gaussians
+    >>> len(complex_3d_gaussians("random", "cpu", num_points=64, args_prop=Namespace(num_planes=2)))
+    64
+    """
+
+    means: nn.Parameter
+    pre_act_quats: nn.Parameter
+    pre_act_scales: nn.Parameter
+    colours: nn.Parameter
+    pre_act_phase: nn.Parameter
+    pre_act_opacities: nn.Parameter
+    pre_act_plane_assignment: nn.Parameter
+
+    NEAR_PLANE = 1.0
+    FAR_PLANE = 1000.0
+
+    def __init__(
+        self,
+        init_type: str,
+        device: torch.device | str,
+        load_path: str | os.PathLike | None = None,
+        num_points: int | None = None,
+        args_prop: Namespace | None = None,
+        pointcloud_data: Mapping[str, torch.Tensor] | None = None,
+        generate_dense_point: bool | int = False,
+        densepoint_scatter: float = 0.01,
+        img_size: tuple[int, int] | None = None,
+        *,
+        seed: int | None = None,
+    ):
+        super().__init__()
+        if not isinstance(init_type, str) or init_type not in _INIT_TYPES:
+            raise ValueError(f"init_type must be one of {', '.join(map(repr, _INIT_TYPES))}; got {init_type!r}")
+        source = {"load_path": load_path, "num_points": num_points, "pointcloud_data": pointcloud_data}
+        if source[_INIT_TYPES[init_type]] is None:
+            raise ValueError(f"{_INIT_TYPES[init_type]} is needed for init_type {init_type!r}, got None")
+        (planes,) = shared.settings(args_prop, ("num_planes",))
+        planes = _validate.integer("args_prop.num_planes", planes, minimum=1)
+        if load_path is not None:
+            load_path = validate_path(load_path, (*shared.EXTENSIONS, ".ply"), name="load_path")
+        if img_size is not None:
+            shared.picture_size("img_size", img_size)
+        if isinstance(generate_dense_point, bool):
+            generate_dense_point = int(generate_dense_point)
+        copies = _validate.integer("generate_dense_point", generate_dense_point)
+        scatter = _validate.real("densepoint_scatter", densepoint_scatter)
+        if pointcloud_data is not None and not isinstance(pointcloud_data, Mapping):
+            raise TypeError(f"pointcloud_data must be a dictionary of tensors, got {type(pointcloud_data).__name__}")
+        self.device, self.img_size = get_device(device), img_size
+        seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
+        draw = torch.Generator().manual_seed(seed)
+        if init_type == "gaussians":
+            read = _read_splats if str(load_path).endswith(".ply") else _read
+            first = read(load_path, planes, self.device, draw)
+        elif init_type == "random":
+            first = random_cloud(_validate.integer("num_points", num_points, minimum=1), planes, draw)
+        else:
+            (outdoor,) = shared.settings(args_prop, ("is_outdoor",))
+            positions, colors = _points(pointcloud_data)
+            first = point_cloud(positions, colors, planes, copies, scatter, bool(outdoor), draw)
+        for name in NAMES:
+            self.register_parameter(name, nn.Parameter(first[name].to(self.device), requires_grad=False))
+        logger.debug("%d complex Gaussians on %d planes, from %s", len(self), planes, init_type)
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    def make_trainable(self) -> None:
+        """Let all parameters require gradients."""
+        self.requires_grad_(True)
+
+    def check_if_trainable(self) -> None:
+        """Raise RuntimeError unless all parameters require gradients."""
+        if fixed := [name for name, parameter in self.named_parameters() if not parameter.requires_grad]:
+            raise RuntimeError(f"{', '.join(fixed)} require no gradients: call make_trainable() first")
+
+    def compute_cov_3D(self, quats: torch.Tensor, scales: torch.Tensor) -> torch.Tensor:
+        """Return covariances R·S·Sᵀ·Rᵀ in space ``[N, 3, 3]``.
+
+        Parameters
+        ----------
+        quats : torch.Tensor
+            Quaternions w, x, y, z of any length but 0, ``[N, 4]``.
+        scales : torch.Tensor
+            Standard deviations along the Gaussians' axes ``[N, 3]``.
+        """
+        quats, scales = rows_of(quats=(quats, 4), scales=(scales, 3))
+        axes = quaternion_to_rotation_matrix(quats) * scales[:, None]
+        return axes @ axes.mT
+
+    def compute_cov_2D(
+        self,
+        cam_means_3D: torch.Tensor,
+        quats: torch.Tensor,
+        scales: torch.Tensor,
+        fx: float | torch.Tensor,
+        fy: float | torch.Tensor,
+        R: torch.Tensor,
+        img_size: tuple[int, int],
+    ) -> torch.Tensor:
+        """Return covariances on the picture, J·R·Σ·Rᵀ·Jᵀ + 0.3 (Zwicker et al. 2001, affine approximation).
+
+        J is the slope of the projection at the centre, which is held within 1.3 times the view for it, and zero before
+        NEAR_PLANE and beyond FAR_PLANE. Here R acts on columns, whereas a camera moves points as rows, x·R + T: give
+        Rᵀ of a camera for the covariances that go with its points, see :class:`Scene`.
+
+        Parameters
+        ----------
+        cam_means_3D : torch.Tensor
+            Centres in the axes of the camera ``[N, 3]``.
+        quats, scales : torch.Tensor
+            As in :meth:`compute_cov_3D`.
+        fx, fy : float or torch.Tensor
+            Focal lengths in pixels.
+        R : torch.Tensor
+            ``[3, 3]`` or ``[1, 3, 3]``.
+        img_size : tuple of int
+            Width and height of the picture.
+
+        Returns
+        -------
+        torch.Tensor
+            Square pixels ``[N, 2, 2]``.
+        """
+        cam_means_3D, quats, scales = rows_of(cam_means_3D=(cam_means_3D, 3), quats=(quats, 4), scales=(scales, 3))
+        for name, length in (("fx", fx), ("fy", fy)):
+            _validate.real(name, length, nonzero=True)
+        R, (width, height) = _rotation(R), shared.picture_size("img_size", img_size)
+        x, y, z = cam_means_3D.unbind(-1)
+        inside = self._in_range(z)
+        z = z.where(inside, 1.0)
+        side, up = _held(x / z, _MARGIN * 0.5 * width / fx), _held(y / z, _MARGIN * 0.5 * height / fy)
+        nothing = torch.zeros_like(z)
+        rows = torch.stack([fx / z, nothing, -fx * side / z, nothing, fy / z, -fy * up / z], dim=-1)
+        slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
+        axes = slope @ R.to(slope) @ (quaternion_to_rotation_matrix(quats) * scales[:, None])
+        return axes @ axes.mT + _SOFTNESS * torch.eye(2, dtype=axes.dtype, device=axes.device)
+
+    def compute_means_2D(
+        self,
+        cam_means_3D: torch.Tensor,
+        fx: float | torch.Tensor,
+        fy: float | torch.Tensor,
+        px: float | torch.Tensor,
+        py: float | torch.Tensor,
+    ) -> torch.Tensor:
+        """Return centres on the picture, (px − fx·x/z, py − fy·y/z): both axes of the picture are inverted.
+
+        Parameters
+        ----------
+        cam_means_3D : torch.Tensor
+            Centres in the axes of the camera ``[N, 3]``.
+        fx, fy, px, py : float or torch.Tensor
+            Focal lengths and principal point in pixels.
+
+        Returns
+        -------
+        torch.Tensor
+            Pixels [x, y], ``[N, 2]``; 10⁶ before NEAR_PLANE and beyond FAR_PLANE.
+        """
+        (cam_means_3D,) = rows_of(cam_means_3D=(cam_means_3D, 3))
+        for name, number in (("fx", fx), ("fy", fy), ("px", px), ("py", py)):
+            _validate.real(name, number)
+        x, y, z = cam_means_3D.unbind(-1)
+        inside = self._in_range(z)
+        z = z.where(inside, 1.0)
+        return torch.stack([px - fx * x / z, py - fy * y / z], dim=-1).where(inside[:, None], _AWAY)
+
+    def _in_range(self, z):
+        # What is not a number is not left out, so that it is seen.
+        return ~((z <= self.NEAR_PLANE) | (z >= self.FAR_PLANE))
+
+    @staticmethod
+    def invert_cov_2D(cov_2D: torch.Tensor) -> torch.Tensor:
+        """Return the inverses of covariances ``[N, 2, 2]``; determinants below 1e-10 count as 1e-10."""
+        (cov_2D,) = rows_of(cov_2D=(cov_2D, 2, 2))
+        a, b, c, d = cov_2D.flatten(-2).unbind(-1)
+        determinant = (a * d - b * c).clamp_min(1e-10)[..., None]
+        return (torch.stack([d, -b, -c, a], dim=-1) / determinant).unflatten(-1, (2, 2))
+
+    @staticmethod
+    def calculate_gaussian_bounds(
+        means_2D: torch.Tensor, cov_2D: torch.Tensor, img_size: tuple[int, int], confidence: float = 3.0
+    ) -> torch.Tensor:
+        """Return boxes around Gaussians, `confidence` standard deviations to each side.
+
+        Parameters
+        ----------
+        means_2D : torch.Tensor
+            ``[N, 2]``.
+        cov_2D : torch.Tensor
+            ``[N, 2, 2]``.
+        img_size : tuple of int
+            Width and height of the picture, into which the boxes are drawn: one outside becomes a piece of its rim.
+        confidence : float
+            Standard deviations.
+
+        Returns
+        -------
+        torch.Tensor
+            Least x and y, and largest x and y, ``[N, 4]``.
+        """
+        means_2D, cov_2D = rows_of(means_2D=(means_2D, 2), cov_2D=(cov_2D, 2, 2))
+        width, height = shared.picture_size("img_size", img_size)
+        _validate.real("confidence", confidence)
+        reach = confidence * cov_2D.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
+        last = means_2D.new_tensor([width - 1, height - 1])
+        corners = [(means_2D + sign * reach).clamp_min(0).minimum(last) for sign in (-1, 1)]
+        return torch.cat(corners, dim=-1)
+
+    @staticmethod
+    def apply_activations(
+        pre_act_quats: torch.Tensor,
+        pre_act_scales: torch.Tensor,
+        pre_act_phase: torch.Tensor | None = None,
+        pre_act_opacities: torch.Tensor | None = None,
+        pre_act_plane_assignment: torch.Tensor | None = None,
+        step: int | None = None,
+        max_step: int | None = None,
+    ) -> tuple[torch.Tensor | None, ...]:
+        """Return what parameters stand for; None for those that are None.
+
+        Parameters
+        ----------
+        pre_act_quats, pre_act_scales, pre_act_phase, pre_act_opacities, pre_act_plane_assignment : torch.Tensor
+            The parameters; the last three are optional.
+        step, max_step : int, optional
+            Without effect; kept for callers that pass them.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Unit quaternions, standard deviations exp(·), phases from 0 to 2π, opacities from 0 to 1, and planes as
+            one-hot rows (see :class:`StraightThroughEstimator`).
+        """
+        quats, scales = floating("pre_act_quats", pre_act_quats), floating("pre_act_scales", pre_act_scales)
+        phase, opacities, planes = pre_act_phase, pre_act_opacities, pre_act_plane_assignment
+        phase = None if phase is None else floating("pre_act_phase", phase)
+        opacities = None if opacities is None else floating("pre_act_opacities", opacities)
+        if planes is not None and not (planes := shaped("pre_act_plane_assignment", planes, "N", "P")).shape[1]:
+            raise ValueError(f"pre_act_plane_assignment must have a plane at least, got {list(planes.shape)}")
+        return (
+            functional.normalize(quats, dim=-1),
+            scales.exp(),
+            None if phase is None else shared.wrapped(phase),
+            None if opacities is None else opacities.sigmoid(),
+            None if planes is None else StraightThroughEstimator()(planes),
+        )
+
+    def save_gaussians(self, save_path: str | os.PathLike) -> None:
+        """Write the seven parameters to a ``.pth`` or ``.pt`` file, whole or not at all.
+
+        Raises
+        ------
+        ValueError
+            If the path is not acceptable or its folder does not exist.
+        """
+        shared.save(save_path, {name: getattr(self, name).detach() for name in NAMES}, "save_path")
+        logger.info("%d complex Gaussians saved to %s", len(self), save_path)
+
+
+def _rotation(R) -> torch.Tensor:
+    R = floating("R", R)
+    if tuple(R.shape) not in ((3, 3), (1, 3, 3)):
+        raise ValueError(f"R must be [3, 3] or [1, 3, 3], got {list(R.shape)}")
+    return R.reshape(3, 3)
+
+
+def _held(slope, bound):
+    """Return a slope held between −bound and bound, numbers or tensors."""
+    bound = torch.as_tensor(bound, dtype=slope.dtype, device=slope.device)
+    return slope.maximum(-bound).minimum(bound)
+
+
+def _read_splats(path, planes, device, draw) -> dict[str, torch.Tensor]:
+    """Return the parameters of Gaussians in a file of 3-D Gaussian splatting."""
+    splats = load_splats(path)
+    number = len(splats.means)
+    ahead = torch.tensor([0.0, 0.0, 1.0]).expand(number, 3)
+    return {
+        "pre_act_quats": splats.quats,
+        "means": splats.means,
+        "pre_act_scales": splats.scales,
+        "colours": view_colours(splats.harmonics[:, :1], ahead),
+        "pre_act_phase": torch.randn(number, 3, generator=draw),
+        "pre_act_opacities": splats.opacities,
+        "pre_act_plane_assignment": 10 * torch.randn(number, planes, generator=draw),
+    }
+
+
+def _read(path, planes, device, draw) -> dict[str, torch.Tensor]:
+    """Return the parameters in a file, floating-point numbers of matching shapes."""
+    found = shared.load(path, NAMES, device, "load_path")
+    number = len(found["means"]) if found["means"].ndim else 0
+    shapes = dict(zip(NAMES, ((number, 4), *[(number, 3)] * 4, (number,), (number, planes)), strict=True))
+    for name, shape in shapes.items():
+        if tuple(found[name].shape) != shape or not found[name].is_floating_point():
+            raise ValueError(
+                f"{path!r} holds {name} as {found[name].dtype} {list(found[name].shape)}, not {list(shape)}"
+            )
+    return found
+
+
+def _points(pointcloud_data) -> Sequence[torch.Tensor]:
+    """Return the positions and colours of a point cloud as float32 tensors."""
+    if missing := [name for name in ("positions", "colors") if name not in pointcloud_data]:
+        raise ValueError(f"pointcloud_data must have 'positions' and 'colors', missing {', '.join(missing)}")
+    points = [
+        tensor(f"pointcloud_data[{name!r}]", pointcloud_data[name]).detach().cpu().float()
+        for name in ("positions", "colors")
+    ]
+    for name, value in zip(("positions", "colors"), points, strict=True):
+        if value.ndim != 2 or value.shape[-1] != 3 or not len(value) or len(value) != len(points[0]):
+            raise ValueError(f"pointcloud_data[{name!r}] must be [M, 3], got {list(value.shape)}")
+    return points
+
+
+NAMES = (
+    "pre_act_quats",
+    "means",
+    "pre_act_scales",
+    "colours",
+    "pre_act_phase",
+    "pre_act_opacities",
+    "pre_act_plane_assignment",
+)
+_EXTENT = 15.7
+_KEPT, _BACKGROUND, _SHELL, _BAND = 0.98, 0.8, (0.5, 0.8), 0.35
+
+
+def random_cloud(number: int, planes: int, draw: torch.Generator) -> dict[str, torch.Tensor]:
+    """Return parameters of Gaussians drawn in a cube of half width 15.7."""
+    means = _EXTENT * (2 * torch.rand(number, 3, generator=draw) - 1)
+    return _dressed(means, torch.rand(number, 3, generator=draw), planes, draw)
+
+
+def point_cloud(
+    positions: torch.Tensor,
+    colors: torch.Tensor,
+    planes: int,
+    copies: int,
+    scatter: float,
+    outdoor: bool,
+    draw: torch.Generator,
+) -> dict[str, torch.Tensor]:
+    """Return parameters of Gaussians at points.
+
+    Parameters
+    ----------
+    positions, colors : torch.Tensor
+        ``[M, 3]``.
+    planes : int
+        Number of planes.
+    copies : int
+        Copies of all points to add, each point moved by a normal distribution.
+    scatter : float
+        Its standard deviation.
+    outdoor : bool
+        Leave out the 2 % of points farthest from their mean, and add 0.8 times as many as are left in the background:
+        on a shell from 0.5 to 0.8 times the largest distance left, no more than 0.35 of a unit vector along the axis
+        of least extent. They take the colours of points drawn from the cloud.
+    draw : torch.Generator
+        Source of randomness.
+    """
+    moved = [positions + scatter * torch.randn(positions.shape, generator=draw) for _ in range(copies)]
+    positions, colors = torch.cat([positions, *moved]), colors.repeat(copies + 1, 1)
+    if outdoor:
+        positions, colors = _with_background(positions, colors, draw)
+    return _dressed(positions, colors, planes, draw)
+
+
+def _dressed(means, colours, planes, draw):
+    number = len(means)
+    quats = torch.tensor([1.0, 0.0, 0.0, 0.0]) + 0.01 * torch.randn(number, 4, generator=draw)
+    scales = (0.01 * (torch.rand(number, 1, generator=draw) + 1e-6)).log().repeat(1, 3)
+    values = (
+        *(quats, means, scales, colours, torch.randn(number, 3, generator=draw)),
+        *(torch.ones(number), 10 * torch.randn(number, planes, generator=draw)),
+    )
+    return dict(zip(NAMES, values, strict=True))
+
+
+def _with_background(positions, colors, draw):
+    centre = positions.mean(0)
+    distance = (positions - centre).norm(dim=1)
+    kept = distance.argsort()[: max(1, math.ceil(_KEPT * len(positions)))].sort().values
+    positions, colors, farthest = positions[kept], colors[kept], distance[kept].max()
+    number = int(_BACKGROUND * len(positions))
+    axes = torch.linalg.svd(positions - positions.mean(0), full_matrices=True).Vh
+    height = _BAND * (2 * torch.rand(number, 1, generator=draw) - 1)
+    angle = 2 * math.pi * torch.rand(number, 1, generator=draw)
+    around = (1 - height.square()).sqrt()
+    directions = torch.cat([around * angle.cos(), around * angle.sin(), height], dim=1) @ axes
+    low, high = _SHELL
+    radius = farthest * (low + (high - low) * torch.rand(number, 1, generator=draw))
+    borrowed = torch.randint(len(colors), (number,), generator=draw)
+    return torch.cat([positions, centre + radius * directions]), torch.cat([colors, colors[borrowed]])
+
+
+class STEFunction(torch.autograd.Function):
+    """One-hot choice of the largest entry of each row; backward, the gradient times the softmax of the row.
+
+    Straight-through estimator (Bengio, Léonard and Courville 2013). The softmax multiplies the gradient entry by entry,
+    without its Jacobian.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import STEFunction
+    >>> STEFunction.apply(torch.tensor([[0.1, 0.7, 0.2]]))
+    tensor([[0., 1., 0.]])
+    """
+
+    @staticmethod
+    def forward(ctx: Any, input: torch.Tensor, temperature: float = 0.001) -> torch.Tensor:
+        """Return ones where rows of ``input [n, c]`` are largest (the first of equals), zeros elsewhere."""
+        ctx.save_for_backward(input)
+        ctx.temperature = temperature
+        choice = torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
+        # What was no number to compare is none; −∞ masks a choice.
+        return choice.masked_fill_(input.isnan() | input.isposinf(), torch.nan)
+
+    @staticmethod
+    def backward(ctx: Any, grad_output: torch.Tensor) -> tuple[torch.Tensor, None]:
+        """Return the gradient times softmax(input/temperature)."""
+        (values,) = ctx.saved_tensors
+        return grad_output * torch.softmax(values / ctx.temperature, dim=1), None
+
+
+class StraightThroughEstimator(nn.Module):
+    """One-hot choice of the largest entry of each row, with the gradient of :class:`STEFunction`.
+
+    Parameters
+    ----------
+    temperature : float
+        Softness of the choice that the gradient sees.
+
+    Raises
+    ------
+    ValueError
+        If the temperature is not positive.
+    """
+
+    def __init__(self, temperature: float = 0.001):
+        super().__init__()
+        self.temperature = _validate.real("temperature", temperature, positive=True)
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Return the choices of the rows of ``x [n, c]``, of its dtype."""
+        x = floating("x", x)
+        if x.ndim != 2 or not x.shape[1]:
+            raise ValueError(f"x must be [n, c] with a choice at least, got {tuple(x.shape)}")
+        return STEFunction.apply(trainable(x), self.temperature)

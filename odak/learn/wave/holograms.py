@@ -1,0 +1,522 @@
+"""Phase-only holograms of a single plane: gradient descent, Gerchberg–Saxton, point-wise and double phase."""
+
+import functools
+import math
+import os
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from odak import _validate
+from odak._array import phasor
+from odak.learn._precision import in_own_precision
+from odak.learn._tensors import checked_device, floating, tensor, trainable
+from odak.learn.wave.camera import captured_by, seen
+from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
+from odak.learn.wave.fields import generate_complex_field, intensity, unit_phasor
+from odak.learn.wave.linear_kernels import propagate_within_window
+from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.slm import pixel_fill_of
+from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
+from odak.wave import phase_retrieval
+from odak.wave.convolution import convolve
+from odak.wave.methods import check_has_kernel
+
+STARTS = ("quadratic", "flat", "random", "double phase", "gs")
+# Of the Nyquist frequency, reached at the edges of the hologram.
+_QUADRATIC_SHARE = 0.25
+
+
+@accepts_older_form
+@torch.inference_mode(False)
+def stochastic_gradient_descent(
+    target: torch.Tensor,
+    wavelength: float,
+    distance: float,
+    pixel_pitch: float,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    n_iteration: int = 100,
+    loss_function: Callable | None = None,
+    learning_rate: float = 0.1,
+    *,
+    optimizer: str = "adam",
+    initial_phase: torch.Tensor | str | None = None,
+    seed: int | None = None,
+    scale: bool = False,
+    frames: int = 1,
+    slm: Callable | None = None,
+    iris_radius: float | None = None,
+    iris_focal_length: float | None = None,
+    camera: Callable | None = None,
+    progress: bool = True,
+    callback: Callable | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    checkpoint_every: int = 50,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a phase-only hologram whose intensity at a distance is the target.
+
+    Parameters
+    ----------
+    target : torch.Tensor
+        Intensity ``[..., rows, columns]``, 0 … 1. Its device is where the work is done.
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from hologram to image in metres.
+    pixel_pitch : float
+        Pixel pitch in metres.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`. Methods with a transfer function are computed
+        without wrap-around, so that the two angular spectra are the same, and "auto" stands for them.
+    n_iteration : int
+        Number of iterations.
+    loss_function : callable, optional
+        ``loss_function(intensity, target)``; mean squared error by default.
+    learning_rate : float
+        Adam's step size in radians. L-BFGS takes its steps from a line search instead.
+    optimizer : str
+        "adam" or "lbfgs".
+    initial_phase : torch.Tensor or str, optional
+        Phase to start from, in radians, of the target's shape, ``[frames, …]`` with several frames; or one of
+        :data:`STARTS` by name, see :func:`starting_phase`. Normal noise of standard deviation 1 by default. "double
+        phase" is recommended, together with ``scale=True``.
+    seed : int, optional
+        Makes the random start reproducible; by default torch's own generator draws it.
+    scale : bool
+        Compare s·intensity with the target, s = ⟨I, T⟩/⟨I, I⟩ being the best brightness of each iteration. Without it
+        the light that the target does not need has to be thrown outside the image, which costs 10 dB on photographs.
+    frames : int
+        Number of patterns shown one after another, faster than an eye or a camera tells apart. The image is the mean of
+        their intensities. With frames of few bits (``slm=spatial_light_modulator(bits=1)``), as fast modulators show
+        them, this averages the quantisation too.
+    slm : callable, optional
+        Model of the modulator: ``slm(phase)`` is the field it sends out, such as
+        :class:`odak.learn.wave.spatial_light_modulator`. The hologram returned is that field. With a fill factor below
+        one, the field is propagated with the spectrum of pixels of that size.
+    iris_radius : float, optional
+        Radius in metres of a round iris in the focal plane of a lens; open by default. Frequencies up to
+        iris_radius/(wavelength·iris_focal_length) pass.
+    iris_focal_length : float, optional
+        Focal length in metres of that lens.
+    camera : callable, optional
+        ``camera(phase)`` shows a phase on the real display and returns the intensity it captures, in the target's
+        shape. The loss is then that of the captured image, and its gradient that of the model (camera in the loop).
+        The best state is returned, with a ConvergenceWarning if the loss has risen since.
+    progress : bool
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int
+        Iterations between two writings of that file; it is written at the end and on an interruption too.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Hologram (amplitude one) and reconstruction, complex ``[..., rows, columns]``; with several frames
+        ``[frames, ..., rows, columns]``. After a KeyboardInterrupt they are the best so far.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Chen et al., Math. Program. 176, 5 (2019); Peng et al., ACM Trans. Graph. 39, 185 (2020), whose section 4 is the
+    camera in the loop.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import stochastic_gradient_descent
+    >>> target = torch.zeros(32, 32)
+    >>> target[12:20, 12:20] = 1.0
+    >>> hologram, image = stochastic_gradient_descent(
+    ...     target, 532e-9, 1e-3, 8e-6, n_iteration=5, seed=0, progress=False
+    ... )
+    >>> bool((hologram.abs() - 1).abs().max() < 1e-6)
+    True
+    """
+    target = _checked_target(target)
+    n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance)
+    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    _validate.real("learning_rate", learning_rate, positive=True)
+    scale = _validate.flag("scale", scale)
+    for name, function in (("loss_function", loss_function), ("slm", slm), ("camera", camera)):
+        _validate.function_or_none(name, function)
+    if seed is not None:
+        _validate.integer("seed", seed)
+    options = Options(progress, callback, checkpoint, checkpoint_every)
+    check_has_kernel(propagation_type)
+    optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
+    frames = _validate.integer("frames", frames, minimum=1)
+    if (iris_radius is None) != (iris_focal_length is None):
+        raise ValueError("iris_radius and iris_focal_length must be given together")
+    cutoff = None
+    if iris_radius is not None and iris_focal_length is not None:
+        _validate.real("iris_radius", iris_radius, positive=True)
+        _validate.real("iris_focal_length", iris_focal_length, positive=True)
+        _validate.number("wavelength", wavelength)
+        cutoff = float(iris_radius / (wavelength * iris_focal_length))
+    shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
+    lengths: dict[str, Any] = {
+        "distance": distance,
+        "dx": pixel_pitch,
+        "wavelength": wavelength,
+        "propagation_type": propagation_type,
+    }
+    if isinstance(initial_phase, str):
+        initial_phase = starting_phase(initial_phase, target, seed=seed, frames=frames, **lengths)
+    phase = _starting_phase(target, shape, initial_phase, seed).requires_grad_()
+    modulate = unit_phasor if slm is None else slm
+    if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
+        raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
+    fill = pixel_fill_of(slm, cutoff is not None)
+    reconstruct = functools.partial(propagate_within_window, cutoff=cutoff, pixel_fill=fill, **lengths)
+    loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
+
+    def gradient(iteration):
+        image = intensity(reconstruct(modulate(phase)))
+        image = image if frames == 1 else image.mean(0)
+        if camera is not None:
+            image = seen(image, captured_by(camera, phase, tuple(image.shape)))
+        if scale:
+            image = image * best_scale(image.detach(), target)
+        loss = loss_function(image, target)
+        loss.backward()
+        return loss.detach()
+
+    about = {"learning_rate": learning_rate, "optimizer": optimizer, "scale": scale}
+    about |= {} if cutoff is None else {"cutoff": cutoff}
+    if checkpoint is not None:
+        about |= _problem(target, wavelength, distance, pixel_pitch) | {"propagation_type": propagation_type}
+    minimise(
+        {"phase": phase},
+        gradient,
+        n_iteration,
+        constant(learning_rate),
+        options,
+        solver=optimizer,
+        about=about,
+        keep_best=camera is not None,
+    )
+    with torch.no_grad():
+        hologram = modulate(phase)
+        return hologram, reconstruct(hologram)  # type: ignore[call-arg]
+
+
+def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return s = ⟨I, T⟩/⟨I, I⟩, the brightness at which an image is closest to its target, ``[..., 1, 1]``."""
+    axes = (-2, -1)
+    norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
+    return (image * target).sum(axes, keepdim=True) / norm
+
+
+def _problem(target, wavelength, distance, pixel_pitch) -> dict:
+    """Return what a checkpoint must be of."""
+    lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
+    return {"target": fingerprint(target), **{name: _validate.numbers(length) for name, length in lengths.items()}}
+
+
+def _checked_target(target) -> torch.Tensor:
+    if not isinstance(target, torch.Tensor):
+        raise TypeError(f"target must be a torch.Tensor of intensities, got {type(target).__name__}")
+    _validate.image("target", target)
+    if target.is_complex():
+        raise TypeError(f"target must be real intensities, got {target.dtype}")
+    target = target.detach() if target.dtype in (torch.float32, torch.float64) else target.detach().float()
+    if not torch.isfinite(target).all() or (target < 0).any():
+        raise ValueError("target must be finite intensities of at least 0, got NaN, infinite or negative values")
+    return trainable(target)
+
+
+def starting_phase(
+    name: str,
+    target: torch.Tensor,
+    wavelength: float,
+    distance: float,
+    dx: float,
+    propagation_type: str = "Angular Spectrum",
+    seed: int | None = None,
+    frames: int = 1,
+) -> torch.Tensor:
+    """Return a phase from which gradient descent may start.
+
+    Parameters
+    ----------
+    name : str
+        "flat": zero. "random": uniform over a cycle. "quadratic": a weak lens, whose light moves by up to a quarter of
+        the Nyquist frequency at the edges. "double phase": the double-phase encoding of the target propagated back with
+        a flat phase. "gs": twenty iterations of Gerchberg–Saxton from the quadratic phase.
+    target : torch.Tensor
+        Intensity ``[..., rows, columns]``.
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from hologram to image in metres.
+    dx : float
+        Pixel pitch in metres.
+    propagation_type : str
+        Propagation type of "double phase" and "gs".
+    seed : int, optional
+        Makes what is random reproducible.
+    frames : int
+        Number of frames. Those of the deterministic starts are told apart by normal noise of 0.5 rad.
+
+    Returns
+    -------
+    torch.Tensor
+        Phase in radians, of the target's shape, ``[frames, …]`` with several frames.
+    """
+    name = _validate.one_of("initial_phase", name, STARTS)
+    generator = None if seed is None else generator_from(seed)
+    shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
+
+    def drawn(draw):
+        # On the CPU, so that a seed gives the same start on every device.
+        return draw(shape, generator=generator, dtype=target.dtype).to(target.device)
+
+    if name == "random":
+        return 2 * math.pi * drawn(torch.rand)
+    phase = torch.zeros_like(target)
+    if name == "double phase":
+        field = propagate_within_window(target.clamp_min(0).sqrt() + 0j, -distance, dx, wavelength, propagation_type)
+        phase = encode_double_phase(field)
+    elif name != "flat":
+        for axis, n in ((-2, target.shape[-2]), (-1, target.shape[-1])):
+            place = torch.arange(n, dtype=target.dtype, device=target.device) - n // 2
+            bend = _QUADRATIC_SHARE * math.pi / n * place**2
+            phase = phase + (bend[:, None] if axis == -2 else bend)
+        if name == "gs":
+            amplitude = target.clamp_min(0).sqrt()
+            hologram = phase_retrieval.retrieve(
+                amplitude, range(20), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed
+            )[0]
+            phase = hologram.angle()
+    return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
+
+
+def _starting_phase(target, shape, initial_phase, seed) -> torch.Tensor:
+    if initial_phase is not None:
+        _validate.real("initial_phase", floating("initial_phase", initial_phase).detach().cpu())
+        if tuple(initial_phase.shape) != shape:
+            raise ValueError(
+                f"initial_phase must be {shape}, the target's shape (with several frames [frames, …]) or one of "
+                f"{', '.join(map(repr, STARTS))}; got {tuple(initial_phase.shape)}"
+            )
+        return initial_phase.detach().to(target, copy=True)
+    generator = None if seed is None else generator_from(seed)
+    # Drawn on the CPU, so that a seed gives the same start on every device.
+    return torch.randn(shape, generator=generator, dtype=target.dtype).to(target.device)
+
+
+@accepts_descent_form
+@torch.no_grad()
+def gerchberg_saxton(
+    field: torch.Tensor,
+    n_iterations: int,
+    distance: float,
+    dx: float,
+    wavelength: float,
+    slm_range: float = 6.28,
+    propagation_type: str = "Transfer Function Fresnel",
+    initial_phase: torch.Tensor | None = None,
+    seed: int | torch.Generator | None = None,
+    progress: bool = False,
+    callback: Callable | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a phase-only hologram of an image by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
+
+    Each turn keeps the phase alone on the hologram and sets the target's amplitude on the image; around the image, on
+    planes of twice its size, light may fall as it likes.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        ``[..., rows, columns]``; its amplitude is the target amplitude.
+    n_iterations : int
+        Number of iterations.
+    distance : float
+        Distance from hologram to image in metres.
+    dx : float
+        Pixel pitch in metres.
+    wavelength : float
+        Wavelength in metres.
+    slm_range : float
+        Phase range of the modulator in radians; phases beyond it take its nearer end.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`.
+    initial_phase : torch.Tensor, optional
+        Phase to start the hologram from; uniform between 0 and π by default.
+    seed : int or torch.Generator, optional
+        Makes the random start reproducible; by default torch's generator draws it.
+    progress : bool
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, hologram_phase)`` after each iteration; returning True stops.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Phase-only hologram and reconstruction, complex ``[..., rows, columns]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    The arguments of :func:`odak.learn.wave.stochastic_gradient_descent` are accepted too, its older ones included; the
+    target is then an intensity, and an ArgumentWarning names those without effect, such as `learning_rate`.
+    """
+    count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    progress, callback = _validate.flag("progress", progress), _validate.function_or_none("callback", callback)
+    turns = tqdm(range(count), desc="hologram", disable=not progress, leave=False)
+    return phase_retrieval.retrieve(
+        field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, callback=callback
+    )
+
+
+@torch.no_grad()
+def point_wise(
+    target: torch.Tensor, wavelength: float, distance: float, dx: float, device: torch.device, lens_size: int = 401
+) -> torch.Tensor:
+    """Return the hologram that focuses a lens on each lit pixel (Maimone, Georgiou and Kollin, ACM TOG 36, 85 (2017)).
+
+    Parameters
+    ----------
+    target : torch.Tensor
+        Intensity ``[..., rows, columns]``.
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from hologram to image in metres; each lens has this focal length.
+    dx : float
+        Pixel pitch in metres.
+    device : torch.device
+        Where to compute.
+    lens_size : int
+        Radius of each lens in pixels.
+
+    Returns
+    -------
+    torch.Tensor
+        Complex hologram ``[..., rows, columns]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    target = _validate.image("target", tensor("target", target)).to(checked_device("device", device))
+    device = target.device
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance, nonzero=True)
+    _validate.real("dx", dx, positive=True)
+    radius = _validate.side("lens_size", lens_size)
+    dtype = torch.complex128 if target.dtype == torch.float64 else torch.complex64
+    y, x = (torch.fft.fftfreq(2 * n, 1 / (2 * n), dtype=torch.float64, device=device) for n in target.shape[-2:])
+    squared = y[:, None] ** 2 + x[None, :] ** 2
+    lens = phasor(-math.pi * dx**2 / (wavelength * distance) * squared, dtype) * (squared <= radius**2)
+    return convolve(target.sqrt().to(dtype), torch.fft.fft2(lens))
+
+
+def shift_w_double_phase(
+    phase: torch.Tensor,
+    depth_shift: float,
+    pixel_pitch: float,
+    wavelength: float,
+    propagation_type: str = "Transfer Function Fresnel",
+    kernel_length: int = 4,
+    sigma: float = 0.5,
+    amplitude: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """Return a phase-only hologram shifted in depth, its amplitude encoded by double phase.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        Phase ``[rows, columns]`` in radians.
+    depth_shift : float
+        Distance to move by, in metres.
+    pixel_pitch, wavelength : float
+        In metres.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`.
+    kernel_length : int
+        Length in pixels of the Gaussian that smooths the field before encoding, taken to the next odd number; 0 for
+        none.
+    sigma : float
+        Its standard deviation in pixels.
+    amplitude : torch.Tensor, optional
+        Amplitude of the field; ones by default.
+
+    Returns
+    -------
+    torch.Tensor
+        Phase ``[rows, columns]``: φ − arccos(a) where row and column are both even or both odd, φ + arccos(a)
+        elsewhere.
+
+    Notes
+    -----
+    Shi, Li, Kim, Kellnhofer and Matusik, Nature 591, 234 (2021); Hsueh and Sawchuk, Appl. Opt. 17, 3874 (1978).
+
+    Neighbouring pixels add up to the field only behind an iris in the Fourier plane that stops the checkerboard's own
+    orders, half of the band of the pixels at most; without one the image is lost in them. The displays and
+    :func:`stochastic_gradient_descent` take one as `iris_radius` and `iris_focal_length`.
+    """
+    phase = _validate.image("phase", floating("phase", phase))
+    check_has_kernel(propagation_type)
+    _validate.real("depth_shift", depth_shift)
+    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    kernel_length, sigma = _validate.whole("kernel_length", kernel_length), _validate.real("sigma", sigma)
+    field = generate_complex_field(torch.ones_like(phase) if amplitude is None else amplitude, phase)
+    field = propagate_beam(field, None, depth_shift, pixel_pitch, wavelength, propagation_type)
+    carrier = torch.tensor(-2 * math.pi * (depth_shift / wavelength % 1), dtype=torch.float64, device=phase.device)
+    field = field * phasor(carrier, field.dtype)
+    if kernel_length > 0 and sigma > 0:
+        field = _blur(field, kernel_length, sigma)
+    return encode_double_phase(field)
+
+
+def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
+    """Return the checkerboard phase whose neighbours average to a field (Hsueh and Sawchuk 1978).
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Complex ``[..., rows, columns]``; the amplitude is divided by its maximum.
+
+    Returns
+    -------
+    torch.Tensor
+        Phase in radians, of zero mean before the ± arccos(amplitude) is added.
+    """
+    amplitude = field.abs()
+    amplitude = amplitude / amplitude.amax(dim=(-2, -1), keepdim=True).clamp_min(torch.finfo(amplitude.dtype).tiny)
+    phase = field.angle()
+    phase = phase - phase.mean(dim=(-2, -1), keepdim=True)
+    # The slope of arccos is infinite at one, where the brightest pixel is: it takes none, and spoils no other's.
+    dimmer = amplitude < 1
+    offset = torch.where(dimmer, torch.arccos(torch.where(dimmer, amplitude, 0)), 0)
+    rows, columns = (torch.arange(n, device=field.device) for n in field.shape[-2:])
+    sign = 1 - 2 * ((rows[:, None] + columns[None, :] + 1) % 2)
+    return phase + sign * offset
+
+
+@in_own_precision
+def _blur(field, length, sigma):
+    """Return the field smoothed by a Gaussian of unit sum, real and imaginary parts alike."""
+    half = length // 2
+    line = torch.exp(-0.5 * (torch.arange(-half, half + 1, device=field.device) / sigma) ** 2)
+    kernel = (line[:, None] * line[None, :] / line.sum() ** 2).to(field.real.dtype)[None, None]
+    parts = torch.view_as_real(field).movedim(-1, 0)
+    smooth = torch.nn.functional.conv2d(parts.reshape(-1, 1, *field.shape[-2:]), kernel, padding="same")
+    return torch.view_as_complex(smooth.reshape(parts.shape).movedim(0, -1).contiguous())

@@ -1,0 +1,143 @@
+"""The multi-colour hologram optimizer in the form of earlier releases."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+from odak import _validate
+from odak.learn.wave.optimizers.multi_color import multi_color_hologram_optimizer
+from odak.learn.wave.optimizers.terms import (
+    checked_pattern,
+    checkerboard,
+    double_phase_roughness,
+    roughness,
+    zero_mean,
+)
+from odak.learn.wave.propagators import propagator as propagator_type
+from odak.learn.wave.training import linear
+
+
+class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
+    """:class:`multi_color_hologram_optimizer` as it was: an offset per pixel, always held to a double phase or smooth.
+
+    Parameters
+    ----------
+    learning_rate, learning_rate_floor : float
+        Step of Adam in radians at the start and at the end, falling evenly.
+    wavelengths, resolution, targets, propagator, **others
+        As in :class:`multi_color_hologram_optimizer`.
+    """
+
+    _title = "mixed-colour hologram"
+
+    def __init__(
+        self,
+        wavelengths: Sequence[float],
+        resolution: Sequence[int],
+        targets: torch.Tensor,
+        propagator: propagator_type,
+        number_of_frames: int = 3,
+        number_of_depth_layers: int = 1,
+        learning_rate: float = 2e-2,
+        learning_rate_floor: float = 5e-3,
+        double_phase: bool = True,
+        scale_factor: int = 1,
+        method: str = "multi-color",
+        channel_power_filename: str = "",
+        device: torch.device | None = None,
+        loss_function: Callable | None = None,
+        peak_amplitude: float = 1.0,
+        optimize_peak_amplitude: bool = False,
+        img_loss_thres: float = 2e-3,
+        reduction: str = "sum",
+        **others: Any,
+    ):
+        self.learning_rate_floor = _validate.real("learning_rate_floor", learning_rate_floor)
+        super().__init__(
+            wavelengths,
+            resolution,
+            targets,
+            propagator,
+            number_of_frames,
+            number_of_depth_layers,
+            learning_rate,
+            learning_rate_floor,
+            double_phase,
+            scale_factor,
+            method,
+            channel_power_filename,
+            device,
+            loss_function,
+            peak_amplitude,
+            optimize_peak_amplitude,
+            img_loss_thres,
+            reduction,
+            **others,
+        )
+
+    def init_phase(self) -> None:
+        """Start from phases of zero and offsets of 0 … 1 rad, ``[F, m, n]`` each."""
+        shape = (self.number_of_frames, *self.resolution)
+        self.phase = self._leaf(torch.zeros(shape, dtype=self.targets.dtype))
+        self.phase_offset = self.offset = self._leaf(self._drawn(torch.rand, shape))
+
+    def init_optimizer(self, number_of_iterations: int = 100) -> None:
+        """Gather what is learned, and the learning rate of each iteration."""
+        super().init_optimizer(number_of_iterations)
+        self.learning_rates = linear(self.learning_rate, self.learning_rate_floor, number_of_iterations)
+
+    def double_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the double phase of the phase less its mean and the offset, and how rough its parts are."""
+        phase, phase_offset = checked_pattern(phase, phase_offset)
+        pattern = checkerboard(zero_mean(phase), phase_offset)
+        return pattern, double_phase_roughness(pattern, levels)
+
+    def direct_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the phase less its mean and the offset, and how rough it is."""
+        phase, phase_offset = checked_pattern(phase, phase_offset)
+        pattern = zero_mean(phase) - phase_offset
+        return pattern, roughness(pattern, levels)
+
+    def _pattern(self):
+        constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain
+        pattern, loss = constrain(self.phase, self.phase_offset)
+        return pattern, loss if self.weights["phase"] else None
+
+    def reconstruct(self, hologram_phases: torch.Tensor) -> torch.Tensor:
+        """Return the intensities ``[F, D, C, ms, ns]`` of phases ``[F, m, n]``."""
+        return self.propagator.reconstruct(hologram_phases)
+
+    # Fewer options than with one colour per frame, and one result less.
+    def gradient_descent(  # type: ignore[override]
+        self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 0.0, 0.0)
+    ) -> torch.Tensor:
+        """Return the optimized phases ``[F, m, n]``; weights of the image, the light and the phase losses."""
+        return super().gradient_descent(number_of_iterations, weights)
+
+    def optimize(  # type: ignore[override]
+        self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 1.0)
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:
+        """Optimize, and return the hologram.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations.
+        weights : sequence of float or dict
+            Weights of the image, the light and the phase losses.
+
+        Returns
+        -------
+        tuple
+            Phases ``[F, m, n]``, not quantised, the intensities they give ``[F, D, C, ms, ns]``, source amplitudes
+            ``[F, C]``, channel powers ``[F, C]``, and the brightness of the targets.
+        """
+        phases = self.gradient_descent(number_of_iterations, weights)
+        powers = self.propagator.get_laser_powers().detach()
+        images = self._shown(phases)
+        return phases, images, powers, self.channel_power.detach(), float(self.peak_amplitude)

@@ -1,0 +1,507 @@
+"""Optimizer of phase patterns shown in sequence, each lit by several colours, for images on several planes."""
+
+import os
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak import _validate
+from odak.learn._tensors import checked_device, checked_generator, floating
+from odak.learn.wave.camera import captured_by, seen
+from odak.learn.wave.convolution import Workspace, release_memory
+from odak.learn.wave.fields import squared_error
+from odak.learn.wave.optimizers.terms import (
+    WEIGHTS,
+    check_pair,
+    checked_eyebox,
+    checked_pattern,
+    checked_targets,
+    checkerboard,
+    double_phase_roughness,
+    eyebox_loss,
+    eyebox_mask,
+    keywords_of,
+    light_loss,
+    loss_weights,
+    powers_from,
+    roughness,
+    zero_mean,
+)
+from odak.learn.wave.propagators import power_method
+from odak.learn.wave.propagators import propagator as propagator_type
+from odak.learn.wave.slm import TURN, even_levels
+from odak.learn.wave.training import Options, cosine, fingerprint, generator_from, minimise
+
+
+class multi_color_hologram_optimizer:
+    """Optimizer of F phase patterns and of the powers at which C colours light each, for images on D planes.
+
+    Parameters
+    ----------
+    wavelengths : sequence of float
+        Wavelengths of the C light sources in metres, as in the propagator.
+    resolution : sequence of int
+        Rows m and columns n of the modulator, as in the propagator.
+    targets : torch.Tensor
+        Intensities to show, ``[D, C, ms, ns]``, 0 … 1, or ``[D, 1, ms, ns]``, the same in every colour.
+    propagator : odak.learn.wave.propagator
+        The display. It takes over `method` and the source powers found.
+    number_of_frames, number_of_depth_layers : int
+        F and D, as in the propagator.
+    learning_rate : float
+        Step of Adam in radians, which falls to `min_learning_rate` along a cosine.
+    min_learning_rate : float, optional
+        1 % of `learning_rate` by default.
+    double_phase : bool
+        When the phase loss has a weight, hold the pattern to a double phase, else to a smooth one.
+    scale_factor : int
+        Samples s per pixel, as `resolution_factor` in the propagator.
+    method : str
+        "conventional" (one source per frame), "multi-color" (powers learned), or either with "full_complex_" before it
+        (the amplitude of the light on the modulator is learned too).
+    channel_power_filename : str
+        File of a tensor ``[F, C]`` of powers to start from, clipped to 0 … 1.
+    device : torch.device, optional
+        Where to compute; that of the propagator by default.
+    loss_function : callable, optional
+        ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
+        keywords it does not know are left out. The squared error by default.
+    peak_amplitude : float
+        Brightness of the targets, in units of what a source of power one gives where light is spread evenly. The light
+        loss pulls the sum of all source amplitudes to F times that.
+    optimize_peak_amplitude : bool
+        Leave the targets' brightness free: in each iteration it is the one at which the images are closest to them, and
+        the loss is that of the images divided by it.
+    img_loss_thres : float
+        Taken for the sake of older callers, and not used.
+    reduction : {"sum", "mean"}
+        How the losses of pixels and planes are put together.
+    camera : callable, optional
+        ``camera(phases)`` shows phases ``[F, m, n]`` on the real display and returns the intensities it captures,
+        ``[D, C, ms, ns]``. The loss is then that of the captured images (camera in the loop).
+    initial_phase : torch.Tensor, optional
+        Phases to start from, ``[F, m, n]``; random over several turns by default.
+    progress, callback, checkpoint, checkpoint_every, seed
+        As in :func:`odak.learn.wave.stochastic_gradient_descent`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range or does not fit the propagator, naming it.
+
+    Notes
+    -----
+    Kavaklı et al., Multi-color holograms improve brightness in holographic displays, SIGGRAPH Asia (2023), section 3.
+    Frames, colours and planes are propagated together; with a `memory_budget` in the propagator planes go in chunks.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import multi_color_hologram_optimizer, propagator
+    >>> colours = [639e-9, 515e-9, 473e-9]
+    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, propagator_type="forward", volume_depth=0)
+    >>> optimizer = multi_color_hologram_optimizer(colours, [32, 32], torch.rand(1, 3, 32, 32), display, seed=0)
+    >>> amplitudes, phases, images, powers, _, peak = optimizer.optimize(2)
+    >>> phases.shape, images.shape, powers.shape
+    (torch.Size([3, 32, 32]), torch.Size([3, 1, 3, 32, 32]), torch.Size([3, 3]))
+    """
+
+    _title = "multi-colour hologram"
+    _workspace: Workspace | None = None
+
+    def __init__(
+        self,
+        wavelengths: Sequence[float],
+        resolution: Sequence[int],
+        targets: torch.Tensor,
+        propagator: propagator_type,
+        number_of_frames: int = 3,
+        number_of_depth_layers: int = 1,
+        learning_rate: float = 2e-2,
+        min_learning_rate: float | None = None,
+        double_phase: bool = True,
+        scale_factor: int = 1,
+        method: str = "multi-color",
+        channel_power_filename: str = "",
+        device: torch.device | None = None,
+        loss_function: Callable | None = None,
+        peak_amplitude: float = 1.0,
+        optimize_peak_amplitude: bool = False,
+        img_loss_thres: float = 2e-3,
+        reduction: str = "sum",
+        *,
+        camera: Callable | None = None,
+        initial_phase: torch.Tensor | None = None,
+        progress: bool = True,
+        callback: Callable | None = None,
+        checkpoint: str | os.PathLike | None = None,
+        checkpoint_every: int = 50,
+        seed: int | None = None,
+    ):
+        if not isinstance(propagator, propagator_type):
+            raise TypeError(f"propagator must be an odak.learn.wave.propagator, got {propagator!r:.80}")
+        device = checked_device("device", device)
+        self.propagator = propagator if device is None else propagator.to(device)
+        self.device = propagator.device
+        self.number_of_frames, self.number_of_depth_layers = number_of_frames, number_of_depth_layers
+        self.wavelengths = list(_validate.several("wavelengths", wavelengths, positive=True))
+        self.resolution, self.scale_factor = list(_validate.size("resolution", resolution)), scale_factor
+        self.method = power_method(method).replace(" ", "_")
+        self._check_display()
+        shape = (self.number_of_depth_layers, len(self.wavelengths), *propagator.field_shape)
+        if isinstance(targets, torch.Tensor) and targets.ndim == 4 and targets.shape[1] == 1:
+            targets = targets.expand(-1, shape[1], -1, -1)
+        self.targets = checked_targets(targets, shape).to(self.device)
+        self.double_phase = _validate.flag("double_phase", double_phase)
+        self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        lowest = learning_rate / 100 if min_learning_rate is None else min_learning_rate
+        self.min_learning_rate = _validate.real("min_learning_rate", lowest)
+        self.channel_power_filename = channel_power_filename
+        self._peak = peak_amplitude
+        self.optimize_peak_amplitude = _validate.flag("optimize_peak_amplitude", optimize_peak_amplitude)
+        self.img_loss_thres, self.camera = img_loss_thres, _validate.function_or_none("camera", camera)
+        self.options = Options(progress, callback, checkpoint, checkpoint_every)
+        self._generator = generator_from(seed)
+        self.init_loss_function(loss_function, reduction)
+        self.init_phase_scale()
+        self.init_channel_power()
+        self.init_amplitude()
+        self.init_peak_amplitude_scale()
+        self.init_phase()
+        if initial_phase is not None:
+            self._start_from(initial_phase)
+
+    def _check_display(self):
+        display = self.propagator
+        for name, ours, theirs in (
+            ("wavelengths", [float(w) for w in self.wavelengths], _validate.numbers(display.wavelengths)),
+            ("resolution", self.resolution, display.resolution),
+            ("number_of_frames", self.number_of_frames, display.number_of_frames),
+            ("number_of_depth_layers", self.number_of_depth_layers, display.number_of_depth_layers),
+            ("scale_factor", self.scale_factor, display.resolution_factor),
+        ):
+            if ours != theirs:
+                raise ValueError(f"{name} must be the propagator's {theirs}, got {ours}")
+
+    def init_phase_scale(self) -> None:
+        """Take over the propagator's scale of the phase at each colour."""
+        self.phase_scale = self.propagator.phase_scale
+
+    def init_amplitude(self) -> None:
+        """Set the amplitude of the light on the modulator to one, ``[C, ms, ns]``, learned if the method says so."""
+        shape = (len(self.wavelengths), *self.propagator.field_shape)
+        self.amplitude = torch.zeros(shape, dtype=self.targets.dtype, device=self.device)
+        # Light comes from the pixels, not from between them.
+        self.amplitude[:, :: self.scale_factor, :: self.scale_factor] = 1
+        self.amplitude.requires_grad_(self.method.startswith("full_complex"))
+
+    def init_phase(self) -> None:
+        """Start from phases spread over several turns, ``[F, m, n]``, and an offset for each frame."""
+        shape = (self.number_of_frames, *self.resolution)
+        self.phase = self._leaf(TURN * self._drawn(torch.randn, shape))
+        self.phase_offset = self._leaf(self._drawn(torch.randn, shape[:1]))
+
+    def _drawn(self, draw, shape):
+        # On the CPU, so that a seed gives the same start on every device.
+        return draw(shape, generator=self._generator, dtype=self.targets.dtype)
+
+    def _leaf(self, values):
+        return values.to(self.device).requires_grad_()
+
+    def _start_from(self, phase):
+        _validate.real("initial_phase", floating("initial_phase", phase).detach().cpu())
+        if tuple(phase.shape) != tuple(self.phase.shape):
+            raise ValueError(f"initial_phase must be {tuple(self.phase.shape)}, got {tuple(phase.shape)}")
+        self.phase = self._leaf(phase.detach().to(self.phase.dtype, copy=True))
+
+    def init_channel_power(self) -> None:
+        """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
+        shape = (self.number_of_frames, len(self.wavelengths))
+        learned = self.method.endswith("multi-color")
+        powers = torch.ones(shape) if learned else torch.eye(*shape)
+        if self.channel_power_filename:
+            powers = powers_from(self.channel_power_filename, shape)
+        self.propagator.method = self.method.replace("_", " ")
+        self.channel_power = powers.to(self.device, self.targets.dtype).requires_grad_(learned)
+        self.propagator.set_laser_powers(self.channel_power)
+
+    def init_optimizer(self, number_of_iterations: int = 100) -> None:
+        """Gather what is learned, and the learning rate of each iteration."""
+        number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
+        learned = {
+            "phase": self.phase,
+            "phase_offset": self.phase_offset,
+            "channel_power": self.channel_power,
+            "amplitude": self.amplitude,
+        }
+        self.parameters = {name: tensor for name, tensor in learned.items() if tensor.requires_grad}
+        # Not learned, but part of the state that a checkpoint holds.
+        self.parameters["peak_amplitude"] = self.peak_amplitude
+        self.learning_rates = cosine(self.learning_rate, self.min_learning_rate, number_of_iterations)
+
+    def gradient_descent(
+        self,
+        number_of_iterations: int = 100,
+        weights: dict[str, float] | Sequence[float] | None = None,
+        inject_noise: bool = False,
+        eyebox: dict | None = None,
+        noise_ratio: float = 1e-3,
+    ) -> torch.Tensor:
+        """Return the optimized phases ``[F, m, n]``; parameters as in :meth:`optimize`, the eyebox not weighed."""
+        iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
+        self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
+        self._eyebox = checked_eyebox(eyebox)
+        inject_noise, noise_ratio = (
+            _validate.flag("inject_noise", inject_noise),
+            _validate.real("noise_ratio", noise_ratio),
+        )
+        self._noise = {"inject_noise": inject_noise, "noise_ratio": noise_ratio}
+        self.init_optimizer(iterations)
+        self._workspace = Workspace()
+        about = {"method": self.method, "learning_rate": self.learning_rate, "weights": self.weights}
+        if self.options.checkpoint is not None:
+            about |= {"targets": fingerprint(self.targets), "display": self.propagator.fingerprint()}
+        self._noise["generator"] = generator_from((self._generator.initial_seed() + 1) % 2**62, self.device)
+        drawn_from = [
+            self._noise["generator"], getattr(self.loss_function, "generator", None), self.propagator.generator(),
+        ]  # fmt: skip
+        minimise(
+            self.parameters, self._gradient, iterations, self.learning_rates, self.options,
+            description=self._title, about=about, generators=[own for own in drawn_from if own is not None],
+            keep_best=self.camera is not None,
+        )  # fmt: skip
+        self._workspace = None
+        release_memory()
+        with torch.no_grad():
+            self.propagator.set_laser_powers(self.channel_power.detach())
+            return self._pattern()[0].detach()
+
+    def optimize(
+        self,
+        number_of_iterations: int = 100,
+        weights: dict[str, float] | Sequence[float] | None = None,
+        eyebox: dict | None = None,
+        bits: int | None = 8,
+        inject_noise: bool = False,
+        noise_ratio: float = 1e-3,
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, float]:
+        """Optimize, and return the hologram as the modulator shows it.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations.
+        weights : dict, optional
+            Weights of the losses: "image" (1), "light" (1: powers that make the brightest pixel), "eyebox" (1: an
+            evenly filled disc of the Fourier plane) and "phase" (0: a double or a smooth phase); or a list in the
+            older order image, light, phase, eyebox.
+        eyebox : dict, optional
+            Offset and diameter of that disc in samples, ``{"offset": [0, 0], "diameter": 100}``.
+        bits : int, optional
+            Bits of the modulator; None leaves the phase as it is.
+        inject_noise : bool
+            Add noise to the targets in each iteration.
+        noise_ratio : float
+            Its standard deviation as a share of the target's range.
+
+        Returns
+        -------
+        tuple
+            Amplitude of the light on the modulator ``[C, ms, ns]``, phases ``[F, m, n]`` of 2^bits levels over a turn,
+            the intensities they give ``[F, D, C, ms, ns]``, source amplitudes ``[F, C]``, channel powers ``[F, C]``,
+            and the brightness of the targets.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If an argument is outside its range, naming it.
+        """
+        weights = loss_weights(weights, WEIGHTS)
+        phases = self.gradient_descent(number_of_iterations, weights, inject_noise, eyebox, noise_ratio)
+        if bits is not None:
+            levels = 2 ** _validate.integer("bits", bits, minimum=1)
+            phases = even_levels(phases, levels) * (TURN / levels)
+        amplitude = torch.relu(self.amplitude).detach()
+        powers = self.propagator.get_laser_powers().detach()
+        peak = float(self.peak_amplitude)
+        return amplitude, phases, self._shown(phases), powers, self.channel_power.detach(), peak
+
+    def _shown(self, phases):
+        """Return the intensities of phases in the light found."""
+        amplitude = torch.relu(self.amplitude).detach() if self.amplitude.requires_grad else None
+        return self.propagator.reconstruct(phases, amplitude)
+
+    def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
+        """Set the loss of an image, and how those of planes and pixels are put together."""
+        self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
+        if loss_function is not None:
+            self._loss_keywords = keywords_of(loss_function)
+
+    def init_peak_amplitude_scale(self) -> None:
+        """Set the brightness of the targets to begin with."""
+        peak = _validate.real("peak_amplitude", self._peak, positive=True)
+        self.peak_amplitude = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
+
+    def evaluate(
+        self,
+        input_image: torch.Tensor,
+        target_image: torch.Tensor,
+        plane_id: int = 0,
+        noise_ratio: float = 1e-3,
+        inject_noise: bool = False,
+        generator: torch.Generator | None = None,
+    ) -> torch.Tensor:
+        """Return the loss of an image against its target.
+
+        Parameters
+        ----------
+        input_image, target_image : torch.Tensor
+            Intensities ``[C, ms, ns]``.
+        plane_id : int
+            Plane, for losses that know planes.
+        noise_ratio : float
+            Standard deviation of the noise as a share of the target's range.
+        inject_noise : bool
+            Add noise to the target.
+        generator : torch.Generator, optional
+            Where the noise is drawn from; torch's own generator by default.
+
+        Returns
+        -------
+        torch.Tensor
+            The loss; that of a given function is summed over colours.
+        """
+        inject_noise, generator = (
+            _validate.flag("inject_noise", inject_noise), checked_generator("generator", generator),
+        )  # fmt: skip
+        plane_id, noise_ratio = _validate.integer("plane_id", plane_id), _validate.real("noise_ratio", noise_ratio)
+        check_pair(input_image, target_image)
+        if self.loss_function is not None:
+            known = {
+                "plane_id": plane_id, "noise_ratio": noise_ratio, "inject_noise": inject_noise, "generator": generator,
+            }  # fmt: skip
+            keywords = {name: value for name, value in known.items() if name in self._loss_keywords}
+            pairs = zip(input_image, target_image, strict=True)
+            return sum(self.loss_function(image, target, **keywords) for image, target in pairs)
+        if inject_noise:
+            spread = target_image.amax() - target_image.amin()
+            noise = torch.empty_like(target_image).normal_(generator=generator)
+            target_image = target_image + noise_ratio * spread * noise
+        error = squared_error(input_image, target_image, self._workspace)
+        return error / input_image.numel() if self.reduction == "mean" else error
+
+    def double_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the double phase (phase − offset and phase + offset in checkerboard) and how rough its parts are."""
+        pattern = checkerboard(*checked_pattern(phase, phase_offset, of_frames=True))
+        return pattern, double_phase_roughness(pattern, levels)
+
+    def direct_phase_constrain(
+        self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the phase less its mean and the offset, and how rough it is."""
+        phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=True)
+        pattern = zero_mean(phase) - phase_offset
+        return pattern, roughness(pattern, levels)
+
+    def eyebox_constrain(self, phase: torch.Tensor, offset: float | Sequence[float], diameter: float) -> torch.Tensor:
+        """Return how unevenly light fills a disc of the hologram's spectrum, and the share that misses it.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases ``[F, m, n]``.
+        offset : float or sequence of float
+            Distance of the disc's centre from zero frequency, in samples of the spectrum.
+        diameter : float
+            Diameter of the disc in samples of the spectrum.
+        """
+        phase = _validate.image("phase", floating("phase", phase))
+        if not phase.numel():
+            raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
+        return eyebox_loss(phase, eyebox_mask(phase.shape[-2:], offset, diameter).to(phase))
+
+    def _pattern(self):
+        """Return the phases shown, and the loss of the constraint they are held to (None without)."""
+        if not self.weights["phase"]:
+            return self.phase, None
+        constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain
+        return constrain(self.phase, self.phase_offset)
+
+    def _gradient(self, iteration):
+        phases, phase_loss = self._pattern()
+        amplitude = torch.relu(self.amplitude) if self.amplitude.requires_grad else None
+        powers = self.propagator.get_laser_powers()
+        roots = [self.propagator.holograms(phases, amplitude)] + ([powers] if powers.requires_grad else [])
+        # Planes stop at these, so that each chunk is done with when its slopes have been added to theirs.
+        leaves = [root.detach().requires_grad_() for root in roots]
+        total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers, iteration == 0)
+        rest = self._other_losses(phases, phase_loss, powers)
+        reached = [(root, leaf.grad) for root, leaf in zip(roots, leaves, strict=True) if leaf.grad is not None]
+        if rest is not None and rest.requires_grad:
+            reached.append((rest, None))
+        if not reached:
+            raise ValueError(f"weights leave nothing to learn from, got {self.weights}")
+        torch.autograd.backward(*zip(*reached, strict=True))
+        return total if rest is None else total + rest.detach()
+
+    def _image_gradient(self, phases, hologram, powers, first):
+        captured = None if self.camera is None else captured_by(self.camera, phases, tuple(self.targets.shape))
+        if self.optimize_peak_amplitude and first:
+            with torch.no_grad():
+                shown = self._images(hologram, powers, captured)
+                self._set_peak([_overlap(images, self.targets[planes]) for planes, images in shown])
+        total, light = torch.zeros_like(self.peak_amplitude), []
+        for planes, images in self._images(hologram, powers, captured):
+            loss = self.weights["image"] * self._image_loss(images, planes)
+            loss.backward()
+            total += loss.detach()
+            if self.optimize_peak_amplitude:
+                light.append(_overlap(images.detach(), self.targets[planes]))
+        if light:
+            self._set_peak(light)
+        return total
+
+    def _images(self, hologram, powers, captured):
+        """Yield some planes and their intensities, until all were there."""
+        for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
+            images = self.propagator.exposures(hologram, planes, powers, workspace=self._workspace)
+            yield planes, images if captured is None else seen(images, captured[planes])
+
+    def _set_peak(self, overlaps):
+        """Set the brightness at which the images of this iteration were closest to the targets, ⟨I, I⟩/⟨I, T⟩."""
+        own, common = torch.stack(overlaps).sum(0)
+        self.peak_amplitude.copy_(own / common.clamp_min(torch.finfo(common.dtype).tiny))
+
+    def _image_loss(self, images, planes):
+        targets = self.targets[planes]
+        if self.optimize_peak_amplitude:
+            # Relative to the brightness found: were targets scaled by it, darkness would be the best image of all.
+            images = images / self.peak_amplitude
+        elif self._peak != 1:
+            targets = targets * self._peak
+        share = len(images) / self.number_of_depth_layers if self.reduction == "mean" else 1
+        if self.loss_function is None:
+            return share * self.evaluate(images, targets, **self._noise)
+        ids = range(planes.start, planes.stop)
+        losses = [self.evaluate(*pair, plane, **self._noise) for *pair, plane in zip(images, targets, ids, strict=True)]
+        return share * sum(losses) / (len(losses) if self.reduction == "mean" else 1)
+
+    def _other_losses(self, phases, phase_loss, powers):
+        losses = []
+        if self.weights["light"] and powers.requires_grad:
+            loss = light_loss(powers, self.targets, self._peak, self.reduction)
+            losses.append(self.weights["light"] * loss)
+        if self.weights["eyebox"]:
+            losses.append(self.weights["eyebox"] * self.eyebox_constrain(phases, **self._eyebox))
+        if phase_loss is not None:
+            losses.append(self.weights["phase"] * phase_loss)
+        return sum(losses) if losses else None
+
+
+def _overlap(images, targets):
+    """Return ⟨I, I⟩ and ⟨I, T⟩ in one tensor."""
+    images, targets = images.flatten(), targets.flatten()
+    return torch.stack([torch.dot(images, images), torch.dot(images, targets)])

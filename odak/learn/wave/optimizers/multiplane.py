@@ -1,0 +1,252 @@
+"""Optimizer of one phase pattern for images on several planes at one wavelength."""
+
+import os
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak import _validate
+from odak._warnings import ArgumentWarning, warn
+from odak.learn._tensors import floating
+from odak.learn.wave.fields import intensity, unit_phasor
+from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
+from odak.learn.wave.propagators import propagator
+from odak.learn.wave.training import Options, constant, fingerprint, generator_from, minimise
+
+
+class multiplane_hologram_optimizer:
+    """Optimizer of a double-phase pattern for images on P planes at one wavelength.
+
+    Parameters
+    ----------
+    wavelength : float
+        Wavelength in metres.
+    image_location : float
+        Distance of the middle of the planes in metres.
+    image_spacing : float
+        The planes are spread evenly over a depth of P·image_spacing.
+    slm_pixel_pitch : float
+        Pixel pitch in metres.
+    slm_resolution : sequence of int
+        Rows m and columns n.
+    targets : torch.Tensor
+        Intensities to show, ``[P, m, n]`` or ``[P, 1, m, n]``; of more planes than P the first are used.
+    propagation_type, propagator_type : str
+        As in :class:`odak.learn.wave.propagator`.
+    number_of_iterations : int
+        Number of iterations. Each visits all planes in order and takes a step at each.
+    learning_rate : float
+        Step of Adam in radians.
+    phase_initial, amplitude_initial : torch.Tensor, optional
+        Phase to start from, 0 … 1 rad at random by default, and amplitude of the light on the modulator, one by
+        default; ``[m, n]`` each.
+    loss_function : callable, optional
+        ``loss_function(image, target, plane_id)`` on masked images; the mean squared error by default. It is called
+        for each plane before the first step too.
+    mask_limits : sequence of float
+        First and last row, first and last column of the part of the images that counts, as shares of m and n.
+    number_of_planes : int
+        P.
+    zero_mode_distance : float
+        Distance in metres of the relay that light goes to and comes back from.
+    device : torch.device, optional
+        Where to compute.
+    progress, callback, checkpoint, checkpoint_every, seed
+        As in :func:`odak.learn.wave.stochastic_gradient_descent`; they count visits of planes.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import multiplane_hologram_optimizer
+    >>> optimizer = multiplane_hologram_optimizer(
+    ...     515e-9, 0.0, 1e-3, 8e-6, [32, 32], torch.rand(2, 32, 32), number_of_planes=2, number_of_iterations=3
+    ... )
+    >>> phase, amplitude, images = optimizer.optimize()
+    >>> images.shape
+    torch.Size([2, 32, 32])
+    """
+
+    def __init__(
+        self,
+        wavelength: float,
+        image_location: float,
+        image_spacing: float,
+        slm_pixel_pitch: float,
+        slm_resolution: Sequence[int],
+        targets: torch.Tensor,
+        propagation_type: str = "Bandlimited Angular Spectrum",
+        propagator_type: str = "back and forth",
+        number_of_iterations: int = 10,
+        learning_rate: float = 0.1,
+        phase_initial: torch.Tensor | None = None,
+        amplitude_initial: torch.Tensor | None = None,
+        loss_function: Callable | None = None,
+        mask_limits: Sequence[float] = (0.2, 0.8, 0.05, 0.95),
+        number_of_planes: int = 4,
+        zero_mode_distance: float = 0.15,
+        device: torch.device | None = None,
+        *,
+        progress: bool = True,
+        callback: Callable | None = None,
+        checkpoint: str | os.PathLike | None = None,
+        checkpoint_every: int = 50,
+        seed: int | None = None,
+    ):
+        self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
+        self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
+        self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
+        _validate.real("wavelength", wavelength, positive=True)
+        _validate.real("slm_pixel_pitch", slm_pixel_pitch, positive=True)
+        for name, length in (
+            *(("image_location", image_location), ("image_spacing", image_spacing)),
+            ("zero_mode_distance", zero_mode_distance),
+        ):
+            _validate.real(name, length)
+        slm_resolution = _validate.size("slm_resolution", slm_resolution)
+        self.propagator = propagator(
+            slm_resolution,
+            [wavelength],
+            slm_pixel_pitch,
+            number_of_depth_layers=self.number_of_planes,
+            volume_depth=self.number_of_planes * image_spacing,
+            image_location_offset=image_location,
+            propagation_type=propagation_type,
+            propagator_type=propagator_type,
+            back_and_forth_distance=zero_mode_distance,
+            device=device,
+        )
+        self.device, self.slm_resolution = self.propagator.device, self.propagator.resolution
+        if isinstance(targets, torch.Tensor):
+            targets = targets[:, 0] if targets.ndim == 4 and targets.shape[1] == 1 else targets
+            if targets.ndim == 3 and len(targets) > self.number_of_planes:
+                warn(
+                    f"targets hold {len(targets)} planes, of which the first {self.number_of_planes} are used "
+                    "(number_of_planes)",
+                    ArgumentWarning,
+                )
+                targets = targets[: self.number_of_planes]
+        self.targets = checked_targets(targets, (self.number_of_planes, *self.slm_resolution)).to(self.device)
+        self.mask_limits = mask_limits
+        self.options = Options(progress, callback, checkpoint, checkpoint_every)
+        self._generator = generator_from(seed)
+        self.init_amplitude(amplitude_initial)
+        self.init_phase(phase_initial)
+        self.init_mask()
+        self.init_loss_function(loss_function)
+
+    def init_amplitude(self, amplitude_initial: torch.Tensor | None) -> None:
+        """Set the amplitude of the light on the modulator ``[m, n]``: that given, or one everywhere."""
+        self.amplitude = self._plane("amplitude_initial", amplitude_initial, torch.ones)
+
+    def init_phase(self, phase_initial: torch.Tensor | None) -> None:
+        """Start from the phase given, or from 0 … 1 rad at random; the offset of the double phase is drawn alike."""
+        self.phase = self._plane("phase_initial", phase_initial, self._drawn).requires_grad_()
+        self.offset = self._plane("offset", None, self._drawn).requires_grad_()
+
+    def _drawn(self, shape, dtype):
+        # On the CPU, so that a seed gives the same start on every device.
+        return torch.rand(shape, generator=self._generator, dtype=dtype)
+
+    def _plane(self, name, given, make):
+        shape = tuple(self.slm_resolution)
+        values = make(shape, dtype=self.targets.dtype) if given is None else floating(name, given).detach().clone()
+        if tuple(values.shape) != shape:
+            raise ValueError(f"{name} must be {shape}, got {tuple(values.shape)}")
+        _validate.real(name, values.cpu())
+        return values.to(self.device, self.targets.dtype)
+
+    def init_optimizer(self) -> None:
+        """Gather what is learned."""
+        self.parameters = {"phase": self.phase, "offset": self.offset}
+
+    def init_loss_function(self, loss_function: Callable | None = None, reduction: str = "mean") -> None:
+        """Set the loss of a plane: that given, or the squared error."""
+        self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
+        self.l2_loss = torch.nn.MSELoss(reduction=reduction)
+
+    def init_mask(self) -> None:
+        """Set the part of the images that counts, ``[m, n]``."""
+        limits = _validate.numbers(_validate.real("mask_limits", self.mask_limits))
+        if len(limits) != 4 or not (0 <= limits[0] < limits[1] <= 1 and 0 <= limits[2] < limits[3] <= 1):
+            raise ValueError(f"mask_limits must be two rising pairs of shares of 0 … 1, got {self.mask_limits!r}")
+        rows, columns = self.slm_resolution
+        self.mask = torch.zeros(rows, columns, dtype=self.targets.dtype, device=self.device)
+        top, bottom, left, right = (
+            int(n * share) for n, share in zip((rows, rows, columns, columns), limits, strict=True)
+        )
+        self.mask[top:bottom, left:right] = 1
+
+    def evaluate(self, input_image: torch.Tensor, target_image: torch.Tensor, plane_id: int) -> torch.Tensor:
+        """Return the loss of an image ``[m, n]`` on a plane, outside the mask left out."""
+        _validate.integer("plane_id", plane_id)
+        for name, image in (("input_image", input_image), ("target_image", target_image)):
+            if not isinstance(image, torch.Tensor) or image.shape[-2:] != self.mask.shape:
+                got = list(image.shape) if isinstance(image, torch.Tensor) else type(image).__name__
+                raise ValueError(f"{name} must be a tensor [..., {', '.join(map(str, self.mask.shape))}], got {got}")
+        _validate.one_device(input_image=input_image, target_image=target_image, mask=self.mask)
+        pair = input_image * self.mask, target_image * self.mask
+        return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
+
+    def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
+        """Return the double phase of the phase less its mean and the offset, ``[m, n]``."""
+        shifted_phase, phase_offset = checked_pattern(shifted_phase, phase_offset, "shifted_phase")
+        return checkerboard(zero_mean(shifted_phase), phase_offset)
+
+    def optimize(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Return the phase ``[m, n]``, the amplitude ``[m, n]`` and the intensities ``[P, m, n]``, optimized."""
+        self.gradient_descent()
+        with torch.no_grad():
+            phase = self.double_phase_constrain(self.phase, self.offset)
+        return phase, self.amplitude, self.reconstruct(self.amplitude, phase)
+
+    def reconstruct(self, hologram_amplitude: torch.Tensor, hologram_phase: torch.Tensor) -> torch.Tensor:
+        """Return the intensities ``[P, m, n]`` of a hologram's amplitude and phase ``[m, n]``."""
+        m, n = self.slm_resolution
+        shaped = {"hologram_amplitude": hologram_amplitude, "hologram_phase": hologram_phase}
+        for name, value in shaped.items():
+            if not isinstance(value, torch.Tensor) or tuple(value.shape[-2:]) != (m, n) or value.numel() != m * n:
+                got = list(value.shape) if isinstance(value, torch.Tensor) else type(value).__name__
+                raise ValueError(f"{name} must be a tensor [{m}, {n}], got {got}")
+        phase, amplitude = hologram_phase.reshape(m, n), hologram_amplitude.reshape(m, n)
+        return self.propagator.reconstruct(phase, amplitude)[0, :, 0].detach()
+
+    def gradient_descent(self) -> None:
+        """Optimize phase and offset in place."""
+        self.init_optimizer()
+        planes = range(self.number_of_planes)
+        # A step sees one plane. Which parameters were best is decided by the latest losses of all of them.
+        with torch.no_grad():
+            latest = torch.stack([self._loss_on(plane).detach().reshape(()) for plane in planes])
+
+        def gradient(step):
+            plane = step % self.number_of_planes
+            loss = self._loss_on(plane)
+            loss.backward()
+            latest[plane] = loss.detach()
+            return latest.mean()
+
+        about = {"learning_rate": self.learning_rate, "planes": self.number_of_planes}
+        if self.options.checkpoint is not None:
+            given = fingerprint(self.targets, self.amplitude, self.mask)
+            about |= {"targets, amplitude or mask": given, "display": self.propagator.fingerprint()}
+        minimise(
+            self.parameters | {"latest losses": latest},
+            gradient,
+            self.number_of_iterations * self.number_of_planes,
+            constant(self.learning_rate),
+            self.options,
+            description="multiplane hologram",
+            about=about,
+            generators=[own for own in [getattr(self.loss_function, "generator", None)] if own is not None],
+        )
+
+    def _loss_on(self, plane):
+        phase = self.double_phase_constrain(self.phase, self.offset)
+        image = intensity(self.propagator(self.amplitude * unit_phasor(phase), 0, plane))
+        return self.evaluate(image, self.targets[plane], plane)

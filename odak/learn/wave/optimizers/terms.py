@@ -1,0 +1,244 @@
+"""Terms of the losses of hologram optimizers: targets, weights, light sources, eyebox and phase constraints."""
+
+import inspect
+from collections.abc import Callable, Iterable, Sequence
+
+import torch
+
+from odak import _validate
+from odak.learn._tensors import floating
+from odak.learn.tools.file import torch_load
+from odak.learn.tools.loss import multi_scale_total_variation_loss
+from odak.learn.wave.fields import unit_phasor
+from odak.learn.wave.volume import disc
+from odak.tools.paths import validate_path
+from odak.wave.fields import decompose_double_phase
+
+WEIGHTS = {"image": 1.0, "light": 1.0, "eyebox": 1.0, "phase": 0.0}
+_OLDER_ORDER = ("image", "light", "phase", "eyebox")
+_OF_A_PLANE = {"plane_id", "noise_ratio", "inject_noise"}
+
+
+def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dict[str, float]) -> dict[str, float]:
+    """Return the weight of each loss.
+
+    Parameters
+    ----------
+    given : dict or sequence of float, optional
+        Weights by name, or in the older order image, light, phase, eyebox.
+    defaults : dict
+        Weights of those that are not given.
+
+    Returns
+    -------
+    dict
+        A weight for "image", "light", "eyebox" and "phase".
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a loss is not known, or a weight is negative or not finite.
+    """
+    if given is None:
+        return dict(defaults)
+    if not isinstance(given, dict):
+        given = _validate.several("weights", given)
+        if len(given) > len(_OLDER_ORDER):
+            raise ValueError(f"weights must be at most {len(_OLDER_ORDER)} ({', '.join(_OLDER_ORDER)}), got {given!r}")
+        # A loss that the older form leaves out has no weight.
+        given = dict.fromkeys(_OLDER_ORDER, 0.0) | dict(zip(_OLDER_ORDER, given, strict=False))
+    unknown = sorted(set(map(str, given)) - set(defaults))
+    if unknown:
+        raise ValueError(f"weights must be of {', '.join(defaults)}; got {', '.join(map(repr, unknown))}")
+    for name, value in given.items():
+        if _validate.real(f"weights[{name!r}]", value) < 0:
+            raise ValueError(f"weights[{name!r}] must not be negative, got {value}")
+    weights = defaults | {name: float(value) for name, value in given.items()}
+    if not any(weights.values()):
+        raise ValueError(f"weights must hold one above zero, got {given!r}")
+    return weights
+
+
+def keywords_of(loss: Callable) -> set[str]:
+    """Return which of `plane_id`, `noise_ratio`, `inject_noise` and `generator` a loss takes."""
+    parameters = inspect.signature(loss.forward if isinstance(loss, torch.nn.Module) else loss).parameters
+    anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
+    named = set(parameters) & (_OF_A_PLANE | {"generator"})
+    return named | _OF_A_PLANE if anything else named
+
+
+def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reduction: str) -> torch.Tensor:
+    """Return how far source powers are from what the brightest pixels need, and how near a frame is to darkness.
+
+    Parameters
+    ----------
+    powers : torch.Tensor
+        Amplitudes of the sources ``[F, C]``.
+    targets : torch.Tensor
+        Intensities ``[D, C, ms, ns]``.
+    peak : float
+        Brightness asked for.
+    reduction : {"sum", "mean"}
+        How colours are put together.
+
+    Returns
+    -------
+    torch.Tensor
+        The loss, without axes (Kavaklı et al. 2023, section 3).
+    """
+    brightest = targets.amax((0, 2, 3)) * peak
+    per_colour = (powers.sum(0) - brightest).square()
+    whole = (powers.sum() - len(powers) * peak).square()
+    return (per_colour.mean() if reduction == "mean" else per_colour.sum()) + whole + powers.sum(1).amin().cos()
+
+
+def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
+    """Return intensities after checking their shape and that they are finite and not negative."""
+    if not isinstance(targets, torch.Tensor) or not targets.is_floating_point():
+        kind = getattr(targets, "dtype", type(targets).__name__)
+        raise TypeError(f"targets must be a real floating tensor, got {kind}")
+    if tuple(targets.shape) != shape:
+        raise ValueError(f"targets must be {shape}, got {tuple(targets.shape)}")
+    if not bool(targets.isfinite().all()):
+        raise ValueError("targets must be finite, got NaN or infinite values")
+    if bool((targets < 0).any()):
+        raise ValueError(f"targets must not be negative, got {targets.min().item()}")
+    return targets.detach()
+
+
+def check_pair(input_image, target_image) -> None:
+    """Raise ValueError or TypeError unless an image and its target are real tensors of one shape."""
+    for name, image in (("input_image", input_image), ("target_image", target_image)):
+        if not isinstance(image, torch.Tensor) or image.is_complex():
+            raise TypeError(f"{name} must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+    if not input_image.ndim:
+        raise ValueError("input_image must be [colours, rows, columns], got a number")
+    _validate.alike(input_image=input_image, target_image=target_image)
+
+
+def checked_eyebox(eyebox: dict | None) -> dict:
+    """Return offset and diameter of an eyebox in samples, the usual ones where they are not given."""
+    usual = {"offset": 0.0, "diameter": 100}
+    if eyebox is not None and not isinstance(eyebox, dict):
+        raise TypeError(f"eyebox must be a dictionary of offset and diameter, got {eyebox!r:.80}")
+    if unknown := set(map(str, eyebox or {})) - set(usual):
+        raise ValueError(f"eyebox must hold offset and diameter, got {', '.join(sorted(unknown))}")
+    return usual | (eyebox or {})
+
+
+def eyebox_mask(shape: Sequence[int], offset: float | Sequence[float], diameter: float) -> torch.Tensor:
+    """Return a disc of the spectrum, ``[rows, columns]`` in FFT order, 1 inside.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    offset : float or sequence of float
+        Distance of its centre from zero frequency in samples, of both axes or of each.
+    diameter : float
+        Its diameter in samples.
+
+    Raises
+    ------
+    ValueError
+        If there is no sample in it.
+    """
+    alone = not isinstance(offset, Iterable) or getattr(offset, "ndim", 1) == 0
+    shift = _validate.numbers(_validate.several("offset", (offset, offset) if alone else offset, 2))
+    mask = disc(shape, _validate.real("diameter", diameter, positive=True) / 2, shift)
+    if not bool(mask.any()):
+        raise ValueError(f"the eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}")
+    return torch.fft.ifftshift(mask)
+
+
+def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:
+    """Return the channel powers ``[F, C]`` in a file, clipped to 0 … 1."""
+    path = validate_path(filename, name="channel_power_filename")
+    powers = torch_load(path)
+    if not isinstance(powers, torch.Tensor) or tuple(powers.shape) != shape:
+        got = list(powers.shape) if isinstance(powers, torch.Tensor) else type(powers).__name__
+        raise ValueError(f"channel_power_filename {path!r} must hold a tensor {list(shape)}, got {got}")
+    return floating("channel_power_filename", powers).clamp(0, 1)
+
+
+def checked_pattern(
+    phase, offset, name: str = "phase", *, of_frames: bool = False
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a phase ``[..., m, n]`` and the offset that goes with it after checking both.
+
+    Parameters
+    ----------
+    phase, offset : torch.Tensor
+        What came.
+    name : str
+        What the phase is called; the offset is "phase_offset".
+    of_frames : bool
+        The offset is one for each frame, ``[F]``, rather than one that broadcasts against the phase.
+    """
+    phase, offset = _validate.image(name, floating(name, phase)), floating("phase_offset", offset)
+    if phase.ndim > 4 or not phase.numel():
+        raise ValueError(f"{name} must be [m, n], [F, m, n] or [B, F, m, n], not empty; got {list(phase.shape)}")
+    offset = offset.reshape(-1, 1, 1) if of_frames else offset
+    if _validate.fitting(**{name: phase, "phase_offset": offset}) != tuple(phase.shape):
+        raise ValueError(f"phase_offset must fit into {name} {list(phase.shape)}, got {list(offset.shape)}")
+    return phase, offset
+
+
+def checkerboard(phase: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
+    """Return phase − offset at (even, even) and (odd, odd), phase + offset at the other pixels.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        ``[..., m, n]`` in radians.
+    offset : torch.Tensor
+        Broadcasts against `phase`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., m, n]``.
+    """
+    rows, columns = (torch.arange(n, device=phase.device) for n in phase.shape[-2:])
+    signs = ((rows[:, None] + columns) % 2 * 2 - 1).to(phase.dtype)
+    return torch.addcmul(phase, signs, offset)
+
+
+def zero_mean(phase: torch.Tensor) -> torch.Tensor:
+    """Return the phase ``[..., m, n]`` of each frame less its mean."""
+    return phase - phase.mean((-2, -1), keepdim=True)
+
+
+def roughness(phase: torch.Tensor, levels: int = 6) -> torch.Tensor:
+    """Return the total variation of a phase ``[..., m, n]`` over so many sizes, each half of the one before."""
+    levels = _validate.whole("levels", levels, minimum=1)
+    # Frames smaller than that have fewer sizes.
+    return multi_scale_total_variation_loss(phase, min(levels, min(phase.shape[-2:]).bit_length()))
+
+
+def double_phase_roughness(phase: torch.Tensor, levels: int = 6) -> torch.Tensor:
+    """Return the total variation and the standard deviation of the two parts of a double phase ``[F, m, n]``."""
+    return sum(roughness(part, levels) + part.std() for part in decompose_double_phase(phase))
+
+
+def eyebox_loss(phase: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    """Return how unevenly light fills an eyebox in the Fourier plane, and how much of it misses the eyebox.
+
+    Parameters
+    ----------
+    phase : torch.Tensor
+        Phases ``[F, m, n]`` in radians.
+    mask : torch.Tensor
+        ``[m, n]`` in FFT order, 1 inside the eyebox.
+
+    Returns
+    -------
+    torch.Tensor
+        Mean over the frames of variance/mean² of the spectrum's amplitude inside, plus the share of it outside.
+    """
+    amplitude = torch.fft.fft2(unit_phasor(phase), norm="ortho").abs()
+    inside = amplitude * mask
+    within, whole = inside.sum((-2, -1)), amplitude.sum((-2, -1))
+    mean = within / mask.sum()
+    variance = (inside.square().sum((-2, -1)) / mask.sum() - mean.square()).clamp_min(0)
+    return (variance / mean.square() + 1 - within / whole).mean()

@@ -1,5 +1,0 @@
-"""Propagation to a tilted plane, differentiable."""
-
-from odak.wave.tilted import propagate_to_tilted_plane
-
-__all__ = ["propagate_to_tilted_plane"]

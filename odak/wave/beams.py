@@ -1,0 +1,413 @@
+"""Complex amplitudes of beams: Gaussian, Hermite–, Laguerre– and Bessel–Gauss, Airy and flat-top beams.
+
+Each beam travels along +z and is sampled on the grid of a field, its axis at index n // 2 unless `offset` moves it.
+Widths are radii at which the *amplitude* of the fundamental Gaussian factor falls to 1/e (the intensity to 1/e²).
+A beam of `power` P has Σ|u|²·dx² = P on a window that holds all of it.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import scipy.special
+
+from odak import _array, _validate
+from odak._array import Array, cast, is_array, namespace
+from odak.wave.elements import grid_positions
+
+
+def gaussian_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    waist: float | Array | Sequence[float],
+    distance: float | Array = 0.0,
+    power: float | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return a Gaussian beam at a distance from its waist.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in the medium, in metres.
+    waist : float, array or sequence of float
+        Radius of the waist in metres; two numbers (y, x) for an elliptic beam.
+    distance : float or array
+        Distance behind the waist in metres; negative in front of it.
+    power : float or array
+        Power P of the beam.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``, with the phase exp(ikz) of the carrier; the paraxial solution
+        √(2P/π)/w·exp(−r²/w²)·exp(i(kz + kr²/(2R) − ψ)) (B. E. A. Saleh and M. C. Teich, Fundamentals of Photonics
+        (2007), section 3.1). Differentiable in every number given as a tensor.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> from odak.wave import gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 8e-6, 532e-9, 60e-6, power=2.0)
+    >>> round(float((abs(beam) ** 2).sum() * 8e-6**2), 9)
+    2.0
+    """
+    return hermite_gaussian_beam(shape, dx, wavelength, waist, (0, 0), distance, power, offset, xp=xp, device=device)
+
+
+def hermite_gaussian_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    waist: float | Array | Sequence[float],
+    order: Sequence[int] = (0, 0),
+    distance: float | Array = 0.0,
+    power: float | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return a Hermite–Gauss mode at a distance from its waist.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in the medium, in metres.
+    waist : float, array or sequence of float
+        Radius of the waist of the fundamental mode in metres; two numbers (y, x) for an elliptic one.
+    order : sequence of int
+        Numbers of zeros along the rows' axis (y) and the columns' axis (x).
+    distance : float or array
+        Distance behind the waist in metres.
+    power : float or array
+        Power of the mode.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``: the product of one-dimensional modes H_m(√2·x/w)·exp(−x²/w²)·exp(ikx²/(2R) −
+        i(m + 1/2)ψ), of unit power each (Saleh and Teich (2007), section 3.3).
+    """
+    counts = [_validate.integer("order", n) for n in _pair("order", order)]
+    waists = _pair("waist", waist) if isinstance(waist, (list, tuple)) else (waist, waist)
+    for value in waists:
+        _validate.number("waist", value, positive=True)
+    xp, (y, x), (wavelength, distance, power, *waists) = _prepare(
+        shape, dx, offset, xp, device, wavelength=wavelength, distance=distance, power=power, waist=waists
+    )
+    along_y, along_x = (
+        _hermite_mode(xp, position, wavelength, waist, n, distance)
+        for position, waist, n in zip((y, x), waists, counts, strict=True)
+    )
+    carrier = _array.phasor_of_cycles(distance / wavelength, xp.complex128) * xp.astype(xp.sqrt(power), xp.complex128)
+    return carrier * along_y[:, None] * along_x[None, :]
+
+
+def laguerre_gaussian_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    waist: float | Array,
+    radial: int = 0,
+    azimuthal: int = 0,
+    distance: float | Array = 0.0,
+    power: float | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return a Laguerre–Gauss mode, which carries an optical vortex, at a distance from its waist.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in the medium, in metres.
+    waist : float or array
+        Radius of the waist of the fundamental mode in metres.
+    radial : int
+        Number p of zeros along the radius.
+    azimuthal : int
+        Charge l of the vortex: the phase is l times the azimuth, from x (columns) towards y (rows).
+    distance : float or array
+        Distance behind the waist in metres.
+    power : float or array
+        Power of the mode.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``: √(2p!/(π(p + |l|)!))/w·(√2·r/w)^|l|·L_p^|l|(2r²/w²)·exp(−r²/w²)·exp(ilφ) with
+        the Gouy phase (2p + |l| + 1)ψ (Saleh and Teich (2007), section 3.4).
+    """
+    p, charge = _validate.integer("radial", radial), _validate.integer("azimuthal", azimuthal, minimum=-math.inf)
+    _validate.number("waist", waist, positive=True)
+    xp, (y, x), (wavelength, distance, power, waist) = _prepare(
+        shape, dx, offset, xp, device, wavelength=wavelength, distance=distance, power=power, waist=(waist,)
+    )
+    y, x = y[:, None], x[None, :]
+    width, curvature, gouy = _gaussian(xp, wavelength, waist, distance)
+    squared = (x**2 + y**2) / width**2
+    size = abs(charge)
+    norm = math.sqrt(2 / math.pi * math.exp(math.lgamma(p + 1) - math.lgamma(p + size + 1)))
+    envelope = norm / width * _laguerre(p, size, 2 * squared) * xp.exp(-squared)
+    phase = math.pi / wavelength * curvature * (x**2 + y**2) - (2 * p + size + 1) * gouy
+    spiral = _array.make_complex(*_vortex(x * 2**0.5 / width, y * 2**0.5 / width, charge))
+    carrier = _array.phasor_of_cycles(distance / wavelength, xp.complex128) * xp.astype(xp.sqrt(power), xp.complex128)
+    return carrier * xp.astype(envelope, xp.complex128) * _array.phasor(phase, xp.complex128) * spiral
+
+
+def bessel_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float,
+    angle: float,
+    order: int = 0,
+    waist: float | None = None,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return a Bessel beam: plane waves on a cone, which keep their transverse profile.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float
+        Wavelength in the medium, in metres.
+    angle : float
+        Half angle of the cone in degrees.
+    order : int
+        Charge l of the vortex on the axis.
+    waist : float, optional
+        Radius of a Gaussian envelope in metres (a Bessel–Gauss beam); none by default.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace, NumPy by default.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``: J_l(k·sin(angle)·r)·exp(ilφ), times exp(−r²/waist²). Its peak amplitude is that
+        of J_l, for an ideal Bessel beam has no finite power (J. Durnin, J. Opt. Soc. Am. A 4, 651 (1987)). Without an
+        envelope it propagates by the phase k·cos(angle)·z alone.
+    """
+    order = _validate.integer("order", order, minimum=-math.inf)
+    angle = float(_validate.number("angle", angle))
+    if not 0 < angle < 90:
+        raise ValueError(f"angle must be between 0 and 90 degrees, got {angle!r}")
+    if waist is not None:
+        _validate.number("waist", waist, positive=True)
+    y, x, xp = _plain_grid(shape, dx, offset, xp)
+    wavelength = float(_validate.number("wavelength", wavelength, positive=True))
+    radius = np.hypot(y, x)
+    field = scipy.special.jv(order, 2 * math.pi / wavelength * math.sin(math.radians(angle)) * radius)
+    if waist is not None:
+        field = field * np.exp(-((radius / float(waist)) ** 2))
+    return xp.asarray(field * np.exp(1j * order * np.arctan2(y, x)), device=device)
+
+
+def airy_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    scale: float | Sequence[float],
+    decay: float = 0.05,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return a finite-energy Airy beam, whose peak follows a parabola.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    scale : float or sequence of float
+        Transverse scale in metres, one number or (y, x); negative mirrors the beam. After a distance z the pattern has
+        moved by z²/(4k²·scale³) along each axis.
+    decay : float
+        Exponential truncation a ≥ 0 of the tail.
+    offset : sequence of float
+        Position (rows, columns) of the origin in metres.
+    xp : optional
+        Array namespace, NumPy by default.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``: Ai(y/y₀)·exp(a·y/y₀)·Ai(x/x₀)·exp(a·x/x₀) (G. A. Siviloglou and
+        D. N. Christodoulides, Opt. Lett. 32, 979 (2007)), not normalised.
+    """
+    scales = _validate.several(
+        "scale", _pair("scale", scale) if isinstance(scale, (list, tuple)) else (scale, scale), 2
+    )
+    for value in scales:
+        _validate.real("scale", value, nonzero=True)
+    if not float(_validate.number("decay", decay)) >= 0:
+        raise ValueError(f"decay must be at least 0, got {decay!r}")
+    y, x, xp = _plain_grid(shape, dx, offset, xp)
+    along_y, along_x = (
+        scipy.special.airy(position / size)[0] * np.exp(decay * position / size)
+        for position, size in zip((y, x), scales, strict=True)
+    )
+    return xp.asarray((along_y * along_x).astype(np.complex128), device=device)
+
+
+def flat_top_beam(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    waist: float | Array,
+    order: float = 10.0,
+    power: float | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the amplitude of a flat-top beam, a super-Gaussian.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    waist : float or array
+        Radius in metres at which the amplitude falls to 1/e.
+    order : float
+        Steepness n ≥ 1 of the edge: 1 is a Gaussian, a large number a disc.
+    power : float or array
+        Power of the beam.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns]``: exp(−(r/w)^(2n)) times the amplitude that gives the power.
+    """
+    _validate.number("order", order, least=1)
+    order = float(order)
+    _validate.number("waist", waist, positive=True)
+    xp, (y, x), (power, waist) = _prepare(shape, dx, offset, xp, device, power=power, waist=(waist,))
+    area = math.pi * math.gamma(1 / order) / (order * 2 ** (1 / order)) * waist**2
+    squared = (y[:, None] ** 2 + x[None, :] ** 2) / waist**2
+    return xp.astype(xp.sqrt(power / area) * xp.exp(-(squared**order)), xp.complex128)
+
+
+def _hermite_mode(xp, position, wavelength, waist, order: int, distance):
+    """Return a one-dimensional mode of unit power, without its carrier."""
+    width, curvature, gouy = _gaussian(xp, wavelength, waist, distance)
+    scaled = position * 2**0.5 / width
+    # Recurrence of the normalised Hermite functions, which stay of order 1 where H_n itself overflows.
+    before, now = 0 * scaled, (2 / math.pi) ** 0.25 / xp.sqrt(width) * xp.exp(-(scaled**2) / 2)
+    for n in range(order):
+        before, now = now, (2 / (n + 1)) ** 0.5 * scaled * now - (n / (n + 1)) ** 0.5 * before
+    phase = math.pi / wavelength * curvature * position**2 - (order + 0.5) * gouy
+    return xp.astype(now, xp.complex128) * _array.phasor(phase, xp.complex128)
+
+
+def _gaussian(xp, wavelength, waist, distance):
+    """Return the radius, the curvature of the wavefront and the Gouy phase of a Gaussian beam."""
+    rayleigh = math.pi * waist**2 / wavelength
+    width = waist * xp.sqrt(1 + (distance / rayleigh) ** 2)
+    return width, distance / (distance**2 + rayleigh**2), xp.atan(distance / rayleigh)
+
+
+def _laguerre(p: int, size: int, x):
+    """Return the generalised Laguerre polynomial L_p^size(x) by its recurrence."""
+    before, now = 0 * x, 1 + 0 * x
+    for n in range(p):
+        before, now = now, ((2 * n + 1 + size - x) * now - (n + size) * before) / (n + 1)
+    return now
+
+
+def _vortex(x, y, charge: int):
+    """Return the real and imaginary part of (x ± iy)^|charge|."""
+    real, imaginary = 1 + 0 * (x + y), 0 * (x + y)
+    sign = 1 if charge >= 0 else -1
+    for _ in range(abs(charge)):
+        real, imaginary = x * real - sign * y * imaginary, x * imaginary + sign * y * real
+    return real, imaginary
+
+
+def _pair(name: str, value) -> tuple:
+    if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 2:
+        raise ValueError(f"{name} must be two numbers (rows, columns), got {value!r:.100}")
+    return tuple(value)
+
+
+def _prepare(shape, dx, offset, xp, device, **numbers):
+    """Return the namespace, the positions (y, x) and the checked numbers in double precision, those of `waist` last."""
+    waists = numbers.pop("waist")
+    positive = {"wavelength", "power"}
+    for name, value in numbers.items():
+        _validate.number(name, value, positive=name in positive)
+    values = [*numbers.values(), *waists]
+    arrays = [value for value in values if is_array(value)]
+    xp = namespace(*arrays) if xp is None else _validate.library("xp", xp)
+    like = arrays[0] if arrays else xp.asarray(0.0, device=device)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, _array.device_of(like))
+    return xp, (y[:, 0], x[0, :]), [xp.reshape(cast(value, like, xp.float64), ()) for value in values]
+
+
+def _plain_grid(shape, dx, offset, xp):
+    """Return NumPy's positions as ``[rows, 1]`` and ``[1, columns]``, and the namespace of the result."""
+    _, (y, x) = grid_positions(shape, dx, offset, namespace(), None)
+    return y, x, _validate.library("xp", xp)

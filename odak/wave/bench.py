@@ -1,0 +1,498 @@
+"""First-order optical systems: Collins' integral with the pitch that each plane needs, and benches of elements."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from odak import _array, _validate
+from odak._array import Array, phasor_of_cycles
+from odak.wave.fourier import centred, fourier_sum
+from odak.wave.propagation import propagate_beam
+from odak.wave.transfer_functions import check_geometry, fraction_of_cycles, pitches
+from odak.wave.windows import propagate_to_window
+
+_PADDED = (True, False, True)
+
+
+def propagate_abcd(
+    field: Array,
+    matrix: Any,
+    dx: float | Sequence[float],
+    wavelength: float,
+    output_dx: float | Sequence[float] | None = None,
+    output_shape: Sequence[int] | None = None,
+    path_length: float = 0.0,
+) -> tuple:
+    """Propagate a field through a first-order system of lenses, mirrors and spaces, given by its ray matrix.
+
+    The pitch of the result is free, so that one step goes from a display of 300 mm to an image of 30 mm, through a
+    telescope or to a focus.
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``.
+    matrix : array or sequence
+        Ray matrix ``[[A, B], [C, D]]`` of determinant 1, acting on (height, angle), an array or nested sequences whose
+        entries may be tensors; or a tuple of two such matrices (rows, columns) for a system with cylindrical lenses.
+    dx : float or sequence of float
+        Pixel pitch of the field in metres, one number or a pair (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    output_dx : float or sequence of float, optional
+        Pixel pitch of the result. By default |A|·dx where the field is imaged or nearly so, |B/A| < N·dx²/λ, and
+        λ·|B|/(N·dx) elsewhere, which spans all that the pitch of the field can send.
+    output_shape : sequence of int, optional
+        Rows and columns of the result; by default those of the field.
+    path_length : float
+        Optical path along the axis in metres, whose phase exp(ikL) is applied.
+
+    Returns
+    -------
+    tuple
+        Field ``[..., rows, columns]`` in the library and precision of `field`, and its pixel pitch: a number, or a pair
+        (rows, columns) where the two differ. Differentiable in the field and in every number that is a tensor.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it, or the determinant is not 1.
+
+    Notes
+    -----
+    Collins, J. Opt. Soc. Am. 60, 1168 (1970): u₂(x₂) = exp(ikL)/(iλB)·∬u₁·exp(iπ(A·x₁² − 2x₁·x₂ + D·x₂²)/(λB)). It
+    separates into rows and columns. Where B/A is large it is one chirp-z transform; elsewhere the matrix is taken apart
+    into Fresnel propagation over B/A, magnification by A, and a lens, all within chirp-z transforms, on twice the grid.
+    Paraxial, as ray matrices are.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import propagate_abcd
+    >>> telescope = np.array([[-0.1, 0.0], [0.0, -10.0]])
+    >>> field, pitch = propagate_abcd(np.ones((64, 64), complex), telescope, 40e-6, 532e-9)
+    >>> field.shape, round(pitch * 1e6, 6)
+    ((64, 64), 4.0)
+    """
+    field = _array.to_complex(_validate.image("field", field))
+    _validate.real("path_length", path_length)
+    check_geometry(None, path_length, dx, wavelength, tuple(field.shape[:-2]))
+    xp = _array.namespace(field)
+    matrices = matrix if isinstance(matrix, tuple) and len(matrix) == 2 and _is_matrix(matrix[0]) else (matrix, matrix)
+    counts = tuple(field.shape[-2:]) if output_shape is None else _validate.size("output_shape", output_shape)
+    given = (None, None) if output_dx is None else pitches(output_dx, "output_dx")
+    like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
+    wave = _array.cast(wavelength, like)
+    found = []
+    for axis, entries, pitch, wanted, count in zip((-2, -1), matrices, pitches(dx), given, counts, strict=True):
+        (a, b), (c, d) = _entries(entries, like)
+        field, out = _along_axis(field, a, b, c, d, _array.cast(pitch, like), wanted, count, wave, axis)
+        found.append(out)
+    if _array.is_array(path_length) or path_length != 0:
+        cycles = fraction_of_cycles(_array.cast(path_length, like), wave)
+        field = field * phasor_of_cycles(cycles, field.dtype)
+    plain = [float(p) if not _array.is_traced(p) else p for p in found]
+    same = not any(_array.is_traced(p) for p in plain) and plain[0] == plain[1]
+    return field, plain[0] if same else tuple(plain)
+
+
+def _is_matrix(value) -> bool:
+    return getattr(value, "ndim", 0) == 2 or (isinstance(value, (list, tuple)) and isinstance(value[0], (list, tuple)))
+
+
+def _entries(matrix, like):
+    """Return A, B, C and D as float64 scalars in the library of `like`, after checking that A·D − B·C = 1."""
+    try:
+        rows = [[matrix[i][j] for j in range(2)] for i in range(2)]
+        fits = len(matrix) == 2 and all(len(row) == 2 for row in matrix)
+    except (TypeError, IndexError):
+        fits = False
+    if not fits:
+        raise ValueError(f"matrix must be [[A, B], [C, D]], or a tuple of two of them, got {matrix!r:.100}")
+    (a, b), (c, d) = [[_array.cast(_validate.real("matrix", value), like) for value in row] for row in rows]
+    if all(_array.is_readable(value) for value in (a, b, c, d)):
+        determinant, scale = (_validate.numbers(value)[0] for value in (a * d - b * c, a * d))
+        if abs(determinant - 1) > 1e-6 * max(1.0, abs(scale)):
+            raise ValueError(f"matrix must have the determinant A·D − B·C = 1, got {determinant:.9g}")
+    return (a, b), (c, d)
+
+
+def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: int):
+    """Return the field after the system along one axis, and its pitch there."""
+    xp = _array.namespace(field)
+    n = field.shape[axis]
+    numbers = [_validate.numbers(value)[0] for value in (a, b, pitch, wavelength)]
+    imaged = abs(numbers[1]) * numbers[3] < abs(numbers[0]) * n * numbers[2] ** 2
+    if wanted is not None:
+        _validate.real("output_dx", wanted, positive=True)
+        out = _array.cast(wanted, wavelength)
+    else:
+        out = xp.abs(a) * pitch if imaged else wavelength * xp.abs(b) / (n * pitch)
+    positions = centred(wavelength, count, axis) * out
+    backwards = numbers[1] < 0
+    if imaged:
+        # Fresnel propagation over B/A, magnification by A, and a lens of power −C/A.
+        frequencies = centred(wavelength, 2 * n, axis) / (2 * n * pitch)
+        spectrum = fourier_sum(field, xp.ones_like(wavelength) / (2 * n), 2 * n, -1, axis)
+        spectrum = spectrum * phasor_of_cycles(-wavelength * b / a * frequencies**2 / 2, field.dtype)
+        result = fourier_sum(spectrum, out / (a * pitch * 2 * n), count, +1, axis) / (2 * n)
+        quarter = (0.25 if backwards else -0.25) if numbers[0] < 0 else 0.0
+        cycles = c * positions**2 / (2 * a * wavelength) + quarter
+        amplitude = 1 / xp.sqrt(xp.abs(a))
+    else:
+        source = centred(wavelength, n, axis) * pitch
+        field = field * phasor_of_cycles(a * source**2 / (2 * b * wavelength), field.dtype)
+        result = fourier_sum(field, pitch * out / (wavelength * b), count, -1, axis)
+        cycles = d * positions**2 / (2 * b * wavelength) + (0.125 if backwards else -0.125)
+        amplitude = pitch / xp.sqrt(wavelength * xp.abs(b))
+    result = result * phasor_of_cycles(cycles, field.dtype) * xp.astype(amplitude, field.dtype)
+    return xp.astype(result, field.dtype, copy=False), xp.reshape(out, ())
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Free space, or a homogeneous medium, of a bench.
+
+    Attributes
+    ----------
+    distance : float or tensor
+        Length in metres.
+    propagation_type : str
+        Propagation type, see :func:`odak.wave.propagate_beam`; fields are padded to twice their size.
+    window_shape : tuple of int, optional
+        Rows and columns of the result, where it is to differ from the field: see :func:`odak.wave.propagate_to_window`.
+    window_dx : float or pair, optional
+        Pixel pitch of the result in metres.
+    offset : tuple
+        Place (y, x) of the window's centre in metres.
+    index : float or tensor
+        Refractive index of the medium.
+    """
+
+    distance: Any
+    propagation_type: str = "Bandlimited Angular Spectrum"
+    window_shape: Any = None
+    window_dx: Any = None
+    offset: Any = (0.0, 0.0)
+    index: Any = 1.0
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        wavelength = wavelength / self.index
+        if self.window_shape is None and self.window_dx is None and tuple(self.offset) == (0.0, 0.0):
+            method = self.propagation_type
+            return propagate_beam(field, None, self.distance, pitch, wavelength, method, zero_padding=_PADDED), pitch
+        window = propagate_to_window(
+            field, wavelength, self.distance, pitch, self.window_shape, self.window_dx, self.offset
+        )
+        return window, pitch if self.window_dx is None else self.window_dx
+
+    def matrix(self) -> Any:
+        """Return the ray matrix."""
+        return [[1.0, self.distance / self.index], [0.0, 1.0]]
+
+
+@dataclass(frozen=True)
+class ThinLens:
+    """Thin lens of a bench.
+
+    Attributes
+    ----------
+    focal : float or tensor
+        Focal length in metres; positive converges.
+    offset : tuple
+        Position (y, x) of its axis in metres.
+    """
+
+    focal: Any
+    offset: Any = (0.0, 0.0)
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        y, x = _positions(field, pitch, self.offset)
+        focal, wave = (_array.cast(value, y) for value in (self.focal, wavelength))
+        return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype), pitch
+
+    def matrix(self) -> Any:
+        """Return the ray matrix."""
+        return [[1.0, 0.0], [-1 / self.focal, 1.0]]
+
+
+@dataclass(frozen=True)
+class CircularAperture:
+    """Round aperture of a bench; samples of its rim transmit the part that is open, so that it is differentiable.
+
+    Attributes
+    ----------
+    radius : float or tensor
+        Radius in metres.
+    offset : tuple
+        Position (y, x) of its centre in metres.
+    """
+
+    radius: Any
+    offset: Any = (0.0, 0.0)
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        xp = _array.namespace(field)
+        y, x = _positions(field, pitch, self.offset)
+        radius, (dy, dx) = _array.cast(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
+        r = xp.sqrt(y**2 + x**2 + 1e-12 * dy**2)
+        step = xp.sqrt((y * dy) ** 2 + (x * dx) ** 2 + 1e-12 * dy**4) / r
+        return field * xp.astype(xp.clip((radius - r) / step + 0.5, 0.0, 1.0), field.dtype), pitch
+
+
+@dataclass(frozen=True)
+class RectangularAperture:
+    """Rectangular aperture of a bench; samples of its edges transmit the part that is open.
+
+    Attributes
+    ----------
+    height : float or tensor
+        Height along rows in metres.
+    width : float or tensor
+        Width along columns in metres.
+    offset : tuple
+        Position (y, x) of its centre in metres.
+    """
+
+    height: Any
+    width: Any
+    offset: Any = (0.0, 0.0)
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        xp = _array.namespace(field)
+        for place, size, step in zip(
+            _positions(field, pitch, self.offset), (self.height, self.width), pitches(pitch), strict=True
+        ):
+            size, step = _array.cast(size, place), _array.cast(step, place)
+            field = field * xp.astype(xp.clip((size / 2 - xp.abs(place)) / step + 0.5, 0.0, 1.0), field.dtype)
+        return field, pitch
+
+
+@dataclass(frozen=True)
+class Mask:
+    """Transmission of a bench: a mask, a hologram on a modulator, a phase plate.
+
+    Attributes
+    ----------
+    transmission : array or callable
+        Complex or real, it multiplies the field; or a function without arguments that returns it, such as a modulator's
+        model with its present phase.
+    """
+
+    transmission: Any
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        value = self.transmission() if callable(self.transmission) else self.transmission
+        value = _array.cast(_validate.image("transmission", value), field)
+        _validate.fitting(field=field, transmission=value)
+        return field * value, pitch
+
+
+@dataclass(frozen=True)
+class FirstOrderSystem:
+    """System of a bench that is known by its ray matrix, see :func:`propagate_abcd`.
+
+    Attributes
+    ----------
+    abcd : array or sequence
+        Ray matrix ``[[A, B], [C, D]]``.
+    path_length : float or tensor
+        Optical path along the axis in metres.
+    output_dx : float or pair, optional
+        Pixel pitch behind the system.
+    output_shape : tuple of int, optional
+        Rows and columns behind the system.
+    """
+
+    abcd: Any
+    path_length: Any = 0.0
+    output_dx: Any = None
+    output_shape: Any = None
+
+    def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
+        """Return the field behind the element, and its pixel pitch."""
+        return propagate_abcd(field, self.abcd, pitch, wavelength, self.output_dx, self.output_shape, self.path_length)
+
+    def matrix(self) -> Any:
+        """Return the ray matrix."""
+        return self.abcd
+
+
+class BenchPlane(NamedTuple):
+    """Field behind an element of a bench: position along the axis, field, pixel pitch, element (None at the start)."""
+
+    position: Any
+    field: Any
+    pitch: Any
+    element: Any
+
+
+class optical_bench:
+    """Sequence of optical elements as one object, differentiable in each of its numbers.
+
+    Parameters
+    ----------
+    elements : sequence
+        In the order in which light meets them: :class:`FreeSpace`, :class:`ThinLens`, :class:`CircularAperture`,
+        :class:`RectangularAperture`, :class:`Mask`, :class:`FirstOrderSystem`, or any object with a method
+        ``apply(field, pitch, wavelength)`` that returns a field and its pitch.
+    wavelength : float or tensor
+        Wavelength in metres.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an element has no such method, or the wavelength is not positive.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import CircularAperture, FreeSpace, ThinLens, optical_bench
+    >>> bench = optical_bench([CircularAperture(4e-4), ThinLens(0.1), FreeSpace(0.1, window_dx=2e-6)], 532e-9)
+    >>> focus, pitch = bench.propagate(np.ones((128, 128), complex), 8e-6)
+    >>> focus.shape, pitch
+    ((128, 128), 2e-06)
+    """
+
+    def __init__(self, elements: Iterable, wavelength: float | Array):
+        if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
+            raise TypeError(f"elements must be a sequence of elements, got {elements!r:.80}")
+        self.elements = list(elements)
+        for element in self.elements:
+            if not callable(getattr(element, "apply", None)):
+                raise TypeError(f"elements must have a method apply(field, pitch, wavelength), got {element!r:.80}")
+        self.wavelength = _validate.real("wavelength", wavelength, positive=True)
+
+    def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple:
+        """Return the field behind the last element, and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the first element.
+        dx : float or sequence of float
+            Its pixel pitch in metres, one number or a pair (rows, columns).
+        """
+        *_, last = self._planes(field, dx)
+        return last.field, last.pitch
+
+    def planes(self, field: Array, dx: float | Sequence[float]) -> list[BenchPlane]:
+        """Return the field in front of the first element and behind each element.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the first element.
+        dx : float or sequence of float
+            Its pixel pitch in metres.
+        """
+        return list(self._planes(field, dx))
+
+    def _planes(self, field, dx):
+        field, position = _array.to_complex(_validate.image("field", field)), 0.0
+        check_geometry(None, 0.0, dx, self.wavelength, tuple(field.shape[:-2]))
+        pitch = dx
+        yield BenchPlane(position, field, pitch, None)
+        for element in self.elements:
+            field, pitch = element.apply(field, pitch, self.wavelength)
+            position = position + _length(element)
+            yield BenchPlane(position, field, pitch, element)
+
+    def matrix(self) -> Any:
+        """Return the ray matrix ``[[A, B], [C, D]]`` of the whole bench, as nested lists of its numbers."""
+        total: list = [[1.0, 0.0], [0.0, 1.0]]
+        for element in self.elements:
+            if hasattr(element, "matrix"):
+                m = element.matrix()
+                total = [[sum(m[i][k] * total[k][j] for k in range(2)) for j in range(2)] for i in range(2)]
+        return total
+
+    def draw(self, height: float, width: int = 900) -> Any:
+        """Return a drawing of the bench: its elements to scale along the axis, and paraxial rays through it.
+
+        Parameters
+        ----------
+        height : float
+            Half height of the field in metres; rays start there, on the axis and between, parallel to the axis.
+        width : int
+            Width of the drawing in pixels.
+
+        Returns
+        -------
+        PIL.Image.Image
+            The drawing.
+        """
+        from PIL import Image, ImageDraw
+
+        height = float(_validate.real("height", height, positive=True))
+        starts = height * np.linspace(-1, 1, 5)
+        rays = [np.stack([starts, np.zeros(5)])]
+        places = [0.0]
+        for element in self.elements:
+            matrix = getattr(element, "matrix", lambda: [[1.0, 0.0], [0.0, 1.0]])()
+            m = np.array([[float(matrix[i][j]) for j in range(2)] for i in range(2)])
+            offset = float(getattr(element, "offset", (0.0,))[0]) if isinstance(element, ThinLens) else 0.0
+            shift = np.array([[offset], [0.0]])
+            rays.append(m @ (rays[-1] - shift) + shift)
+            places.append(places[-1] + abs(float(_length(element))))
+        tall = 1.15 * max(height, *(float(np.abs(ray[0]).max()) for ray in rays))
+        size, margin = (_validate.integer("width", width, minimum=100), max(80, width // 3)), width // 20
+        length = places[-1] or 1.0
+
+        def at(place, y):
+            return (
+                margin + (size[0] - 2 * margin) * place / length,
+                size[1] / 2 - (size[1] / 2 - margin / 2) * y / tall,
+            )
+
+        image = Image.new("RGB", size, "white")
+        pen = ImageDraw.Draw(image)
+        pen.line([at(0, 0), at(length, 0)], fill="#b0b0b0")
+        for index in range(len(starts)):
+            pen.line([at(p, ray[0][index]) for p, ray in zip(places, rays, strict=True)], fill="#2f7d32", width=2)
+        for place, element in zip(places[1:], self.elements, strict=True):
+            _draw_element(pen, element, lambda y, place=place: at(place, y), tall, margin / 4)
+        return image
+
+
+def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
+    """Draw a lens as an arrow, an aperture as two bars, and a mask as a dashed line."""
+    top = 0.95 * tall
+    (x, high), (_, low) = at(top), at(-top)
+    if isinstance(element, ThinLens):
+        bend = wing if float(element.focal) > 0 else -wing
+        pen.line([(x, high), (x, low)], fill="#1f4e9c", width=2)
+        for y, sign in ((high, 1), (low, -1)):
+            pen.line([(x - wing, y + sign * bend), (x, y), (x + wing, y + sign * bend)], fill="#1f4e9c", width=2)
+    elif isinstance(element, (CircularAperture, RectangularAperture)):
+        half = float(element.radius if isinstance(element, CircularAperture) else element.height / 2)
+        centre = float(element.offset[0])
+        for sign in (1, -1):
+            edge = min(max(centre + sign * half, -top), top)
+            pen.line([at(sign * top), at(edge)], fill="black", width=5)
+    elif isinstance(element, Mask):
+        for part in np.arange(-1.0, 1.0, 0.2):
+            pen.line([at(top * part), at(top * (part + 0.1))], fill="#c25700", width=4)
+    elif isinstance(element, FirstOrderSystem):
+        pen.rectangle([x - 2 * wing, high, x, low], outline="#1f4e9c", width=2)
+
+
+def _length(element):
+    return getattr(element, "distance", getattr(element, "path_length", 0.0))
+
+
+def _positions(field, pitch, offset):
+    """Return the coordinates y and x of the samples of a field from a point, float64."""
+    xp = _array.namespace(field)
+    like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
+    return [
+        centred(like, field.shape[axis], axis) * _array.cast(step, like) - _array.cast(shift, like)
+        for axis, step, shift in zip((-2, -1), pitches(pitch), offset, strict=True)
+    ]

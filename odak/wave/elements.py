@@ -1,0 +1,949 @@
+"""Thin elements: lenses, prisms, axicons, gratings, zone plates, apertures and wavefront aberrations."""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from odak import _array, _validate
+from odak._array import Array, is_array, namespace, phasor, phasor_of_cycles
+from odak._warnings import SamplingWarning, warn
+from odak.tools.zernike import check_mode, jacobi, zernike_norm
+from odak.wave.transfer_functions import pitches
+
+
+def lens_phase(
+    shape: Sequence[int],
+    focal: float,
+    dx: float | Sequence[float],
+    wavelength: float,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase of a thin lens, −π·r²/(λf), on the field's own grid (optical axis at index n // 2).
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    focal : float
+        Focal length in metres; positive converges.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    offset : sequence of float
+        Position of the lens's axis (rows, columns) in metres.
+    xp, device : optional
+        Array namespace (NumPy by default) and device.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, not wrapped.
+    """
+    _validate.real("focal", focal, nonzero=True)
+    _validate.real("wavelength", wavelength, positive=True)
+    xp = _validate.library("xp", xp)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    return -math.pi * (y**2 + x**2) / (wavelength * focal)
+
+
+def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
+    """Return r² on the grid of the older lens functions, ``[nx, ny]``: linspace(−n·dx/2, n·dx/2, n) along each axis.
+
+    The step is n·dx/(n − 1), not dx; :func:`lens_phase` has the exact grid.
+    """
+    _validate.real("dx", dx, positive=True)
+    offset = _validate.several("offset", offset, 2)
+    xp = _validate.library("xp", xp)
+    along_x, along_y = (
+        xp.linspace(-n * dx / 2, n * dx / 2, n, dtype=xp.float64, device=device) - shift * dx
+        for n, shift in ((nx, offset[1]), (ny, offset[0]))
+    )
+    return along_x[:, None] ** 2 + along_y[None, :] ** 2
+
+
+def quadratic_phase_function(
+    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
+) -> np.ndarray:
+    """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Columns and rows.
+    k : float
+        Wave number in rad/m.
+    focal : float
+        Focal length in metres.
+    dx : float
+        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+    offset : sequence of float
+        Shift of the lens in pixels: `offset[1]` along x, `offset[0]` along y.
+
+    Returns
+    -------
+    numpy.ndarray
+        complex128 ``[ny, nx]``.
+
+    Notes
+    -----
+    The older exp(i·k·½·sin(r²/f)) is the same lens with the other sign, and with a sine where small angles hide it.
+    """
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
+    _validate.real("focal", focal, nonzero=True)
+    return phasor(-k * squared_radius(nx, ny, dx, offset) / (2 * focal)).T
+
+
+def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: Any = None) -> Array:
+    """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    k : float
+        Wave number in rad/m.
+    r : float
+        Distance R in metres.
+    dx : float
+        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+    xp : optional
+        Array namespace, NumPy by default.
+
+    Returns
+    -------
+    array
+        complex128 ``[nx, ny]``.
+    """
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
+    _validate.real("r", r, nonzero=True)
+    return phasor(k * squared_radius(nx, ny, dx, xp=xp) / r)
+
+
+def prism_phase_function(
+    nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x", *, xp: Any = None
+) -> Array:
+    """Return the transmission of a thin prism, exp(−ik·sin(angle)·x).
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    k : float
+        Wave number in rad/m.
+    angle : float
+        Tilt in degrees.
+    dx : float
+        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+    axis : str
+        "x" (the phase runs from column to column) or "y" (from row to row).
+    xp : optional
+        Array namespace, NumPy by default.
+
+    Returns
+    -------
+    array
+        complex128 ``[nx, ny]``.
+    """
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    _validate.real("k", k)
+    _validate.real("dx", dx, positive=True)
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    xp, count = _validate.library("xp", xp), ny if axis == "x" else nx
+    line = xp.linspace(-count * dx / 2, count * dx / 2, count, dtype=xp.float64)
+    position = xp.broadcast_to(line[None, :] if axis == "x" else line[:, None], (nx, ny))
+    return phasor(-k * _of_degrees("angle", angle, math.sin) * position)
+
+
+def prism_grating(
+    nx: int,
+    ny: int,
+    k: float,
+    angle: float,
+    dx: float = 0.001,
+    axis: str = "x",
+    phase_offset: float = 0.0,
+    *,
+    xp: Any = None,
+) -> Array:
+    """Return a blazed prism exp(−i(k·sin(angle)·x + offset)), counted from the first sample.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    k : float
+        Wave number in rad/m.
+    angle : float
+        Deflection in degrees.
+    dx : float
+        Pixel pitch in metres.
+    axis : str
+        "x" (the phase runs along rows) or "y" (along columns).
+    phase_offset : float
+        Constant phase in degrees.
+    xp : optional
+        Array namespace, NumPy by default.
+
+    Returns
+    -------
+    array
+        complex128 ``[nx, ny]``.
+    """
+    line, shape = _line_along(nx, ny, axis, _validate.library("xp", xp))
+    xp = namespace(line)
+    _validate.real("k", k)
+    _validate.real("dx", dx, positive=True)
+    _validate.real("phase_offset", phase_offset)
+    sine = _of_degrees("angle", angle, math.sin)
+    phase = k * sine * line * dx + phase_offset * (math.pi / 180)
+    return xp.broadcast_to(phasor(-phase), shape) + 0
+
+
+def blazed_grating(nx: int, ny: int, levels: int = 2, axis: str = "x", *, xp: Any = None) -> Array:
+    """Return a blazed grating of a period of `levels` samples, exp(i2π·(j mod levels)/levels), j falling from n to 1.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    levels : int
+        Samples of a period; below 2 is taken as 2.
+    axis : str
+        "x" (along rows) or "y" (along columns).
+    xp : optional
+        Array namespace, NumPy by default.
+
+    Returns
+    -------
+    array
+        complex128 ``[nx, ny]``.
+    """
+    xp = _validate.library("xp", xp)
+    levels = max(2, _validate.whole("levels", levels, minimum=-_validate.LONGEST_SIDE))
+    line, shape = _line_along(nx, ny, axis, xp)
+    falling = max(line.shape) - line
+    return xp.broadcast_to(phasor_of_cycles((falling % levels) / levels), shape) + 0
+
+
+def linear_grating(
+    nx: int, ny: int, every: int = 2, add: float | None = 3.14, axis: str = "x", *, xp: Any = None
+) -> Array:
+    """Return a binary grating.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    every : int
+        Period in samples.
+    add : float or None
+        Phase of the lines in radians; None stands for π.
+    axis : str
+        "x": rows 0, every, … hold exp(i·add) and the others 0; "y": the same for columns; "xy": a checkerboard of
+        exp(i·add) and 1, without zeros.
+    xp : optional
+        Array namespace, NumPy by default.
+
+    Returns
+    -------
+    array
+        complex64 ``[nx, ny]``.
+
+    Raises
+    ------
+    ValueError
+        If `axis` is none of the three.
+    """
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    every = _validate.integer("every", every, minimum=1)
+    axis = _validate.one_of("axis", axis, ("x", "y", "xy"))
+    xp = _validate.library("xp", xp)
+    add = math.pi if add is None else _validate.real("add", add)
+    rows, columns = xp.arange(nx)[:, None], xp.arange(ny)[None, :]
+    if axis == "xy":
+        turned = ((rows + columns) % every + 1) % 2
+        return phasor(add * xp.astype(turned, xp.float64), xp.complex64)
+    lit = xp.broadcast_to(rows if axis == "x" else columns, (nx, ny)) % every == 0
+    phase = add * xp.ones((nx, ny), dtype=xp.float64)
+    return xp.where(lit, phasor(phase, xp.complex64), xp.zeros((nx, ny), dtype=xp.complex64))
+
+
+def _of_degrees(name, angle, function):
+    """Return a trigonometric function of degrees, with the graph of a tensor."""
+    angle = _validate.real(name, angle)
+    if is_array(angle):
+        return getattr(namespace(angle), function.__name__)(angle * (math.pi / 180))
+    return function(math.radians(angle))
+
+
+def _line_along(nx, ny, axis, xp):
+    nx, ny = _validate.size("nx, ny", (nx, ny))
+    if _validate.one_of("axis", axis, ("x", "y")) == "x":
+        return xp.arange(nx, dtype=xp.float64)[:, None], (nx, ny)
+    return xp.arange(ny, dtype=xp.float64)[None, :], (nx, ny)
+
+
+def circular_aperture(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    radius: float | Array,
+    offset: Sequence[float] = (0.0, 0.0),
+    inner_radius: float | Array = 0.0,
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the transmission of a disc or a ring, with the pixels of its edges weighted by the part inside.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    radius : float or array
+        Radius in metres; one number.
+    offset : sequence of float
+        Position of the centre (rows, columns) in metres.
+    inner_radius : float or array
+        Radius in metres of a central obscuration; 0 for none.
+    xp : optional
+        Array namespace; by default that of the radius, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 ``[rows, columns]`` between 0 and 1, differentiable in the radii. A pixel counts by the part of its
+        width, along the radius, that lies inside, so that the area is right to second order in the pitch.
+
+    Examples
+    --------
+    >>> from odak.wave import circular_aperture
+    >>> disc = circular_aperture((64, 64), 1.0, 20.0)
+    >>> round(float(disc.sum()) / (3.14159265 * 20**2), 2)
+    1.0
+    """
+    _validate.number("radius", radius, positive=True)
+    _validate.number("inner_radius", inner_radius, least=0)
+    xp, device, (radius, inner_radius) = _numbers(xp, device, radius=radius, inner_radius=inner_radius)
+    steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    distance, centre = _radius(xp, y, x)
+    # Half the width of a pixel along the radius.
+    half = (xp.abs(x) * steps[1] + xp.abs(y) * steps[0]) / (2 * xp.where(centre, xp.ones_like(distance), distance))
+    half = xp.where(centre, xp.full_like(half, min(steps) / 2), half)
+
+    def inside(rim):
+        return xp.clip((rim - distance) / (2 * half) + 0.5, 0.0, 1.0)
+
+    return inside(radius) - inside(inner_radius) * xp.astype(inner_radius > 0, xp.float64)
+
+
+def rectangular_aperture(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    size: Sequence,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the transmission of a rectangle, with the pixels of its edges weighted by the area inside.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    size : sequence of float or array
+        Height and width in metres.
+    offset : sequence of float
+        Position of the centre (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the size, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 ``[rows, columns]``: the part of each pixel's area that lies inside, exactly; differentiable in the
+        size.
+    """
+    height, width = _validate.several("size", size, 2)
+    xp, device, (height, width) = _numbers(xp, device, **{"size[0]": height, "size[1]": width})
+    steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+
+    def inside(position, step, extent):
+        low = xp.maximum(position - step / 2, -extent / 2)
+        high = xp.minimum(position + step / 2, extent / 2)
+        return xp.clip((high - low) / step, 0.0, 1.0)
+
+    return inside(y, steps[0], height) * inside(x, steps[1], width)
+
+
+def axicon_phase(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    angle: float | Array,
+    index: float | Array = 1.5,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase of a thin axicon, −k(n − 1)·tan(angle)·r.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; one number.
+    angle : float or array
+        Base angle of the cone in degrees; positive converges.
+    index : float or array
+        Refractive index of the axicon.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, not wrapped. A plane wave behind it becomes a Bessel beam whose cone has the half
+        angle asin((n − 1)·tan(angle)) (R. M. Herman and T. A. Wiggins, J. Opt. Soc. Am. A 8, 932 (1991)).
+    """
+    _validate.number("wavelength", wavelength, positive=True)
+    xp, device, (wavelength, angle, index) = _numbers(xp, device, wavelength=wavelength, angle=angle, index=index)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    distance, _ = _radius(xp, y, x)
+    return -2 * math.pi / wavelength * (index - 1) * xp.tan(angle * (math.pi / 180)) * distance
+
+
+def spiral_phase(
+    shape: Sequence[int],
+    charge: float | Array,
+    dx: float | Sequence[float] = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase of a spiral plate, charge times the azimuth.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    charge : float or array
+        Topological charge: multiples of 2π per turn around the axis, from x (columns) towards y (rows).
+    dx : float or sequence of float
+        Pitch, one number or (rows, columns), in the unit of `offset`.
+    offset : sequence of float
+        Position of the axis (rows, columns).
+    xp : optional
+        Array namespace; by default that of the charge, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, between −π·|charge| and π·|charge|.
+    """
+    xp, device, (charge,) = _numbers(xp, device, charge=charge)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    return charge * xp.atan2(y + 0 * x, x + 0 * y)
+
+
+def cylindrical_lens_phase(
+    shape: Sequence[int],
+    focal: float | Array,
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    angle: float | Array = 0.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase of a thin cylindrical lens, −π·s²/(λf), s being the distance from its axis line.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    focal : float or array
+        Focal length in metres; positive converges.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; one number.
+    angle : float or array
+        Direction in degrees, from x (columns) towards y (rows), in which the lens has power: 0 focuses to a line along
+        the rows' axis.
+    offset : sequence of float
+        Position (rows, columns) in metres of a point of the axis line.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, not wrapped.
+    """
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.real("focal", focal, nonzero=True)
+    xp, device, (focal, wavelength, angle) = _numbers(xp, device, focal=focal, wavelength=wavelength, angle=angle)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    angle = angle * (math.pi / 180)
+    return -math.pi * (x * xp.cos(angle) + y * xp.sin(angle)) ** 2 / (wavelength * focal)
+
+
+def aspheric_lens_phase(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    radius: float | Array,
+    index: float | Array = 1.5,
+    conic: float | Array = 0.0,
+    coefficients: Sequence = (),
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase of a thin plano-aspheric lens, −k(n − 1)·sag(r).
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; one number.
+    radius : float or array
+        Vertex radius of curvature in metres; positive converges.
+    index : float or array
+        Refractive index of the lens.
+    conic : float or array
+        Conic constant.
+    coefficients : sequence of float or array
+        Coefficients of r⁴, r⁶, … in metres to the fitting power.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, not wrapped; NaN where the conic has no height. The sag is
+        r²/(R(1 + √(1 − (1 + κ)r²/R²))) + Σ a_j·r^(2j + 4).
+    """
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.real("radius", radius, nonzero=True)
+    given = {f"coefficients[{j}]": v for j, v in enumerate(_validate.several("coefficients", coefficients))}
+    xp, device, (wavelength, radius, index, conic, *powers) = _numbers(
+        xp, device, wavelength=wavelength, radius=radius, index=index, conic=conic, **given
+    )
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    squared = y**2 + x**2
+    root = 1 - (1 + conic) * squared / radius**2
+    exists = root >= 0
+    sag = squared / (radius * (1 + xp.sqrt(xp.where(root > 0, root, xp.ones_like(root)))))
+    sag = xp.where(root > 0, sag, squared / radius)
+    for j, value in enumerate(powers):
+        sag = sag + value * squared ** (j + 2)
+    phase = -2 * math.pi / wavelength * (index - 1) * sag
+    return xp.where(exists, phase, xp.full_like(phase, math.nan))
+
+
+def metalens_phase(
+    shape: Sequence[int],
+    focal: float | Array,
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the phase that focuses a plane wave without spherical aberration, −k(√(r² + f²) − |f|), f > 0.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    focal : float or array
+        Focal length in metres; positive converges, negative diverges.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Design wavelength in metres; one number.
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace; by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, not wrapped (F. Aieta et al., Nano Lett. 12, 4932 (2012)). :func:`lens_phase` is its
+        paraxial form.
+    """
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.real("focal", focal, nonzero=True)
+    xp, device, (focal, wavelength) = _numbers(xp, device, focal=focal, wavelength=wavelength)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    squared = y**2 + x**2
+    # √(r² + f²) − |f| without the difference of nearly equal numbers.
+    path = squared / (xp.sqrt(squared + focal**2) + xp.abs(focal))
+    return -2 * math.pi / wavelength * xp.sign(focal) * path
+
+
+def fresnel_zone_plate(
+    shape: Sequence[int],
+    focal: float,
+    dx: float | Sequence[float],
+    wavelength: float,
+    kind: str = "amplitude",
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the transmission of a binary Fresnel zone plate.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    focal : float
+        Focal length of the first order in metres, positive.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    kind : str
+        "amplitude" (zones transmit 1 and 0; 10.1 % of the power goes to the focus) or "phase" (1 and −1; 40.5 %).
+    offset : sequence of float
+        Position of the axis (rows, columns) in metres.
+    xp : optional
+        Array namespace, NumPy by default.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 ``[rows, columns]``; the zone m ends where √(r² + f²) − f = mλ/2, and the central one transmits 1.
+
+    Warns
+    -----
+    SamplingWarning
+        If a zone within the window is narrower than a pixel.
+    """
+    kind = _validate.one_of("kind", kind, ("amplitude", "phase"))
+    _validate.number("focal", focal, positive=True)
+    xp = _validate.library("xp", xp)
+    phase = metalens_phase(shape, focal, dx, wavelength, offset, xp=xp, device=device)
+    steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    edge = float(xp.max(xp.sqrt(y**2 + x**2)))
+    zone = float(wavelength) / 2 * math.hypot(edge, float(focal)) / max(edge, 1e-300)
+    if zone < max(steps):
+        warn(f"the outermost zone is {zone:.3g} m wide, narrower than a pixel of {max(steps):.3g} m", SamplingWarning)
+    odd = xp.floor(-phase / math.pi) % 2
+    return xp.astype(1 - odd if kind == "amplitude" else 1 - 2 * odd, xp.float64)
+
+
+# Positions within a period at which the phase steps between 0 and π, for equal powers of the central orders. Solved for
+# the largest efficiency by sequential quadratic programming from forty random starts; the efficiencies agree with
+# U. Krackhardt, J. N. Mait and N. Streibl, Appl. Opt. 31, 27 (1992).
+_DAMMANN = {
+    3: (0.0, 0.735258104634),
+    5: (0.0, 0.264685380953, 0.613039164261, 0.651646277354),
+    7: (0.0, 0.474288350318, 0.574798199768, 0.76808552074),
+    9: (0.0, 0.409349954766, 0.476039272362, 0.538030414072, 0.694874756649, 0.865436953905),
+    11: (
+        *(0.0, 0.095564059449, 0.184007825801, 0.521874470073),
+        *(0.652187897471, 0.725664785627, 0.866466233456, 0.9892262117),
+    ),
+    15: (
+        *(0.0, 0.088212678283, 0.164976800309, 0.255961294394),
+        *(0.602464373003, 0.726389574574, 0.87009030681, 0.950374435078),
+    ),
+}
+
+
+def dammann_grating(
+    shape: Sequence[int],
+    period: float | Sequence[float],
+    dx: float | Sequence[float],
+    orders: int | Sequence[int] = 5,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the binary phase of a Dammann grating, which splits a beam into equal ones.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns.
+    period : float or sequence of float
+        Period in metres, one number or (rows, columns).
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    orders : int or sequence of int
+        Number of equal central orders, one number or (rows, columns): 1 (no grating along this axis), 3, 5, 7, 9, 11
+        or 15.
+    offset : sequence of float
+        Shift of the pattern (rows, columns) in metres.
+    xp : optional
+        Array namespace, NumPy by default.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        float64 ``[rows, columns]`` phase, 0 or π; the product of a grating along each axis. Edges fall on pixels, so
+        that the orders are equal to about the ratio of pitch and period. The efficiencies along one axis are 0.664,
+        0.774, 0.786, 0.725, 0.740 and 0.816 (H. Dammann and K. Görtler, Opt. Commun. 3, 312 (1971)).
+
+    Warns
+    -----
+    SamplingWarning
+        If the narrowest part of a period is narrower than a pixel.
+    """
+    xp = _validate.library("xp", xp)
+    periods = _validate.several("period", pitches(period, "period"), 2, positive=True)
+    counts = [_validate.integer("orders", n, minimum=1) for n in pitches(orders, "orders")]
+    steps, positions = grid_positions(shape, dx, offset, xp, device)
+    sign = 1.0
+    for n, length, step, position in zip(counts, periods, steps, positions, strict=True):
+        if n == 1:
+            continue
+        if n not in _DAMMANN:
+            raise ValueError(f"orders must be 1, {', '.join(map(str, _DAMMANN))}, got {n}")
+        edges = _DAMMANN[n]
+        narrowest = min(b - a for a, b in zip(edges, (*edges[1:], 1.0), strict=True)) * length
+        if narrowest < step:
+            warn(
+                f"the narrowest part of a period is {narrowest:.3g} m wide, narrower than a pixel of {step:.3g} m",
+                SamplingWarning,
+            )
+        # Towards the next edge by a rounding error, so that an edge on a sample is not left to chance.
+        place = (position / length + 1e-9) % 1.0
+        passed = sum(xp.astype(place >= edge, xp.float64) for edge in edges)
+        sign = sign * (1 - 2 * ((passed - 1) % 2))
+    ones = xp.ones(_validate.size("shape", shape), dtype=xp.float64, device=device)
+    return (1 - sign * ones) * (math.pi / 2)
+
+
+def _numbers(xp, device, **numbers):
+    """Return the namespace, the device and single real numbers in double precision."""
+    for name, value in numbers.items():
+        _validate.number(name, value)
+    arrays = [value for value in numbers.values() if is_array(value)]
+    xp = namespace(*arrays) if xp is None else _validate.library("xp", xp)
+    device = _array.device_of(arrays[0]) if device is None and arrays else device
+    values = [_array.converted(value, xp, device, xp.float64) for value in numbers.values()]
+    return xp, device, [xp.reshape(value, ()) for value in values]
+
+
+def grid_positions(shape, dx, offset, xp, device):
+    """Return the pitches (rows, columns) and the positions of the samples, ``[rows, 1]`` and ``[1, columns]``."""
+    shape = _validate.size("shape", shape)
+    steps = [_validate.number("dx", step, positive=True) for step in pitches(dx)]
+    offset = _validate.several("offset", offset, 2)
+    y, x = (
+        (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * step - shift
+        for n, step, shift in zip(shape, steps, offset, strict=True)
+    )
+    return steps, (y[:, None], x[None, :])
+
+
+def _radius(xp, y, x):
+    """Return the distance from the axis, with a derivative of 0 on it, and where the axis is."""
+    squared = y**2 + x**2
+    centre = squared == 0
+    return xp.where(centre, xp.zeros_like(squared), xp.sqrt(xp.where(centre, xp.ones_like(squared), squared))), centre
+
+
+def zernike_phase(
+    nx: int,
+    ny: int,
+    coefficients: Mapping,
+    radius: float | None = None,
+    dx: float | Sequence[float] | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the aberration Σ c·Z as a phase, each Z a Zernike polynomial of root mean square 1 over the disc.
+
+    Parameters
+    ----------
+    nx, ny : int
+        Rows and columns.
+    coefficients : mapping
+        ``{(n, m): c}``, c in radians RMS over the disc (a wave is 2π). A number, or an array ``[...]`` for a batch;
+        the phase is differentiable in arrays. Modes by another index: ``{noll_to_nm(4): 0.5}``.
+    radius : float, optional
+        Radius of the disc in the unit of `dx`; by default half the diagonal, so that the whole window lies inside.
+        Beyond it the phase is 0.
+    dx : float or sequence of float
+        Pixel pitch, or two of them (rows, columns). The default 1 gives `radius` in pixels.
+    offset : sequence of float
+        Position of the disc's centre (rows, columns) from sample n // 2, in the unit of `dx`.
+    xp, device : optional
+        Array namespace (that of the coefficients, else NumPy) and device.
+
+    Returns
+    -------
+    array
+        float64 phase in radians, ``[..., nx, ny]``, not wrapped.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Noll, J. Opt. Soc. Am. 66, 207 (1976). As the polynomials are orthonormal, the variance over the disc is the sum of
+    the squares of the coefficients other than piston's. x runs along columns, y along rows: θ = atan2(y, x).
+
+    Examples
+    --------
+    >>> from odak.wave import zernike_phase
+    >>> zernike_phase(3, 3, {(1, 1): 0.5}, radius=1.0)
+    array([[ 0.,  0.,  0.],
+           [-1.,  0.,  1.],
+           [ 0.,  0.,  0.]])
+    """
+    if not isinstance(coefficients, Mapping):
+        raise TypeError(f"coefficients must map (n, m) to radians, got {type(coefficients).__name__}")
+    coefficients = {mode: float(v) if isinstance(v, np.number) else v for mode, v in coefficients.items()}
+    arrays = [value for value in coefficients.values() if _array.is_array(value)]
+    xp = _array.namespace(*arrays) if xp is None else _validate.library("xp", xp)
+    device = _array.device_of(arrays[0]) if device is None and arrays else device
+    for mode, value in coefficients.items():
+        _validate.real(f"coefficients[{mode}]", value)
+    phase = xp.zeros(_validate.size("nx, ny", (nx, ny)), dtype=xp.float64, device=device)
+    modes = _modes(nx, ny, _pairs("coefficients", coefficients), radius, dx, offset, xp, device)
+    for value, polynomial in zip(coefficients.values(), modes, strict=True):
+        phase = phase + (value[..., None, None] if _array.is_array(value) else float(value)) * polynomial
+    return phase
+
+
+def zernike_basis(
+    nx: int,
+    ny: int,
+    modes: Iterable,
+    radius: float | None = None,
+    dx: float | Array = 1.0,
+    offset: Any = (0.0, 0.0),
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return Zernike polynomials of root mean square 1, for sums that are taken again and again.
+
+    Parameters
+    ----------
+    modes : sequence
+        Pairs (n, m).
+    nx, ny, radius, dx, offset, xp, device
+        As in :func:`zernike_phase`.
+
+    Returns
+    -------
+    array
+        float64 ``[modes, nx, ny]``; 0 outside the disc.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    xp = _validate.library("xp", xp)
+    modes = _pairs("modes", modes)
+    if not modes:
+        raise ValueError("modes must hold at least one pair (n, m), got none")
+    return xp.stack(list(_modes(nx, ny, modes, radius, dx, offset, xp, device)))
+
+
+def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
+    """Yield the polynomials, formed from ρ²ᵏ and (x + iy)^m: no angle, no square root, smooth at the centre."""
+    shape = _validate.size("nx, ny", (nx, ny))
+    is_pair = isinstance(dx, Iterable) and getattr(dx, "ndim", 1) != 0
+    pitches = _validate.several("dx", dx if is_pair else (dx, dx), 2, positive=True)
+    offset = _validate.several("offset", offset, 2)
+    if radius is None:
+        radius = math.hypot(*(n * pitch for n, pitch in zip(shape, pitches, strict=True))) / 2
+    radius = float(_validate.real("radius", radius, positive=True))
+    y, x = (
+        ((xp.arange(n, dtype=xp.float64, device=device) - n // 2) * pitch - shift) / radius
+        for n, pitch, shift in zip(shape, pitches, offset, strict=True)
+    )
+    y, x = y[:, None], x[None, :]
+    # The first corner of an even window is on the rim of its disc, but for rounding.
+    inside = xp.astype(x**2 + y**2 <= 1 + 1e-12, xp.float64)
+    for polynomial in zernike_modes(y, x, modes):
+        yield polynomial * inside
+
+
+def zernike_modes(y, x, modes) -> Iterator:
+    """Yield Zernike polynomials of root mean square 1 at points of the unit disc, and their continuation beyond it."""
+    argument = 2 * (x**2 + y**2) - 1
+    for n, m in modes:
+        n, m = check_mode(n, m)
+        yield zernike_norm(n, m) * jacobi((n - abs(m)) // 2, abs(m), argument) * _angular(x, y, m)
+
+
+def _pairs(name, modes) -> list[tuple]:
+    listed = isinstance(modes, Iterable) and not isinstance(modes, str)
+    pairs = [tuple(mode) if isinstance(mode, Iterable) else (mode,) for mode in modes] if listed else [()]
+    if any(len(pair) != 2 for pair in pairs):
+        raise ValueError(f"{name} must be pairs of integers (n, m), got {modes!r:.100}")
+    for n, m in pairs:
+        _validate.integer(f"n in {name}", n)
+        _validate.integer(f"m in {name}", m, minimum=-n)
+    return pairs
+
+
+def _angular(x, y, m: int):
+    """Return ρ^|m|·cos(mθ) for m ≥ 0, ρ^|m|·sin(|m|θ) for m < 0: the real or imaginary part of (x + iy)^|m|."""
+    real, imaginary = 1.0, 0.0
+    for _ in range(abs(m)):
+        real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+    return real if m >= 0 else imaginary

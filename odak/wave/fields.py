@@ -1,0 +1,398 @@
+"""Amplitude, phase and intensity of fields, wave numbers, random phases, and patterns for phase-only modulators."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from odak import _array, _validate
+from odak._array import Array, ArrayT
+
+
+def wavenumber(wavelength: float | Array) -> float | Array:
+    """Return the wave number 2π/λ.
+
+    Parameters
+    ----------
+    wavelength : float or array
+        Wavelength; the result is in radians per its unit.
+
+    Returns
+    -------
+    float or array
+        2π/wavelength.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If `wavelength` is not a positive number.
+    """
+    return 2 * math.pi / _positive("wavelength", wavelength)
+
+
+def _positive(name, value):
+    """Return positive numbers, lists as arrays, and those in half precision in single."""
+    value = _validate.real(name, value, positive=True)
+    value = np.asarray(value) if isinstance(value, (list, tuple)) else value
+    half = "float16" in str(getattr(value, "dtype", ""))
+    return _array.namespace(value).astype(value, _array.real_dtype(value)) if half else value
+
+
+def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
+    """Return the angular frequency ω = 2πc/λ, in rad/s for `wavelength` in mm and the default `c` in mm/s."""
+    k, c = wavenumber(wavelength), _positive("c", c)
+    _validate.fitting(wavelength=k, c=c)
+    return k * c
+
+
+def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength: float = 0.0005) -> float:
+    """Return the Rayleigh criterion of a circular aperture: 1.22·λ/D radians, or times `focal` as a length.
+
+    Parameters
+    ----------
+    diameter : float
+        Aperture diameter D.
+    focal : float, optional
+        Focal length; with it the result is a distance in the focal plane.
+    wavelength : float
+        Wavelength, in the unit of `diameter` (the default is 500 nm in mm).
+
+    Returns
+    -------
+    float
+        Resolution (Born and Wolf 1999, section 8.6.2).
+    """
+    wavelength, diameter = _positive("wavelength", wavelength), _positive("diameter", diameter)
+    focal = 1.0 if focal is None else _validate.real("focal", focal)
+    focal = np.asarray(focal) if isinstance(focal, (list, tuple)) else focal
+    _validate.fitting(wavelength=wavelength, diameter=diameter, focal=focal)
+    return 1.22 * wavelength / diameter * focal
+
+
+def calculate_phase(field: ArrayT, deg: bool = False) -> ArrayT:
+    """Return the phase of a field in radians (degrees if `deg`), −π to π.
+
+    Parameters
+    ----------
+    field : array
+        Complex field of any shape; a real one has phase 0 or π.
+    deg : bool
+        Return degrees.
+
+    Returns
+    -------
+    array
+        Real, of the field's shape and precision.
+    """
+    field = _array.to_complex(_validate.array("field", field))
+    xp = _array.namespace(field)
+    phase = xp.atan2(xp.imag(field), xp.real(field))
+    return phase * (180 / math.pi) if _validate.flag("deg", deg) else phase
+
+
+def calculate_amplitude(field: ArrayT) -> ArrayT:
+    """Return the amplitude |u| of a field: real, of the field's shape and precision."""
+    return _array.namespace(field).abs(_validate.array("field", field))
+
+
+def calculate_intensity(field: ArrayT) -> ArrayT:
+    """Return the intensity |u|² of a field: real, of the field's shape and precision."""
+    field = _array.to_complex(_validate.array("field", field))
+    xp = _array.namespace(field)
+    return xp.real(field) ** 2 + xp.imag(field) ** 2
+
+
+def generate_complex_field(amplitude: float | Array, phase: float | Array) -> Array:
+    """Return amplitude·exp(i·phase).
+
+    Parameters
+    ----------
+    amplitude, phase : float or array
+        Real; they broadcast. The phase is in radians.
+
+    Returns
+    -------
+    array
+        Complex field; complex128 if either array is 64-bit, complex64 otherwise.
+    """
+    like = phase if _array.is_array(phase) else amplitude
+    amplitude, phase = _as_floats("amplitude", amplitude, like), _phase("phase", phase, like)
+    _validate.fitting(amplitude=amplitude, phase=phase)
+    xp = _array.namespace(phase)
+    dtype = xp.complex128 if _array.is_double(amplitude) or _array.is_double(phase) else xp.complex64
+    return _array.phasor(phase, dtype) * xp.astype(amplitude, dtype)
+
+
+def _as_floats(name, value, like):
+    """Return an array in floats of its own precision, a number or a list in those of the array `like`."""
+    if type(_validate.given(name, value)) in (int, float, complex) and _array.is_array(like):
+        dtype = _array.complex_dtype if isinstance(value, complex) else _array.real_dtype
+        return _array.cast(value, like, dtype(like))
+    array = _validate.array(name, _validate.given(name, value))
+    dtype = _array.complex_dtype if "complex" in str(array.dtype) else _array.real_dtype
+    if _array.is_array(value) or not _array.is_array(like):
+        return _array.namespace(array).astype(array, dtype(array), copy=False)
+    return _array.cast(array, like, dtype(like))
+
+
+def _phase(name, value, like):
+    """Return phases as floats, see `_as_floats`; a complex one has no meaning."""
+    phase = _as_floats(name, value, like)
+    if "complex" in str(phase.dtype):
+        raise TypeError(f"{name} must be real, got {phase.dtype}")
+    return phase
+
+
+def set_amplitude(field: Array, amplitude: float | Array) -> Array:
+    """Return `field` with its phase kept and its amplitude replaced by |amplitude|.
+
+    Parameters
+    ----------
+    field : array
+        Complex field.
+    amplitude : float or array
+        New amplitude; of a complex one the modulus is taken.
+
+    Returns
+    -------
+    array
+        Complex field.
+    """
+    field = _validate.array("field", field)
+    amplitude = abs(_as_floats("amplitude", amplitude, field))
+    _validate.fitting(field=field, amplitude=amplitude)
+    return generate_complex_field(amplitude, calculate_phase(field))
+
+
+def add_phase(field: Array, new_phase: Array) -> Array:
+    """Return field·exp(i·new_phase), the phase in radians."""
+    field = _array.to_complex(_validate.array("field", field))
+    new_phase = _phase("new_phase", new_phase, field)
+    _validate.fitting(field=field, new_phase=new_phase)
+    return field * _array.phasor(new_phase, field.dtype)
+
+
+def add_random_phase(field: Array, seed: Any = None) -> Array:
+    """Return `field` with a phase added that is uniform between 0 and π.
+
+    Parameters
+    ----------
+    field : array
+        Complex field.
+    seed : int or generator, optional
+        Makes the result reproducible; a generator is NumPy's, or torch's for a tensor.
+
+    Returns
+    -------
+    array
+        Complex field.
+    """
+    field = _array.to_complex(_validate.array("field", field))
+    return add_phase(field, uniform(tuple(field.shape), seed, field) * math.pi)
+
+
+def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, native_wavelength: float) -> float:
+    """Return a modulator's phase range at another wavelength than the one it was specified for.
+
+    Parameters
+    ----------
+    native_range : float
+        Phase range in radians at `native_wavelength`.
+    working_wavelength, native_wavelength : float
+        Wavelengths, in one unit.
+
+    Returns
+    -------
+    float
+        native_range·native_wavelength/working_wavelength (the path difference is what stays).
+    """
+    native_range = _positive("native_range", native_range)
+    working_wavelength = _positive("working_wavelength", working_wavelength)
+    native_wavelength = _positive("native_wavelength", native_wavelength)
+    _validate.fitting(
+        native_range=native_range, working_wavelength=working_wavelength, native_wavelength=native_wavelength
+    )
+    return native_range / working_wavelength * native_wavelength
+
+
+def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 * math.pi) -> Array:
+    """Return `phase` stretched linearly so that its extremes are `range_min` and `range_max`.
+
+    Parameters
+    ----------
+    phase : array
+        Real, of any shape.
+    range_min, range_max : float
+        Ends of the range, `range_max` the larger.
+
+    Returns
+    -------
+    array
+        Of the same shape; a constant phase becomes the middle of the range.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the range is empty, or the phase is empty or not real.
+    """
+    phase = _phase("phase", phase, None)
+    if 0 in phase.shape:
+        raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
+    _validate.real("range_min", range_min)
+    _validate.real("range_max", range_max)
+    if not range_max > range_min:
+        raise ValueError(f"range_max must be larger than range_min = {range_min!r}, got {range_max!r}")
+    xp = _array.namespace(phase)
+    low, high = xp.min(phase), xp.max(phase)
+    flat = high == low
+    unit = (phase - low) / xp.where(flat, xp.ones_like(high), high - low)
+    return range_min + (range_max - range_min) * xp.where(flat, xp.full_like(unit, 0.5), unit)
+
+
+def produce_phase_only_slm_pattern(
+    hologram: Array,
+    slm_range: float,
+    filename: str | None = None,
+    bits: int = 8,
+    default_range: float = 6.28,
+    illumination: Array | None = None,
+) -> tuple:
+    """Return a hologram as a modulator shows it, and the integer pattern to send to it.
+
+    Parameters
+    ----------
+    hologram : array
+        Complex hologram ``[..., rows, columns]``; its phase is what counts.
+    slm_range : float
+        Phase range of the modulator in radians.
+    filename : str, optional
+        Where to save the pattern, black level 0 and white level 2^bits − 1 (with 8 bits the file holds the levels).
+    bits : int
+        Bits per pixel, 1 to 16.
+    default_range : float
+        Phase range, in radians, over which the levels are spread when the field is rebuilt from them.
+    illumination : array, optional
+        Amplitude of the light on the modulator; ones by default.
+
+    Returns
+    -------
+    tuple
+        Complex field illumination·exp(i·level/2^bits·default_range) and the levels, int32, 0 … 2^bits − 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+    """
+    hologram = _validate.image("hologram", hologram)
+    _validate.real("slm_range", slm_range, positive=True)
+    levels = 2 ** _validate.integer("bits", bits, minimum=1)
+    xp = _array.namespace(hologram)
+    _validate.real("default_range", default_range)
+    amplitude = 1.0 if illumination is None else _as_floats("illumination", illumination, hologram)
+    if illumination is not None:
+        _validate.fitting(illumination=amplitude, hologram=hologram)
+    if filename is not None and hologram.ndim != 2:
+        raise ValueError(f"hologram must be [rows, columns] to be saved, got {tuple(hologram.shape)}")
+    phase = calculate_phase(hologram)
+    turn = phase - xp.floor(phase / slm_range) * slm_range
+    pattern = xp.clip(xp.floor(turn / slm_range * levels), 0, levels - 1)
+    if filename is not None:
+        from odak.tools.file import save_image
+
+        array = pattern.detach().cpu().numpy() if _array.is_torch(pattern) else pattern
+        save_image(filename, array, cmin=0, cmax=levels - 1, color_depth=8 if bits <= 8 else 16)
+    field = generate_complex_field(amplitude, pattern * (default_range / levels))
+    return field, xp.astype(pattern, xp.int32)
+
+
+def decompose_double_phase(tensor: Array) -> tuple:
+    """Return the two checkerboard parts of an image, each packed into half the columns.
+
+    Parameters
+    ----------
+    tensor : array
+        ``[..., h, w]``; odd sizes lose their last row or column.
+
+    Returns
+    -------
+    tuple
+        High and low part, each ``[..., h, w/2]``: high holds the samples (even, even) and (odd, odd), low the others.
+    """
+    tensor = _validate.image("tensor", tensor)
+    rows, columns = (n - n % 2 for n in tensor.shape[-2:])
+    if not rows or not columns:
+        raise ValueError(f"tensor must have at least 2 rows and 2 columns, got {tuple(tensor.shape)}")
+    even_rows, odd_rows = tensor[..., 0:rows:2, :columns], tensor[..., 1:rows:2, :columns]
+    high = _interleave_rows(even_rows[..., 0::2], odd_rows[..., 1::2])
+    low = _interleave_rows(even_rows[..., 1::2], odd_rows[..., 0::2])
+    return high, low
+
+
+def compose_double_phase(component_high: Array, component_low: Array) -> Array:
+    """Return the image whose checkerboard parts are given: the exact inverse of :func:`decompose_double_phase`.
+
+    Parameters
+    ----------
+    component_high, component_low : array
+        ``[..., h, w/2]`` each.
+
+    Returns
+    -------
+    array
+        ``[..., h, w]``.
+    """
+    component_high = _validate.image("component_high", component_high)
+    component_low = _validate.image("component_low", component_low)
+    if tuple(component_high.shape) != tuple(component_low.shape):
+        raise ValueError(
+            f"component_low must have component_high's shape {tuple(component_high.shape)}, "
+            f"got {tuple(component_low.shape)}"
+        )
+    high_even, high_odd = component_high[..., 0::2, :], component_high[..., 1::2, :]
+    low_even, low_odd = component_low[..., 0::2, :], component_low[..., 1::2, :]
+    return _interleave_rows(_interleave_columns(high_even, low_even), _interleave_columns(low_odd, high_odd))
+
+
+def _interleave_rows(first, second):
+    xp = _array.namespace(first)
+    *batch, rows, columns = first.shape
+    return xp.reshape(xp.stack([first, second], axis=-2), (*batch, 2 * rows, columns))
+
+
+def _interleave_columns(first, second):
+    xp = _array.namespace(first)
+    *batch, rows, columns = first.shape
+    return xp.reshape(xp.stack([first, second], axis=-1), (*batch, rows, 2 * columns))
+
+
+def uniform(shape: tuple[int, ...], seed: Any, like):
+    """Return numbers between 0 and 1, float64, in the library and on the device of an array.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Shape of the result.
+    seed : int or generator, optional
+        An integer gives NumPy arrays and tensors the same numbers. A generator is NumPy's or torch's own. None draws
+        tensors from torch's generator, which `torch.manual_seed` seeds, and arrays anew each time.
+    like : array
+        What the result is like.
+
+    Returns
+    -------
+    array
+        float64.
+    """
+    seed = _validate.seed("seed", seed)
+    own = isinstance(seed, np.random.Generator)
+    if _array.is_torch(like) and not own and not isinstance(seed, int):
+        import torch
+
+        device = "cpu" if seed is None else seed.device
+        drawn = torch.rand(shape, generator=seed, dtype=torch.float64, device=device)
+    elif seed is None or own or isinstance(seed, int):
+        drawn = np.random.default_rng(seed).random(shape)
+    else:
+        raise TypeError(f"seed must be an integer or a numpy.random.Generator for arrays, got {type(seed).__name__}")
+    return _array.cast(drawn, like, _array.namespace(like).float64)

@@ -1,0 +1,531 @@
+"""Polarised fields ``[..., 2, rows, columns]``: elements per pixel, films, longitudinal component, tight focusing.
+
+The components along x (columns) and y (rows) are one more axis of the field, so that all methods of propagation, which
+treat leading axes as a batch, propagate them. Fields vary as exp(i(kz − ωt)); Jones matrices are those of
+:mod:`odak.jones`.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from odak import _array, _validate
+from odak._array import Array, cast, is_array, namespace, phasor_of_cycles
+from odak._warnings import SamplingWarning, warn
+from odak.jones.elements import check_angle, matrix_on_axes, retarder, stack_matrix
+from odak.jones.stokes_vectors import stokes
+from odak.jones.thin_films import check_stack, stack_response
+from odak.wave.transfer_functions import pitches
+
+
+def apply_jones(matrix: Array, field: Array) -> Array:
+    """Return a polarised field behind an element.
+
+    Parameters
+    ----------
+    matrix : array
+        Jones matrices: one ``[2, 2]`` for the whole field, or ``[..., rows, columns, 2, 2]`` with one for each pixel
+        (rows and columns may be 1), as the functions of :mod:`odak.jones` return them for arrays of angles.
+    field : array
+        Complex ``[..., 2, rows, columns]``.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, rows, columns]``, in the field's precision and on its device.
+
+    Raises
+    ------
+    ValueError
+        If a shape is not as above.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.jones import polarizer
+    >>> from odak.wave import apply_jones
+    >>> field = np.ones((2, 4, 4), dtype=np.complex128)
+    >>> apply_jones(polarizer(45), field)[:, 0, 0].real
+    array([1., 1.])
+    """
+    field = polarized_field("field", field)
+    matrix = _validate.array("matrix", matrix)
+    if tuple(matrix.shape[-2:]) != (2, 2) or matrix.ndim == 3:
+        raise ValueError(f"matrix must be [2, 2] or [..., rows, columns, 2, 2], got {tuple(matrix.shape)}")
+    matrix = cast(matrix, field)
+    if matrix.ndim == 2:
+        matrix = matrix[None, None, ...]
+    x, y = field[..., 0, :, :], field[..., 1, :, :]
+    _validate.fitting(matrix=tuple(matrix.shape[:-2]), field=x)
+    xp = namespace(field)
+    return xp.stack(
+        (matrix[..., 0, 0] * x + matrix[..., 0, 1] * y, matrix[..., 1, 0] * x + matrix[..., 1, 1] * y), axis=-3
+    )
+
+
+def phase_modulator(phase: Array, angle: float | Array = 0.0) -> Array:
+    """Return the Jones matrices of a modulator that delays one linear polarisation, such as a liquid-crystal panel.
+
+    Parameters
+    ----------
+    phase : array
+        Phase in radians ``[..., rows, columns]`` that is added to the component along the modulator's axis.
+    angle : float or array
+        Angle of that axis in degrees, from x towards y.
+
+    Returns
+    -------
+    array
+        Complex ``[..., rows, columns, 2, 2]`` for :func:`apply_jones`. The component across the axis is unchanged.
+    """
+    phase = _validate.array("phase", phase)
+    angle = check_angle("angle", angle)
+    xp = namespace(phase)
+    dtype = _array.complex_dtype(phase)
+    along = _array.phasor(xp.astype(phase, xp.float64), xp.complex128)
+    angle = cast(angle, phase, xp.float64)
+    return matrix_on_axes(xp, along, xp.ones_like(along), angle, dtype)
+
+
+def birefringent_plate(
+    wavelength: float | Array,
+    thickness: float | Array,
+    ordinary: float | Array,
+    extraordinary: float | Array,
+    angle: float | Array = 0.0,
+) -> Array:
+    """Return the Jones matrix of a uniaxial plate at normal incidence, with its optical path.
+
+    Parameters
+    ----------
+    wavelength : float or array
+        Vacuum wavelength in metres.
+    thickness : float or array
+        Thickness in metres.
+    ordinary : float or array
+        Refractive index across the optic axis.
+    extraordinary : float or array
+        Refractive index along the optic axis, which lies in the plane of the plate.
+    angle : float or array
+        Angle of the optic axis in degrees, from x towards y.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, 2]`` of the shape that the arguments broadcast to: exp(i2π·n_e·d/λ) along the optic axis and
+        exp(i2π·n_o·d/λ) across it. :func:`odak.jones.retarder` is the same matrix without the common phase.
+    """
+    given = {
+        "wavelength": _validate.real("wavelength", wavelength, positive=True),
+        "thickness": _validate.real("thickness", thickness),
+        "ordinary": _validate.real("ordinary", ordinary),
+        "extraordinary": _validate.real("extraordinary", extraordinary),
+        "angle": check_angle("angle", angle),
+    }
+    arrays = [value for value in given.values() if is_array(value)]
+    xp = namespace(*arrays)
+    like = arrays[0] if arrays else xp.asarray(0.0)
+    double = not arrays or any(_array.is_double(value) for value in arrays)
+    wavelength, thickness, ordinary, extraordinary, angle = (cast(v, like, xp.float64) for v in given.values())
+    cycles = thickness / wavelength
+    along, across = (phasor_of_cycles(index * cycles, xp.complex128) for index in (extraordinary, ordinary))
+    return matrix_on_axes(xp, along, across, angle, xp.complex128 if double else xp.complex64)
+
+
+def q_plate(
+    shape: Sequence[int],
+    charge: float,
+    retardance: float | Array = 180.0,
+    angle: float = 0.0,
+    *,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the Jones matrices of a q-plate: a retarder whose fast axis rotates with the azimuth.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns; the singularity is at sample n // 2 of each axis.
+    charge : float
+        Turns of the axis per turn of the azimuth, a multiple of 1/2. A half-wave q-plate turns right circular light
+        into left circular light with a vortex of charge 2·q, and the reverse with −2·q.
+    retardance : float or array
+        Retardance in degrees.
+    angle : float
+        Angle of the fast axis at azimuth 0, in degrees.
+    xp : optional
+        Array namespace, NumPy by default.
+    device : optional
+        Device of the result.
+
+    Returns
+    -------
+    array
+        Complex128 ``[rows, columns, 2, 2]`` for :func:`apply_jones` (L. Marrucci, C. Manzo and D. Paparo, Phys. Rev.
+        Lett. 96, 163905 (2006)).
+    """
+    rows, columns = _validate.size("shape", shape)
+    charge = _validate.number("charge", charge)
+    if not is_array(charge) and (2 * charge) % 1:
+        raise ValueError(f"charge must be a multiple of 1/2, got {charge!r}")
+    _validate.number("angle", angle)
+    xp = _validate.library("xp", xp)
+    y = xp.arange(rows, dtype=xp.float64, device=device) - rows // 2
+    x = xp.arange(columns, dtype=xp.float64, device=device) - columns // 2
+    azimuth = xp.atan2(y[:, None] + 0 * x[None, :], x[None, :] + 0 * y[:, None])
+    return retarder(retardance, charge * azimuth * (180 / math.pi) + angle)
+
+
+def stokes_parameters(field: Array) -> Array:
+    """Return the Stokes parameters of a polarised field.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., 2, rows, columns]``.
+
+    Returns
+    -------
+    array
+        Real ``[..., 4, rows, columns]``, in the convention of :func:`odak.jones.stokes`.
+    """
+    field = polarized_field("field", field)
+    xp = namespace(field)
+    *batch, _, rows, columns = field.shape
+    return xp.reshape(stokes(xp.reshape(field, (*batch, 2, rows * columns))), (*batch, 4, rows, columns))
+
+
+def filter_polarized(field: Array, transfer: Array) -> Array:
+    """Return a polarised field whose spectrum is multiplied by a matrix for each frequency.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., 2, rows, columns]``.
+    transfer : array
+        Complex ``[..., 2, 2, M, N]`` in the order of the discrete Fourier transform, M ≥ rows and N ≥ columns: the
+        field is continued by zeros to this size and cut to its own again.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 2, rows, columns]``, in the field's precision.
+    """
+    field = polarized_field("field", field)
+    xp = namespace(field)
+    rows, columns = field.shape[-2:]
+    transfer = cast(_validate.array("transfer", transfer), field)
+    if transfer.ndim < 4 or tuple(transfer.shape[-4:-2]) != (2, 2):
+        raise ValueError(f"transfer must be [..., 2, 2, M, N], got {tuple(transfer.shape)}")
+    if transfer.shape[-2] < rows or transfer.shape[-1] < columns:
+        raise ValueError(
+            f"transfer must be at least as large as the field, {(rows, columns)}, got {transfer.shape[-2:]}"
+        )
+    spectrum = xp.fft.fftn(field, s=tuple(transfer.shape[-2:]), axes=(-2, -1))
+    filtered = xp.sum(transfer * spectrum[..., None, :, :, :], axis=-3)
+    return xp.astype(xp.fft.ifftn(filtered, axes=(-2, -1))[..., :rows, :columns], field.dtype, copy=False)
+
+
+def thin_film_transfer(
+    shape: Sequence[int],
+    dx: float | Sequence[float],
+    wavelength: float,
+    indices: Sequence,
+    thicknesses: Sequence,
+    *,
+    reflect: bool = False,
+    xp: Any = None,
+    device: Any = None,
+) -> Array:
+    """Return the transfer function of a stack of thin films for the transverse components of a polarised field.
+
+    Each plane wave of the field's spectrum meets the films at its own angle. Multiply the spectrum of a field
+    ``[..., 2, rows, columns]`` by it with :func:`odak.wave.filter_polarized`.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns of the (padded) field.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float
+        Vacuum wavelength in metres.
+    indices : sequence of number or array
+        As many as there are media, in the order of :func:`thin_film_stack`.
+    thicknesses : sequence of float or array
+        Thickness of each film in metres.
+    reflect : bool
+        Return the transfer function of reflection instead of transmission. The reflected field is given in the
+        coordinates x, y of the incident one.
+    xp : optional
+        Array namespace, by default that of the arrays given, else NumPy.
+    device : optional
+        Device of the result where no array is given; otherwise it is that of the arrays.
+
+    Returns
+    -------
+    array
+        Complex128 ``[2, 2, rows, columns]``, in the order of the discrete Fourier transform. Frequencies that are
+        evanescent in the incident medium are 0.
+
+    Notes
+    -----
+    With the transverse unit vectors p along (f_x, f_y) and s across it, the electric field of a p-polarised wave has
+    the transverse part E·cosθ. The matrix is t_s·ss' + t_p·(cosθ_t/cosθ_i)·pp', and for reflection r_s·ss' − r_p·pp'.
+    """
+    rows, columns = _validate.size("shape", shape)
+    _validate.real("wavelength", wavelength, positive=True)
+    reflect = _validate.flag("reflect", reflect)
+    given, values = check_stack(wavelength, 0.0, indices, thicknesses)
+    if not any(is_array(value) for value in (*indices, *thicknesses, wavelength)):
+        given = given if xp is None else _validate.library("xp", xp)
+        values = [
+            given.asarray(value.item(), dtype=getattr(given, str(value.dtype)), device=device) for value in values
+        ]
+    xp = given
+    wavelength, _, *rest = values
+    device = _array.device_of(wavelength)
+    indices, thicknesses = rest[: len(indices)], rest[len(indices) :]
+    fy, fx = _frequencies(xp, (rows, columns), dx, device)
+    squared = fy**2 + fx**2
+    kx = wavelength * xp.sqrt(squared)
+    travels = kx < xp.real(indices[0])
+    kx = xp.where(travels, kx, xp.zeros_like(kx))
+    cosine = xp.sqrt(1 - (kx / indices[0]) ** 2)
+    responses = [stack_response(xp, wavelength, indices, thicknesses, kx, cosine, which) for which in ("s", "p")]
+    if reflect:
+        along, across = -responses[1].r, responses[0].r
+    else:
+        last = xp.sqrt(xp.astype(1 - (kx / indices[-1]) ** 2, xp.complex128))
+        along, across = responses[1].t * last / cosine, responses[0].t
+    # At normal incidence every direction in the plane is as good as another: x is taken for p.
+    norm = xp.where(squared > 0, xp.sqrt(squared), xp.ones_like(squared))
+    px = xp.where(squared > 0, fx / norm, xp.ones_like(squared))
+    py = fy / norm
+    blocked = xp.astype(travels, xp.float64)
+    along, across = along * blocked, across * blocked
+    cross = (along - across) * px * py
+    rows_of_matrix = ((along * px**2 + across * py**2, cross), (cross, along * py**2 + across * px**2))
+    return xp.permute_dims(stack_matrix(xp, rows_of_matrix, xp.complex128), (2, 3, 0, 1))
+
+
+def longitudinal_field(
+    field: Array, dx: float | Sequence[float], wavelength: float | Array, index: float | Array = 1.0
+) -> Array:
+    """Return the longitudinal component that belongs to the transverse components of a field that travels along +z.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., 2, rows, columns]``.
+    dx : float or sequence of float
+        Pitch in metres, one number or (rows, columns).
+    wavelength : float or array
+        Vacuum wavelength in metres; one number.
+    index : float or array
+        Refractive index of the medium; one number.
+
+    Returns
+    -------
+    array
+        Complex ``[..., rows, columns]``: E_z = −F⁻¹{(f_x·F{E_x} + f_y·F{E_y})/f_z}, from div E = 0, for each plane wave
+        of the spectrum. Evanescent waves, whose f_z is imaginary, are included; those that graze the plane are not.
+    """
+    field = polarized_field("field", field)
+    xp = namespace(field)
+    _validate.number("wavelength", wavelength, positive=True)
+    _validate.number("index", index, positive=True)
+    fy, fx = _frequencies(xp, field.shape[-2:], dx, _array.device_of(field))
+    limit = cast(index, field, xp.float64) / cast(wavelength, field, xp.float64)
+    squared = xp.astype(limit**2 - (fx**2 + fy**2), xp.complex128)
+    grazing = xp.abs(squared) < 1e-12 * limit**2
+    fz = xp.sqrt(xp.where(grazing, xp.ones_like(squared), squared))
+    zero = xp.zeros_like(squared)
+    weight_x, weight_y = (xp.where(grazing, zero, -f / fz) for f in (fx + 0 * fy, fy + 0 * fx))
+    spectrum = xp.fft.fftn(field, axes=(-2, -1))
+    result = cast(weight_x, field) * spectrum[..., 0, :, :] + cast(weight_y, field) * spectrum[..., 1, :, :]
+    return xp.astype(xp.fft.ifftn(result, axes=(-2, -1)), field.dtype, copy=False)
+
+
+def focus_polarized(
+    field: Array,
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    focal: float | Array,
+    numerical_aperture: float | Array,
+    shape: Sequence[int],
+    target_dx: float | Sequence[float],
+    distance: float | Array = 0.0,
+    index: float | Array = 1.0,
+    offset: Sequence[float] = (0.0, 0.0),
+) -> Array:
+    """Return the vector field near the focus of an aplanatic lens of any numerical aperture (Richards and Wolf).
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., 2, rows, columns]``: the transverse components in the lens's pupil, where a ray at height h
+        leaves at n·sinθ = h/focal.
+    dx : float or sequence of float
+        Pitch of `field` in metres, one number or (rows, columns).
+    wavelength : float or array
+        Vacuum wavelength in metres; one number.
+    focal : float or array
+        Focal length in metres; one number.
+    numerical_aperture : float or array
+        n·sinθ of the marginal ray, below `index`; the pupil is a disc of radius focal·numerical_aperture, with edges
+        weighted by the part of a pixel that lies inside.
+    shape : sequence of int
+        Rows and columns of the window in the focal region.
+    target_dx : float or sequence of float
+        Its pitch in metres, one number or (rows, columns).
+    distance : float or array
+        Distance of the window behind the focus in metres. An array ``[...]`` gives the window at each of its distances,
+        as leading axes that broadcast against those of the field.
+    index : float or array
+        Refractive index of the medium behind the lens; one number.
+    offset : sequence of float
+        Position (rows, columns) of the window's sample n // 2 from the focus, in metres.
+
+    Returns
+    -------
+    array
+        Complex ``[..., 3, *shape]``: E_x, E_y and E_z, relative to the phase of the path through the lens's centre.
+        Differentiable in everything given as a tensor.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    SamplingWarning
+        If the pupil is wider than the field, or the spacing of the field's samples makes the window wider than its
+        period λ·focal/dx.
+
+    Notes
+    -----
+    B. Richards and E. Wolf, Proc. R. Soc. Lond. A 253, 358 (1959): the component along the radius turns with its ray,
+    the one across it does not, amplitudes scale with cosθ to the power 1/2 (the sine condition at equal power), and
+    the plane waves of the cone add up. The sum over the pupil is a matrix product for each axis.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import focus_polarized
+    >>> pupil = np.zeros((2, 64, 64), dtype=np.complex128)
+    >>> pupil[0] = 1
+    >>> focus = focus_polarized(pupil, 1e-4, 532e-9, 3e-3, 0.9, (65, 65), 20e-9)
+    >>> intensity = (abs(focus) ** 2).sum(axis=0)
+    >>> [int(i) for i in np.unravel_index(intensity.argmax(), intensity.shape)]
+    [32, 32]
+    """
+    field = polarized_field("field", field)
+    xp, device = namespace(field), _array.device_of(field)
+    for name, value in (("wavelength", wavelength), ("focal", focal), ("numerical_aperture", numerical_aperture)):
+        _validate.number(name, value, positive=True)
+    _validate.number("index", index, positive=True)
+    _validate.real("distance", distance)
+    readable = all(_array.is_readable(value) for value in (numerical_aperture, index))
+    if readable and not numerical_aperture < index:
+        raise ValueError(f"numerical_aperture must be below the index {index!r}, got {numerical_aperture!r}")
+    targets = _validate.size("shape", shape)
+    offset = _validate.several("offset", offset, 2)
+    wavelength, focal, aperture, index, distance = (
+        cast(value, field, xp.float64) for value in (wavelength, focal, numerical_aperture, index, distance)
+    )
+    steps = _steps("dx", dx)
+    y, x = (
+        (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * pitch
+        for n, pitch in zip(field.shape[-2:], steps, strict=True)
+    )
+    _check_focus_sampling(field.shape[-2:], steps, focal, aperture, wavelength, targets, target_dx, offset)
+    y, x = y[:, None], x[None, :]
+    squared = x**2 + y**2
+    axis = squared == 0
+    radius = xp.sqrt(xp.where(axis, xp.ones_like(squared), squared))
+    rim = focal * aperture
+    # Half of a pixel along the radius: the coverage falls from 1 to 0 across the rim.
+    half = (xp.abs(x) * steps[1] + xp.abs(y) * steps[0]) / (2 * radius)
+    half = xp.where(axis, xp.full_like(half, min(steps) / 2), half)
+    coverage = xp.clip((rim - xp.where(axis, xp.zeros_like(radius), radius)) / (2 * half) + 0.5, 0.0, 1.0)
+    sine = xp.where(axis, xp.zeros_like(radius), xp.minimum(radius, rim)) / (focal * index)
+    cosine = xp.sqrt(1 - sine**2)
+    along_x, along_y = xp.where(axis, xp.ones_like(squared), x / radius), xp.where(axis, 0 * radius, y / radius)
+    scale = coverage * (steps[0] * steps[1]) / (wavelength * focal * index**1.5 * xp.sqrt(cosine))
+    # The field's components along and across the radius, then the three components behind the lens.
+    real = _array.real_dtype(field)
+    along_x, along_y, scale, lens_cosine, lens_sine = (
+        xp.astype(value, real) for value in (along_x, along_y, scale, cosine, sine)
+    )
+    e_x, e_y = field[..., 0, :, :] * scale, field[..., 1, :, :] * scale
+    radial = e_x * along_x + e_y * along_y
+    across = e_y * along_x - e_x * along_y
+    waves = xp.stack(
+        (
+            radial * lens_cosine * along_x - across * along_y,
+            radial * lens_cosine * along_y + across * along_x,
+            radial * lens_sine,
+        ),
+        axis=-3,
+    )
+    defocus = phasor_of_cycles(distance[..., None, None] * cosine * (index / wavelength), field.dtype)
+    waves = waves * (defocus[..., None, :, :] if distance.ndim else defocus)
+    to_y, to_x = (
+        _plane_waves(xp, positions, count, pitch, shift, wavelength * focal, field.dtype, device)
+        for positions, count, pitch, shift in zip(
+            (y[:, 0], x[0, :]), targets, _steps("target_dx", target_dx), offset, strict=True
+        )
+    )
+    return -1j * xp.matmul(xp.matmul(to_y, waves), to_x.mT)
+
+
+def _plane_waves(xp, positions, count, pitch, shift, scale, dtype, device):
+    """Return exp(−i2π·x·X/(λf)), ``[targets, pupil]``."""
+    targets = (xp.arange(count, dtype=xp.float64, device=device) - count // 2) * pitch + shift
+    return phasor_of_cycles(-targets[:, None] * positions[None, :] / scale, dtype)
+
+
+def _check_focus_sampling(size, steps, focal, aperture, wavelength, targets, target_dx, offset) -> None:
+    if not all(_array.is_readable(value) for value in (focal, aperture, wavelength)):
+        return
+    focal, aperture, wavelength = (_validate.numbers(value)[0] for value in (focal, aperture, wavelength))
+    rim, period = focal * aperture, wavelength * focal
+    for n, pitch, count, step, shift in zip(size, steps, targets, _steps("target_dx", target_dx), offset, strict=True):
+        if rim > (n // 2) * pitch * (1 + 1e-9):
+            warn(
+                f"the pupil's radius focal·numerical_aperture = {rim:.4g} m exceeds the half width "
+                f"{n // 2 * pitch:.4g} m of the field: a part of the pupil is not illuminated",
+                SamplingWarning,
+            )
+        reach = count / 2 * step + abs(shift)
+        if reach > period / pitch / 2 * (1 + 1e-9):
+            warn(
+                f"the window reaches {reach:.4g} m from the focus, beyond half the period "
+                f"wavelength·focal/dx = {period / pitch:.4g} m at which the sampled pupil repeats the focus",
+                SamplingWarning,
+            )
+
+
+def _steps(name: str, dx) -> list:
+    """Return the pitches (rows, columns), each one number."""
+    return [_validate.number(name, step, positive=True) for step in pitches(dx, name)]
+
+
+def polarized_field(name: str, value):
+    """Return a complex field after checking that it is ``[..., 2, rows, columns]``."""
+    value = _array.to_complex(_validate.image(name, value, axes=3))
+    if value.shape[-3] != 2:
+        raise ValueError(f"{name} must be [..., 2, rows, columns], got {tuple(value.shape)}")
+    return value
+
+
+def _frequencies(xp, shape, dx, device):
+    """Return the frequencies of the discrete Fourier transform in 1/m: rows ``[r, 1]`` and columns ``[1, c]``."""
+    fy, fx = (
+        xp.fft.ifftshift(xp.arange(n, dtype=xp.float64, device=device) - n // 2) / (n * pitch)
+        for n, pitch in zip(shape, _steps("dx", dx), strict=True)
+    )
+    return fy[:, None], fx[None, :]

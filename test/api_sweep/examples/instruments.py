@@ -1,0 +1,3 @@
+"""Calls of odak.instruments."""
+
+NOT_CALLED = {"odak.instruments.*": "needs instruments, simulated ones for minutes; they have tests of their own"}

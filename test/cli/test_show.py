@@ -1,0 +1,92 @@
+"""Interactive pages of results."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+import typer
+from command import SMALL, run
+from PIL import Image
+
+from odak.cli import main
+
+
+def page_of(source, tmp_path):
+    assert main(["show", str(source), "-o", str(tmp_path / "page.html"), "--no-open"]) == 0
+    return (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+def test_a_run_is_shown_with_pictures_numbers_and_figures(tmp_path):
+    run("photo", "--output", tmp_path / "run", *SMALL, "--grey", "--quiet")
+    page = page_of(tmp_path / "run", tmp_path)
+    psnr = json.loads((tmp_path / "run" / "report.json").read_text())["psnr_db"]
+    assert f"<td>psnr_db</td><td>{psnr:.6g}</td>" in page
+    assert page.count("data:image/png;base64,") >= 3 and page.count("Plotly.newPlot(") >= 1
+    assert '<script src="http' not in page and "<link" not in page.partition("<script")[0]
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".pt"])
+def test_fields_and_stacks(suffix, tmp_path):
+    field = np.exp(1j * np.linspace(0, 6, 20 * 30)).reshape(20, 30).astype(np.complex64)
+    path = tmp_path / f"field{suffix}"
+    np.save(path, field) if suffix == ".npy" else torch.save(torch.as_tensor(field), path)
+    page = page_of(path, tmp_path)
+    assert f"field{suffix}" in page and "phase" in page
+
+
+def test_pictures_and_lenses(tmp_path):
+    Image.new("RGB", (9, 8), "red").save(tmp_path / "red.png")
+    assert "red.png" in page_of(tmp_path / "red.png", tmp_path)
+    assert "Plotly.newPlot(" in page_of("cooke_triplet", tmp_path)
+
+
+def test_the_browser_is_asked_to_open_the_page(tmp_path, monkeypatch, capsys):
+    opened = []
+    monkeypatch.setattr(typer, "launch", opened.append)
+    assert main(["show", "singlet"]) == 0
+    assert opened == [capsys.readouterr().out.strip()]
+
+
+def test_what_cannot_be_shown_is_named(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    np.save(tmp_path / "line.npy", np.zeros(3))
+    (tmp_path / "broken.npy").write_bytes(b"no array")
+    np.save(tmp_path / "objects.npy", np.array([print], object), allow_pickle=True)
+    (tmp_path / "notes.txt").write_text("text")
+    for name, message in (
+        ("empty", "a folder without pictures and fields"),
+        ("line.npy", "must hold a field or a stack of fields, got shape (3,)"),
+        ("broken.npy", "cannot be drawn"),
+        ("objects.npy", "cannot be drawn"),
+        ("notes.txt", "must be a folder of results, or end in"),
+        ("none.png", "FILE not found"),
+        ("cooke_tripel", "Did you mean 'cooke_triplet'?"),
+    ):
+        source = name if name == "cooke_tripel" else str(tmp_path / name)
+        assert main(["show", source, "-o", str(tmp_path / "page.html"), "--no-open"]) == 2
+        assert message in capsys.readouterr().err
+    assert not (tmp_path / "page.html").exists()
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_shells_complete_commands_options_and_names(shell):
+    def complete(words):
+        environment = {"_ODAK_COMPLETE": f"complete_{shell}", "PATH": "/usr/bin"}
+        if shell == "bash":
+            environment |= {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+        else:
+            environment |= {"_TYPER_COMPLETE_ARGS": " ".join(words), "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
+        command = [
+            sys.executable,
+            "-c",
+            "import sys; sys.argv[0] = 'odak'; from odak.cli import app; app(prog_name='odak')",
+        ]
+        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120).stdout
+
+    assert "hologram" in complete(["odak", "holo"])
+    assert "--wavelength" in complete(["odak", "hologram", "--wave"])
+    assert "holoeye-leto-3" in complete(["odak", "hologram", "--preset", "holoeye-l"])
+    assert "double-phase" in complete(["odak", "hologram", "--method", "dou"])

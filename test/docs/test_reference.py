@@ -1,0 +1,158 @@
+"""The API reference lists each public name once, and tables of parameters agree with signatures."""
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+import re
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("griffe", reason="what builds the site is not installed: pip install -r docs/requirements.txt")
+
+import griffe
+from documentation import script
+
+import odak
+
+reference = script("reference")
+# Names whose tables are still to be completed, one per line. The list only gets shorter.
+INCOMPLETE = set((Path(__file__).parent / "incomplete_parameters.txt").read_text(encoding="utf-8").split())
+
+
+def public_packages():
+    """Return the packages that export names, found by walking the installed package."""
+    found = {"odak"}
+    for module in pkgutil.walk_packages(odak.__path__, "odak."):
+        if module.ispkg and "._" not in module.name:
+            content = importlib.import_module(module.name)
+            if any(not inspect.ismodule(getattr(content, name)) for name in getattr(content, "__all__", ())):
+                found.add(module.name)
+    return found
+
+
+def test_every_public_name_has_exactly_one_entry():
+    listed, packages = reference.entries(), public_packages() | set(reference.packages())
+    public = {f"{package}.{name}" for package in packages for name in reference.public_names(package)}
+    assert public - set(listed) == set(), "list the package in docs/reference"
+    assert set(listed) - public == set(), "take the names out of docs/reference"
+
+
+def test_anchors_of_earlier_releases_lead_to_public_names():
+    lost = {path for _, _, path in reference.former_anchors()} - set(reference.entries())
+    assert not lost
+
+
+def rows(value):
+    """Return the documented parameters of a function or class: name, type and description."""
+    text = inspect.getdoc(value) or ""
+    if inspect.isclass(value):
+        text = "\n\n".join(filter(None, (value.__doc__ and inspect.cleandoc(value.__doc__), _own_init_doc(value))))
+    sections = griffe.parse_numpy(griffe.Docstring(text), warnings=False)
+    kinds = {griffe.DocstringSectionKind.parameters, griffe.DocstringSectionKind.other_parameters}
+    if dataclasses.is_dataclass(value):
+        kinds.add(griffe.DocstringSectionKind.attributes)
+    found = [row for section in sections if section.kind in kinds for row in section.value]
+    return [(row.name.lstrip("*"), str(row.annotation or ""), row.description) for row in found]
+
+
+def _own_init_doc(value):
+    text = value.__init__.__doc__ if "__init__" in vars(value) else None
+    return inspect.cleandoc(text) if text else ""
+
+
+def complaint(value):
+    """Return what is wrong with the table of parameters of a function or class, or the empty string."""
+    try:
+        signature = inspect.signature(value)
+    except ValueError:
+        return ""
+    kinds = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
+    expected = [item.name for item in signature.parameters.values() if item.name not in ("self", "cls")]
+    variable = {item.name for item in signature.parameters.values() if item.kind in kinds}
+    table = rows(value)
+    names = [name for name, _, _ in table]
+    if set(expected) - variable - set(names):
+        return f"no row for {sorted(set(expected) - variable - set(names))}"
+    if set(names) - set(expected) and not variable:
+        return f"rows for {sorted(set(names) - set(expected))}, which it does not take"
+    for name, annotation, description in table:
+        if not annotation and name not in variable:
+            return f"{name} has no type"
+        if re.match(r"(?:As|Those|That) (?:in|of|for) ", description) or not description:
+            return f"{name} is not described: {description!r}"
+    grouped = re.findall(r"^\w+(?:, \w+)+ : ", inspect.getdoc(value) or "", re.MULTILINE)
+    return f"grouped rows: {grouped}" if grouped else ""
+
+
+def incomplete():
+    """Return the public callables with something wrong in their tables, and what."""
+    found = {}
+    for path in reference.entries():
+        package, _, name = path.rpartition(".")
+        value = getattr(importlib.import_module(package), name)
+        if callable(value) and not (inspect.isclass(value) and issubclass(value, (BaseException, int, tuple))):
+            wrong = complaint(value)
+            if wrong:
+                found[path] = wrong
+    return found
+
+
+def test_tables_of_parameters_agree_with_signatures():
+    wrong = {path: text for path, text in incomplete().items() if path not in INCOMPLETE}
+    assert not wrong, "\n".join(f"{path}: {text}" for path, text in wrong.items())
+
+
+def test_complaints():
+    def good(a, b=1):
+        """Add.
+
+        Parameters
+        ----------
+        a : float
+            First summand.
+        b : float
+            Second summand.
+        """
+
+    def grouped(a, b=1):
+        """Add.
+
+        Parameters
+        ----------
+        a, b : float
+            Summands.
+        """
+
+    def refers(a):
+        """Do it.
+
+        Parameters
+        ----------
+        a : float
+            As in :func:`good`.
+        """
+
+    def lacks(a, b):
+        """Do it.
+
+        Parameters
+        ----------
+        a : float
+            First.
+        """
+
+    assert complaint(good) == ""
+    assert "grouped" in complaint(grouped)
+    assert "not described" in complaint(refers)
+    assert complaint(lacks) == "no row for ['b']"
+
+
+def test_roles_become_links():
+    links = reference._Links()
+    package = griffe.Module("odak")
+    function = griffe.Function("f", parent=package)
+    assert links.of("odak.wave.propagate_beam", function) == "[`odak.wave.propagate_beam`][odak.wave.propagate_beam]"
+    assert links.of("~odak.learn.wave.propagate_beam", function).startswith("[`propagate_beam`][odak.learn.wave.")
+    assert links.of("torch.save", function) == "`torch.save`"

@@ -1,0 +1,205 @@
+"""Calibrations of simulated tables find what was hidden by a seed, through the protocols alone."""
+
+import json
+from importlib.metadata import EntryPoint
+
+import numpy as np
+import pytest
+
+from odak import AccuracyWarning, instruments
+from odak.instruments import calibration as calibrating
+from odak.instruments import protocols
+
+
+class Blind:
+    """Instrument that shows the members of its protocol alone: the hidden truth cannot be reached."""
+
+    def __init__(self, instrument, names):
+        object.__setattr__(self, "_parts", (instrument, names))
+
+    def __getattr__(self, name):
+        instrument, names = object.__getattribute__(self, "_parts")
+        if name not in names:
+            raise AttributeError(name)
+        return getattr(instrument, name)
+
+    def __setattr__(self, name, value):
+        instrument, names = self._parts
+        assert name in names
+        setattr(instrument, name, value)
+
+
+def instruments_of(table):
+    modulator = Blind(table.modulator, ("shape", "pitch", "bits", "settling_time", "show"))
+    camera = Blind(table.camera, ("shape", "pitch", "bits", "exposure", "region", "capture"))
+    return modulator, camera
+
+
+def low_modes(modulator):
+    return calibrating._modes(modulator, 2)[[0, 1, calibrating._DEFOCUS]]
+
+
+def rms(values):
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def distance_in_pixels(registration, table):
+    points = np.random.default_rng(0).uniform(-0.35, 0.35, (200, 2)) * 144 * 8e-6
+    seen = registration.camera_pixels(points)
+    missed = (table.truth.plane_points(seen, table.camera.shape) - points) / table.camera.pitch
+    return np.linalg.norm(missed, axis=-1)
+
+
+@pytest.fixture(scope="module")
+def calibrated():
+    """A table with all faults, and what its calibration found."""
+    table = instruments.SimulatedTable(seed=int(np.random.default_rng(5).integers(1000)))
+    found = instruments.calibrate_table(*instruments_of(table), table.laser.wavelength, 20e-3)
+    return table, found
+
+
+def test_phase_response_within_two_hundredths(calibrated):
+    table, found = calibrated
+    assert np.abs(found.phases - table.truth.phases).max() < 0.02
+
+
+def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
+    table, found = calibrated
+    low = low_modes(table.modulator)
+    error = calibrating.without(found.wavefront - table.truth.wavefront, low)
+    assert rms(error) < 2 * np.pi / 100 < 0.1 * rms(table.truth.wavefront)
+
+
+def test_registration_within_a_tenth_of_a_pixel(calibrated):
+    table, found = calibrated
+    assert distance_in_pixels(found.registration, table).max() < 0.1
+
+
+def test_distance_within_a_thousandth(calibrated):
+    table, found = calibrated
+    assert found.distance == pytest.approx(table.truth.distance, rel=1e-3)
+
+
+def test_illumination_within_two_percent(calibrated):
+    table, found = calibrated
+    assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
+    assert found.amplitude.max() == 1.0
+
+
+def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
+    table, found = calibrated
+    ideal = instruments.SimulatedTable(
+        seed=1, misalignment=False, aberration=0.0, nonlinearity=False, distance_error=0.0, reflection=0.0
+    )
+    nominal = calibrating.lens_phase(ideal.modulator, 532e-9, 20e-3) % (2 * np.pi)
+    linear = np.rint(nominal * 255 / (2 * np.pi)).astype(int)
+    peaks = []
+    corrected = found.levels(calibrating.lens_phase(table.modulator, found.wavelength, found.distance))
+    for there, levels in ((table, corrected), (table, linear), (ideal, linear)):
+        there.modulator.show(levels)
+        light, _ = there.intensity()
+        peaks.append(light.max() / there.truth.amplitude.sum() ** 2 * there.truth.distance**2)
+    corrected, uncorrected, perfect = peaks
+    assert corrected > 0.95 * perfect and uncorrected < 0.5 * perfect
+
+
+def test_files_are_read_back(calibrated, tmp_path):
+    _, found = calibrated
+    instruments.save_calibration(tmp_path / "a.npz", found)
+    again = instruments.load_calibration(tmp_path / "a.npz")
+    assert (again.wavelength, again.pitch, again.distance) == (found.wavelength, found.pitch, found.distance)
+    for name in ("phases", "amplitude", "wavefront"):
+        assert np.array_equal(getattr(again, name), getattr(found, name))
+    pixels = np.random.default_rng(0).uniform(0, 300, (5, 2))
+    assert np.array_equal(again.registration.plane_points(pixels), found.registration.plane_points(pixels))
+    with np.load(tmp_path / "a.npz") as store:
+        header = json.loads(store["header"].tobytes())
+    assert header["units"]["distance"] == "m" and header["version"] == 1
+    with pytest.raises(FileNotFoundError, match=r"b\.npz"):
+        instruments.load_calibration(tmp_path / "b.npz")
+    (tmp_path / "b.npz").write_bytes(b"PK no archive")
+    with pytest.raises(ValueError, match=r"b\.npz' cannot be read as a calibration"):
+        instruments.load_calibration(tmp_path / "b.npz")
+    np.savez(tmp_path / "c.npz", header=np.frombuffer(b'{"format": "other", "version": 1}', np.uint8))
+    with pytest.raises(ValueError, match="its format is 'other'"):
+        instruments.load_calibration(tmp_path / "c.npz")
+
+
+@pytest.mark.parametrize("seed", [2, 7])
+def test_registration_of_an_unaberrated_table(seed):
+    table = instruments.SimulatedTable(seed, aberration=0.0, distance_error=0.0)
+    found = instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)
+    assert distance_in_pixels(found, table).max() < 0.1 and found.residual < 0.1
+    pixels = np.random.default_rng(1).uniform(20, 300, (40, 2))
+    assert np.abs(found.camera_pixels(found.plane_points(pixels)) - pixels).max() < 1e-6
+
+
+def test_a_camera_that_sees_few_spots_is_told():
+    table = instruments.SimulatedTable(2, aberration=0.0, camera_shape=(90, 90), misalignment=False)
+    # As if the three single spots had been far apart.
+    with pytest.raises(RuntimeError, match=r"sees \d+ of 36 spots"), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(calibrating, "_centroid", lambda frame, place, reach: np.asarray(place, float) * 4)
+        instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)
+
+
+def test_focus_outside_of_the_range_warns():
+    table = instruments.SimulatedTable(4, aberration=0.0, distance_error=0.0)
+    mapping = instruments.Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    with pytest.warns(AccuracyWarning, match="end of the range"):
+        instruments.measure_distance(*instruments_of(table), 532e-9, 22e-3, table.truth.phases, mapping, span=0.05)
+
+
+def test_nearest_levels_are_nearest():
+    phases = np.random.default_rng(0).uniform(-4, 9, 16)
+    wanted = np.random.default_rng(1).uniform(-20, 20, (30, 20))
+    found = calibrating.nearest_levels(wanted, phases)
+    apart = np.abs(np.angle(np.exp(1j * (phases[None, None] - wanted[..., None]))))
+    assert np.allclose(np.take_along_axis(apart, found[..., None], -1)[..., 0], apart.min(-1))
+
+
+def test_twins_follow_the_protocols_and_are_repeatable():
+    first, second, other = (
+        instruments.SimulatedTable(seed, shape=(24, 32), camera_shape=(40, 48)) for seed in (3, 3, 4)
+    )
+    assert isinstance(first.modulator, instruments.Modulator) and isinstance(first.camera, instruments.Camera)
+    assert isinstance(first.laser, instruments.Laser) and isinstance(first.stage, instruments.Stage)
+    levels = np.random.default_rng(0).integers(256, size=(24, 32))
+    for table in (first, second, other):
+        table.modulator.show(levels)
+        table.camera.exposure = 0.05
+    frames = [table.camera.capture(2) for table in (first, second, other)]
+    assert np.array_equal(frames[0], frames[1]) and not np.array_equal(frames[0], frames[2])
+    assert not np.array_equal(frames[0][0], frames[0][1])
+    first.camera.region = (5, 6, 7, 8)
+    assert first.camera.capture().shape == (1, 7, 8)
+    first.laser.power = 0.0
+    assert first.camera.capture().max() < 12
+    for wrong in (levels[:-1], levels * 2.0, levels + 200):
+        with pytest.raises(ValueError, match="levels must be"):
+            first.modulator.show(wrong)
+
+
+def test_a_camera_counts_photons():
+    table = instruments.SimulatedTable(6, misalignment=False, aberration=0.0, reflection=0.0)
+    table.modulator.show(np.zeros(table.modulator.shape, int))
+    table.camera.exposure, table.camera.region = 3.0, (140, 140, 40, 40)
+    frames = table.camera.capture(200).astype(float) * instruments.simulated.FULL_WELL / 4095
+    electrons = frames.mean(0) - 20
+    # Shot noise, read noise of 3 electrons, and steps of 4.9 electrons.
+    expected = electrons + 9 + (instruments.simulated.FULL_WELL / 4095) ** 2 / 12
+    assert np.median(frames.var(0) / expected) == pytest.approx(1.0, abs=0.1) and electrons.mean() > 50
+    table.camera.exposure = 1e4
+    assert table.camera.capture().min() == 4095
+
+
+def test_drivers_are_found_by_entry_points(monkeypatch):
+    table = instruments.SimulatedTable(1, shape=(8, 8), camera_shape=(8, 8))
+    installed = [EntryPoint("screen", "a:b", "odak.instruments"), EntryPoint("wrong", "a:c", "odak.instruments")]
+    monkeypatch.setattr(protocols, "entry_points", lambda group: [e for e in installed if e.group == group])
+    drivers = {"screen": lambda display: table.modulator, "wrong": dict}
+    monkeypatch.setattr(EntryPoint, "load", lambda self: drivers[self.name])
+    assert instruments.open_instrument("screen", display=1) is table.modulator
+    with pytest.raises(TypeError, match="follows none of the protocols"):
+        instruments.open_instrument("wrong")
+    with pytest.raises(ValueError, match=r"installed driver \('screen', 'wrong'\), got 'camera'"):
+        instruments.open_instrument("camera")

@@ -1,0 +1,109 @@
+"""Thin films against the characteristic matrix, Fresnel's formulas, published coatings and conservation of energy."""
+
+import numpy as np
+import pytest
+import torch
+
+from odak.jones import thin_film_stack
+
+WAVELENGTH = 550e-9
+
+
+def characteristic_matrix(wavelength, indices, thicknesses, angle, polarization):
+    """Return r and T by the product of characteristic matrices (H. A. Macleod, Thin-Film Optical Filters, ch. 2)."""
+    sine = indices[0] * np.sin(np.deg2rad(angle))
+    normal = [np.sqrt(complex(n) ** 2 - sine**2) for n in indices]
+    eta = normal if polarization == "s" else [complex(n) ** 2 / q for n, q in zip(indices, normal, strict=True)]
+    matrix = np.eye(2, dtype=complex)
+    for q, admittance, thickness in zip(normal[1:-1], eta[1:-1], thicknesses, strict=True):
+        delta = 2 * np.pi * q * thickness / wavelength
+        matrix = matrix @ np.array(
+            [
+                [np.cos(delta), -1j * np.sin(delta) / admittance],
+                [-1j * admittance * np.sin(delta), np.cos(delta)],
+            ]
+        )
+    b, c = matrix @ np.array([1, eta[-1]])
+    r = (eta[0] * b - c) / (eta[0] * b + c)
+    transmittance = 4 * eta[0].real * eta[-1].real / abs(eta[0] * b + c) ** 2
+    return (r if polarization == "s" else -r), transmittance
+
+
+@pytest.mark.parametrize("polarization", ["s", "p"])
+@pytest.mark.parametrize("angle", [0.0, 30.0, 70.0, 89.0])
+def test_equals_the_characteristic_matrix(angle, polarization):
+    indices, thicknesses = [1.0, 2.1 + 0.02j, 1.4, 1.9 + 0.5j, 1.5], [80e-9, 120e-9, 30e-9]
+    found = thin_film_stack(WAVELENGTH, indices, thicknesses, angle, polarization)
+    r, transmittance = characteristic_matrix(WAVELENGTH, indices, thicknesses, angle, polarization)
+    assert abs(found.r - r) < 1e-13
+    assert abs(found.transmittance - transmittance) < 1e-13
+    assert found.absorptance > 0
+
+
+def test_published_coatings():
+    quarter = [WAVELENGTH / 4 / n for n in (2.35, 1.46)]
+    antireflection = thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [WAVELENGTH / 4 / 1.38])
+    mirror = thin_film_stack(WAVELENGTH, [1, *[2.35, 1.46] * 8, 2.35, 1.52], [*quarter * 8, quarter[0]])
+    assert antireflection.reflectance == pytest.approx(0.0126008, abs=5e-8)
+    assert mirror.reflectance == pytest.approx(0.9994577, abs=5e-8)
+
+
+def test_one_interface_follows_fresnel_and_brewster():
+    incidence = np.deg2rad(40)
+    refraction = np.arcsin(np.sin(incidence) / 1.5)
+    c, d = np.cos(incidence), np.cos(refraction)
+    p, s = (thin_film_stack(WAVELENGTH, [1, 1.5], [], 40, which) for which in "ps")
+    assert p.r == pytest.approx((1.5 * c - d) / (1.5 * c + d))
+    assert p.t == pytest.approx(2 * c / (1.5 * c + d))
+    assert s.r == pytest.approx((c - 1.5 * d) / (c + 1.5 * d))
+    assert s.t == pytest.approx(2 * c / (c + 1.5 * d))
+    brewster = thin_film_stack(WAVELENGTH, [1, 1.5], [], np.rad2deg(np.arctan(1.5)), "p")
+    assert abs(brewster.r) < 1e-15
+
+
+@pytest.mark.parametrize("polarization", ["s", "p"])
+def test_total_and_frustrated_reflection(polarization):
+    angles = np.array([41.0, np.rad2deg(np.arcsin(1 / 1.5)), 60.0])
+    total = thin_film_stack(WAVELENGTH, [1.5, 1.0], [], angles, polarization)
+    np.testing.assert_allclose(total.reflectance[1:], 1, atol=1e-7)
+    assert total.reflectance[0] < 0.9
+    gap = thin_film_stack(WAVELENGTH, [1.5, 1.0, 1.5], [100e-9], 60.0, polarization)
+    _, transmittance = characteristic_matrix(WAVELENGTH, [1.5, 1.0, 1.5], [100e-9], 60.0, polarization)
+    assert gap.transmittance == pytest.approx(transmittance, abs=1e-13)
+    assert gap.absorptance == pytest.approx(0, abs=1e-13)
+
+
+def test_thick_absorbing_films_stay_finite():
+    silver = thin_film_stack(WAVELENGTH, [1, 0.055 + 3.32j, 1.5], [1e-3], 45.0, "p")
+    bulk = thin_film_stack(WAVELENGTH, [1, 0.055 + 3.32j], [], 45.0, "p")
+    assert silver.r == pytest.approx(complex(bulk.r))
+    assert silver.transmittance == 0
+
+
+def test_gradients_and_faces():
+    angle = torch.tensor([10.0, 50.0], dtype=torch.float64, requires_grad=True)
+    index = torch.tensor(1.9, dtype=torch.float64, requires_grad=True)
+    thickness = torch.tensor(0.13, dtype=torch.float64, requires_grad=True)
+    for polarization in "sp":
+
+        def response(angle, index, thickness, polarization=polarization):
+            found = thin_film_stack(0.55, [1.0, index, 2.1 + 0.3j, 1.5], [thickness, 0.02], angle, polarization)
+            return found.reflectance, found.transmittance, found.r.real, found.t.imag
+
+        assert torch.autograd.gradcheck(response, (angle, index, thickness), fast_mode=True)
+        tensors = response(angle, index, thickness)
+        arrays = response(angle.detach().numpy(), 1.9, 0.13)
+        for tensor, array in zip(tensors, arrays, strict=True):
+            np.testing.assert_allclose(tensor.detach().numpy(), array, rtol=1e-12, atol=1e-14)
+
+
+def test_results_have_the_shape_of_all_arguments():
+    bare = thin_film_stack(np.linspace(400e-9, 700e-9, 5), [1.0, 1.5], [], np.zeros((2, 1)))
+    assert bare.r.shape == bare.t.shape == bare.absorptance.shape == (2, 5)
+
+
+def test_wrong_use_names_the_argument():
+    with pytest.raises(ValueError, match="thicknesses must be two fewer than indices"):
+        thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [])
+    with pytest.raises(ValueError, match="polarization"):
+        thin_film_stack(WAVELENGTH, [1, 1.5], [], 0.0, "x")

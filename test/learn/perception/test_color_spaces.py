@@ -1,0 +1,136 @@
+"""Colour spaces of XYZ against values of colour-science 0.4.7; gamut and tone mapping by what they promise."""
+
+import math
+
+import pytest
+import torch
+
+from odak.learn import perception as p
+
+D65, D50 = (0.950455927052, 1.0, 1.08905775076), (0.96429567643, 1.0, 0.82510460251)
+COLOUR = (0.20654008, 0.12197225, 0.05136952)
+
+
+def pixel(values):
+    return torch.tensor(values, dtype=torch.float64).reshape(1, 3, 1, 1)
+
+
+def noise(*shape, low=0.02, high=1.0):
+    return low + (high - low) * torch.rand(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+
+
+@pytest.mark.parametrize(
+    ("function", "colour", "expected"),
+    [
+        (lambda v: p.xyz_to_lab(v, D50), COLOUR, (41.527875294398, 51.193541738327, 19.918430978332)),
+        (lambda v: p.xyz_to_luv(v, D50), COLOUR, (41.527875294398, 90.709259615186, 7.084552733731)),
+        (lambda v: p.adapt_chromatically(v, D65, D50), COLOUR, (0.216660031997, 0.12604777264, 0.038550678163)),
+        (
+            lambda v: p.adapt_chromatically(v, D65, D50, "CAT16"),
+            COLOUR,
+            (0.211993263949, 0.122369931058, 0.038100084979),
+        ),
+        (p.xyz_to_oklab, COLOUR, (0.516340191406, 0.154694999017, 0.062895787289)),
+        (p.rgb_to_ictcp, (456.20519, 30.81071, 40.91952), (0.546773236905, -0.004498820391, 0.323127158414)),
+    ],
+)
+def test_values_of_colour_science(function, colour, expected):
+    found = function(pixel(colour)).flatten().tolist()
+    assert found == pytest.approx(expected, rel=1e-9, abs=1e-10)
+
+
+PAIRS = [
+    (lambda v: p.xyz_to_lab(v, D50), lambda v: p.lab_to_xyz(v, D50)),
+    (lambda v: p.xyz_to_luv(v, D50), lambda v: p.luv_to_xyz(v, D50)),
+    (p.xyz_to_lms, p.lms_to_xyz),
+    (lambda v: p.xyz_to_lms(v, "CAT16"), lambda v: p.lms_to_xyz(v, "CAT16")),
+    (p.xyz_to_oklab, p.oklab_to_xyz),
+    (lambda v: p.oklab_to_oklch(v - 0.5), lambda v: p.oklch_to_oklab(v) + 0.5),
+    (lambda v: p.rgb_to_ictcp(1000 * v), lambda v: p.ictcp_to_rgb(v) / 1000),
+]
+
+
+@pytest.mark.parametrize(("there", "back"), PAIRS)
+def test_round_trips_and_gradients(there, back):
+    # Dark enough for the straight lines of L*.
+    colours = torch.cat([noise(1, 3, 4, 5), 0.003 * noise(1, 3, 4, 5)], -1)
+    torch.testing.assert_close(back(there(colours)), colours, rtol=1e-9, atol=1e-11)
+    assert there(colours[0]).shape == colours.shape
+    assert there(colours.float()).dtype == torch.float32
+    bright = noise(1, 3, 2, 2, low=0.2).requires_grad_()
+    assert torch.autograd.gradcheck(there, bright, fast_mode=True)
+    assert torch.autograd.gradcheck(lambda v: back(there(v)), bright, fast_mode=True)
+
+
+def test_whites_and_black():
+    for white in (D65, D50):
+        torch.testing.assert_close(p.xyz_to_lab(pixel(white), white), pixel((100, 0, 0)), atol=1e-9, rtol=0)
+        torch.testing.assert_close(p.xyz_to_luv(pixel(white), white), pixel((100, 0, 0)), atol=1e-9, rtol=0)
+    for cones in ("Bradford", "CAT16", "Hunt-Pointer-Estevez"):
+        torch.testing.assert_close(p.adapt_chromatically(pixel(D65), D65, D50, cones), pixel(D50))
+    for function in (p.xyz_to_lab, p.xyz_to_luv, p.xyz_to_oklab, p.oklab_to_oklch, p.luv_to_xyz):
+        black = torch.zeros(1, 3, 1, 1, dtype=torch.float64, requires_grad=True)
+        value = function(black)
+        assert value.abs().max() < 1e-12
+        value.sum().backward()
+        assert black.grad.isfinite().all()
+    # BT.2100: I is PQ's 0.508 for grey of 100 cd/m², which has no chroma.
+    assert p.rgb_to_ictcp(pixel((100, 100, 100))).flatten().tolist() == pytest.approx([0.508078, 0, 0], abs=1e-6)
+
+
+def test_gamut_mapping_keeps_lightness_and_hue():
+    image = noise(1, 3, 20, 20, low=-0.4, high=1.4)
+    mapped = p.map_to_gamut(image)
+    assert mapped.min() >= 0 and mapped.max() <= 1
+    inside = ((image >= 0) & (image <= 1)).all(1, keepdim=True)
+    assert torch.equal(torch.where(inside, image, 0.0), torch.where(inside, mapped, 0.0))
+    assert 0 < inside.double().mean() < 0.5
+
+    def oklch(rgb):
+        return p.oklab_to_oklch(p.xyz_to_oklab(p.linear_rgb_to_xyz(rgb, white=IEC_WHITE)))[0].flatten(1)
+
+    before, after = oklch(image), oklch(mapped)
+    clear = (before[0] > 0.05) & (before[0] < 0.95) & (after[1] > 0.02)
+    torch.testing.assert_close(after[0, clear], before[0, clear], rtol=0, atol=1e-6)
+    turn = torch.remainder(after[2, clear] - before[2, clear] + math.pi, 2 * math.pi) - math.pi
+    assert turn.abs().max() < 1e-4
+    assert (after[1, clear] <= before[1, clear] + 1e-9).all()
+    # The mapped colours lie on the surface: a little more chroma leaves the gamut.
+    outside = ~inside.flatten() & clear
+    level, chroma, hue = after[:, outside]
+    more = p.oklch_to_oklab(torch.stack([level, 1.01 * chroma, hue])[None, :, None])
+    rgb = p.xyz_to_linear_rgb(p.oklab_to_xyz(more), white=IEC_WHITE)
+    assert ((rgb < 0) | (rgb > 1)).any(1).all()
+
+
+IEC_WHITE = (0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290)
+
+
+@pytest.mark.parametrize("method", ["Reinhard", "Hable"])
+def test_tone_mapping(method):
+    ramp = torch.linspace(0, 4, 50, dtype=torch.float64).expand(1, 3, 1, 50)
+    mapped = p.tone_map(ramp, method, white=4.0)
+    assert mapped[0, 0, 0, 0].item() == pytest.approx(0, abs=1e-12)
+    assert mapped[0, :, 0, -1].tolist() == pytest.approx([1, 1, 1])
+    assert (mapped.diff(dim=-1) > 0).all()
+    if method == "Reinhard":
+        assert mapped[0, 0, 0].tolist() == pytest.approx([v * (1 + v / 16) / (1 + v) for v in ramp[0, 0, 0].tolist()])
+        colours = noise(1, 3, 3, 3)
+        ratio = p.tone_map(colours) / colours
+        torch.testing.assert_close(ratio, ratio[:, :1].expand_as(ratio))
+    assert torch.autograd.gradcheck(lambda v: p.tone_map(v, method), noise(1, 3, 2, 2).requires_grad_(), fast_mode=True)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda v: p.xyz_to_lab(v, (1, 1)), "white must be three numbers"),
+        (lambda v: p.xyz_to_lms(v, "Stockman"), "cones must be one of"),
+        (lambda v: p.tone_map(v, "ACES"), "method must be one of"),
+        (lambda v: p.map_to_gamut(v[:, :2]), r"image must be pictures \[..., 3, H, W\]"),
+        (lambda v: p.adapt_chromatically(v, D65, (0, 1, 1)), "target_white must be positive"),
+    ],
+)
+def test_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(noise(1, 3, 2, 2))

@@ -1,0 +1,104 @@
+"""Torch functions that are made of functions of the core: conversions, signatures, documentation."""
+
+import inspect
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+from odak import _array
+from odak._array import Array
+from odak.learn import jones, tools
+from odak.learn._face import torch_face
+
+
+def scaled(field: Array, factor: float | Array = 2.0, *, xp=None, device=None, dtype=None) -> np.ndarray | Array:
+    """Return an array times a factor.
+
+    Parameters
+    ----------
+    field : array
+        An array of any shape.
+    factor : number or array
+        Factor of the arrays.
+    xp : module, optional
+        Array library.
+    device : optional
+        Device.
+    dtype : optional
+        Real dtype.
+
+    Returns
+    -------
+    numpy.ndarray
+        The array scaled.
+
+    Examples
+    --------
+    >>> scaled(1.0)
+    array(2.)
+    """
+    xp, device, dtype = _array.placement(field, factor, xp=xp, device=device, dtype=dtype)
+    return _array.converted(field, xp, device, dtype) * _array.converted(factor, xp, device, dtype)
+
+
+face = torch_face(scaled, tensors=("field",), defaults={"factor": 3.0})
+
+
+def test_numbers_lists_and_arrays_become_tensors():
+    for value in (2.0, [2.0, 4.0], np.asarray([2.0, 4.0])[::-1]):
+        result = face(value)
+        assert isinstance(result, torch.Tensor) and result.dtype == torch.float32
+        np.testing.assert_array_equal(result.numpy(), 3 * np.asarray(value))
+    assert face(torch.ones(2, dtype=torch.float64), [1.0, 2.0]).tolist() == [1.0, 2.0]
+    assert face(1.0, dtype=torch.float64).dtype == torch.float64
+    assert face(1.0, device="meta").device.type == "meta"
+    assert isinstance(scaled([1.0]), np.ndarray)
+
+
+def test_precision_is_the_widest_of_the_tensors_and_gradients_pass():
+    field = torch.tensor([1.0, 2.0], requires_grad=True)
+    assert (
+        tools.distance_between_two_points(field.new_zeros(3), torch.ones(3, dtype=torch.float64)).dtype == torch.float64
+    )
+    face(field, factor=torch.tensor(5.0)).sum().backward()
+    assert field.grad.tolist() == [5.0, 5.0]
+
+
+def test_signature_is_that_of_the_core_in_terms_of_tensors():
+    signature = inspect.signature(face)
+    assert list(signature.parameters) == ["field", "factor", "device", "dtype"]
+    assert signature.parameters["factor"].default == 3.0
+    assert signature.parameters["factor"].annotation == float | torch.Tensor
+    assert signature.return_annotation is torch.Tensor
+    assert face.__module__ == __name__ and face.__name__ == "scaled"
+
+
+def test_documentation_speaks_of_tensors_and_of_the_defaults_of_the_face():
+    text = face.__doc__
+    assert "Return a tensor times a factor." in text
+    assert "field : torch.Tensor\n    A tensor of any shape." in text
+    assert "factor : number or torch.Tensor, default: 3.0\n    Factor of the tensors." in text
+    assert "torch.device or str, optional" in text and "xp :" not in text
+    assert "Returns\n-------\ntorch.Tensor\n    The tensor scaled." in text
+    assert "Examples" not in text and "test_face" not in text.split("See Also")[0]
+
+
+def test_wrong_calls_are_type_errors():
+    for arguments, options in (((1, 2, 3), {}), ((1,), {"field": 1}), ((), {"xp": np, "field": 1}), ((), {"fild": 1})):
+        with pytest.raises(TypeError):
+            face(*arguments, **options)
+    with pytest.raises(ValueError, match="device must be"):
+        face(1.0, device="nonsense")
+    with pytest.raises(ValueError, match="defaults names no argument"):
+        torch_face(scaled, defaults={"facter": 1})
+
+
+def test_faces_of_the_package_can_be_pickled_compiled_and_transformed():
+    assert pickle.loads(pickle.dumps(jones.retarder)) is jones.retarder
+    angles = torch.linspace(0, 90, 5, dtype=torch.float64)
+    expected = jones.polarizer(angles)
+    assert torch.allclose(torch.func.vmap(jones.polarizer)(angles), expected)
+    explanation = torch._dynamo.explain(jones.polarizer)(angles)
+    assert explanation.graph_break_count == 0

@@ -1,0 +1,184 @@
+"""The PyTorch operator: blocks, adjoint, transforms, threads and devices."""
+
+import subprocess
+import sys
+import threading
+
+import pytest
+import torch
+
+from odak.learn.wave import convolution, propagate_beam
+from odak.learn.wave.convolution import Workspace
+from odak.wave.convolution import convolve_plainly
+
+
+@pytest.fixture
+def blocked(monkeypatch):
+    """Send even small fields through the blocked path, in blocks of a few columns."""
+    monkeypatch.setattr(convolution, "BLOCKED_FROM", 0)
+    monkeypatch.setattr(convolution, "_BLOCKED_BATCH_FROM", 0)
+    monkeypatch.setattr(convolution, "_BLOCK_BYTES", 700)
+
+
+def pair(*shape, kernel=(24, 31), dtype=torch.complex128):
+    generator = torch.Generator().manual_seed(1)
+    return (torch.randn(*size, dtype=dtype, generator=generator) for size in (shape, kernel))
+
+
+@pytest.mark.parametrize("shape", [(12, 15), (24, 31), (2, 3, 12, 15), (2, 1, 12, 15)])
+@pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31), (2, 1, 24, 31)])
+@pytest.mark.parametrize(("dtype", "tolerance"), [(torch.complex64, 1e-5), (torch.complex128, 1e-13)])
+def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance):
+    field, factor = pair(*shape, kernel=kernel, dtype=dtype)
+    expected = convolve_plainly(field, factor)
+    torch.testing.assert_close(convolution.convolve(field, factor), expected, rtol=tolerance, atol=tolerance)
+    columns = factor.mT.contiguous().mT
+    torch.testing.assert_close(convolution.convolve(field, columns), expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("path", ["whole", "blocked"])
+@pytest.mark.parametrize("shape", [(12, 15), (2, 1, 12, 15)])
+@pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31)])
+def test_adjoint_is_the_transpose(path, shape, kernel, request):
+    if path == "blocked":
+        request.getfixturevalue("blocked")
+    field, factor = pair(*shape, kernel=kernel)
+    field.requires_grad_()
+    small = field.detach()[..., :2, :3].requires_grad_()
+    assert torch.autograd.gradcheck(lambda u: convolution.convolve(u, factor[..., :5, :6]), (small,))
+    assert torch.autograd.gradgradcheck(lambda u: convolution.convolve(u, factor[..., :5, :6]), (small,))
+    result = convolution.convolve(field, factor)
+    other = torch.randn_like(result)
+    (back,) = torch.autograd.grad(result, field, other)
+    there, here = (
+        torch.vdot(a.flatten(), b.flatten()).item() for a, b in ((other, result.detach()), (back, field.detach()))
+    )
+    assert there == pytest.approx(here)
+
+
+def test_one_field_through_many_kernels_is_transformed_once(blocked, monkeypatch):
+    field, factor = pair(2, 1, 12, 15, kernel=(5, 24, 31))
+    lines = {"fft": 0, "ifft": 0}
+
+    def counting(name, transform):
+        def counted(array, *args, **options):
+            lines[name] += array[..., 0].numel()
+            return transform(array, *args, **options)
+
+        return counted
+
+    for name in lines:
+        monkeypatch.setattr(torch.fft, name, counting(name, getattr(torch.fft, name)))
+    result = convolution.convolve(field.requires_grad_(), factor)
+    assert lines == {"fft": 2 * (12 + 31), "ifft": 2 * 5 * (31 + 12)}
+    lines.update(fft=0, ifft=0)
+    result.backward(torch.ones_like(result))
+    assert sum(lines.values()) == 2 * 5 * (12 + 31) + 2 * (31 + 12)
+
+
+def test_nothing_but_the_kernel_is_saved():
+    field, factor = pair(12, 15)
+    saved = []
+    with torch.autograd.graph.saved_tensors_hooks(lambda tensor: saved.append(tensor) or tensor, lambda tensor: tensor):
+        convolution.convolve(field.requires_grad_(), factor)
+    assert [tensor.data_ptr() for tensor in saved] == [factor.data_ptr()] * len(saved)
+
+
+def loss(field, distance=1e-3):
+    return propagate_beam(field, None, distance, 8e-6, 532e-9).abs().square().sum()
+
+
+def test_functional_transforms():
+    fields, _ = pair(3, 6, 7)
+    values = torch.stack([loss(field) for field in fields])
+    torch.testing.assert_close(torch.func.vmap(loss)(fields), values)
+    grads = torch.stack([torch.func.grad(loss)(field) for field in fields])
+    torch.testing.assert_close(torch.func.vmap(torch.func.grad(loss))(fields), grads)
+    distances = torch.tensor([1e-3, 2e-3], dtype=torch.float64)
+    swept = torch.func.vmap(lambda z: loss(fields[0], z))(distances)
+    torch.testing.assert_close(swept, torch.stack([loss(fields[0], float(z)) for z in distances]))
+
+
+@pytest.mark.parametrize("in_dims", [(0, None), (None, 0), (0, 0), (2, 1)])
+def test_vmap_over_field_and_kernel(in_dims):
+    fields, kernels = pair(3, 4, 5, kernel=(3, 8, 10))
+    fields = fields if in_dims[0] is None else fields.movedim(0, in_dims[0])
+    kernels = kernels if in_dims[1] is None else kernels.movedim(0, in_dims[1])
+    batch = (3,) if None in in_dims else ()
+    result = torch.func.vmap(lambda u, h: convolution._Convolution.apply(u, h, False, batch, None), in_dims)(
+        fields, kernels
+    )
+    for index in range(3):
+        field = fields if in_dims[0] is None else fields.select(in_dims[0], index)
+        kernel = kernels if in_dims[1] is None else kernels.select(in_dims[1], index)
+        torch.testing.assert_close(result[index], convolve_plainly(field, kernel))
+
+
+@pytest.mark.filterwarnings("ignore:.*torch.jit.*:DeprecationWarning")
+def test_forward_mode_agrees_with_reverse_mode():
+    (field, _), (tangent, _) = pair(6, 7), pair(6, 7)
+    tangent = tangent * 1j + 1
+    value, slope = torch.func.jvp(loss, (field,), (tangent,))
+    gradient = torch.func.grad(loss)(field)
+    assert value == pytest.approx(float(loss(field)))
+    assert slope == pytest.approx(float((gradient.conj() * tangent).real.sum()))
+
+
+def test_kernels_built_in_inference_mode_serve_autograd_later():
+    field, _ = pair(6, 7)
+    with torch.inference_mode():
+        propagate_beam(field, None, 1e-3, 8e-6, 532e-9)
+    field = field.clone().requires_grad_()
+    loss(field).backward()
+    assert field.grad.abs().sum() > 0
+
+
+def test_threads_do_not_share_scratch(blocked):
+    field, factor = pair(40, 50, kernel=(80, 100))
+    expected = convolution.convolve(field, factor)
+    results = []
+    threads = [threading.Thread(target=lambda: results.append(convolution.convolve(field, factor))) for _ in range(6)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(torch.equal(result, expected) for result in results)
+
+
+def test_conjugate_views_and_strides_are_read_right(blocked):
+    field, factor = pair(15, 12)
+    turned = field.conj().mT
+    torch.testing.assert_close(
+        convolution.convolve(turned, factor), convolve_plainly(turned.resolve_conj().contiguous(), factor)
+    )
+
+
+@pytest.mark.cuda
+def test_cuda_agrees_with_the_cpu():
+    field, _ = pair(64, 70)
+    expected = propagate_beam(field, None, 1e-3, 8e-6, 532e-9)
+    result = propagate_beam(field.cuda(), None, 1e-3, 8e-6, 532e-9)
+    assert result.is_cuda
+    torch.testing.assert_close(result.cpu(), expected)
+    assert propagate_beam(field.cuda(), None, torch.tensor(1e-3).cuda(), 8e-6, 532e-9).is_cuda
+
+
+def test_a_workspace_holds_the_result(blocked):
+    field, factor = pair(1, 12, 15, kernel=(3, 24, 31))
+    workspace = Workspace()
+    first = convolution.convolve(field, factor, workspace)
+    expected = convolution.convolve(field, factor)
+    torch.testing.assert_close(first, expected)
+    again = convolution.convolve(2 * field, factor, workspace)
+    assert again.data_ptr() == first.data_ptr()
+    torch.testing.assert_close(again, 2 * expected)
+
+
+def test_the_operator_is_found_with_the_first_tensor():
+    code = (
+        "import odak, torch; field = torch.ones(8, 8, requires_grad=True);"
+        "before = odak.wave.angular_spectrum(field, None, 1e-4, 8e-6, 532e-9).grad_fn.name(); import odak.learn.wave;"
+        "print(before, odak.wave.angular_spectrum(field, None, 1e-4, 8e-6, 532e-9).grad_fn.name())"
+    )
+    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert printed.split() == ["_RecordedConvolutionBackward"] * 2

@@ -1,0 +1,170 @@
+"""Claims of displays and optimizers against an independent propagation in double precision without wrap-around."""
+
+import math
+
+import numpy as np
+import physics
+import pytest
+import torch
+
+from odak import ConvergenceWarning
+from odak.learn import wave
+from odak.learn.wave.holograms import STARTS
+
+PITCH, SIZE = 8e-6, (64, 80)
+COLOURS = [639e-9, 515e-9, 473e-9]
+# N·dx²/λ of the shorter side: where kernels sampled on the padded grid wrap around most.
+CRITICAL = SIZE[0] * PITCH**2 / COLOURS[1]
+
+
+def picture(*shape, seed=0):
+    coarse = torch.rand(*shape[:-2], 6, 7, generator=torch.Generator().manual_seed(seed))
+    fine = torch.nn.functional.interpolate(coarse.reshape(1, -1, 6, 7), shape[-2:], mode="bicubic")
+    return fine.clamp(0, 1).reshape(shape)
+
+
+def decibels(image, target):
+    image, target = np.asarray(image, dtype=np.float64), np.asarray(target, dtype=np.float64)
+    scale = (image * target).sum() / (image**2).sum()
+    return -10 * math.log10(((scale * image - target) ** 2).mean())
+
+
+def judged(fields, distance, wavelength, cutoff=np.inf):
+    """Return the mean intensity of fields shown one after another."""
+    lights = [
+        abs(physics.unwrapped_propagation(field.numpy(), distance, PITCH, wavelength, cutoff, padding=12)) ** 2
+        for field in fields
+    ]
+    return sum(lights) / len(lights)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0, 2.0])
+@pytest.mark.parametrize("method", ["Bandlimited Angular Spectrum", "auto"])
+def test_gradient_descent(share, method):
+    target, distance = picture(*SIZE), share * CRITICAL
+    hologram, image = wave.stochastic_gradient_descent(
+        target, COLOURS[1], distance, PITCH, method, n_iteration=80, scale=True, initial_phase="quadratic",
+        progress=False,
+    )  # fmt: skip
+    claimed = decibels(wave.intensity(image), target)
+    assert claimed > 20
+    assert abs(claimed - decibels(judged([hologram], distance, COLOURS[1]), target)) < 0.3
+
+
+@pytest.mark.parametrize("start", STARTS)
+def test_starts_by_name(start):
+    target, distance = picture(*SIZE), CRITICAL
+    options = {"n_iteration": 30, "scale": True, "seed": 0, "progress": False, "optimizer": "lbfgs"}
+    hologram, image = wave.stochastic_gradient_descent(
+        target, COLOURS[1], distance, PITCH, initial_phase=start, **options
+    )
+    claimed = decibels(wave.intensity(image), target)
+    assert abs(claimed - decibels(judged([hologram], distance, COLOURS[1]), target)) < 0.3
+    random, _ = wave.stochastic_gradient_descent(target, COLOURS[1], distance, PITCH, initial_phase="random", **options)
+    if start != "random":
+        assert claimed > decibels(judged([random], distance, COLOURS[1]), target) + 1
+    again = wave.stochastic_gradient_descent(target, COLOURS[1], distance, PITCH, initial_phase=start, **options)[0]
+    assert torch.equal(again, hologram)
+
+
+def test_several_frames_average():
+    target, distance = picture(*SIZE), 0.7 * CRITICAL
+    results = {}
+    for frames, bits in ((1, None), (4, None), (1, 1), (8, 1)):
+        slm = None if bits is None else wave.spatial_light_modulator(bits=bits)
+        hologram, image = wave.stochastic_gradient_descent(
+            target, COLOURS[1], distance, PITCH, n_iteration=60, scale=True, initial_phase="random", frames=frames,
+            slm=slm, seed=0, progress=False,
+        )  # fmt: skip
+        assert hologram.shape == image.shape == ((frames, *SIZE) if frames > 1 else SIZE)
+        shown = hologram.reshape(-1, *SIZE)
+        if bits:
+            assert len(shown.angle().mul(10).round().unique()) <= 3  # 0, π and −π.
+        claimed = decibels(wave.intensity(image).reshape(-1, *SIZE).mean(0), target)
+        results[frames, bits] = decibels(judged(shown, distance, COLOURS[1]), target)
+        assert abs(claimed - results[frames, bits]) < 0.3
+    assert results[4, None] > results[1, None] + 5
+    assert results[8, 1] > results[1, 1] + 2
+
+
+def test_an_iris_of_the_optimizer():
+    target, distance, radius, focal = picture(*SIZE), 0.5 * CRITICAL, 2e-3, 0.1
+    hologram, image = wave.stochastic_gradient_descent(
+        target, COLOURS[1], distance, PITCH, n_iteration=60, scale=True, initial_phase="flat", progress=False,
+        iris_radius=radius, iris_focal_length=focal,
+    )  # fmt: skip
+    claimed = decibels(wave.intensity(image), target)
+    behind = decibels(judged([hologram], distance, COLOURS[1], radius / (COLOURS[1] * focal)), target)
+    assert abs(claimed - behind) < 0.3
+    assert behind > decibels(judged([hologram], distance, COLOURS[1]), target) + 2
+
+
+@pytest.mark.parametrize("options", [{}, {"iris_radius": 2.5e-3, "iris_focal_length": 0.1}])
+@pytest.mark.parametrize("kind", ["back and forth", "forward"])
+def test_colours_and_planes(kind, options):
+    offset = 0.6 * CRITICAL
+    display = wave.propagator(
+        SIZE, COLOURS, PITCH, number_of_frames=3, number_of_depth_layers=2, volume_depth=1e-2,
+        image_location_offset=offset, propagator_type=kind, **options,
+    )  # fmt: skip
+    targets = picture(2, 3, *SIZE)
+    made = wave.multi_color_hologram_optimizer(
+        COLOURS, SIZE, targets, display, 3, 2, learning_rate=0.2, optimize_peak_amplitude=True, progress=False, seed=0
+    )
+    _, phases, images, powers, _, _ = made.optimize(40, {"eyebox": 0, "light": 0})
+    for plane, distance in enumerate(display.distances.tolist()):
+        for colour, wavelength in enumerate(COLOURS):
+            fields = [powers[frame, colour] * torch.polar(torch.ones(SIZE), phases[frame]) for frame in range(3)]
+            cutoff = options["iris_radius"] / (wavelength * 0.1) if options else np.inf
+            net = distance - offset if kind == "back and forth" else distance
+            shown = judged(fields, net, wavelength, cutoff)
+            target = targets[plane, colour]
+            assert abs(decibels(images.sum(0)[plane, colour], target) - decibels(shown, target)) < 0.3
+            # The brightness is one for all colours, and the intensities are those of the light.
+            assert float(images.sum(0)[plane, colour].mean()) == pytest.approx(3 * shown.mean(), rel=0.02)
+
+
+def test_multiplane():
+    targets = picture(2, *SIZE)
+    made = wave.multiplane_hologram_optimizer(
+        COLOURS[1], 0.0, 4e-3, PITCH, SIZE, targets, number_of_planes=2, number_of_iterations=40, learning_rate=0.05,
+        mask_limits=[0, 1, 0, 1], progress=False, seed=0,
+    )  # fmt: skip
+    phase, _, images = made.optimize()
+    for plane, distance in enumerate(made.propagator.distances.tolist()):
+        shown = judged([torch.polar(torch.ones(SIZE), phase)], distance, COLOURS[1])
+        assert abs(decibels(images[plane], targets[plane]) - decibels(shown, targets[plane])) < 0.3
+
+
+def test_display_without_relay():
+    display = wave.holographic_display([COLOURS[1]], PITCH, SIZE, 0.0, 1, CRITICAL)
+    hologram, _ = wave.stochastic_gradient_descent(
+        picture(*SIZE), COLOURS[1], CRITICAL, PITCH, n_iteration=60, scale=True, initial_phase="flat", progress=False
+    )
+    shown = display.reconstruct(hologram.angle()[None], torch.ones(1, 1))[0, 0, 0]
+    expected = judged([hologram], CRITICAL, COLOURS[1])
+    assert abs(decibels(shown, picture(*SIZE)) - decibels(expected, picture(*SIZE))) < 0.3
+
+
+def test_a_camera_loop_that_gets_worse_says_so_and_returns_its_best():
+    target, distance = picture(*SIZE), 0.3 * CRITICAL
+    start = torch.zeros(SIZE)
+    options = {"n_iteration": 60, "scale": True, "initial_phase": start, "learning_rate": 0.2, "progress": False}
+    losses = []
+
+    def camera(phase):
+        # A display turned by a quarter, of which the model knows nothing.
+        image = wave.simulated_camera(COLOURS[1], distance, PITCH, full_well=None, exposure=0.01)(phase)
+        return image.roll((5, 7), (-2, -1)).flip(-1)
+
+    def keep(iteration, loss):
+        losses.append(float(loss))
+
+    with pytest.warns(ConvergenceWarning, match="the loss rose from"):
+        hologram, _ = wave.stochastic_gradient_descent(
+            target, COLOURS[1], distance, PITCH, camera=camera, callback=keep, **options
+        )
+    image = camera(hologram.angle())
+    scale = (image * target).sum() / image.square().sum()
+    assert float((scale * image - target).square().mean()) == pytest.approx(min(losses), rel=1e-3)
+    assert losses[-1] > 1.1 * min(losses)

@@ -1,0 +1,111 @@
+"""Beams against their propagation, their power, their orthogonality and published formulas."""
+
+import numpy as np
+import physics
+import pytest
+import torch
+
+from odak.wave import (
+    airy_beam,
+    bessel_beam,
+    flat_top_beam,
+    gaussian_beam,
+    hermite_gaussian_beam,
+    laguerre_gaussian_beam,
+    propagate_beam,
+)
+
+SHAPE, PITCH, WAVELENGTH, WAIST = (256, 240), 4e-6, 532e-9, 80e-6
+
+
+def test_gaussian_beam_equals_the_closed_form():
+    for distance in (0.0, 0.03, -0.02):
+        expected = physics.gaussian_beam(SHAPE, PITCH, WAIST, distance, WAVELENGTH) * np.sqrt(2 / np.pi) / WAIST
+        found = gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, distance)
+        assert physics.relative_error(found, expected) < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("mode", "pitches"),
+    [
+        (lambda z, dx: hermite_gaussian_beam(SHAPE, dx, WAVELENGTH, WAIST, (2, 3), z), (PITCH, PITCH)),
+        (lambda z, dx: hermite_gaussian_beam(SHAPE, dx, WAVELENGTH, (60e-6, WAIST), (1, 0), z), (PITCH, 5e-6)),
+        (lambda z, dx: laguerre_gaussian_beam(SHAPE, dx, WAVELENGTH, WAIST, 2, -3, z), (5e-6, PITCH)),
+        (lambda z, dx: laguerre_gaussian_beam(SHAPE, dx, WAVELENGTH, WAIST, 1, 2, z, 1.0, (4e-5, -2e-5)), (PITCH,) * 2),
+    ],
+    ids=["Hermite", "elliptic", "Laguerre", "shifted"],
+)
+def test_modes_propagate_into_themselves(mode, pitches):
+    """The paraxial modes against Fresnel's transfer function, on rectangular pixels too."""
+    start, end = mode(0.0, pitches), mode(6e-3, pitches)
+    fy, fx = np.fft.fftfreq(SHAPE[0], pitches[0])[:, None], np.fft.fftfreq(SHAPE[1], pitches[1])
+    transfer = np.exp(2j * np.pi * 6e-3 / WAVELENGTH - 1j * np.pi * WAVELENGTH * 6e-3 * (fy**2 + fx**2))
+    assert physics.relative_error(np.fft.ifft2(np.fft.fft2(start) * transfer), end) < 1e-7
+    assert (abs(start) ** 2).sum() * pitches[0] * pitches[1] == pytest.approx(1, abs=1e-9)
+
+
+def test_modes_are_orthonormal_and_of_the_power_asked_for():
+    modes = [hermite_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, (m, n), 5e-3) for m in range(3) for n in range(3)]
+    gram = np.einsum("irc,jrc->ij", np.conj(modes), modes) * PITCH**2
+    np.testing.assert_allclose(gram, np.eye(9), atol=1e-12)
+    modes = [
+        laguerre_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, p, charge, 5e-3)
+        for p in (0, 1)
+        for charge in (-2, 0, 2)
+    ]
+    gram = np.einsum("irc,jrc->ij", np.conj(modes), modes) * PITCH**2
+    np.testing.assert_allclose(gram, np.eye(6), atol=1e-12)
+    bright = hermite_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, (20, 0), power=3.0)
+    assert (abs(bright) ** 2).sum() * PITCH**2 == pytest.approx(3.0)
+
+
+def test_laguerre_modes_are_sums_of_hermite_modes():
+    """LG(0, ±1) = (HG along x ± i·HG along y)/√2."""
+    along_x, along_y = (
+        hermite_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, order, 4e-3) for order in ((0, 1), (1, 0))
+    )
+    for charge in (1, -1):
+        found = laguerre_gaussian_beam(SHAPE, PITCH, WAVELENGTH, WAIST, 0, charge, 4e-3)
+        assert physics.relative_error(found, (along_x + charge * 1j * along_y) / 2**0.5) < 1e-12
+
+
+def test_a_bessel_beam_keeps_its_profile():
+    """On a window that a whole number of cone waves would fit, the spectrum lies on one ring: k_z is one number."""
+    beam = bessel_beam((512, 512), PITCH, WAVELENGTH, 0.6, 2, waist=400e-6)
+    after = propagate_beam(beam, None, 4e-3, PITCH, WAVELENGTH, "Angular Spectrum")
+    phase = np.exp(2j * np.pi / WAVELENGTH * np.cos(np.deg2rad(0.6)) * 4e-3)
+    centre = (slice(246, 267), slice(246, 267))
+    assert physics.relative_error(after[centre], beam[centre] * phase) < 0.02
+    spectrum = np.abs(np.fft.fft2(bessel_beam((512, 512), PITCH, WAVELENGTH, 0.6)))
+    f = np.hypot(*np.meshgrid(np.fft.fftfreq(512, PITCH), np.fft.fftfreq(512, PITCH)))
+    peak = f.flat[spectrum.argmax()]
+    assert peak == pytest.approx(np.sin(np.deg2rad(0.6)) / WAVELENGTH, abs=1 / (512 * PITCH))
+
+
+def test_an_airy_beam_follows_its_parabola():
+    scale, distance = 40e-6, 0.05
+    start = airy_beam((512, 512), PITCH, scale, 0.1)
+    after = propagate_beam(start, None, distance, PITCH, WAVELENGTH, "Bandlimited Angular Spectrum")
+    k = 2 * np.pi / WAVELENGTH
+    expected = distance**2 / (4 * k**2 * scale**3) / PITCH
+    peaks = [np.unravel_index(np.abs(u).argmax(), u.shape) for u in (start, after)]
+    assert np.subtract(peaks[1], peaks[0]) == pytest.approx([expected, expected], abs=1.0)
+
+
+@pytest.mark.parametrize("order", [1, 3.5, 20])
+def test_a_flat_top_has_its_power(order):
+    beam = flat_top_beam((400, 400), PITCH, 300e-6, order, power=2.0)
+    assert (abs(beam) ** 2).sum() * PITCH**2 == pytest.approx(2.0, rel=1e-4)
+
+
+def test_gradients_and_faces():
+    numbers = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.5, 3.0, 2.0, 1.5)]
+    makers = (
+        lambda wavelength, waist, z, power: hermite_gaussian_beam((6, 5), 1.0, wavelength, waist, (1, 2), z, power),
+        lambda wavelength, waist, z, power: laguerre_gaussian_beam((6, 5), 1.0, wavelength, waist, 1, -2, z, power),
+        lambda wavelength, waist, z, power: flat_top_beam((6, 5), 1.0, waist, 3, power),
+    )
+    for make in makers:
+        assert torch.autograd.gradcheck(make, numbers, fast_mode=True)
+        expected = make(*(v.item() for v in numbers))
+        np.testing.assert_allclose(make(*numbers).detach().numpy(), expected, atol=1e-13)

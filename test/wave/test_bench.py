@@ -1,0 +1,183 @@
+"""First-order systems against Gaussian beams and Collins' integral written out; benches and their gradients."""
+
+import numpy as np
+import pytest
+import torch
+from physics import coordinates, relative_error, wrapped_phasor
+
+import odak
+from odak.wave import (
+    CircularAperture,
+    FirstOrderSystem,
+    FreeSpace,
+    Mask,
+    RectangularAperture,
+    ThinLens,
+    optical_bench,
+    propagate_abcd,
+    propagate_beam,
+)
+
+WAVELENGTH = 532e-9
+
+
+def space(z):
+    return np.array([[1.0, z], [0.0, 1.0]])
+
+
+def lens(f):
+    return np.array([[1.0, 0.0], [-1 / f, 1.0]])
+
+
+SYSTEMS = {
+    "focus": space(0.2) @ lens(0.2),
+    "near the lens": space(0.01) @ lens(0.2),
+    "backwards": space(-0.3),
+    "telescope": space(0.03) @ lens(0.03) @ space(0.33) @ lens(0.3) @ space(0.3),
+    "inverted 4f": space(0.1) @ lens(0.1) @ space(0.2) @ lens(0.1) @ space(0.1),
+    "behind a 4f": space(0.01) @ space(0.1) @ lens(0.1) @ space(0.2) @ lens(0.1) @ space(0.1),
+    "magnified": space(0.6) @ lens(0.2) @ space(0.3),
+}
+
+
+def gaussian(shape, pitch, q):
+    y, x = coordinates(shape, 1.0)
+    return np.exp(1j * np.pi / WAVELENGTH * ((y * pitch[0]) ** 2 + (x * pitch[1]) ** 2) / q)
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+@pytest.mark.parametrize("dx", [8e-6, (10e-6, 8e-6)])
+def test_gaussian_beams_follow_the_abcd_law(name, dx):
+    """q' = (Aq + B)/(Cq + D), amplitude 1/(A + B/q): Siegman, Lasers (1986), section 20.2."""
+    (a, b), (c, d) = SYSTEMS[name]
+    q = 0.02 - 1j * np.pi * (2e-4) ** 2 / WAVELENGTH
+    both = dx if isinstance(dx, tuple) else (dx, dx)
+    beam = gaussian((256, 280), both, q)
+    length = 0.123
+    found, pitch = propagate_abcd(beam, SYSTEMS[name], dx, WAVELENGTH, path_length=length)
+    out = pitch if isinstance(pitch, tuple) else (pitch, pitch)
+    expected = gaussian((256, 280), out, (a * q + b) / (c * q + d)) / (a + b / q) * wrapped_phasor(length, WAVELENGTH)
+    assert relative_error(found, expected) < 1e-8
+    finer, same = propagate_abcd(beam, SYSTEMS[name], dx, WAVELENGTH, np.min(out) / 2, (64, 60), length)
+    assert same == np.min(out) / 2
+    expected = gaussian((64, 60), (same, same), (a * q + b) / (c * q + d)) / (a + b / q)
+    assert relative_error(finer, expected * wrapped_phasor(length, WAVELENGTH)) < 1e-8
+
+
+@pytest.mark.parametrize("matrix", [space(0.05) @ lens(0.03), space(-0.02) @ lens(0.2)])
+def test_the_integral_written_out(matrix, random):
+    (a, b), (_, d) = matrix
+    dx, out, n = 8e-6, 5e-6, 9
+    field = random.normal(size=(n, n)) + 1j * random.normal(size=(n, n))
+    x1, x2 = (np.arange(n) - n // 2) * dx, (np.arange(7) - 3) * out
+    kernel = np.exp(1j * np.pi / (WAVELENGTH * b) * (a * x1**2 - 2 * x1 * x2[:, None] + d * x2[:, None] ** 2)) * dx
+    expected = kernel @ field @ kernel.T / (1j * WAVELENGTH * b)
+    found, pitch = propagate_abcd(field, matrix, dx, WAVELENGTH, out, (7, 7))
+    assert pitch == out
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
+
+
+def test_cylindrical_systems_and_energy():
+    beam = gaussian((128, 128), (8e-6, 8e-6), -1j * np.pi * (1e-4) ** 2 / WAVELENGTH)
+    rows, columns = space(0.1) @ lens(0.1), space(0.1)
+    found, pitch = propagate_abcd(beam, (rows, columns), 8e-6, WAVELENGTH)
+    power = (np.abs(found) ** 2).sum() * pitch**2 / ((np.abs(beam) ** 2).sum() * 64e-12)
+    assert power == pytest.approx(1, rel=1e-9)
+    swapped, _ = propagate_abcd(beam, (columns, rows), 8e-6, WAVELENGTH)
+    np.testing.assert_allclose(swapped, found.T, atol=1e-12)
+
+
+def test_a_relay_with_two_focal_lengths_is_an_inverted_image(random):
+    field = random.normal(size=(33, 31)) + 1j * random.normal(size=(33, 31))
+    long, short = 0.3, 0.03
+    matrix = space(short) @ lens(short) @ space(long + short) @ lens(long) @ space(long)
+    image, pitch = propagate_abcd(field, matrix, 40e-6, WAVELENGTH)
+    assert pitch == pytest.approx(4e-6)
+    np.testing.assert_allclose(image, -10 * field[::-1, ::-1], atol=1e-9)
+
+
+def focusing(focal, distance, radius, wavelength=WAVELENGTH):
+    return optical_bench(
+        [CircularAperture(radius), ThinLens(focal), FreeSpace(distance, "Angular Spectrum")], wavelength
+    )
+
+
+def test_a_bench_is_its_elements_one_after_another(random):
+    field = random.normal(size=(32, 30)) + 1j * random.normal(size=(32, 30))
+    mask = random.random((32, 30))
+    bench = optical_bench(
+        [
+            Mask(mask),
+            FreeSpace(0.005, "AS"),
+            RectangularAperture(1e-4, 1.2e-4, (1.6e-5, 0.0)),
+            ThinLens(0.05, (0.0, 8e-6)),
+            FreeSpace(0.01, window_shape=(20, 24), window_dx=4e-6, offset=(0.0, 1e-5)),
+            FirstOrderSystem(space(0.1), 0.1, 5e-6),
+        ],
+        WAVELENGTH,
+    )
+    planes = bench.planes(field, 8e-6)
+    assert [round(float(plane.position), 6) for plane in planes] == [0, 0, 0.005, 0.005, 0.005, 0.015, 0.115]
+    assert [plane.pitch for plane in planes] == [8e-6] * 5 + [4e-6, 5e-6]
+    np.testing.assert_allclose(planes[1].field, field * mask)
+    expected = propagate_beam(field * mask, None, 0.005, 8e-6, WAVELENGTH, "AS", zero_padding=(True, False, True))
+    np.testing.assert_allclose(planes[2].field, expected)
+    open_samples = (np.abs(planes[3].field) > 1e-6).any(1).sum(), (np.abs(planes[3].field) > 1e-6).any(0).sum()
+    assert open_samples == (13, 15)
+    found, pitch = bench.propagate(field, 8e-6)
+    np.testing.assert_array_equal(found, planes[-1].field)
+    assert pitch == 5e-6
+    np.testing.assert_allclose(bench.matrix(), space(0.11) @ lens(0.05) @ space(0.005))
+    picture = bench.draw(2e-4)
+    assert picture.size == (900, 300)
+    assert len(np.unique(np.asarray(picture).reshape(-1, 3), axis=0)) > 4
+
+
+def test_a_medium_shortens_the_wavelength_and_the_reduced_distance(random):
+    field = random.normal(size=(16, 16)) + 1j * random.normal(size=(16, 16))
+    water = optical_bench([FreeSpace(0.002, "AS", index=1.33)], WAVELENGTH)
+    expected = propagate_beam(field, None, 0.002, 8e-6, WAVELENGTH / 1.33, "AS", zero_padding=(True, False, True))
+    np.testing.assert_allclose(water.propagate(field, 8e-6)[0], expected)
+    assert water.matrix()[0][1] == pytest.approx(0.002 / 1.33)
+
+
+def test_a_bench_focuses_like_the_integral():
+    beam = gaussian((256, 256), (8e-6, 8e-6), -1j * np.pi * (3e-4) ** 2 / WAVELENGTH)
+    found, _ = focusing(0.2, 0.15, 1.0).propagate(beam, 8e-6)
+    expected, _ = propagate_abcd(beam, space(0.15) @ lens(0.2), 8e-6, WAVELENGTH, 8e-6, path_length=0.15)
+    assert relative_error(found, expected) < 1e-4
+
+
+def test_gradients_and_faces(random):
+    field = random.normal(size=(8, 7)) + 1j * random.normal(size=(8, 7))
+    values = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.02, 0.003, 2.1e-5, WAVELENGTH)]
+    tensor = torch.from_numpy(field)
+    expected, _ = focusing(0.02, 0.003, 2.1e-5).propagate(field, 8e-6)
+    found, _ = focusing(*values).propagate(tensor, 8e-6)
+    np.testing.assert_allclose(found.detach().numpy(), expected, atol=1e-10)
+
+    def scaled(*units):
+        parts = [value.detach() * unit for value, unit in zip(values, units, strict=True)]
+        return focusing(*parts).propagate(tensor, 8e-6)[0]
+
+    ones = tuple(torch.ones((), dtype=torch.float64, requires_grad=True) for _ in values[:3])
+    wave = torch.ones((), dtype=torch.float64)
+    assert torch.autograd.gradcheck(lambda *units: scaled(*units, wave), ones)
+
+    def system(a, z):
+        matrix = [[a, z * 0.05], [0.0 * a, 1 / a]]
+        return odak.learn.wave.propagate_abcd(tensor, matrix, 8e-6, WAVELENGTH, 9e-6)[0]
+
+    assert torch.autograd.gradcheck(system, ones[:2])
+    assert torch.autograd.gradcheck(lambda a, z: system(0.01 * z - 2 * a, 1e-4 * z), ones[:2])
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [([[1, 0.1], [0, 2]], "determinant"), ([1, 2], "matrix must be"), ([[1, 2, 3], [1, 2, 3]], "matrix must be")],
+)
+def test_bad_matrices_are_refused(matrix, message):
+    with pytest.raises(ValueError, match=message):
+        propagate_abcd(np.ones((4, 4)), matrix, 8e-6, WAVELENGTH)
+    with pytest.raises(TypeError, match="elements must have a method apply"):
+        optical_bench([3.0], WAVELENGTH)

@@ -1,0 +1,135 @@
+"""Thin elements against geometric optics, closed forms and their propagation."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+import odak
+from odak.wave import (
+    aspheric_lens_phase,
+    axicon_phase,
+    circular_aperture,
+    cylindrical_lens_phase,
+    dammann_grating,
+    fresnel_zone_plate,
+    lens_phase,
+    metalens_phase,
+    propagate_beam,
+    rectangular_aperture,
+    spiral_phase,
+)
+
+SHAPE, PITCH, WAVELENGTH, FOCAL = (128, 120), 4e-6, 532e-9, 0.05
+
+
+@pytest.mark.parametrize("offset", [(0.0, 0.0), (1.3, -2.6)])
+@pytest.mark.parametrize("radius", [7.3, 20.0])
+def test_apertures_have_the_area_of_their_shape(radius, offset):
+    assert circular_aperture((64, 60), 1.0, radius, offset).sum() == pytest.approx(math.pi * radius**2, rel=5e-3)
+    ring = circular_aperture((64, 60), (0.9, 1.1), radius, offset, radius / 3)
+    assert ring.sum() * 0.99 == pytest.approx(math.pi * radius**2 * 8 / 9, rel=2e-2)
+    rectangle = rectangular_aperture((64, 60), (0.9, 1.1), (radius, 2 * radius), offset)
+    assert rectangle.sum() * 0.99 == pytest.approx(2 * radius**2, rel=1e-12)
+    y, x = (np.arange(64) - 32)[:, None] * 0.9, (np.arange(60) - 30) * 1.1
+    assert (rectangle * y).sum() * 0.99 == pytest.approx(2 * radius**2 * offset[0], rel=5e-3, abs=1e-9)
+    assert (rectangle * x).sum() * 0.99 == pytest.approx(2 * radius**2 * offset[1], rel=5e-3, abs=1e-9)
+
+
+def peak(field):
+    """Return the indices of the largest amplitude."""
+    return tuple(int(i) for i in np.unravel_index(np.abs(field).argmax(), field.shape))
+
+
+@pytest.mark.parametrize("lens", [lens_phase, metalens_phase])
+def test_lenses_focus_where_their_axis_is(lens):
+    aperture = circular_aperture(SHAPE, PITCH, 2e-4)
+    field = aperture * np.exp(1j * lens(SHAPE, 0.01, PITCH, WAVELENGTH, (8e-6, -20e-6)))
+    focus = propagate_beam(field, None, 0.01, PITCH, WAVELENGTH, "Angular Spectrum")
+    assert peak(focus) == (66, 55)
+    # The focus of an unaberrated disc: the area over λf.
+    assert np.abs(focus).max() == pytest.approx(aperture.sum() * PITCH**2 / (WAVELENGTH * 0.01), rel=0.02)
+
+
+def test_lens_phases_agree_where_they_should():
+    paraxial = lens_phase(SHAPE, FOCAL, PITCH, WAVELENGTH)
+    np.testing.assert_allclose(metalens_phase(SHAPE, FOCAL, PITCH, WAVELENGTH), paraxial, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(metalens_phase(SHAPE, -FOCAL, PITCH, WAVELENGTH), -paraxial, rtol=1e-4, atol=1e-9)
+    crossed = sum(cylindrical_lens_phase(SHAPE, FOCAL, PITCH, WAVELENGTH, angle) for angle in (25.0, 115.0))
+    np.testing.assert_allclose(crossed, paraxial, atol=1e-9)
+    parabola = aspheric_lens_phase(SHAPE, PITCH, WAVELENGTH, FOCAL / 2, 1.5, -1.0)
+    np.testing.assert_allclose(parabola, paraxial, rtol=1e-12, atol=1e-9)
+    y, x = (np.arange(n)[:, None] - n // 2 if axis == 0 else np.arange(n) - n // 2 for axis, n in enumerate(SHAPE))
+    r = np.hypot(y, x) * PITCH
+    sphere = -2 * np.pi / WAVELENGTH * 0.5 * (1e-2 - np.sqrt(1e-4 - r**2) + 3e4 * r**4 - 2e9 * r**6)
+    found = aspheric_lens_phase(SHAPE, PITCH, WAVELENGTH, 1e-2, 1.5, 0.0, (3e4, -2e9))
+    np.testing.assert_allclose(found, sphere, atol=1e-6)
+    assert np.isnan(aspheric_lens_phase(SHAPE, PITCH, WAVELENGTH, 2e-4)[0, 0])
+
+
+def test_an_axicon_makes_a_bessel_beam():
+    """The central lobe behind an axicon has the first zero of J0 at the radius that the cone's angle gives."""
+    shape, pitch = (512, 512), 2e-6
+    sine = 0.5 * math.tan(math.radians(1.0))
+    illumination = np.exp(-((np.hypot(*np.mgrid[-256:256, -256:256]) * pitch / 3e-4) ** 2))
+    field = illumination * np.exp(1j * axicon_phase(shape, pitch, WAVELENGTH, 1.0))
+    after = propagate_beam(field, None, 0.015, pitch, WAVELENGTH, "Bandlimited Angular Spectrum")
+    profile = np.abs(after[256, 256:]) ** 2
+    zero = 2.404826 / (2 * math.pi / WAVELENGTH * sine) / pitch
+    assert peak(after) == (256, 256)
+    assert int(profile[: int(1.5 * zero)].argmin()) == pytest.approx(zero, abs=1)
+
+
+@pytest.mark.parametrize("charge", [1, -3])
+def test_a_spiral_plate_has_its_charge(charge):
+    phase = spiral_phase((64, 64), charge)
+    turn = np.linspace(0, 6.28, 90)
+    ring = phase[32 + np.rint(20 * np.sin(turn)).astype(int), 32 + np.rint(20 * np.cos(turn)).astype(int)]
+    assert np.unwrap(ring)[-1] - ring[0] == pytest.approx(2 * math.pi * charge, rel=0.05)
+
+
+@pytest.mark.parametrize(("kind", "efficiency"), [("amplitude", 1 / math.pi**2), ("phase", 4 / math.pi**2)])
+def test_a_zone_plate_has_its_efficiency(kind, efficiency):
+    shape, pitch, focal = (512, 512), 1e-6, 2e-3
+    aperture = circular_aperture(shape, pitch, 240e-6)
+    plate = fresnel_zone_plate(shape, focal, pitch, WAVELENGTH, kind)
+    focus = propagate_beam(aperture * plate, None, focal, pitch, WAVELENGTH, "Bandlimited Angular Spectrum")
+    ideal = aperture * np.exp(1j * metalens_phase(shape, focal, pitch, WAVELENGTH))
+    reference = propagate_beam(ideal, None, focal, pitch, WAVELENGTH, "Bandlimited Angular Spectrum")
+    assert peak(focus) == (256, 256)
+    found = np.abs(focus[256, 256]) ** 2 / np.abs(reference[256, 256]) ** 2
+    assert found == pytest.approx(efficiency, rel=0.03)
+    with pytest.warns(odak.SamplingWarning, match="narrower than a pixel"):
+        fresnel_zone_plate(shape, 1e-4, pitch, WAVELENGTH, kind)
+
+
+@pytest.mark.parametrize(
+    ("orders", "efficiency"), [(3, 0.664), (5, 0.774), (7, 0.786), (9, 0.725), (11, 0.740), (15, 0.816)]
+)
+def test_dammann_gratings_split_equally(orders, efficiency):
+    count = 16384
+    phase = dammann_grating((1, count), count * 1.0, 1.0, (1, orders))
+    power = np.abs(np.fft.fft(np.exp(1j * phase[0])) / count) ** 2
+    wanted = np.take(power, range(-(orders // 2), orders // 2 + 1), mode="wrap")
+    assert wanted.max() / wanted.min() < 1.01
+    assert wanted.sum() == pytest.approx(efficiency, abs=2e-3)
+    with pytest.raises(ValueError, match="orders must be 1, 3, 5"):
+        dammann_grating((1, 64), 64.0, 1.0, (1, 4))
+
+
+def test_gradients_and_faces():
+    numbers = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.5, 7.0, 12.0)]
+    makers = (
+        lambda w, f, a: cylindrical_lens_phase((5, 6), f, 1.0, w, a, (0.2, 0.1)),
+        lambda w, f, a: metalens_phase((5, 6), f, 1.0, w),
+        lambda w, f, a: axicon_phase((5, 6), 1.0, w, a, f / 5),
+        lambda w, f, a: aspheric_lens_phase((5, 6), 1.0, w, f, 1.4, a / 100, (a / 1e4,)),
+        lambda w, f, a: circular_aperture((5, 6), 1.0, f / 3.1, (0.1, 0.2), w),
+        lambda w, f, a: rectangular_aperture((5, 6), 1.0, (f / 3.1, a / 5)),
+        lambda w, f, a: spiral_phase((5, 6), f),
+    )
+    for make in makers:
+        assert torch.autograd.gradcheck(make, numbers, fast_mode=True)
+        expected = make(*(v.item() for v in numbers))
+        np.testing.assert_allclose(make(*numbers).detach().numpy(), expected, atol=1e-12)
