@@ -436,9 +436,10 @@ def join(
     except (TypeError, ValueError, ImportError) as error:
         raise InputError(in_options(str(error))) from None
     with server:
-        say(f"{_described(server)} joined {address}; Ctrl-C to leave")
         former = signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
+            # Within the block: a signal may follow the line at once.
+            say(f"{_described(server)} joined {address}; Ctrl-C to leave")
             server.wait()
         except KeyboardInterrupt:
             say(f"left {address}")
