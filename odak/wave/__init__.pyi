@@ -87,6 +87,11 @@ from .propagation import rayleigh_sommerfeld as rayleigh_sommerfeld
 from .propagation import rayleigh_sommerfeld_sum as rayleigh_sommerfeld_sum
 from .propagation import seperable_impulse_response_fresnel as seperable_impulse_response_fresnel
 from .propagation import transfer_function_fresnel as transfer_function_fresnel
+from .recording import off_axis_field as off_axis_field
+from .recording import phase_shifting_field as phase_shifting_field
+from .recording import recorded_intensity as recorded_intensity
+from .recording import reference_wave as reference_wave
+from .recording import unwrap_phase as unwrap_phase
 from .sampling import SamplingReport as SamplingReport
 from .sampling import sampling_report as sampling_report
 from .tilted import propagate_to_tilted_plane as propagate_to_tilted_plane

@@ -45,6 +45,10 @@ from odak.wave.propagation import incoherent_angular_spectrum as incoherent_angu
 from odak.wave.propagation import rayleigh_sommerfeld as rayleigh_sommerfeld
 from odak.wave.propagation import rayleigh_sommerfeld_sum as rayleigh_sommerfeld_sum
 from odak.wave.propagation import transfer_function_fresnel as transfer_function_fresnel
+from odak.wave.recording import off_axis_field as off_axis_field
+from odak.wave.recording import phase_shifting_field as phase_shifting_field
+from odak.wave.recording import recorded_intensity as recorded_intensity
+from odak.wave.recording import unwrap_phase as unwrap_phase
 from odak.wave.tilted import propagate_to_tilted_plane as propagate_to_tilted_plane
 from odak.wave.vector import electric_field_per_plane_wave as electric_field_per_plane_wave
 from odak.wave.vector import propagate_field as propagate_field
@@ -77,6 +81,7 @@ from .elements import pupil_function as pupil_function
 from .elements import q_plate as q_plate
 from .elements import quadratic_phase_function as quadratic_phase_function
 from .elements import rectangular_aperture as rectangular_aperture
+from .elements import reference_wave as reference_wave
 from .elements import spiral_phase as spiral_phase
 from .elements import thin_film_transfer as thin_film_transfer
 from .elements import zernike_basis as zernike_basis

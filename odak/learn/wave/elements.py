@@ -8,7 +8,7 @@ from array_api_compat import torch as torch_namespace
 from odak import _validate
 from odak._array import phasor
 from odak.learn._face import torch_face
-from odak.wave import beams, elements, imaging, polarized
+from odak.wave import beams, elements, imaging, polarized, recording
 
 _SINGLE = {"Returns": "torch.Tensor\n    complex64 ``[nx, ny]``."}
 
@@ -43,6 +43,7 @@ hermite_gaussian_beam = torch_face(beams.hermite_gaussian_beam)
 laguerre_gaussian_beam = torch_face(beams.laguerre_gaussian_beam)
 
 pupil_function = torch_face(imaging.pupil_function)
+reference_wave = torch_face(recording.reference_wave)
 q_plate = torch_face(polarized.q_plate)
 thin_film_transfer = torch_face(polarized.thin_film_transfer)
 

@@ -244,6 +244,7 @@ BY_CALL = {
     "odak.learn.wave.circular_aperture": {"radius": 5e-5, "inner_radius": 2e-5},
     "odak.learn.wave.dammann_grating": {"period": 8e-5, "dx": 1e-6, "orders": 5},
     "odak.learn.wave.fresnel_zone_plate": {"focal": 1e-2},
+    "odak.learn.wave.reference_wave": {"angles": [0.5, 1.0], "amplitude": 2.0},
     "odak.learn.wave.rectangular_aperture": {"size": [5e-5, 6e-5]},
     "odak.learn.wave.thin_film_transfer": {"dx": 4e-7},
     "odak.learn.wave.across_devices": {"function": _twice, "batch": tensor(3, 4), "devices": ["cpu", "cpu"]},

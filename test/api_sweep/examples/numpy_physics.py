@@ -298,6 +298,15 @@ BY_CALL = {
     },
     "odak.wave.set_kernel_cache_size": {"maximum_bytes": 2**30},
     "odak.wave.spot_hologram": {"points": SPOTS},
+    "odak.wave.reference_wave": {"angles": [0.5, 1.0], "amplitude": 2.0},
+    "odak.wave.recorded_intensity": {"reference": field(16, 16), "phase_steps": [0.0, 1.0, 2.5]},
+    "odak.wave.off_axis_field": {"hologram": numbers(16, 16), "reference": field(16, 16), "bandwidth": 2e4},
+    "odak.wave.phase_shifting_field": {
+        "holograms": numbers(3, 16, 16),
+        "reference": field(16, 16),
+        "phase_steps": [0.0, 1.0, 2.5],
+    },
+    "odak.wave.unwrap_phase": {"phase": numbers(16, 16), "mask": numpy.ones((16, 16), dtype=bool)},
     "odak.wave.zernike_basis": {"modes": [(2, 0), (1, 1)], "radius": 5e-5},
     "odak.tools.save_image": {"fn": Build(lambda folder: folder / "a.png"), "img": numbers(8, 8) * 255},
 }
