@@ -1,13 +1,15 @@
-"""Diffractive phases of surfaces: gratings, phase polynomials and ideal lenses."""
+"""Diffractive phases of surfaces: gratings, holograms, phase polynomials and ideal lenses."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, ClassVar
 
-from odak._array import Array
+import numpy as np
+
+from odak._array import Array, namespace
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
-from odak.raytracing.surfaces import polynomial_in, xy_polynomial, zernike_sag
+from odak.raytracing.surfaces import grid_reader, polynomial_in, xy_polynomial, zernike_sag
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,10 @@ class Phase:
     def cycles(self, x: Array, y: Array) -> tuple:
         """Return the phase over 2π at x, y of the vertex plane, and its derivatives by x and by y."""
         raise NotImplementedError(f"{type(self).__name__} must define cycles(x, y)")
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return where the phase is known, bool; True for everywhere. Rays elsewhere are vignetted."""
+        return True
 
     def curvatures(self) -> tuple:
         """Return the second derivatives of the phase over 2π at the vertex by x and by y."""
@@ -89,6 +95,173 @@ class LinearGrating(Phase):
         """Return the phase over 2π and its derivatives."""
         fx, fy = self.order * self.frequency_x, self.order * self.frequency_y
         return fx * x + fy * y, fx + 0 * x, fy + 0 * y
+
+
+@dataclass(frozen=True)
+class RadialGrating(Phase):
+    """A grating of concentric circles, equally spaced in the vertex plane: an axicon.
+
+    Parameters
+    ----------
+    frequency : float or array
+        Lines per unit of length along the radius.
+    order : float or array
+        Diffraction order; a negative product of both bends rays of a plane wave towards the axis.
+
+    Notes
+    -----
+    The phase is 2π·m·f·r. Its gradient has no direction at the centre, where rays go straight on.
+    """
+
+    frequency: Any = 0.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        xp, squared = namespace(x, y), x * x + y * y
+        safe = xp.where(squared > 0, squared, 1.0) ** 0.5
+        along = xp.where(squared > 0, self.order * self.frequency / safe, 0.0)
+        return along * squared, along * x, along * y
+
+
+@dataclass(frozen=True)
+class HologramPhase(Phase):
+    """The phase of a hologram on a grid of samples, wrapped or not, as wave optics computes it.
+
+    Parameters
+    ----------
+    phase : array
+        In radians, ``[rows, columns]``: rows along y, columns along x, sample n // 2 of each axis at the vertex.
+    pitch : float or array
+        Distance of the samples.
+    order : float or array
+        Diffraction order.
+
+    Notes
+    -----
+    Between samples the phase is that of cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is exact for
+    polynomials of second degree and has continuous derivatives. The 16 samples about a ray are unwrapped from the
+    nearest one: differences of neighbours are taken within ±π, which a phase that is sampled at all keeps to. The
+    optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives the
+    continuous one, for wavefronts. Rays exist up to the last sample but one, and those beyond are vignetted.
+    """
+
+    phase: Any = ((0.0,) * 4,) * 4
+    pitch: Any = 1.0
+    order: Any = 1.0
+    ranks: ClassVar[Mapping[str, int]] = {"phase": 2}
+
+    @classmethod
+    def unwrapped(cls, phase: Array, pitch: float, order: float = 1.0) -> "HologramPhase":
+        """Return the hologram with its phase made continuous from the middle, along the middle row and all columns.
+
+        Parameters
+        ----------
+        phase : array
+            In radians, ``[rows, columns]``, without vortices.
+        pitch : float
+            Distance of the samples.
+        order : float
+            Diffraction order.
+
+        Returns
+        -------
+        HologramPhase
+            Differentiable in the phase: multiples of 2π are added to it.
+        """
+        xp = namespace(phase)
+        rows, columns = phase.shape
+        middle = xp.stack([phase[rows // 2, :]])
+        line = middle + _turns(middle, 1, columns // 2)
+        start = phase + (line - middle)
+        return cls(start + _turns(start, 0, rows // 2), pitch, order)
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        rows, columns = self.phase.shape[-2:]
+        (i, weight_x, slope_x), (j, weight_y, slope_y) = (
+            _keys_weights(value / self.pitch + n // 2, n) for value, n in ((x, columns), (y, rows))
+        )
+        samples = self._samples(i, j, x, y)
+        value = along_x = along_y = 0.0 * (x + y)
+        for a in range(4):
+            for b in range(4):
+                value = value + samples[b][a] * weight_x[a] * weight_y[b]
+                along_x = along_x + samples[b][a] * slope_x[a] * weight_y[b]
+                along_y = along_y + samples[b][a] * weight_x[a] * slope_y[b]
+        scale = self.order / (2 * vec.PI)
+        return scale * value, scale * along_x / self.pitch, scale * along_y / self.pitch
+
+    def _samples(self, i, j, x, y) -> list:
+        """Return the 4 × 4 samples about cells (i, j), without jumps."""
+        rows, columns = self.phase.shape[-2:]
+        take = grid_reader(self.phase, x + y)
+        place = [[(j + b) * columns + i + a for a in range(-1, 3)] for b in range(-1, 3)]
+        found = [[take(index) for index in line] for line in place]
+        # From the sample (0, 0) along its row, then along each column.
+        for line, order in ((found[1], (2, 3)), (found[1], (0,))):
+            for a in order:
+                line[a] = _next_to(line[a], line[a - 1 if a > 1 else a + 1])
+        for a in range(4):
+            for b in (2, 3, 0):
+                found[b][a] = _next_to(found[b][a], found[b - 1 if b > 1 else b + 1][a])
+        return found
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return whether x, y lie within the samples that have neighbours."""
+        inside = True
+        for value, n in ((x, self.phase.shape[-1]), (y, self.phase.shape[-2])):
+            place = value / self.pitch + n // 2
+            inside = inside & (place >= 1) & (place <= n - 2)
+        return inside
+
+    def curvatures(self) -> tuple:
+        """Return the second differences at the vertex."""
+        rows, columns = (n // 2 for n in self.phase.shape[-2:])
+        middle, scale = self.phase[..., rows, columns], self.order / (2 * vec.PI) / (self.pitch * self.pitch)
+        pairs = (
+            (self.phase[..., rows, columns - 1], self.phase[..., rows, columns + 1]),
+            (self.phase[..., rows - 1, columns], self.phase[..., rows + 1, columns]),
+        )
+        first, second = (sum(_next_to(value, middle) - middle for value in pair) * scale for pair in pairs)
+        return first, second
+
+
+def _next_to(value, neighbour):
+    """Return a phase with a multiple of 2π added that brings it within π of its neighbour."""
+    xp = namespace(value, neighbour)
+    return value - 2 * vec.PI * xp.round((value - neighbour) / (2 * vec.PI))
+
+
+def _turns(phase, axis: int, middle: int):
+    """Return the multiples of 2π that make a phase continuous along an axis, 0 in the middle."""
+    xp = namespace(phase)
+    n = phase.shape[axis]
+    after, before = (xp.take(phase, xp.asarray(np.arange(n - 1) + k), axis=axis) for k in (1, 0))
+    steps = -xp.round((after - before) / (2 * vec.PI))
+    first = 0 * xp.take(phase, xp.asarray([0]), axis=axis)
+    found = xp.concat([first, xp.cumulative_sum(steps, axis=axis)], axis=axis)
+    return 2 * vec.PI * (found - xp.take(found, xp.asarray([middle]), axis=axis))
+
+
+def _keys_weights(place, count: int):
+    """Return the cell of each place and the four weights of cubic convolution, with their derivatives."""
+    xp = namespace(place)
+    cell = xp.clip(xp.floor(place), 1, count - 3)
+    u = place - cell
+    weights = (
+        -u * (u - 1) ** 2 / 2,
+        1 + u * u * (3 * u - 5) / 2,
+        u * (1 + u * (4 - 3 * u)) / 2,
+        u * u * (u - 1) / 2,
+    )
+    slopes = (
+        -(u - 1) * (3 * u - 1) / 2,
+        u * (9 * u - 10) / 2,
+        (1 + u * (8 - 9 * u)) / 2,
+        u * (3 * u - 2) / 2,
+    )
+    return xp.astype(cell, xp.int64), weights, slopes
 
 
 @dataclass(frozen=True)

@@ -661,22 +661,30 @@ def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
     (i, weight_x, slope_x), (j, weight_y, slope_y) = (
         _spline_weights(value, extent, n) for value, extent, n in zip((x, y), terms(size), (n0, n1), strict=True)
     )
-    # One surface, or a batch of them whose axes stand before those of the positions.
-    flat = xp.reshape(heights, (*heights.shape[:-2], -1))
-    one = all(n == 1 for n in flat.shape[:-1])
-    flat = xp.reshape(flat, (-1,)) if one else xp.broadcast_to(flat, (*x.shape[:-1], n0 * n1))
+    take = grid_reader(heights, x)
     value = along_x = along_y = 0.0 * x
     for a in range(4):
         for b in range(4):
             index = xp.clip(i + (a - 1), 0, n0 - 1) * n1 + xp.clip(j + (b - 1), 0, n1 - 1)
-            if one:
-                control = xp.reshape(xp.take(flat, xp.reshape(index, (-1,)), axis=0), index.shape)
-            else:
-                control = xp.take_along_axis(flat, index, axis=-1)
+            control = take(index)
             value = value + control * weight_x[a] * weight_y[b]
             along_x = along_x + control * slope_x[a] * weight_y[b]
             along_y = along_y + control * weight_x[a] * slope_y[b]
     return Sag(base.height + value, base.slope_x + along_x, base.slope_y + along_y, base.defined)
+
+
+def grid_reader(grid, places):
+    """Return a function that takes samples of a grid ``[..., n0, n1]`` by flat indices of the shape of `places`.
+
+    The grid is one for all places, or a batch of them whose axes stand before the last of the places.
+    """
+    xp = namespace(places)
+    flat = xp.reshape(grid, (*grid.shape[:-2], -1))
+    if all(n == 1 for n in flat.shape[:-1]):
+        flat = xp.reshape(flat, (-1,))
+        return lambda index: xp.reshape(xp.take(flat, xp.reshape(index, (-1,)), axis=0), index.shape)
+    flat = xp.broadcast_to(flat, (*places.shape[:-1], flat.shape[-1]))
+    return lambda index: xp.take_along_axis(flat, index, axis=-1)
 
 
 def polynomial_in(s, coefficients):

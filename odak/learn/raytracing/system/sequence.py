@@ -215,6 +215,8 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
             normal = _on_axis(status, 1, point, found.normal)[1]
             n1, n2 = index[..., i], index[..., i + 1]
             if phase is not None:
+                covered = phase.covers(point[0], point[1])
+                status = status if covered is True else _marked(status, covered, RayStatus.VIGNETTED)
                 wave = wavelength  # type: ignore[assignment]
                 direction, through, extra = phase.deflect(point, direction, normal, n1, n2, wave, action == "reflect")
                 path = path + torch.where(status == HIT, extra, 0.0)
