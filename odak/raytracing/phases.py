@@ -194,7 +194,7 @@ class HologramPhase(Phase):
 
     def _samples(self, i, j, x, y) -> list:
         """Return the 4 × 4 samples about cells (i, j), without jumps."""
-        rows, columns = self.phase.shape[-2:]
+        columns = self.phase.shape[-1]
         take = grid_reader(self.phase, x + y)
         place = [[(j + b) * columns + i + a for a in range(-1, 3)] for b in range(-1, 3)]
         found = [[take(index) for index in line] for line in place]
