@@ -73,6 +73,15 @@ def field_from_stokes(vector: ArrayT) -> ArrayT:
     -------
     array
         Complex ``[..., 2, k]`` or ``[2]``. The common phase is lost: the x amplitude is real and not negative.
+
+    Examples
+    --------
+    Light polarised linearly at 45°, of intensity 2:
+
+    >>> import numpy as np
+    >>> from odak.jones import field_from_stokes
+    >>> field_from_stokes(np.asarray([2.0, 0.0, 2.0, 0.0])).real.round(6).tolist()
+    [1.0, 1.0]
     """
     vector, axis = stokes_vector(vector)
     xp = _array.namespace(vector)
@@ -101,6 +110,14 @@ def mueller(matrix: ArrayT) -> ArrayT:
     array
         Real ``[..., 4, 4]`` with mueller(J)·stokes(E) = stokes(J·E), in the matrix' precision:
         A·(J ⊗ J*)·A⁻¹ (Goldstein 2011, section 9.4).
+
+    Examples
+    --------
+    An ideal polariser transmits half of unpolarised light:
+
+    >>> from odak.jones import mueller, polarizer
+    >>> (mueller(polarizer(0)) @ [1.0, 0.0, 0.0, 0.0]).round(6).tolist()
+    [0.5, 0.5, 0.0, 0.0]
     """
     matrix = square_matrix("matrix", matrix, 2)
     xp = _array.namespace(matrix)
@@ -129,6 +146,12 @@ def depolarizer(kept: complex | Array = 0.0, *, xp: Any = None, device: Any = No
     -------
     array
         Real ``[..., 4, 4]``: diag(1, kept, kept, kept).
+
+    Examples
+    --------
+    >>> from odak.jones import depolarizer
+    >>> [float(depolarizer(0.5)[i, i]) for i in range(4)]
+    [1.0, 0.5, 0.5, 0.5]
     """
     if not _array.is_array(kept) and not all(0 <= v <= 1 for v in _validate.numbers(_validate.real("kept", kept))):
         raise ValueError(f"kept must be within 0 … 1, got {kept!r}")
@@ -143,12 +166,24 @@ def depolarizer(kept: complex | Array = 0.0, *, xp: Any = None, device: Any = No
 
 
 def degree_of_polarization(vector: ArrayT) -> ArrayT:
-    """Return sqrt(S1² + S2² + S3²)/S0, ``[..., k]``: 1 for a pure state, 0 for unpolarised light or none.
+    """Return the degree of polarisation, sqrt(S1² + S2² + S3²)/S0.
 
     Parameters
     ----------
     vector : array
         Stokes vectors, real ``[..., 4, k]`` or ``[4]``.
+
+    Returns
+    -------
+    array
+        Real ``[..., k]``, or one number for ``[4]``: 1 for a pure state, 0 for unpolarised light or none.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.jones import degree_of_polarization
+    >>> float(degree_of_polarization(np.asarray([2.0, 0.0, 1.0, 0.0])))
+    0.5
     """
     vector, axis = stokes_vector(vector)
     xp = _array.namespace(vector)
@@ -158,7 +193,17 @@ def degree_of_polarization(vector: ArrayT) -> ArrayT:
 
 
 def polarization_ellipse(field: Array) -> PolarizationEllipse:
-    """Return the polarisation ellipse of Jones vectors ``[..., 2, k]`` or ``[2]``; see :class:`PolarizationEllipse`.
+    """Return the polarisation ellipse of Jones vectors.
+
+    Parameters
+    ----------
+    field : array
+        Jones vectors ``[..., 2, k]`` or ``[2]``.
+
+    Returns
+    -------
+    PolarizationEllipse
+        Azimuth, ellipticity, handedness and semi-axes, each ``[..., k]`` or one number.
 
     Examples
     --------
@@ -171,18 +216,26 @@ def polarization_ellipse(field: Array) -> PolarizationEllipse:
 
 
 def stokes_ellipse(vector: Array) -> PolarizationEllipse:
-    """Return the polarisation ellipse of Stokes vectors ``[..., 4, k]`` or ``[4]``, of their polarised part.
+    """Return the polarisation ellipse of the polarised part of Stokes vectors.
 
     Parameters
     ----------
     vector : array
-        Real Stokes vectors.
+        Real Stokes vectors ``[..., 4, k]`` or ``[4]``.
 
     Returns
     -------
     PolarizationEllipse
         With tan 2ψ = S2/S1 and sin 2χ = S3/P (Born and Wolf 1999, section 1.4.2). Differentiable; where an angle or
         an axis has no derivative (circular light, darkness) the gradient is zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.jones import stokes_ellipse
+    >>> ellipse = stokes_ellipse(np.asarray([1.0, 0.0, 1.0, 0.0]))
+    >>> float(ellipse.azimuth), float(ellipse.ellipticity)
+    (45.0, 0.0)
     """
     vector, axis = stokes_vector(vector)
     xp = _array.namespace(vector)

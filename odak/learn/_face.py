@@ -36,6 +36,12 @@ _IN_TEXT = (
     (r"\b([Aa])n array\b", r"\1 tensor"),
     (r"(?<!NumPy )\barray(s?)\b", r"tensor\1"),
 )
+_IN_CODE = (
+    (r"\bimport numpy as np\b", "import torch"),
+    (r"\bnp\.(array|asarray)\b", "torch.tensor"),
+    (r"\bnp\.", "torch."),
+    (r"\bodak\.(?=(wave|jones|raytracing|tools)\b)", "odak.learn."),
+)
 
 
 @typing.overload
@@ -81,8 +87,9 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None):
         Called as ``through(core, **arguments)`` instead of the core, to change what goes in or comes out.
     describe : mapping, optional
         Texts that replace those of the core: by argument its type and, from the second line on, its description; by
-        title ("Returns", "Notes", "Examples") a section; by "" the summary. The core's examples, which show arrays, are
-        left out.
+        title ("Returns", "Notes", "Examples") a section, left out where the text is empty; by "" the summary. Examples
+        that are not replaced are those of the core with its imports and ``np.`` replaced, so that the core's examples
+        use only what NumPy and torch have in common.
 
     Returns
     -------
@@ -157,15 +164,16 @@ def _documentation(core, named, defaults, describe) -> str:
     """Return the docstring of the core in terms of tensors."""
     summary, *parts = _SECTION.split(inspect.cleandoc(core.__doc__ or ""))
     sections = dict(zip(parts[::2], parts[1::2], strict=True))
-    sections.pop("Examples", None)
     texts = {t: _in_torch(text) if t in _TYPED else _replaced(text, _IN_TEXT) for t, text in sections.items()}
     if "Parameters" in sections:
         texts["Parameters"] = _parameters(sections["Parameters"], named, defaults, describe)
+    if "Examples" in sections:
+        texts["Examples"] = _replaced(sections["Examples"], _IN_CODE)
     package = core.__module__.rpartition(".")[0]
     texts["See Also"] = f"{package}.{core.__name__} : The same function of the arrays of any library."
     texts.update({title: text.strip() for title, text in describe.items() if title in _TITLES})
     summary = describe.get("", _replaced(summary, _IN_TEXT))
-    written = [f"{title}\n{'-' * len(title)}\n{texts[title].rstrip()}" for title in _TITLES if title in texts]
+    written = [f"{title}\n{'-' * len(title)}\n{texts[title].rstrip()}" for title in _TITLES if texts.get(title)]
     return "\n\n".join([summary, *written]) + "\n"
 
 

@@ -55,6 +55,14 @@ def random_sample_point_cloud(
         If `point_cloud` is not an array or `no` not an integer.
     ValueError
         If the probabilities do not fit the cloud.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import random_sample_point_cloud
+    >>> cloud = np.asarray([[0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    >>> random_sample_point_cloud(cloud, 2, p=[0.0, 1.0], seed=0).tolist()
+    [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0]]
     """
     point_cloud = _validate.array("point_cloud", point_cloud)
     if point_cloud.ndim == 0 or point_cloud.shape[0] == 0:
@@ -113,6 +121,13 @@ def sphere_sample(
     ------
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    >>> from odak.tools import sphere_sample
+    >>> points = sphere_sample([5, 8], radius=2.0)
+    >>> tuple(points.shape), round(float(((points**2).sum(-1) ** 0.5).mean()), 4)
+    ((40, 3), 2.0)
     """
     rows, columns = _validate.size("no", no)
     i, j = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
@@ -129,7 +144,7 @@ def sphere_sample_uniform(
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
-    """Return the points of :func:`sphere_sample` in a sheared order of the two angles. They are not uniform in area.
+    """Return the points of :func:`sphere_sample` in a sheared order of the two angles; they are not uniform in area.
 
     Parameters
     ----------
@@ -157,6 +172,13 @@ def sphere_sample_uniform(
     ------
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    >>> from odak.tools import sphere_sample_uniform
+    >>> points = sphere_sample_uniform([5, 5], radius=2.0)
+    >>> tuple(points.shape), round(float(((points**2).sum(-1) ** 0.5).mean()), 4)
+    ((25, 3), 2.0)
     """
     rows, columns = _validate.size("no", no)
     if rows != columns:
@@ -209,9 +231,8 @@ def box_volume_sample(
     Examples
     --------
     >>> from odak.tools import box_volume_sample
-    >>> box_volume_sample([2, 1, 1], [4.0, 1.0, 1.0])
-    array([[-1.,  0.,  0.],
-           [ 1.,  0.,  0.]])
+    >>> box_volume_sample([2, 1, 1], [4.0, 1.0, 1.0]).tolist()
+    [[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     if isinstance(no, str) or not isinstance(no, Iterable) or len(counts := tuple(no)) != 3:
         raise ValueError(f"no must be three integers, got {no!r}")
@@ -258,6 +279,15 @@ def circular_sample(
     ------
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    The largest distance from the centre is the radius:
+
+    >>> from odak.tools import circular_sample
+    >>> points = circular_sample([6, 3], radius=2.0)
+    >>> tuple(points.shape), round(float(((points**2).sum(-1) ** 0.5).max()), 4)
+    ((18, 3), 2.0)
     """
     rows, columns = _validate.size("no", no)
     cycles, distance = np.meshgrid(np.arange(1, rows + 1) / rows, np.arange(1, columns + 1) / columns, indexing="ij")
@@ -305,6 +335,13 @@ def circular_uniform_random_sample(
     ------
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    >>> from odak.tools import circular_uniform_random_sample
+    >>> points = circular_uniform_random_sample([20, 50], radius=2.0, seed=0)
+    >>> tuple(points.shape), bool(((points**2).sum(-1) <= 4.0001).all())
+    ((1000, 3), True)
     """
     rows, columns = _validate.size("no", no)
     share, cycles = _generator(seed).random((2, rows * columns))
@@ -350,6 +387,14 @@ def circular_uniform_sample(
     ------
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    Four rings of up to 8 points hold ⌊8·i/4⌋ points each, for i = 1, 2, 3:
+
+    >>> from odak.tools import circular_uniform_sample
+    >>> tuple(circular_uniform_sample([4, 8], radius=2.0).shape)
+    (12, 3)
     """
     rings, rim = _validate.size("no", no)
     counts = rim * np.arange(rings) // rings

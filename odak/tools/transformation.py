@@ -91,8 +91,9 @@ def rotmatx(angle: float | Array) -> Array:
     --------
     >>> import numpy as np
     >>> from odak.tools import rotmatx
-    >>> np.round(rotmatx(90.0) @ [0, 1, 0], 12)
-    array([0., 0., 1.])
+    >>> rotated = rotmatx(30.0) @ np.asarray([0.0, 1.0, 0.0])
+    >>> [round(float(value), 4) for value in rotated]
+    [0.0, 0.866, 0.5]
     """
     return axis_rotation("X", *_validate.reals(angle=angle))
 
@@ -109,6 +110,14 @@ def rotmaty(angle: float | Array) -> Array:
     -------
     array
         ``[..., 3, 3]``, for column vectors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import rotmaty
+    >>> rotated = rotmaty(30.0) @ np.asarray([0.0, 0.0, 1.0])
+    >>> [round(float(value), 4) for value in rotated]
+    [0.5, 0.0, 0.866]
     """
     return axis_rotation("Y", *_validate.reals(angle=angle))
 
@@ -125,6 +134,14 @@ def rotmatz(angle: float | Array) -> Array:
     -------
     array
         ``[..., 3, 3]``, for column vectors.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import rotmatz
+    >>> rotated = rotmatz(30.0) @ np.asarray([1.0, 0.0, 0.0])
+    >>> [round(float(value), 4) for value in rotated]
+    [0.866, 0.5, 0.0]
     """
     return axis_rotation("Z", *_validate.reals(angle=angle))
 
@@ -199,6 +216,13 @@ def rotate_points(
     -------
     numpy.ndarray
         ``[n, 3]``, float64 unless all is float32.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import rotate_points
+    >>> rotate_points(np.asarray([[2.0, 0.0, 0.0]]), angles=[0, 0, 90], origin=[1, 0, 0]).round(6).tolist()
+    [[1.0, 1.0, 0.0]]
     """
     points = np.asarray(_validate.shaped("points", *_validate.reals(points=points), ..., 3)).reshape(-1, 3)
     origin, offset = (

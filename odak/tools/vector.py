@@ -44,9 +44,8 @@ def cross_product(vector1: Array, vector2: Array) -> Array:
     Examples
     --------
     >>> from odak.tools import cross_product
-    >>> cross_product([[1, 2, 3], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]])
-    array([[1., 2., 3.],
-           [0., 0., 1.]], dtype=float32)
+    >>> cross_product([[1, 2, 3], [1, 0, 0]], [[0, 0, 0], [0, 1, 0]]).tolist()
+    [[1.0, 2.0, 3.0], [0.0, 0.0, 1.0]]
     """
     xp, rays = _points(vector1=vector1, vector2=vector2)
     for name, ray in rays.items():

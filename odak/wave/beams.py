@@ -117,6 +117,16 @@ def hermite_gaussian_beam(
     array
         Complex128 ``[rows, columns]``: the product of one-dimensional modes H_m(√2·x/w)·exp(−x²/w²)·exp(ikx²/(2R) −
         i(m + 1/2)ψ), of unit power each (Saleh and Teich (2007), section 3.3).
+
+    Examples
+    --------
+    Modes are orthonormal:
+
+    >>> from odak.wave import hermite_gaussian_beam
+    >>> first = hermite_gaussian_beam((64, 64), 8e-6, 532e-9, 60e-6, (0, 1))
+    >>> second = hermite_gaussian_beam((64, 64), 8e-6, 532e-9, 60e-6, (0, 3))
+    >>> round(float((abs(first) ** 2).sum()) * 8e-6**2, 6), abs(complex((first * second).sum())) * 8e-6**2 < 1e-6
+    (1.0, True)
     """
     counts = [_validate.integer("order", n) for n in _pair("order", order)]
     waists = _pair("waist", waist) if isinstance(waist, (list, tuple)) else (waist, waist)
@@ -179,6 +189,16 @@ def laguerre_gaussian_beam(
     array
         Complex128 ``[rows, columns]``: √(2p!/(π(p + |l|)!))/w·(√2·r/w)^|l|·L_p^|l|(2r²/w²)·exp(−r²/w²)·exp(ilφ) with
         the Gouy phase (2p + |l| + 1)ψ (Saleh and Teich (2007), section 3.4).
+
+    Examples
+    --------
+    A vortex is dark on its axis, and brightest at the radius waist·√(l/2), here 50 µm:
+
+    >>> from odak.wave import laguerre_gaussian_beam
+    >>> beam = laguerre_gaussian_beam((101, 101), 5e-6, 532e-9, 50e-6, azimuthal=2)
+    >>> row = abs(beam[50, 50:])
+    >>> float(row[0]), int(row.argmax()) * 5
+    (0.0, 50)
     """
     p, charge = _validate.integer("radial", radial), _validate.integer("azimuthal", azimuthal, minimum=-math.inf)
     _validate.number("waist", waist, positive=True)
@@ -238,6 +258,15 @@ def bessel_beam(
         Complex128 ``[rows, columns]``: J_l(k·sin(angle)·r)·exp(ilφ), times exp(−r²/waist²). Its peak amplitude is that
         of J_l, for an ideal Bessel beam has no finite power (J. Durnin, J. Opt. Soc. Am. A 4, 651 (1987)). Without an
         envelope it propagates by the phase k·cos(angle)·z alone.
+
+    Examples
+    --------
+    The first dark ring has the radius 2.405/(k·sin(angle)), here 11 µm:
+
+    >>> from odak.wave import bessel_beam
+    >>> beam = bessel_beam((101, 101), 1e-6, 500e-9, 1.0)
+    >>> int(abs(beam[50, 50:70]).argmin())
+    11
     """
     order = _validate.integer("order", order, minimum=-math.inf)
     angle = float(_validate.number("angle", angle))
@@ -289,6 +318,15 @@ def airy_beam(
     array
         Complex128 ``[rows, columns]``: Ai(y/y₀)·exp(a·y/y₀)·Ai(x/x₀)·exp(a·x/x₀) (G. A. Siviloglou and
         D. N. Christodoulides, Opt. Lett. 32, 979 (2007)), not normalised.
+
+    Examples
+    --------
+    Without truncation the main lobe lies at −1.02 scales, the largest value of the Airy function:
+
+    >>> from odak.wave import airy_beam
+    >>> beam = airy_beam((1, 201), 1e-6, 20e-6, decay=0.0)
+    >>> (int(abs(beam[0]).argmax()) - 100) / 20
+    -1.0
     """
     scales = _validate.several(
         "scale", _pair("scale", scale) if isinstance(scale, (list, tuple)) else (scale, scale), 2
@@ -341,6 +379,15 @@ def flat_top_beam(
     -------
     array
         Complex128 ``[rows, columns]``: exp(−(r/w)^(2n)) times the amplitude that gives the power.
+
+    Examples
+    --------
+    The intensity falls to 1/e² of that on the axis at the radius of the beam:
+
+    >>> from odak.wave import flat_top_beam
+    >>> row = abs(flat_top_beam((65, 65), 8e-6, 160e-6)[32, 32:]) ** 2
+    >>> round(float(row[20] / row[0]), 6)
+    0.135335
     """
     _validate.number("order", order, least=1)
     order = float(order)

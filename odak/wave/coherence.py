@@ -34,15 +34,25 @@ def propagate_partially_coherent(
     Parameters
     ----------
     field : array or callable
-        Complex ``[..., rows, columns]``: what a plane wave along the axis becomes on passing the first plane. A
-        callable is given the wavelength (a float64 scalar) and returns that field.
+        Complex ``[..., rows, columns]``: the field in the first plane under a plane wave along the axis, such as the
+        transmittance of an object. A callable is given the wavelength (a float64 scalar) and returns that field.
     spectrum : float or tuple
         One wavelength in metres, or the wavelengths ``[L]`` and their weights ``[L]``; see :func:`gaussian_spectrum`.
     source : tuple or None
         Directions ``[S, 2]`` of the incident plane waves, as sines of their angles to the axis along rows and columns
         (y, x), and their weights ``[S]``; see :func:`disk_source`. None is a point on the axis.
-    distance, dx, window_shape, window_dx, offset, guard
-        As in :func:`odak.wave.propagate_to_window`; an array of distances broadcasts against the field's leading axes.
+    distance : float or array
+        Distance in metres, negative to propagate back; an array broadcasts against the field's leading axes.
+    dx : float, pair of float or array
+        Pixel pitch of the field in metres, one number or a pair (rows, columns).
+    window_shape : sequence of int, optional
+        Rows and columns of the window; by default those of the field.
+    window_dx : float, pair of float or array, optional
+        Pixel pitch of the window in metres; by default that of the field.
+    offset : sequence of two floats or arrays, default: (0.0, 0.0)
+        Position (y, x) of the window's sample ``n // 2`` in metres from the optical axis.
+    guard : float
+        Margin for diffraction around the rays, in units of sqrt(λ·path), see :func:`odak.wave.propagate_to_window`.
     memory : int
         Bytes, roughly, that directions propagated at once may take; one at a time where this is not enough.
 
@@ -70,7 +80,7 @@ def propagate_partially_coherent(
     >>> slit = np.zeros((16, 64), dtype=np.complex128)
     >>> slit[:, 28:36] = 1
     >>> lamp = gaussian_spectrum(550e-9, 20e-9, 3), disk_source(1e-3, 2, 6)
-    >>> propagate_partially_coherent(slit, *lamp, 0.01, 8e-6).shape
+    >>> tuple(propagate_partially_coherent(slit, *lamp, 0.01, 8e-6).shape)
     (16, 64)
     """
     return sum_intensities(
@@ -243,9 +253,11 @@ def disk_source(
     ----------
     radius : float
         Sine of the angle under which the disk's radius is seen.
-    rings, spokes : int
-        Directions along the radius and around the circle. At a separation r on the illuminated plane, spokes should
-        exceed the phase 2π·radius·r/λ by some, and rings its quarter.
+    rings : int, default: 4
+        Directions along the radius; they should exceed a quarter of the phase 2π·radius·r/λ at the largest separation r
+        of interest on the illuminated plane.
+    spokes : int, default: 12
+        Directions around the circle; they should exceed that phase by some.
     center : sequence of float
         Direction (y, x) of the disk's centre, as sines.
     xp : module, optional
@@ -272,7 +284,7 @@ def disk_source(
     --------
     >>> from odak.wave import disk_source
     >>> directions, weights = disk_source(1e-3)
-    >>> directions.shape, round(float(weights.sum()), 12)
+    >>> tuple(directions.shape), round(float(weights.sum()), 12)
     ((48, 2), 1.0)
     """
     radius = float(_validate.real("radius", radius, positive=True))

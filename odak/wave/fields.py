@@ -26,6 +26,12 @@ def wavenumber(wavelength: float | Array) -> float | Array:
     ------
     TypeError, ValueError
         If `wavelength` is not a positive number.
+
+    Examples
+    --------
+    >>> from odak.wave import wavenumber
+    >>> round(float(wavenumber(500e-9)) * 500e-9, 4)
+    6.2832
     """
     return 2 * math.pi / _positive("wavelength", wavelength)
 
@@ -39,7 +45,26 @@ def _positive(name, value):
 
 
 def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
-    """Return the angular frequency ω = 2πc/λ, in rad/s for `wavelength` in mm and the default `c` in mm/s."""
+    """Return the angular frequency ω = 2πc/λ.
+
+    Parameters
+    ----------
+    wavelength : float or array
+        Wavelength; in mm with the default of `c`.
+    c : float or array, default: 3e11
+        Speed of light; the default is 3·10¹¹ mm/s.
+
+    Returns
+    -------
+    array
+        Angular frequency in rad/s, of the shape to which the arguments broadcast.
+
+    Examples
+    --------
+    >>> from odak.wave import rotationspeed
+    >>> round(float(rotationspeed(500e-9, 299792458.0)) / 1e15, 3)
+    3.767
+    """
     k, c = wavenumber(wavelength), _positive("c", c)
     _validate.fitting(wavelength=k, c=c)
     return k * c
@@ -61,6 +86,14 @@ def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength:
     -------
     float
         Resolution (Born and Wolf 1999, section 8.6.2).
+
+    Examples
+    --------
+    A lens of 25 mm aperture and 100 mm focal length, in mm:
+
+    >>> from odak.wave import rayleigh_resolution
+    >>> round(rayleigh_resolution(25.0, 100.0, 500e-6), 6)
+    0.00244
     """
     wavelength, diameter = _positive("wavelength", wavelength), _positive("diameter", diameter)
     focal = 1.0 if focal is None else _validate.real("focal", focal)
@@ -83,6 +116,13 @@ def calculate_phase(field: ArrayT, deg: bool = False) -> ArrayT:
     -------
     array
         Real, of the field's shape and precision.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import calculate_phase
+    >>> calculate_phase(np.asarray([1j, -1 + 0j]), deg=True).tolist()
+    [90.0, 180.0]
     """
     field = _array.to_complex(_validate.array("field", field))
     xp = _array.namespace(field)
@@ -91,12 +131,48 @@ def calculate_phase(field: ArrayT, deg: bool = False) -> ArrayT:
 
 
 def calculate_amplitude(field: ArrayT) -> ArrayT:
-    """Return the amplitude |u| of a field: real, of the field's shape and precision."""
+    """Return the amplitude |u| of a field.
+
+    Parameters
+    ----------
+    field : array
+        Complex field of any shape.
+
+    Returns
+    -------
+    array
+        Real, not negative, of the field's shape and precision.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import calculate_amplitude
+    >>> calculate_amplitude(np.asarray([3 + 4j, -2 + 0j])).tolist()
+    [5.0, 2.0]
+    """
     return _array.namespace(field).abs(_validate.array("field", field))
 
 
 def calculate_intensity(field: ArrayT) -> ArrayT:
-    """Return the intensity |u|² of a field: real, of the field's shape and precision."""
+    """Return the intensity |u|² of a field.
+
+    Parameters
+    ----------
+    field : array
+        Complex field of any shape.
+
+    Returns
+    -------
+    array
+        Real, not negative, of the field's shape and precision.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import calculate_intensity
+    >>> calculate_intensity(np.asarray([3 + 4j, -2 + 0j])).tolist()
+    [25.0, 4.0]
+    """
     field = _array.to_complex(_validate.array("field", field))
     xp = _array.namespace(field)
     return xp.real(field) ** 2 + xp.imag(field) ** 2
@@ -107,13 +183,22 @@ def generate_complex_field(amplitude: float | Array, phase: float | Array) -> Ar
 
     Parameters
     ----------
-    amplitude, phase : float or array
-        Real; they broadcast. The phase is in radians.
+    amplitude : float or array
+        Real amplitude; it broadcasts against the phase.
+    phase : float or array
+        Real phase in radians.
 
     Returns
     -------
     array
         Complex field; complex128 if either array is 64-bit, complex64 otherwise.
+
+    Examples
+    --------
+    >>> from odak.wave import generate_complex_field
+    >>> field = generate_complex_field(2.0, 3.14159265 / 2)
+    >>> round(abs(float(field.real)), 6), round(float(field.imag), 6)
+    (0.0, 2.0)
     """
     like = phase if _array.is_array(phase) else amplitude
     amplitude, phase = _as_floats("amplitude", amplitude, like), _phase("phase", phase, like)
@@ -157,6 +242,13 @@ def set_amplitude(field: Array, amplitude: float | Array) -> Array:
     -------
     array
         Complex field.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import set_amplitude
+    >>> set_amplitude(np.asarray([3j, -4 + 0j]), 2.0).imag.round(6).tolist()
+    [2.0, 0.0]
     """
     field = _validate.array("field", field)
     amplitude = abs(_as_floats("amplitude", amplitude, field))
@@ -165,7 +257,27 @@ def set_amplitude(field: Array, amplitude: float | Array) -> Array:
 
 
 def add_phase(field: Array, new_phase: Array) -> Array:
-    """Return field·exp(i·new_phase), the phase in radians."""
+    """Return a field with a phase added, field·exp(i·new_phase).
+
+    Parameters
+    ----------
+    field : array
+        Complex field of any shape.
+    new_phase : array
+        Phase in radians; it broadcasts against the field.
+
+    Returns
+    -------
+    array
+        Complex field of the shape to which the two broadcast.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import add_phase
+    >>> add_phase(np.asarray([2 + 0j]), np.asarray([np.pi / 2])).round(6).tolist()
+    [2j]
+    """
     field = _array.to_complex(_validate.array("field", field))
     new_phase = _phase("new_phase", new_phase, field)
     _validate.fitting(field=field, new_phase=new_phase)
@@ -186,6 +298,16 @@ def add_random_phase(field: Array, seed: Any = None) -> Array:
     -------
     array
         Complex field.
+
+    Examples
+    --------
+    The amplitude is kept:
+
+    >>> import numpy as np
+    >>> from odak.wave import add_random_phase
+    >>> field = add_random_phase(np.full((2, 2), 3 + 0j), seed=0)
+    >>> abs(field).round(6).tolist()
+    [[3.0, 3.0], [3.0, 3.0]]
     """
     field = _array.to_complex(_validate.array("field", field))
     return add_phase(field, uniform(tuple(field.shape), seed, field) * math.pi)
@@ -198,13 +320,23 @@ def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, 
     ----------
     native_range : float
         Phase range in radians at `native_wavelength`.
-    working_wavelength, native_wavelength : float
-        Wavelengths, in one unit.
+    working_wavelength : float
+        Wavelength at which the modulator is used.
+    native_wavelength : float
+        Wavelength at which the range was specified, in the unit of `working_wavelength`.
 
     Returns
     -------
     float
-        native_range·native_wavelength/working_wavelength (the path difference is what stays).
+        native_range·native_wavelength/working_wavelength in radians, at an unchanged path difference.
+
+    Examples
+    --------
+    A modulator of range 2π at 633 nm has a larger one in the green:
+
+    >>> from odak.wave import adjust_phase_only_slm_range
+    >>> round(adjust_phase_only_slm_range(6.2832, 532e-9, 633e-9) / 6.2832, 4)
+    1.1898
     """
     native_range = _positive("native_range", native_range)
     working_wavelength = _positive("working_wavelength", working_wavelength)
@@ -216,14 +348,16 @@ def adjust_phase_only_slm_range(native_range: float, working_wavelength: float, 
 
 
 def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 * math.pi) -> Array:
-    """Return `phase` stretched linearly so that its extremes are `range_min` and `range_max`.
+    """Return `phase` mapped linearly so that its extremes are `range_min` and `range_max`.
 
     Parameters
     ----------
     phase : array
         Real, of any shape.
-    range_min, range_max : float
-        Ends of the range, `range_max` the larger.
+    range_min : float, default: 0.0
+        Lower end of the range, which the smallest phase becomes.
+    range_max : float, default: 2π
+        Upper end of the range, above `range_min`, which the largest phase becomes.
 
     Returns
     -------
@@ -234,6 +368,13 @@ def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 *
     ------
     ValueError, TypeError
         If the range is empty, or the phase is empty or not real.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import normalize_phase
+    >>> normalize_phase(np.asarray([-1.0, 0.0, 3.0]), 0.0, 1.0).tolist()
+    [0.0, 0.25, 1.0]
     """
     phase = _phase("phase", phase, None)
     if 0 in phase.shape:
@@ -257,7 +398,7 @@ def produce_phase_only_slm_pattern(
     default_range: float = 6.28,
     illumination: Array | None = None,
 ) -> tuple:
-    """Return a hologram as a modulator shows it, and the integer pattern to send to it.
+    """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
 
     Parameters
     ----------
@@ -283,6 +424,17 @@ def produce_phase_only_slm_pattern(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    With 2 bits the phases 0 and π are the levels 0 and 2:
+
+    >>> import numpy as np
+    >>> from odak.wave import produce_phase_only_slm_pattern
+    >>> hologram = np.asarray([[1 + 0j, -1 + 0j]])
+    >>> field, levels = produce_phase_only_slm_pattern(hologram, 2 * np.pi, bits=2, default_range=2 * np.pi)
+    >>> levels.tolist(), field.real.round(6).tolist()
+    ([[0, 2]], [[1.0, -1.0]])
     """
     hologram = _validate.image("hologram", hologram)
     _validate.real("slm_range", slm_range, positive=True)
@@ -318,6 +470,14 @@ def decompose_double_phase(tensor: Array) -> tuple:
     -------
     tuple
         High and low part, each ``[..., h, w/2]``: high holds the samples (even, even) and (odd, odd), low the others.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import decompose_double_phase
+    >>> high, low = decompose_double_phase(np.asarray([[1.0, 2.0], [3.0, 4.0]]))
+    >>> high.tolist(), low.tolist()
+    ([[1.0], [4.0]], [[2.0], [3.0]])
     """
     tensor = _validate.image("tensor", tensor)
     rows, columns = (n - n % 2 for n in tensor.shape[-2:])
@@ -334,13 +494,22 @@ def compose_double_phase(component_high: Array, component_low: Array) -> Array:
 
     Parameters
     ----------
-    component_high, component_low : array
-        ``[..., h, w/2]`` each.
+    component_high : array
+        Samples (even, even) and (odd, odd) of the image, ``[..., h, w/2]``.
+    component_low : array
+        The other samples of the image, ``[..., h, w/2]``.
 
     Returns
     -------
     array
         ``[..., h, w]``.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import compose_double_phase
+    >>> compose_double_phase(np.asarray([[1.0], [4.0]]), np.asarray([[2.0], [3.0]])).tolist()
+    [[1.0, 2.0], [3.0, 4.0]]
     """
     component_high = _validate.image("component_high", component_high)
     component_low = _validate.image("component_low", component_low)

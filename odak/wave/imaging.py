@@ -159,6 +159,16 @@ def modulation_transfer_function(pupil: Array) -> Array:
     -------
     array
         Real ``[..., rows, columns]``, 1 at zero frequency, which is at index n // 2.
+
+    Examples
+    --------
+    It vanishes beyond 2·NA/λ, the cut-off frequency:
+
+    >>> from odak.wave import modulation_transfer_function, pupil_function
+    >>> row = modulation_transfer_function(pupil_function((64, 64), 1e-6, 500e-9, 0.1))[32, 32:]
+    >>> cut_off = 2 * 0.1 / 500e-9 * 64e-6
+    >>> round(float(row[0]), 6), round(cut_off, 1), bool(row[27] < 1e-9)
+    (1.0, 25.6, True)
     """
     transfer = optical_transfer_function(pupil)
     return _array.namespace(transfer).abs(transfer)
@@ -176,6 +186,15 @@ def point_spread_function(pupil: Array) -> Array:
     -------
     array
         Real, not negative, ``[..., rows, columns]``, on the pixels of the image, the point at index n // 2.
+
+    Examples
+    --------
+    The first dark ring of a circular pupil has the radius 0.61·λ/NA, here 6.1 pixels:
+
+    >>> from odak.wave import point_spread_function, pupil_function
+    >>> row = point_spread_function(pupil_function((128, 128), 1e-6, 500e-9, 0.05))[64, 64:74]
+    >>> int(row.argmin())
+    6
     """
     pupil = _array.to_complex(_validate.image("pupil", pupil))
     xp = _array.namespace(pupil)

@@ -325,6 +325,18 @@ def scattered_field(
     G. Osnabrugge, S. Leedumrongwatthanakun and I. M. Vellekoop, J. Comput. Phys. 322, 113 (2016). The scalar wave
     equation ∇²ψ + k²n²ψ = 0 is that of the electric field along the axis of objects that do not change along it, and
     an approximation for others.
+
+    Examples
+    --------
+    A medium of the index of its background leaves a plane wave as it is:
+
+    >>> import numpy as np
+    >>> from odak.wave import scattered_field
+    >>> z = np.arange(24)[:, None] * 0.25e-6
+    >>> wave = np.exp(2j * np.pi * z / 1e-6) * np.ones((1, 8))
+    >>> total = scattered_field(wave, np.ones((24, 8)), 0.25e-6, 1e-6)
+    >>> bool(np.allclose(total, wave))
+    True
     """
     incident = _array.to_complex(_validate.image("incident", incident))
     index = _validate.array("index", index)

@@ -1,4 +1,4 @@
-"""The propagation methods: one table of names, aliases, range of validity, capabilities and how each is carried out."""
+"""Table of the propagation methods: names, aliases, ranges of validity, capabilities and implementations."""
 
 import difflib
 import logging

@@ -63,6 +63,18 @@ def gerchberg_saxton(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    The hologram is of phase alone:
+
+    >>> import numpy as np
+    >>> from odak.wave import gerchberg_saxton
+    >>> image = np.zeros((16, 16))
+    >>> image[6:10, 6:10] = 1
+    >>> hologram, reconstruction = gerchberg_saxton(image, 5, 5e-3, 8e-6, 532e-9, 2 * np.pi, "Angular Spectrum", seed=0)
+    >>> bool(np.allclose(abs(hologram), 1))
+    True
     """
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     return retrieve(field, range(count), distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed)
@@ -170,13 +182,23 @@ def gerchberg_saxton_3d(
         Number of iterations, each of which visits all planes.
     distances : sequence of float
         Distance of each plane in metres.
-    dx, wavelength, slm_range, propagation_type, initial_phase, seed
-        As in :func:`gerchberg_saxton`.
-    target_type : str
+    dx : float
+        Pixel pitch in metres.
+    wavelength : float
+        Wavelength in metres.
+    slm_range : float, default: 6.28
+        Phase range of the modulator in radians; phases beyond it take its nearer end.
+    propagation_type : str, default: "IR Fresnel"
+        Propagation type, see :func:`odak.wave.propagate_beam`.
+    initial_phase : numpy.ndarray, optional
+        Phase ``[rows, columns]`` in radians to start the hologram from; uniform between 0 and π by default.
+    target_type : str, default: "no constraint"
         "no constraint" replaces the image's amplitude by the target's; "double constraint" by 2α·T − β·|u| (γ·|u|
         where that is zero), after Zhou et al. (2019).
     coefficients : sequence of float, optional
         α, β, γ of "double constraint".
+    seed : int or generator, optional
+        Makes the random start reproducible.
 
     Returns
     -------
@@ -187,6 +209,18 @@ def gerchberg_saxton_3d(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import gerchberg_saxton_3d
+    >>> planes = np.zeros((2, 16, 16))
+    >>> planes[0, :, 4:8] = planes[1, :, 8:12] = 1
+    >>> hologram = gerchberg_saxton_3d(
+    ...     planes, 5, [5e-3, 6e-3], 8e-6, 532e-9, 2 * np.pi, "Angular Spectrum", seed=0
+    ... )
+    >>> hologram.shape, bool(np.allclose(abs(hologram), 1))
+    ((16, 16), True)
     """
     fields = _validate.image("fields", fields, axes=3)
     if not len(fields):
@@ -346,6 +380,18 @@ def weighted_gerchberg_saxton(
     Notes
     -----
     Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), on the grid of the Fourier transform.
+
+    Examples
+    --------
+    Three spots are made even:
+
+    >>> import numpy as np
+    >>> from odak.wave import uniformity, weighted_gerchberg_saxton
+    >>> target = np.zeros((32, 32))
+    >>> target[[8, 16, 20], [10, 24, 9]] = 1
+    >>> hologram, spots = weighted_gerchberg_saxton(target, seed=0)
+    >>> bool(uniformity(abs(spots[target > 0]) ** 2) > 0.99)
+    True
     """
     target = calculate_amplitude(_validate.image("field", field))
     if _array.is_readable(target) and not 0 < float(_array.namespace(target).max(target)) < math.inf:
@@ -386,6 +432,13 @@ def uniformity(intensities: Array, axis: int = -1) -> Array:
     -------
     array
         `intensities` without that axis.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import uniformity
+    >>> float(uniformity(np.asarray([3.0, 2.0, 1.0])))
+    0.5
     """
     if not _array.is_array(intensities):
         raise TypeError(f"intensities must be an array or a tensor, got {type(intensities).__name__}")

@@ -160,15 +160,36 @@ def angular_spectrum(
 
     Parameters
     ----------
-    field, k, distance, dx, wavelength, aperture
-        As in :func:`propagate_beam`.
-    zero_padding : bool
-        Pad the spectrum, for half the output pitch.
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+    zero_padding : bool, default: False
+        Pad the spectrum to twice its size, which halves the pitch of the result.
+    aperture : float or array, default: 1.0
+        Centred mask that multiplies the spectrum, of the propagated size.
 
     Returns
     -------
     array
-        Propagated field.
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form:
+
+    >>> from odak.wave import angular_spectrum, gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6)
+    >>> further = angular_spectrum(beam, None, 1e-3, 2e-6, 532e-9)
+    >>> expected = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6, distance=1e-3)
+    >>> bool(abs(further - expected).max() < 1e-3 * abs(expected).max())
+    True
     """
     return propagate_beam(
         field, k, distance, dx, wavelength, "Angular Spectrum", zero_padding=zero_padding, aperture=aperture
@@ -186,7 +207,38 @@ def band_limited_angular_spectrum(
 ) -> Array:
     """Propagate by the angular spectrum inside its alias-free band (Matsushima and Shimobaba 2009).
 
-    Parameters and result are those of :func:`angular_spectrum`.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+    zero_padding : bool, default: False
+        Pad the spectrum to twice its size, which halves the pitch of the result.
+    aperture : float or array, default: 1.0
+        Centred mask that multiplies the spectrum, of the propagated size.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form:
+
+    >>> from odak.wave import band_limited_angular_spectrum, gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6)
+    >>> further = band_limited_angular_spectrum(beam, None, 1e-3, 2e-6, 532e-9)
+    >>> expected = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6, distance=1e-3)
+    >>> bool(abs(further - expected).max() < 1e-3 * abs(expected).max())
+    True
     """
     return propagate_beam(
         field, k, distance, dx, wavelength, "Bandlimited Angular Spectrum", zero_padding=zero_padding, aperture=aperture
@@ -204,7 +256,38 @@ def incoherent_angular_spectrum(
 ) -> Array:
     """Propagate an intensity by the incoherent transfer function, the autocorrelation of the coherent one.
 
-    Parameters are those of :func:`angular_spectrum`, `field` being an intensity; the result is real and keeps its sum.
+    Parameters
+    ----------
+    field : array
+        Real intensity ``[..., rows, columns]``.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+    zero_padding : bool, default: False
+        Pad the spectrum to twice its size, which halves the pitch of the result.
+    aperture : float or array, default: 1.0
+        Pupil of the coherent field, centred, of the propagated size. A number has no effect.
+
+    Returns
+    -------
+    array
+        Real intensity ``[..., rows, columns]`` after `distance`, of the same sum.
+
+    Examples
+    --------
+    The total intensity is conserved:
+
+    >>> import numpy as np
+    >>> from odak.wave import incoherent_angular_spectrum
+    >>> image = np.zeros((16, 16), dtype=np.float64)
+    >>> image[8, 8] = 3
+    >>> round(float(incoherent_angular_spectrum(image, None, 1e-3, 8e-6, 532e-9).sum()), 9)
+    3.0
     """
     return propagate_beam(
         field, k, distance, dx, wavelength, "Incoherent Angular Spectrum", zero_padding=zero_padding, aperture=aperture
@@ -222,7 +305,38 @@ def transfer_function_fresnel(
 ) -> Array:
     """Propagate by the Fresnel transfer function exp(ikz)·exp(−iπλz·f²) (Voelz 2011, eq. 4.20).
 
-    Parameters and result are those of :func:`angular_spectrum`.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+    zero_padding : bool, default: False
+        Pad the spectrum to twice its size, which halves the pitch of the result.
+    aperture : float or array, default: 1.0
+        Centred mask that multiplies the spectrum, of the propagated size.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form:
+
+    >>> from odak.wave import transfer_function_fresnel, gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6)
+    >>> further = transfer_function_fresnel(beam, None, 1e-3, 2e-6, 532e-9)
+    >>> expected = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6, distance=1e-3)
+    >>> bool(abs(further - expected).max() < 1e-3 * abs(expected).max())
+    True
     """
     return propagate_beam(
         field, k, distance, dx, wavelength, "Transfer Function Fresnel", zero_padding=zero_padding, aperture=aperture
@@ -242,7 +356,43 @@ def impulse_response_fresnel(
 ) -> Array:
     """Propagate by the sampled Fresnel impulse response (Voelz 2011, eq. 4.21).
 
-    Parameters are those of :func:`angular_spectrum`; `scale` and `samples` are those of :func:`propagate_beam`.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+    zero_padding : bool, default: False
+        Pad the spectrum to twice its size, which halves the pitch of the result.
+    aperture : float or array, default: 1.0
+        Centred mask that multiplies the spectrum, of the propagated size.
+    scale : int, default: 1
+        Samples per pixel and axis: the result is `scale` times as large.
+    samples : sequence of int, default: (1, 1, 1, 1)
+        Points across the source pixel (rows, columns) and the target sample (rows, columns) over which the response is
+        averaged.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form:
+
+    >>> from odak.wave import gaussian_beam, impulse_response_fresnel
+    >>> beam = gaussian_beam((64, 64), 8e-6, 532e-9, 60e-6)
+    >>> further = impulse_response_fresnel(beam, None, 0.01, 8e-6, 532e-9, samples=(1, 1, 1, 1))
+    >>> expected = gaussian_beam((64, 64), 8e-6, 532e-9, 60e-6, distance=0.01)
+    >>> bool(abs(further - expected).max() < 0.05 * abs(expected).max())
+    True
     """
     return propagate_beam(
         field,
@@ -280,6 +430,16 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
     -------
     array
         Filtered field.
+
+    Examples
+    --------
+    The transfer function 1 leaves a field as it is:
+
+    >>> import numpy as np
+    >>> from odak.wave import custom
+    >>> field = np.exp(1j * np.linspace(0, 1, 64)).reshape((8, 8))
+    >>> bool(abs(custom(field, np.ones((8, 8), dtype=np.complex128)) - field).max() < 1e-12)
+    True
     """
     return propagate_beam(
         field, None, 0.0, 1.0, 1.0, "custom", kernel=kernel, zero_padding=zero_padding, aperture=aperture
@@ -287,17 +447,81 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
 
 
 def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
-    """Propagate by the angular spectrum on a frequency grid stretched to the alias-free band (Zhang et al. 2020).
+    """Propagate by the angular spectrum on frequencies spread over the alias-free band alone.
 
-    Parameters and result are those of :func:`angular_spectrum`. Opt. Lett. 45, 1543; computed by chirp-z transforms.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Notes
+    -----
+    Frequencies are sampled uniformly over the band in which the transfer function is free of aliasing, by chirp-z
+    transforms (Zhang, Zhang and Jin, Opt. Lett. 45, 1543 (2020)).
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form at four times the critical distance:
+
+    >>> from odak.wave import band_extended_angular_spectrum, gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6)
+    >>> further = band_extended_angular_spectrum(beam, None, 2e-3, 2e-6, 532e-9)
+    >>> expected = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6, distance=2e-3)
+    >>> bool(abs(further - expected).max() < 1e-3 * abs(expected).max())
+    True
     """
     return propagate_beam(field, k, distance, dx, wavelength, "Bandextended Angular Spectrum")
 
 
 def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
-    """Propagate by the angular spectrum with frequencies doubled, and stretched beyond twice the critical distance.
+    """Propagate by the angular spectrum with twice as many frequencies, confined to the alias-free band far away.
 
-    Parameters and result are those of :func:`angular_spectrum`. Zhang, Zhang and Jin, Opt. Lett. 45, 4416 (2020).
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Notes
+    -----
+    From twice the critical distance N·dx²/λ on, the frequencies are spread over the alias-free band alone (Zhang, Zhang
+    and Jin, Opt. Lett. 45, 4416 (2020)).
+
+    Examples
+    --------
+    A Gaussian beam follows its closed form:
+
+    >>> from odak.wave import adaptive_sampling_angular_spectrum, gaussian_beam
+    >>> beam = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6)
+    >>> further = adaptive_sampling_angular_spectrum(beam, None, 1e-3, 2e-6, 532e-9)
+    >>> expected = gaussian_beam((64, 64), 2e-6, 532e-9, 20e-6, distance=1e-3)
+    >>> bool(abs(further - expected).max() < 1e-3 * abs(expected).max())
+    True
     """
     return propagate_beam(field, k, distance, dx, wavelength, "Adaptive Sampling Angular Spectrum")
 
@@ -305,16 +529,79 @@ def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, 
 def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral, as a linear convolution with its sampled kernel.
 
-    Parameters and result are those of :func:`angular_spectrum`. The kernel is z/(2πr²)·(1/r − ik)·exp(ikr)
-    (Goodman 2005, eq. 3-40), on twice the grid (Shen and Wang 2006), so that nothing wraps around.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Notes
+    -----
+    The kernel is z/(2πr²)·(1/r − ik)·exp(ikr) (Goodman 2005, eq. 3-40), on twice the grid (Shen and Wang 2006), so that
+    nothing wraps around.
+
+    Examples
+    --------
+    A point source becomes the kernel, of modulus z/(λr²)·dx² at a distance r of many wavelengths:
+
+    >>> import numpy as np
+    >>> from odak.wave import rayleigh_sommerfeld
+    >>> point = np.zeros((32, 32), dtype=np.complex128)
+    >>> point[16, 16] = 1
+    >>> axis = rayleigh_sommerfeld(point, None, 1e-3, 1e-6, 500e-9)[16, 16]
+    >>> round(float(abs(axis)) * 500e-9 * 1e-3 / 1e-6**2, 6)
+    1.0
     """
     return propagate_beam(field, k, distance, dx, wavelength, "Rayleigh-Sommerfeld")
 
 
 def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
-    """Return :func:`rayleigh_sommerfeld` by the direct double sum, in double precision: an oracle for small fields.
+    """Propagate by the first Rayleigh–Sommerfeld integral as a direct double sum, in double precision.
 
-    Memory grows with the square of the number of pixels; 64 × 64 takes 270 MB.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` after `distance`, complex64 from 32-bit input and complex128 from 64-bit.
+
+    Notes
+    -----
+    A reference for small fields: memory grows with the square of the number of pixels, 64 × 64 takes 270 MB.
+
+    Examples
+    --------
+    It agrees with the convolution of :func:`rayleigh_sommerfeld`:
+
+    >>> import numpy as np
+    >>> from odak.wave import rayleigh_sommerfeld, rayleigh_sommerfeld_sum
+    >>> field = np.ones((8, 8), dtype=np.complex128)
+    >>> exact = rayleigh_sommerfeld_sum(field, None, 1e-4, 1e-6, 532e-9)
+    >>> bool(abs(exact - rayleigh_sommerfeld(field, None, 1e-4, 1e-6, 532e-9)).max() < 1e-12)
+    True
     """
     field = _validate.image("field", field)
     check_geometry(k, distance, dx, wavelength)
@@ -336,15 +623,67 @@ def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, 
 def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate to the far field: exp(ikz)/(iλz)·exp(ikr²/(2z))·F{u}·dx² (Goodman 2005, eq. 4-25).
 
-    Parameters and result are those of :func:`angular_spectrum`; the output pitch is λ·z/(N·dx) along an axis of N.
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Propagation distance in metres, negative to propagate back.
+    dx : float, pair of float or array
+        Pixel pitch in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]``; its pitch is λ·z/(N·dx) along an axis of N samples.
+
+    Examples
+    --------
+    On the axis the modulus is the area of the aperture over λz:
+
+    >>> import numpy as np
+    >>> from odak.wave import fraunhofer
+    >>> square = np.ones((16, 16), dtype=np.complex128)
+    >>> axis = fraunhofer(square, None, 2.0, 8e-6, 500e-9)[8, 8]
+    >>> round(float(abs(axis)) * 500e-9 * 2.0 / (16 * 8e-6) ** 2, 9)
+    1.0
     """
     return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer")
 
 
 def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
-    """Return the field whose :func:`fraunhofer` pattern is given; `dx` is the pitch of the plane returned.
+    """Return the field of which a :func:`fraunhofer` pattern is given.
 
-    Parameters and result are those of :func:`angular_spectrum`.
+    Parameters
+    ----------
+    field : array
+        Fraunhofer pattern, complex ``[..., rows, columns]``; a real one is taken as a field of phase zero.
+    k : float or None
+        Wave number 2π/wavelength in rad/m, or None; kept for older callers, it must agree with `wavelength` to 1e-6.
+    distance : float or array
+        Distance in metres over which the pattern was propagated.
+    dx : float, pair of float or array
+        Pixel pitch of the field returned in metres: one number, or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres; an array holds one for each field of the leading axes.
+
+    Returns
+    -------
+    array
+        Complex field ``[..., rows, columns]`` with the pitch `dx`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import fraunhofer, fraunhofer_inverse
+    >>> field = np.exp(1j * np.linspace(0, 1, 64)).reshape((8, 8))
+    >>> pattern = fraunhofer(field, None, 2.0, 8e-6, 500e-9)
+    >>> bool(abs(fraunhofer_inverse(pattern, None, 2.0, 8e-6, 500e-9) - field).max() < 1e-12)
+    True
     """
     return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer Inverse")
 
@@ -356,8 +695,12 @@ def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavel
     ----------
     field : array
         Fraunhofer pattern ``[..., rows, columns]``.
-    distance, dx, wavelength : float
-        As given to :func:`fraunhofer`, in metres.
+    distance : float
+        Distance in metres that was given to :func:`fraunhofer`.
+    dx : float
+        Pixel pitch in metres of the field that was given to :func:`fraunhofer`.
+    wavelength : float
+        Wavelength in metres.
 
     Returns
     -------
@@ -368,6 +711,15 @@ def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavel
     ------
     ValueError
         If the pattern spans less than the field (m > 1), so that there is nothing to cut.
+
+    Examples
+    --------
+    At N·dx²·2/λ the pattern is twice as wide as the field, so that the centre half of it is returned:
+
+    >>> import numpy as np
+    >>> from odak.wave import fraunhofer_equal_size_adjust
+    >>> tuple(fraunhofer_equal_size_adjust(np.ones((64, 64)), 16.384e-3, 8e-6, 500e-9).shape)
+    (32, 32)
     """
     field = _validate.image("field", field)
     check_geometry(None, distance, dx, wavelength)
@@ -435,18 +787,28 @@ def get_propagation_kernel(
 
     Parameters
     ----------
-    nu, nv : int
-        Rows and columns.
-    dx, wavelength, distance : float
-        Pixel pitch, wavelength and distance in metres (distance and wavelength may be arrays: leading axes).
-    propagation_type : str
+    nu : int
+        Rows of the field.
+    nv : int
+        Columns of the field.
+    dx : float, default: 8e-6
+        Pixel pitch in metres.
+    wavelength : float or array, default: 515e-9
+        Wavelength in metres; an array gives a kernel for each of its values, as leading axes.
+    distance : float or array, default: 0.0
+        Propagation distance in metres; an array gives a kernel for each of its values, as leading axes.
+    propagation_type : str, default: "Bandlimited Angular Spectrum"
         A method that has a transfer function.
-    scale : int
+    scale : int, default: 1
         Samples per pixel, for the impulse-response methods; 1 for the others.
-    samples : sequence of int
+    samples : sequence of int, default: (1, 1, 1, 1)
         Aperture samples of the impulse-response methods, see :func:`odak.wave.propagate_beam`.
-    xp, device, dtype : optional
-        Array namespace (NumPy), device, and complex dtype (complex64).
+    xp : module, optional
+        Array namespace of the result, NumPy by default.
+    device : optional
+        Device of the result.
+    dtype : optional
+        Complex dtype of the result, complex64 by default.
 
     Returns
     -------
@@ -457,6 +819,16 @@ def get_propagation_kernel(
     ------
     ValueError
         If the method has no transfer function, or an argument is outside its range.
+
+    Examples
+    --------
+    Free space delays a plane wave along the axis by 2πz/λ, here by a quarter of a cycle:
+
+    >>> import numpy as np
+    >>> from odak.wave import get_propagation_kernel
+    >>> kernel = get_propagation_kernel(8, 8, 8e-6, 500e-9, 1.25e-7, "Angular Spectrum", dtype=np.complex128)
+    >>> complex(np.round(kernel[4, 4], 6))
+    1j
     """
     method = find_method(propagation_type)
     if method is None or method.kernel is None:

@@ -384,6 +384,11 @@ def set_kernel_cache_size(maximum_bytes: int) -> None:
         If `maximum_bytes` is negative.
     TypeError
         If `maximum_bytes` is not an integer.
+
+    Examples
+    --------
+    >>> import odak
+    >>> odak.wave.set_kernel_cache_size(2**30)
     """
     kernels.resize(_validate.integer("maximum_bytes", maximum_bytes))
 

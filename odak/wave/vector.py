@@ -19,13 +19,15 @@ def electric_field_per_plane_wave(
     amplitude : float or array
         Amplitude A.
     opd : float or array
-        Optical path difference, not zero.
+        Optical path difference in metres, not zero.
     k : float
-        Wave number.
-    phase : float or array
+        Wave number in rad/m.
+    phase : float or array, default: 0
         Initial phase in radians.
-    w, t : float
-        Angular frequency and time.
+    w : float, default: 0
+        Angular frequency ω in rad/s.
+    t : float, default: 0
+        Time in seconds.
 
     Returns
     -------
@@ -36,6 +38,15 @@ def electric_field_per_plane_wave(
     ------
     ValueError
         If an optical path difference is zero.
+
+    Examples
+    --------
+    After a whole wavelength the phase is what it was, and the amplitude is A/opd²:
+
+    >>> from odak.wave import electric_field_per_plane_wave, wavenumber
+    >>> field = electric_field_per_plane_wave(8.0, 2.0, wavenumber(2.0))
+    >>> round(float(field.real), 9), round(abs(float(field.imag)), 9)
+    (2.0, 0.0)
     """
     for name, value in (("k", k), ("w", w), ("t", t)):
         _validate.real(name, value)
@@ -50,7 +61,7 @@ def electric_field_per_plane_wave(
     xp = _array.namespace(*kinds)
     dtype = xp.complex128 if any(_array.is_double(value) for value in kinds) else xp.complex64
     amplitude = _array.cast(arrays["amplitude"], kinds[0], xp.complex128)
-    # Many turns of phase do not fit into 32 bits.
+    # The phase spans many cycles of 2π, which 32 bits do not resolve.
     opd, phase = (_array.cast(arrays[name], kinds[0], xp.float64) for name in ("opd", "phase"))
     return xp.astype(amplitude * _array.phasor(k * opd + (phase - w * t)) / opd**2, dtype, copy=False)
 
@@ -63,11 +74,13 @@ def propagate_plane_waves(field: Array, opd: float | Array, k: float, w: float =
     field : array
         Complex field.
     opd : float or array
-        Optical path difference, not zero.
+        Optical path difference in metres, not zero.
     k : float
-        Wave number.
-    w, t : float
-        Angular frequency and time.
+        Wave number in rad/m.
+    w : float, default: 0
+        Angular frequency ω in rad/s.
+    t : float, default: 0
+        Time in seconds.
 
     Returns
     -------
@@ -78,6 +91,15 @@ def propagate_plane_waves(field: Array, opd: float | Array, k: float, w: float =
     ------
     ValueError
         If an optical path difference is zero.
+
+    Examples
+    --------
+    Half a wavelength reverses the sign:
+
+    >>> import numpy as np
+    >>> from odak.wave import propagate_plane_waves, wavenumber
+    >>> propagate_plane_waves(np.asarray([4 + 0j]), 2.0, wavenumber(4.0)).real.round(6).tolist()
+    [-1.0]
     """
     field = _validate.given("field", field)
     _validate.fitting(field=field, opd=_validate.array("opd", opd))
@@ -89,13 +111,15 @@ def propagate_field(points0: Array, points1: Array, field0: Array, wave_number: 
 
     Parameters
     ----------
-    points0, points1 : array
-        Sources ``[p, 3]`` and targets ``[q, 3]``, in one unit.
+    points0 : array
+        Sources ``[p, 3]``, in one unit of length.
+    points1 : array
+        Targets ``[q, 3]`` in the same unit.
     field0 : array
         Complex field ``[p]`` at the sources.
     wave_number : float
-        2π/λ in the same unit.
-    direction : int
+        2π/λ in radians per that unit.
+    direction : int, default: 1
         +1 forward, −1 backward in time.
 
     Returns
@@ -107,6 +131,18 @@ def propagate_field(points0: Array, points1: Array, field0: Array, wave_number: 
     ------
     ValueError
         If the shapes do not match, or a target lies on a source.
+
+    Examples
+    --------
+    Two sources whose distances to the target differ by half a wavelength cancel each other, but for their distances:
+
+    >>> import numpy as np
+    >>> from odak.wave import propagate_field, wavenumber
+    >>> sources = np.asarray([[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]])
+    >>> target = np.asarray([[0.0, 0.0, 100.0]])
+    >>> field = propagate_field(sources, target, np.asarray([1 + 0j, 1 + 0j]), wavenumber(1.0))
+    >>> round(float(abs(field[0])) * 100**2, 2)
+    0.01
     """
     for name, points in (("points0", points0), ("points1", points1)):
         if not _array.is_array(points) or points.ndim != 2 or points.shape[-1] != 3:

@@ -36,8 +36,7 @@ def scaled(field: Array, factor: float | Array = 2.0, *, xp=None, device=None, d
 
     Examples
     --------
-    >>> scaled(1.0)
-    array(2.)
+    >>> odak.wave.wavenumber(np.array(2 * np.pi))
     """
     xp, device, dtype = _array.placement(field, factor, xp=xp, device=device, dtype=dtype)
     return _array.converted(field, xp, device, dtype) * _array.converted(factor, xp, device, dtype)
@@ -82,7 +81,8 @@ def test_documentation_speaks_of_tensors_and_of_the_defaults_of_the_face():
     assert "factor : number or torch.Tensor, default: 3.0\n    Factor of the tensors." in text
     assert "torch.device or str, optional" in text and "xp :" not in text
     assert "Returns\n-------\ntorch.Tensor\n    The tensor scaled." in text
-    assert "Examples" not in text and "test_face" not in text.split("See Also")[0]
+    assert ">>> odak.learn.wave.wavenumber(torch.tensor(2 * torch.pi))" in text
+    assert "test_face" not in text.split("See Also")[0]
 
 
 def test_wrong_calls_are_type_errors():
