@@ -47,6 +47,17 @@ def read_PLY(
     See Also
     --------
     write_PLY : The inverse.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import read_PLY, write_PLY
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "triangle.ply")
+    ...     write_PLY([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], name)
+    ...     triangles = read_PLY(name, offset=(0, 0, 5))
+    >>> triangles[0, 1].tolist()
+    [1.0, 0.0, 5.0]
     """
     vertices, faces = read_mesh(validate_path(fn, [".ply"]))
     vertices = rotate_points(vertices.astype(np.float64), angles, mode, offset=offset)
@@ -72,6 +83,17 @@ def read_PLY_point_cloud(filename: str | os.PathLike) -> np.ndarray:
         If there is no such file.
     ValueError
         If it is not a PLY file with vertices.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import read_PLY_point_cloud, write_PLY
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "triangle.ply")
+    ...     write_PLY([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], name)
+    ...     points = read_PLY_point_cloud(name)
+    >>> points.shape
+    (3, 3)
     """
     return read_points(validate_path(filename, [".ply"])).astype(np.float64)
 
@@ -90,6 +112,16 @@ def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike = "output.ply") -
     ------
     ValueError
         If the shape or the name is wrong.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import read_PLY, write_PLY
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "triangle.ply")
+    ...     write_PLY([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], name)
+    ...     read_PLY(name).shape
+    (1, 3, 3)
     """
     corners = np.asarray(_validate.array("triangles", triangles), dtype=np.float32)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3):
@@ -113,6 +145,20 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "outpu
     ------
     ValueError
         If the shape or the name is wrong.
+
+    Examples
+    --------
+    A grid of 2 by 3 points has two cells, of two triangles each:
+
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.tools import read_PLY, write_PLY_from_points
+    >>> y, x = np.meshgrid(np.arange(2.0), np.arange(3.0), indexing="ij")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "plane.ply")
+    ...     write_PLY_from_points(np.stack([x, y, 0 * x], axis=-1), name)
+    ...     read_PLY(name).shape
+    (4, 3, 3)
     """
     points = np.asarray(_validate.array("points", points), dtype=np.float32)
     if points.ndim != 3 or points.shape[-1] != 3 or min(points.shape[:2]) < 2:

@@ -29,6 +29,13 @@ def convert_to_torch(a: np.ndarray, grad: bool = True) -> "torch.Tensor":
     ------
     TypeError
         If a gradient is asked for and the array holds integers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import convert_to_torch
+    >>> convert_to_torch(np.asarray([1.0, 2.0])).requires_grad
+    True
     """
     import torch
 
@@ -51,6 +58,13 @@ def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
     -------
     numpy.ndarray
         Array of the same dtype; it shares its memory with a tensor on the CPU.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.tools import convert_to_numpy
+    >>> convert_to_numpy(torch.ones(2, requires_grad=True)).tolist()
+    [1.0, 1.0]
     """
     if not _array.is_torch(a):
         raise TypeError(f"a must be a tensor, got {type(a).__name__}")

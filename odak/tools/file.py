@@ -67,6 +67,14 @@ def check_directory(directory: str | os.PathLike, validate: bool = True) -> bool
         If it is neither a string nor a path object.
     ValueError
         If there is a file of that name, or the folder cannot be made.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import check_directory
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     [check_directory(os.path.join(folder, "new")) for _ in range(2)]
+    [False, True]
     """
     path = validate_path(directory) if _validate.flag("validate", validate) else validate_cwd(directory)
     if os.path.isdir(path):
@@ -102,6 +110,16 @@ def list_files(path: str | os.PathLike, key: str = "*.*", recursive: bool = True
     ------
     ValueError
         If the path is not acceptable, or the pattern is empty, absolute or leaves the folder.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import list_files, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name in ("a.txt", "b.txt", "c.csv"):
+    ...         written = write_to_text_file("text", os.path.join(folder, name))
+    ...     [os.path.basename(path) for path in list_files(folder, key="*.txt")]
+    ['a.txt', 'b.txt']
     """
     folder = Path(validate_path(path))
     if not isinstance(key, str):
@@ -131,6 +149,15 @@ def list_directories(path: str | os.PathLike, recursive: bool = True) -> list[st
     ------
     FileNotFoundError
         If there is no such folder.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import list_directories
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     os.makedirs(os.path.join(folder, "red", "green"))
+    ...     list_directories(folder), list_directories(folder, recursive=False)
+    (['green', 'red'], ['red'])
     """
     folder, recursive = validate_path(path), _validate.flag("recursive", recursive)
     if not os.path.isdir(folder):
@@ -155,6 +182,12 @@ def convert_bytes(num: float) -> tuple[float, str]:
     -------
     tuple
         Value, and one of bytes, KB, MB, GB, TB, PB, EB in steps of 1024.
+
+    Examples
+    --------
+    >>> from odak.tools import convert_bytes
+    >>> convert_bytes(1536)
+    (1.5, 'KB')
     """
     if isinstance(num, bool) or not isinstance(num, Real) or math.isnan(num):
         raise TypeError(f"num must be a number of bytes, got {num!r:.80}")
@@ -177,6 +210,16 @@ def size_of_a_file(file_path: str | os.PathLike) -> tuple[float | None, str | No
     -------
     tuple
         Value and unit; ``(None, None)`` when there is no such file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import size_of_a_file, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "a.txt")
+    ...     written = write_to_text_file("x" * 2047, name)
+    ...     size_of_a_file(name)
+    (2.0, 'KB')
     """
     path = validate_path(file_path, name="file_path")
     return convert_bytes(os.stat(path).st_size) if os.path.isfile(path) else (None, None)
@@ -203,6 +246,16 @@ def copy_file(source: str | os.PathLike, destination: str | os.PathLike, follow_
     ------
     ValueError
         If the source is not an existing file, the destination is a folder or the source itself, or copying fails.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import copy_file, read_text_file, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     names = [os.path.join(folder, name) for name in ("a.txt", "b.txt")]
+    ...     written = write_to_text_file("text", names[0])
+    ...     read_text_file(copy_file(*names))
+    ['text']
     """
     source, destination = validate_path(source, name="source"), validate_path(destination, name="destination")
     follow_symlinks = _validate.flag("follow_symlinks", follow_symlinks)
@@ -246,6 +299,17 @@ def save_dictionary(settings: Any, filename: str | os.PathLike) -> Any:
         For values that JSON lacks, before the file is touched.
     ValueError
         If the path is not acceptable or its folder does not exist.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.tools import load_dictionary, save_dictionary
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "settings.json")
+    ...     saved = save_dictionary({"pitch": 8e-6, "shape": np.asarray([2, 3])}, name)
+    ...     load_dictionary(name)
+    {'pitch': 8e-06, 'shape': [2, 3]}
     """
     path = validate_path(filename, [".json"])
     content = json.dumps(settings, ensure_ascii=False, indent=4, default=_plain).encode()
@@ -282,6 +346,16 @@ def load_dictionary(filename: str | os.PathLike) -> Any:
         If there is no such file.
     ValueError
         If the path is not acceptable or the file is not JSON; the message names the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import load_dictionary, save_dictionary
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "settings.json")
+    ...     saved = save_dictionary({"wavelength": 5.32e-07}, name)
+    ...     load_dictionary(name)["wavelength"]
+    5.32e-07
     """
     path = validate_path(filename, [".json"])
     with open(path, "rb") as stream:
@@ -316,6 +390,16 @@ def write_to_text_file(content: str | Iterable[Any], filename: str | os.PathLike
         If the flag or the path is not acceptable, or the folder does not exist.
     FileExistsError, FileNotFoundError
         If the file exists with ``x``, or does not with ``r+``.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import read_text_file, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "a.txt")
+    ...     done = [write_to_text_file([1, "two"], name), write_to_text_file("three", name, "a")]
+    ...     read_text_file(name)
+    ['1', 'two', 'three']
     """
     path = validate_path(filename)
     flag = one_of("write_flag", write_flag, _FLAGS)
@@ -353,6 +437,16 @@ def read_text_file(filename: str | os.PathLike) -> list[str]:
         If there is no such file.
     ValueError
         If the path is not acceptable or the file is not UTF-8 text; the message names the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import read_text_file, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "a.txt")
+    ...     written = write_to_text_file(["first", "second"], name)
+    ...     read_text_file(name)
+    ['first', 'second']
     """
     path = validate_path(filename)
     try:
@@ -390,6 +484,12 @@ def validate_shell_command(cmd_list: list[str]) -> list[str]:
         If it is not a list of strings.
     ValueError
         If it is empty, or an item holds a null byte, a control character or one of ``; & | ` $ < > ' "``.
+
+    Examples
+    --------
+    >>> from odak.tools import validate_shell_command
+    >>> validate_shell_command(["python", "--version"])
+    ['python', '--version']
     """
     if not isinstance(cmd_list, list):
         raise TypeError(f"cmd_list must be a list, got {type(cmd_list).__name__}")
@@ -432,6 +532,14 @@ def shell_command(
         If the command or the folder is not acceptable.
     FileNotFoundError
         If the program or the folder does not exist.
+
+    Examples
+    --------
+    >>> import sys
+    >>> from odak.tools import shell_command
+    >>> process, output, errors = shell_command([sys.executable, "--version"])
+    >>> process.returncode, output.split()[0]
+    (0, b'Python')
     """
     command, folder, check = validate_shell_command(cmd), validate_cwd(cwd), _validate.flag("check", check)
     if timeout is not None:

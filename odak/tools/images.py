@@ -61,6 +61,17 @@ def save_image(
         folder does not exist, or the encoder fails; the message names the file.
     PermissionError
         If the folder cannot be written to.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.tools import load_image, save_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "grey.png")
+    ...     saved = save_image(name, np.asarray([[0.0, 0.2, 1.0]]), cmin=0, cmax=1)
+    ...     load_image(name).tolist()
+    [[0.0, 51.0, 255.0]]
     """
     path = validate_path(fn, _FORMATS)
     levels = _levels(_checked(img), cmin, cmax, color_depth)
@@ -98,6 +109,18 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
     ValueError
         If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels, or
         more than 16 in less than a byte for each 10 000; the message names the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.tools import load_image, save_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "colour.png")
+    ...     saved = save_image(name, np.full((2, 4, 3), 255))
+    ...     image = load_image(name, normalizeby=255.0, torch_style=True)
+    >>> image.shape, float(image.max())
+    ((3, 2, 4), 1.0)
     """
     divisor = float(_validate.real("normalizeby", normalizeby))
     image = read_levels(fn, torch_style).astype(np.float64)
@@ -358,6 +381,15 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
         If the image holds no numbers or the size no integers.
     ValueError
         If the image does not have two or three axes, or the size is not two positive integers.
+
+    Examples
+    --------
+    A smaller image holds averages:
+
+    >>> import numpy as np
+    >>> from odak.tools import resize_image
+    >>> resize_image(np.asarray([[0.0, 1.0, 2.0, 5.0]]), (2, 1)).tolist()
+    [[0.5, 3.5]]
     """
     img = np.asarray(img)
     if img.dtype.kind not in "buifc":

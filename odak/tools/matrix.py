@@ -52,6 +52,13 @@ def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "ce
         If `field` is not an array.
     ValueError
         If the size is smaller than the field, or the method is not known.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import zero_pad
+    >>> zero_pad(np.ones((1, 2))).tolist()
+    [[0.0, 0.0, 0.0, 0.0], [0.0, 1.0, 1.0, 0.0]]
     """
     height, width, top, left = frame(field, size, method)
     rows, columns = field.shape[-2:]
@@ -91,6 +98,16 @@ def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
         If `field` is not an array.
     ValueError
         If the size is larger than the field.
+
+    Examples
+    --------
+    It undoes :func:`zero_pad`:
+
+    >>> import numpy as np
+    >>> from odak.tools import crop_center, zero_pad
+    >>> field = np.ones((3, 5))
+    >>> bool((crop_center(zero_pad(field), [3, 5]) == field).all())
+    True
     """
     rows, columns = _validate.image("field", field).shape[-2:]
     height, width = (max(1, rows // 2), max(1, columns // 2)) if size is None else last_two(size)
@@ -122,6 +139,13 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
         If `image_field` is not a real array.
     ValueError
         If `bits` is not between 1 and 8.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import quantize
+    >>> quantize(np.asarray([0, 64, 128, 255]), bits=2).tolist()
+    [0, 1, 2, 3]
     """
     _validate.integer("bits", bits, minimum=1)
     if bits > 8:
@@ -199,6 +223,17 @@ def blur_gaussian(
     See Also
     --------
     odak.learn.tools.blur_gaussian : Surrounds the picture with zeros.
+
+    Examples
+    --------
+    Without normalisation the sum is kept:
+
+    >>> import numpy as np
+    >>> from odak.tools import blur_gaussian
+    >>> image = np.zeros((16, 16))
+    >>> image[8, 8] = 3
+    >>> round(float(blur_gaussian(image, (5, 5), (2, 2), normalize=False).sum()), 9)
+    3.0
     """
     _validate.image("field", field)
     if "complex" in str(field.dtype):
@@ -372,6 +407,16 @@ def smooth_pad(
         If `field` is not a real or complex floating array.
     ValueError
         If the size is smaller than the field, or an argument is not known.
+
+    Examples
+    --------
+    The field itself is kept:
+
+    >>> import numpy as np
+    >>> from odak.tools import smooth_pad
+    >>> padded = smooth_pad(np.ones((4, 4)), [8, 8])
+    >>> float(padded[2:6, 2:6].min()), bool(padded[0, 0] < 0.3)
+    (1.0, True)
     """
     height, width, top, left = frame(field, size, method)
     xp, device = _array.namespace(field), _array.device_of(field)
@@ -468,6 +513,14 @@ def generate_bandlimits(size: Sequence[int] = (512, 512), levels: int = 9) -> np
     ------
     ValueError, TypeError
         If `size` is not two positive integers or `levels` not a positive one.
+
+    Examples
+    --------
+    Each ring has a quarter of the frequencies of the one outside it:
+
+    >>> from odak.tools import generate_bandlimits
+    >>> generate_bandlimits([32, 32], 3).sum((1, 2)).tolist()
+    [768.0, 192.0, 48.0]
     """
     rows, columns = _validate.size("size", size)
     masks = np.zeros((_validate.integer("levels", levels, minimum=1), rows, columns))

@@ -54,6 +54,17 @@ def nufft2(
     Notes
     -----
     Barnett, Magland and af Klinteberg, SIAM J. Sci. Comput. 41, C479 (2019), eq. 1.3.
+
+    Examples
+    --------
+    The mode of number 1 at a phase of π/2 per mode:
+
+    >>> import numpy as np
+    >>> from odak.tools import nufft2
+    >>> modes = np.zeros((1, 4))
+    >>> modes[0, 3] = 2
+    >>> complex(nufft2(modes, np.zeros((1, 1)), np.full((1, 1), np.pi / 2), [1, 1])[0, 0].round(9))
+    2j
     """
     field, fx, fy = _checked(field, fx, fy, sign, eps)
     shape = field.shape if size is None else _counts("size", size)
@@ -104,6 +115,19 @@ def nuifft2(
         If the transform is large and finufft is not installed (``pip install finufft``).
     ValueError, TypeError
         If an argument is not acceptable, naming it.
+
+    Examples
+    --------
+    It is the adjoint of :func:`nufft2`, ⟨A·u, v⟩ = ⟨u, Aᴴ·v⟩:
+
+    >>> import numpy as np
+    >>> from odak.tools import nufft2, nuifft2
+    >>> random = np.random.default_rng(0)
+    >>> fx, fy = random.uniform(-3, 3, (2, 1, 5))
+    >>> u, v = random.normal(size=(4, 6)), random.normal(size=(1, 5))
+    >>> forward, back = nufft2(u, fx, fy, [1, 5]), nuifft2(v, fx, fy, [4, 6], sign=-1)
+    >>> bool(np.allclose((forward * v).sum(), (u * back.conj()).sum()))
+    True
     """
     field, fx, fy = _checked(field, fx, fy, sign, eps, modes=False)
     shape = _validate.size("size", field.shape if size is None else size)

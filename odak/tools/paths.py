@@ -44,6 +44,13 @@ def validate_path(
     ValueError
         For a null byte, a component ``..``, a URL, a device or network path, a path of more than 260 characters, or
         an extension that is not among those accepted.
+
+    Examples
+    --------
+    >>> import os
+    >>> from odak.tools import validate_path
+    >>> os.path.basename(validate_path("picture.png", [".png", ".jpg"]))
+    'picture.png'
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, got {type(name).__name__}")
@@ -81,6 +88,13 @@ def validate_cwd(cwd: str | os.PathLike) -> str:
         If it is neither a string nor a path object.
     ValueError
         For a null byte.
+
+    Examples
+    --------
+    >>> import os
+    >>> from odak.tools import validate_cwd
+    >>> validate_cwd(".") == os.getcwd()
+    True
     """
     return os.path.abspath(os.path.expanduser(_text("cwd", cwd)))
 
@@ -97,6 +111,12 @@ def get_base_filename(filename: str) -> tuple[str, str]:
     -------
     tuple of str
         Base name and extension with its dot: ``("b.tar", ".gz")``, ``("noext", "")``, ``(".hidden", "")``.
+
+    Examples
+    --------
+    >>> from odak.tools import get_base_filename
+    >>> get_base_filename("data/archive.tar.gz")
+    ('archive.tar', '.gz')
     """
     return os.path.splitext(os.path.basename(_name(filename)))
 
@@ -113,6 +133,13 @@ def expanduser(filename: str) -> str:
     -------
     str
         Path, otherwise unchanged.
+
+    Examples
+    --------
+    >>> import os
+    >>> from odak.tools import expanduser
+    >>> expanduser("~/data") == os.path.expanduser("~/data"), expanduser("data")
+    (True, 'data')
     """
     return os.path.expanduser(_name(filename))
 

@@ -92,6 +92,16 @@ class markdown(LabelledText):
     ------
     FileNotFoundError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import markdown, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "a.md")
+    ...     written = write_to_text_file(["Some words.", "", "```", "code", "```"], name)
+    ...     markdown(name).content_type
+    ['text', 'empty', 'markdown', 'markdown', 'markdown']
     """
 
     def __init__(self, filename: str | os.PathLike):
@@ -179,6 +189,16 @@ class latex(LabelledText):
     ------
     FileNotFoundError
         If there is no such file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.tools import latex, write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "a.tex")
+    ...     written = write_to_text_file(["Some words.", "% a remark", r"\section{Title}"], name)
+    ...     latex(name).content_type
+    ['text', 'comment', 'latex']
     """
 
     def __init__(self, filename: str | os.PathLike):

@@ -114,6 +114,12 @@ def zernike_norm(n: int, m: int) -> float:
     -------
     float
         sqrt(n + 1) for m = 0, sqrt(2(n + 1)) otherwise (Noll, J. Opt. Soc. Am. 66, 207 (1976), eq. 1).
+
+    Examples
+    --------
+    >>> from odak.tools import zernike_norm
+    >>> zernike_norm(1, 1), round(zernike_norm(2, 0) ** 2, 9)
+    (2.0, 3.0)
     """
     n, m = check_mode(n, m)
     return math.sqrt((1 if m == 0 else 2) * (n + 1))
@@ -157,6 +163,12 @@ def osa_to_nm(j: int) -> tuple[int, int]:
     -------
     tuple of int
         Radial order n and azimuthal frequency m (Thibos et al., J. Refract. Surg. 18, S652 (2002)).
+
+    Examples
+    --------
+    >>> from odak.tools import osa_to_nm
+    >>> [osa_to_nm(j) for j in (0, 1, 2, 4, 12)]
+    [(0, 0), (1, -1), (1, 1), (2, 0), (4, 0)]
     """
     j = _validate.integer("j", j)
     n = (math.isqrt(8 * j + 1) - 1) // 2
