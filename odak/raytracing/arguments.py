@@ -1,4 +1,4 @@
-"""Rays, points and surfaces as the public doors accept them, turned into plain float arrays."""
+"""Checks of rays, points and surfaces given to public functions, and their conversion to arrays of floats."""
 
 import numpy as np
 

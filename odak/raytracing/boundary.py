@@ -53,8 +53,10 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
         Rays, ``[2, 3]`` or ``[m, 2, 3]``.
     normvector : array
         Normals as rays, of any length and sign; one serves many rays, and the reverse.
-    n1, n2 : float or array
-        Refractive indices before and behind the surface, numbers or ``[m]``.
+    n1 : float or array
+        Refractive index before the surface, a number or ``[m]``.
+    n2 : float or array
+        Refractive index behind the surface, a number or ``[m]``.
     error : float
         Not used: the result is exact. Kept so that the call equals that of :func:`odak.learn.raytracing.refract`.
 
@@ -84,8 +86,10 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
 
     Parameters
     ----------
-    ray, normal : array
-        ``[2, 3]`` or ``[m, 2, 3]``, lengths and signs free.
+    ray : array
+        Rays, ``[2, 3]`` or ``[m, 2, 3]``; directions of any length.
+    normal : array
+        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, of any length and sign.
     n1 : float or array
         Real refractive index before the surface.
     n2 : float, complex or array
@@ -117,7 +121,7 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
 
 
 def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarray]:
-    """Meet the plane through three points.
+    """Intersect rays with the plane through three points.
 
     Parameters
     ----------
@@ -175,7 +179,7 @@ def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -
 
 
 def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.ndarray]:
-    """Meet the plane of a circle; the distance is 0 where the point lies outside the circle.
+    """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle.
 
     Parameters
     ----------
@@ -187,7 +191,17 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.nda
     Returns
     -------
     tuple of numpy.ndarray
-        As :func:`intersect_w_surface`; a batch of one ray keeps its axis.
+        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, and distances ``[m]``, as of :func:`intersect_w_surface`.
+
+    Examples
+    --------
+    The first ray meets the disc of radius 2 at z = 5, the second one passes by:
+
+    >>> from odak.raytracing import define_circle, intersect_w_circle
+    >>> circle = define_circle([0, 0, 5], 2.0, [0, 0, 0])
+    >>> rays = [[[1, 0, 0], [0, 0, 1]], [[3, 0, 0], [0, 0, 1]]]
+    >>> intersect_w_circle(rays, circle)[1].ravel().tolist()
+    [5.0, 0.0]
     """
     if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
         raise TypeError(f"circle must be a list [plane, centre, radius], got {circle!r:.80}")
@@ -201,7 +215,7 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.nda
 
 
 def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
-    """Meet triangles, ahead of the start or behind it; their rims belong to them.
+    """Intersect rays with triangles, ahead of the start or behind it; their rims belong to them.
 
     Parameters
     ----------
@@ -293,7 +307,7 @@ def get_cylinder_normal(point: Array, cylinder: Array) -> np.ndarray:
 
 
 def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
-    """Meet a sphere: the nearest point ahead, or the exit when the ray starts inside.
+    """Intersect rays with a sphere, at the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
     ----------
@@ -323,7 +337,7 @@ def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
 
 
 def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
-    """Meet an infinite cylinder: the nearest point ahead, or the exit when the ray starts inside.
+    """Intersect rays with an infinite cylinder, at the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
     ----------
@@ -418,8 +432,10 @@ def propagate_parametric_intersection_error(distance: Sequence, error: Sequence)
 
     Parameters
     ----------
-    distance, error : sequence
-        Two values each (numbers or arrays): the older and the newer.
+    distance : sequence
+        Two distances x0 and x1, numbers or arrays: the older and the newer.
+    error : sequence
+        The errors e0 and e1 at these distances.
 
     Returns
     -------
@@ -453,7 +469,7 @@ def intersect_parametric(
     target_error: float = 0.00000001,
     iter_no_limit: int = 100000,
 ) -> tuple:
-    """Meet a surface given as a function: the nearest point ahead of each ray.
+    """Intersect rays with a surface given as a function, at the nearest point ahead.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ def unit(vector):
 def finite_rays(start, direction):
     """Return rays with the ones that hold NaN or infinity replaced by zeros, and which were kept.
 
-    A ray lost at an earlier surface must not poison the gradients of a surface it shares with others.
+    A ray lost at an earlier surface must not make the gradients NaN of a surface that it shares with others.
     """
     xp = namespace(start, direction)
     kept = xp.isfinite(dot(start, xp.ones_like(start)) + dot(direction, xp.ones_like(direction)))

@@ -56,7 +56,9 @@ def bring_plane_to_origin(
     ----------
     point : array
         ``[3]`` or ``[m, 3]``.
-    plane, shape
+    plane : array or None
+        Not used; kept for older calls.
+    shape : sequence of float, default: (10.0, 10.0)
         Not used; kept for older calls.
     center : sequence of float
         Where the plane's centre is.
@@ -85,7 +87,24 @@ def bring_plane_to_origin(
 
 
 def center_of_triangle(triangle: Array) -> np.ndarray:
-    """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
+    """Return the mean of the corners of triangles.
+
+    Parameters
+    ----------
+    triangle : array
+        One triangle ``[3, 3]``, or several ``[m, 3, 3]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[m, 3]``, and ``[1, 3]`` for one triangle.
+
+    Examples
+    --------
+    >>> from odak.raytracing import center_of_triangle
+    >>> center_of_triangle([[0, 0, 0], [3, 0, 0], [0, 6, 0]]).tolist()
+    [[1.0, 2.0, 0.0]]
+    """
     return arguments.batch(arguments.triangles("triangle", triangle), 2).mean(axis=-2)
 
 
@@ -96,8 +115,12 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
     ----------
     pointtocheck : array
         ``[3]`` or ``[m, 3]``.
-    point0, point1, point2 : array
-        Corners, ``[3]`` each.
+    point0 : array
+        First corner, ``[3]``.
+    point1 : array
+        Second corner, ``[3]``.
+    point2 : array
+        Third corner, ``[3]``.
 
     Returns
     -------
@@ -121,7 +144,29 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
 
 
 def define_circle(center: Array, radius: float, angles: Sequence[float]) -> list:
-    """Return a circle as [plane ``[3, 3]``, centre, radius]; the arguments are those of :func:`define_plane`."""
+    """Return a circle as [plane ``[3, 3]``, centre, radius].
+
+    Parameters
+    ----------
+    center : array
+        Centre of the circle, ``[3]``.
+    radius : float
+        Radius, in the unit of the centre.
+    angles : sequence of float
+        Degrees about X, Y and Z, applied in this order. Without tilt the circle lies in z = center[2].
+
+    Returns
+    -------
+    list
+        Three points of the plane ``[3, 3]``, the centre and the radius, as :func:`intersect_w_circle` takes them.
+
+    Examples
+    --------
+    >>> from odak.raytracing import define_circle
+    >>> plane, center, radius = define_circle([0.0, 0.0, 5.0], 2.0, [0.0, 0.0, 0.0])
+    >>> plane[:, 2].tolist(), float(radius)
+    ([5.0, 5.0, 5.0], 2.0)
+    """
     arguments.finite_points("center", center)
     _radius(radius)
     return [define_plane(center, angles), center, radius]
@@ -141,12 +186,37 @@ def define_sphere(center: Sequence[float] | Array, radius: float) -> np.ndarray:
     -------
     numpy.ndarray
         float64 ``[4]``.
+
+    Examples
+    --------
+    >>> from odak.raytracing import define_sphere
+    >>> define_sphere([0, 0, 5], 3).tolist()
+    [0.0, 0.0, 5.0, 3.0]
     """
     return np.concatenate((arguments.finite_points("center", center).reshape(3), _radius(radius))).astype(np.float64)
 
 
 def sphere_function(point: Array, sphere: Array) -> np.ndarray:
-    """Return |p − c|² − r² of points ``[3]`` or ``[m, 3]`` as ``[m]``: zero on the sphere, negative inside."""
+    """Return |p − c|² − r², which is zero on a sphere and negative inside.
+
+    Parameters
+    ----------
+    point : array
+        Points p, ``[3]`` or ``[m, 3]``.
+    sphere : array
+        Centre c and radius r, ``[4]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[m]``.
+
+    Examples
+    --------
+    >>> from odak.raytracing import sphere_function
+    >>> sphere_function([[0, 0, 0], [3, 0, 0]], [0, 0, 0, 2]).tolist()
+    [-4.0, 5.0]
+    """
     point = arguments.batch(arguments.points("point", point), 1)
     sphere = arguments.numbers("sphere", sphere, 4)
     _validate.fitting(point=point, sphere=sphere[..., :3])
@@ -183,11 +253,29 @@ def define_cylinder(center: Sequence[float], radius: float, rotation: Sequence[f
 
 
 def cylinder_function(point: Array, cylinder: Array) -> np.ndarray:
-    """Return the squared distance to the axis minus r², ``[m]``, of points ``[3]`` or ``[m, 3]``.
+    """Return the squared distance to the axis of a cylinder minus the squared radius.
+
+    Parameters
+    ----------
+    point : array
+        Points p, ``[3]`` or ``[m, 3]``.
+    cylinder : array
+        ``[7]`` of :func:`define_cylinder`.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[m]``: zero on the cylinder, negative inside.
 
     Notes
     -----
     |(p − c) × a|² − r² with the unit axis a.
+
+    Examples
+    --------
+    >>> from odak.raytracing import cylinder_function, define_cylinder
+    >>> cylinder_function([[0, 0, 9], [3, 0, 9]], define_cylinder([0, 0, 0], 2)).tolist()
+    [-4.0, 5.0]
     """
     point = arguments.batch(arguments.points("point", point), 1)
     center, radius, axis = split_cylinder(cylinder)

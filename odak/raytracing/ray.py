@@ -75,8 +75,10 @@ def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
 
     Parameters
     ----------
-    x0y0z0, x1y1z1 : array
-        Starts and ends, ``[3]`` or ``[m, 3]``; one of either serves many of the other.
+    x0y0z0 : array
+        Starts, ``[3]`` or ``[m, 3]``; one start serves many ends.
+    x1y1z1 : array
+        Points that the rays head to, ``[3]`` or ``[m, 3]``; one end serves many starts.
 
     Returns
     -------
@@ -130,8 +132,10 @@ def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
 
     Parameters
     ----------
-    x0y0z0, x1y1z1 : array
-        Starts ``[m, 3]`` and ends ``[n, 3]``.
+    x0y0z0 : array
+        Starts, ``[m, 3]``.
+    x1y1z1 : array
+        Ends, ``[n, 3]``.
 
     Returns
     -------
@@ -214,8 +218,10 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.nda
 
     Parameters
     ----------
-    ray0, ray1 : array
-        ``[2, 3]`` each, or batches ``[m, 2, 3]``.
+    ray0 : array
+        First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
+    ray1 : array
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
 
     Returns
     -------
@@ -236,7 +242,7 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.nda
     start0, direction0, start1, direction1, one = _pair(ray0, ray1)
     t0, t1, meet = geometry.crossing_of_lines(start0, direction0, start1, direction1)
     distances = np.where(meet[..., None], np.stack((t0, t1), axis=-1), 0.0)
-    # A ray that is lost meets no other: not to be taken for one that passes it by.
+    # Lost rays are NaN here, unlike rays that do not intersect.
     distances += 0.0 * (start0 + direction0 + start1 + direction1).sum(axis=-1, keepdims=True)
     point = start0 + distances[..., :1] * direction0
     return (point[0], distances[0]) if one else (point, distances)
@@ -247,8 +253,10 @@ def find_nearest_points(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarra
 
     Parameters
     ----------
-    ray0, ray1 : array
-        ``[2, 3]`` each, or batches ``[m, 2, 3]``.
+    ray0 : array
+        First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
+    ray1 : array
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
 
     Returns
     -------
@@ -276,7 +284,7 @@ def _pair(ray0, ray1):
     return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :], ray0.shape[:-2] == (1,)
 
 
-# Darker samples have no phase to speak of.
+# The phase of samples of less power is not defined well enough.
 THRESHOLD = 1e-6
 
 
@@ -293,6 +301,18 @@ class FieldRays(NamedTuple):
         Squared amplitude, ``[..., rows, columns]``.
     path : array
         Optical path that the phase of the sample stands for, within half a wavelength of 0, ``[..., rows, columns]``.
+
+    Examples
+    --------
+    A converging lens of focal length 0.1 m bends a ray at x = 0.5 mm by −0.005 rad:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import rays_from_field
+    >>> from odak.wave import lens_phase
+    >>> field = np.exp(1j * lens_phase((5, 201), 0.1, 1e-5, 500e-9))
+    >>> rays = rays_from_field(field, 1e-5, 500e-9)
+    >>> round(float(rays.ray[2, 150, 0, 0]), 6), round(float(rays.ray[2, 150, 1, 0]), 4)
+    (0.0005, -0.005)
     """
 
     ray: Any
@@ -309,10 +329,12 @@ def rays_from_field(
     ----------
     field : array
         Complex field ``[..., rows, columns]``; sample ``n // 2`` of each axis is at x = y = 0.
-    dx, wavelength : float
-        Pixel pitch and the wavelength in the medium, in one unit, which is that of the rays too.
+    dx : float
+        Pixel pitch, in the unit of the rays.
+    wavelength : float
+        Wavelength in the medium, in the unit of `dx`.
     z : float
-        Where the field's plane stands.
+        Position of the field's plane along the axis.
     threshold : float
         Samples with less power than this share of the largest one's are dark.
 
@@ -331,7 +353,7 @@ def rays_from_field(
     The gradient is that of geometric optics (Born and Wolf, Principles of Optics, 1999, section 3.1.1: the eikonal); it
     says where light goes as long as it does not interfere: one wave at each place, and a phase that changes by less
     than π from one sample to the next. Differences of neighbours carry the gradient, to second order in `dx`, at the
-    rim of the light as well.
+    border of the illuminated samples as well.
 
     Examples
     --------

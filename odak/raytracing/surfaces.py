@@ -50,6 +50,23 @@ class Shape:
     Two variables of the class tell more: ``closed_form``, that the surface is the conic of :meth:`base` itself, and
     ``ranks``, the number of axes of each parameter that belong to one surface (0 unless given); axes in front of them
     are a batch.
+
+    Examples
+    --------
+    A paraboloid z = r²/(2R) as a shape of one's own:
+
+    >>> from dataclasses import dataclass
+    >>> from odak.raytracing import Shape, intersect_w_sag
+    >>> from odak.raytracing.surfaces import Sag
+    >>> @dataclass(frozen=True)
+    ... class Paraboloid(Shape):
+    ...     radius: float = 1.0
+    ...
+    ...     def sag(self, x, y):
+    ...         height = (x * x + y * y) / (2 * self.radius)
+    ...         return Sag(height, x / self.radius, y / self.radius, height >= 0)
+    >>> float(intersect_w_sag([[0, 2, -10], [0, 0, 1]], Paraboloid(4.0)).distance)
+    10.5
     """
 
     closed_form: ClassVar[bool] = False
@@ -84,7 +101,16 @@ class Shape:
 
 @dataclass(frozen=True)
 class Plane(Shape):
-    """The plane z = 0."""
+    """The plane z = 0.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.raytracing import Plane
+    >>> sag = Plane().sag(np.asarray([1.0]), np.asarray([2.0]))
+    >>> round(float(sag.height[0]), 6)
+    0.0
+    """
 
     closed_form: ClassVar[bool] = True
 
@@ -104,6 +130,16 @@ class Conic(Shape):
         1/radius at the vertex; positive when the centre lies at +z, 0 for a plane.
     conic : float or array
         Conic constant: 0 sphere, −1 paraboloid, below −1 hyperboloid.
+
+    Examples
+    --------
+    A sphere of radius 5 has the height 5 − √(25 − 9) at a distance 3 from the axis:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import Conic
+    >>> sag = Conic(curvature=1 / 5).sag(np.asarray([3.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.0
     """
 
     curvature: Any = 0.0
@@ -131,6 +167,16 @@ class EvenAsphere(Conic):
         Conic constant of the conic.
     coefficients : sequence or array
         a1, a2, … along the last axis.
+
+    Examples
+    --------
+    A plane plus 0.1·r² + 0.01·r⁴, at r = 2:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import EvenAsphere
+    >>> sag = EvenAsphere(coefficients=[0.1, 0.01]).sag(np.asarray([2.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    0.56
     """
 
     coefficients: Any = ()
@@ -161,6 +207,16 @@ class ZernikeFreeform(Conic):
         Amplitudes in Noll's order from j = 1, each the polynomial's RMS over the disc.
     radius : float or array
         Radius of the disc.
+
+    Examples
+    --------
+    Defocus, Noll's fourth polynomial, is √3·(2ρ² − 1): its value at the rim is √3.
+
+    >>> import numpy as np
+    >>> from odak.raytracing import ZernikeFreeform
+    >>> sag = ZernikeFreeform(coefficients=[0, 0, 0, 1.0], radius=10.0).sag(np.asarray([10.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.732051
     """
 
     coefficients: Any = ()
@@ -190,6 +246,16 @@ class Toroid(Shape):
         Conic constant of the profile.
     coefficients : sequence or array
         a1, a2, … of a1·y² + a2·y⁴ + …, added to the profile.
+
+    Examples
+    --------
+    A cylinder of radius 5 along x has the height 5 − √(25 − 9) at x = 3, for any y:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import Toroid
+    >>> sag = Toroid(curvature_x=1 / 5).sag(np.asarray([3.0]), np.asarray([7.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.0
     """
 
     curvature_x: Any = 0.0
@@ -225,6 +291,18 @@ class SplineFreeform(Shape):
         Vertex curvature of the conic.
     conic : float or array
         Conic constant of the conic.
+
+    Examples
+    --------
+    The spline through the heights of a plane z = x/10 is that plane:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import SplineFreeform
+    >>> x = np.linspace(-2, 2, 9)
+    >>> spline = SplineFreeform.through(0.1 * x[:, None] * np.ones((9, 9)), [4.0, 4.0])
+    >>> sag = spline.sag(np.asarray([0.5]), np.asarray([0.25]))
+    >>> round(float(sag.height[0]), 4)
+    0.05
     """
 
     heights: Any
@@ -293,6 +371,16 @@ class OddAsphere(Conic):
         Conic constant of the conic.
     coefficients : sequence or array
         a1, a2, … along the last axis. A term a1 makes a cone, whose tip has no normal.
+
+    Examples
+    --------
+    A plane plus 0.1·r + 0.01·r², at r = 2:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import OddAsphere
+    >>> sag = OddAsphere(coefficients=[0.1, 0.01]).sag(np.asarray([2.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    0.24
     """
 
     coefficients: Any = ()
@@ -332,6 +420,16 @@ class Biconic(Shape):
     Notes
     -----
     z = (c_x x² + c_y y²)/(1 + √(1 − (1 + k_x)c_x²x² − (1 + k_y)c_y²y²)).
+
+    Examples
+    --------
+    A cylinder of radius 5 along x has the height 5 − √(25 − 9) at x = 3, for any y:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import Biconic
+    >>> sag = Biconic(curvature_x=1 / 5).sag(np.asarray([3.0]), np.asarray([7.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.0
     """
 
     curvature_x: Any = 0.0
@@ -376,6 +474,16 @@ class PolynomialFreeform(Conic):
         In units of length, in the order x, y, x², xy, y², x³, …
     radius : float or array
         R.
+
+    Examples
+    --------
+    A plane plus 0.3·(x/R)·(y/R), at x = R and y = 2R:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import PolynomialFreeform
+    >>> sag = PolynomialFreeform(coefficients=[0, 0, 0, 0.3], radius=10.0).sag(np.asarray([10.0]), np.asarray([20.0]))
+    >>> round(float(sag.height[0]), 6)
+    0.6
     """
 
     coefficients: Any = ()
@@ -411,6 +519,17 @@ class ChebyshevFreeform(Conic):
         ``[n0, n1]``, the first axis i.
     size : sequence or array
         A and B, half the extents along x and y. The surface ends there.
+
+    Examples
+    --------
+    T_2(u) = 2u² − 1 is −1 in the middle and 1 at the rim:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import ChebyshevFreeform
+    >>> surface = ChebyshevFreeform(coefficients=[[0.0], [0.0], [0.5]], size=[4.0, 4.0])
+    >>> sag = surface.sag(np.asarray([4.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    0.5
     """
 
     coefficients: Any = ((0.0,),)
@@ -474,6 +593,16 @@ class QbfsAsphere(Shape):
     -----
     z = cr²/(1 + φ) + u²(1 − u²)/φ·Σ a_m·Q_m(u²), u = r/R, φ = √(1 − c²r²). Forbes, Opt. Express 15, 5218 (2007); the
     recurrence is that of Opt. Express 18, 19700 (2010).
+
+    Examples
+    --------
+    The departure from the best-fit sphere vanishes at the semi-diameter:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import QbfsAsphere
+    >>> sag = QbfsAsphere(curvature=1 / 5, coefficients=[0.1], radius=3.0).sag(np.asarray([3.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.0
     """
 
     curvature: Any = 0.0
@@ -557,6 +686,17 @@ class QconAsphere(Conic):
     -----
     z = conic + u⁴·Σ a_m·Q_m(u²), u = r/R, Q_m(v) = P_m^(0, 4)(2v − 1), Jacobi's polynomials. Forbes, Opt. Express 15,
     5218 (2007).
+
+    Examples
+    --------
+    At the semi-diameter every polynomial is 1, so that the departure is the sum of the coefficients:
+
+    >>> import numpy as np
+    >>> from odak.raytracing import QconAsphere
+    >>> surface = QconAsphere(curvature=1 / 5, coefficients=[0.1, 0.02], radius=3.0)
+    >>> sag = surface.sag(np.asarray([3.0]), np.asarray([0.0]))
+    >>> round(float(sag.height[0]), 6)
+    1.12
     """
 
     coefficients: Any = ()

@@ -29,7 +29,7 @@ def propagate_partially_coherent(
     guard: float = GUARD,
     memory: int = MEMORY,
 ) -> Array:
-    """Return the intensity on a window of light that is neither of one wavelength nor from one direction.
+    """Return the intensity on a window under partially coherent light: several wavelengths and directions.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def _source(source, field):
 def gaussian_spectrum(
     wavelength: float, width: float, count: int = 9, *, xp: Any = None, device: Any = None
 ) -> tuple[Array, Array]:
-    """Return wavelengths and weights that stand for a Gaussian line.
+    """Return wavelengths and weights of a quadrature over a Gaussian spectral line.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def disk_source(
     xp: Any = None,
     device: Any = None,
 ) -> tuple[Array, Array]:
-    """Return directions and weights that stand for a bright disk.
+    """Return directions and weights of a quadrature over a uniformly bright disk.
 
     Parameters
     ----------

@@ -16,8 +16,8 @@ def convolve(field, kernel):
     """Return the field filtered by `kernel`, on the field's own window.
 
     The field ``[..., m, n]`` is continued by zeros to the kernel's size ``[..., M, N]`` (M ≥ m, N ≥ n), transformed,
-    multiplied by the kernel (FFT order), transformed back and cut to ``[..., m, n]`` again. Cyclic convolution does
-    not care where the window sits, so it starts at index 0 and nothing is shifted; rows that are zero are not
+    multiplied by the kernel (FFT order), transformed back and cut to ``[..., m, n]`` again. Cyclic convolution is
+    independent of the position of the window, which starts at index 0, so that nothing is shifted; rows that are zero are not
     transformed going in, rows that are cut are not transformed coming out.
 
     Parameters

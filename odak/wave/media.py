@@ -164,7 +164,7 @@ class _Step:
             if k + 1 < count:
                 weight = weight * xp.clip((found[k + 1] - real) / (found[k + 1] - found[k]), 0.0, 1.0)
             wave = xp.fft.ifftn(spectrum * self._kernel(found[k], 1.0), axes=(-2, -1))
-            # What a sample's index differs from this one delays the axial wave; interpolation is left with the rest.
+            # The difference of a sample's index from this one delays the axial wave; the rest is interpolated.
             delay = phasor_of_cycles((real - found[k]) * (self.dz / self.wavelength), self.dtype)
             result = result + wave * delay * xp.astype(weight, _array.real_dtype(field))
         return xp.astype(result, self.dtype, copy=False)

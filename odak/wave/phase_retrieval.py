@@ -83,10 +83,10 @@ def gerchberg_saxton(
 def retrieve(
     field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update=None, callback=None
 ):
-    """Return hologram and reconstruction after as many turns as `turns` yields; the algorithm of both faces.
+    """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
-    `update(target, amplitude)` gives the next image amplitude (the target by default), `callback(turn, phase)` is
-    told of each turn and stops by returning True.
+    `update(target, amplitude)` gives the next image amplitude (the target by default). `callback(turn, phase)` is
+    called after each iteration, and ends them by returning True.
     """
     field = _validate.image("field", field)
     hologram, light = _alternate(
@@ -122,7 +122,7 @@ def _alternate(
 
 
 def _correction(image, target, update):
-    """Return what has to be added to the image, inside its window, for its amplitude to become the target's.
+    """Return the correction of the image, inside its window, that makes its amplitude that of the target.
 
     The field outside the window is free and stays as it is. Propagated back it is the part of the hologram it came
     from, so only the change needs to make the way back, on the window alone.
@@ -135,7 +135,7 @@ def _correction(image, target, update):
 
 
 def _limit(phase, slm_range):
-    """Return the phase as a modulator of that range can show it: 0 … range, the nearer end for what lies beyond."""
+    """Return the phase within the range of a modulator, 0 … range; phases beyond it take the nearer end."""
     xp = _array.namespace(phase)
     phase = phase - xp.floor(phase / (2 * math.pi)) * (2 * math.pi)
     if slm_range >= 2 * math.pi:
@@ -261,10 +261,10 @@ def spot_hologram(
     fixed_phase_after: int | None = None,
     seed: Any = None,
 ) -> tuple:
-    """Return a phase-only hologram that focuses light into points of space, of even or given brightness.
+    """Return a phase-only hologram that focuses light into points of space, of equal or given intensities.
 
     The field of each spot is a lens and a prism, which is a column times a row, so that sums over all spots and
-    pixels are matrix products. Each turn makes the spots brighter that came out too dim.
+    pixels are matrix products. Each iteration raises the weights of the spots that are too weak.
 
     Parameters
     ----------
@@ -348,8 +348,8 @@ def weighted_gerchberg_saxton(
 ) -> tuple:
     """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
 
-    Where the target is not zero its amplitude is weighted up or down each turn, until what comes out is even: for
-    arrays of spots and for images alike. Where it is zero there should be no light.
+    Each iteration adapts the weights of the target's amplitude where it is not zero, until the far field is
+    proportional to the target, for arrays of spots and for images. Where the target is zero, so should be the far field.
 
     Parameters
     ----------
@@ -497,20 +497,20 @@ def _spots(field, columns, rows):
 
 
 def _push(amplitude, wanted, axes=-1):
-    """Return what is wanted over what came, both on the same mean."""
+    """Return the ratio of the wanted amplitudes to those reached, both normalised to the same mean."""
     xp = _array.namespace(amplitude)
     came, whole = (xp.sum(part * wanted, axis=axes, keepdims=True) for part in (amplitude, wanted))
     return wanted * (came / whole) / _not_zero(amplitude)
 
 
 def _not_zero(amplitude):
-    """Return the amplitude, one where it is zero."""
+    """Return the amplitude, 1 where it is zero."""
     xp = _array.namespace(amplitude)
     return xp.where(amplitude > 0, amplitude, xp.ones((), dtype=amplitude.dtype, device=_array.device_of(amplitude)))
 
 
 def _unit(field):
-    """Return the field of the same phase and amplitude one; one where it is dark."""
+    """Return the field of the same phase and amplitude one; 1 where the field is zero."""
     xp = _array.namespace(field)
     amplitude = xp.abs(field)
     one = xp.ones((), dtype=field.dtype, device=_array.device_of(field))

@@ -196,7 +196,7 @@ def _transfer(grid: Grid, window: Window, rays: Rays, lines):
     v, u = (line.cycles(pitch) / pitch for line, pitch in zip(lines, grid.pitch, strict=True))
     squared = 1 / grid.wavelength**2 - v**2 - u**2
     meets = squared > (1e-3 / grid.wavelength) ** 2
-    # Any frequency will do for what is left out.
+    # The frequency of the waves that are left out is arbitrary.
     safe = xp.astype(meets, xp.float64)
     v, u = v * safe, u * safe
     w = xp.sqrt(1 / grid.wavelength**2 - v**2 - u**2)

@@ -1,4 +1,4 @@
-"""Transfer functions of free space, the grid on which they are sampled, and the store that keeps them.
+"""Transfer functions of free space, the grid on which they are sampled, and their cache.
 
 A transfer function takes a :class:`Grid` and returns ``[..., rows, columns]`` in the order of the discrete Fourier
 transform (zero frequency at index 0), for NumPy, PyTorch or any other array-API library. Phases are counted in cycles,
@@ -28,7 +28,7 @@ _SLAB = 1 << 17
 
 @dataclass(frozen=True)
 class Grid:
-    """Where and with what a transfer function is sampled.
+    """Grid and options with which a transfer function is sampled.
 
     All kernels of free space are even in both axes, so that they are evaluated on the quarter of non-negative
     indices (0 … n // 2) and unfolded by :meth:`unfold`.
@@ -119,7 +119,7 @@ def angular_spectrum(grid: Grid):
 
 
 def plane_wave_transfer(grid: Grid, fy, fx):
-    """Return what free space does to the plane waves of frequencies (fy, fx), travelling or evanescent."""
+    """Return the transfer function of free space at the frequencies (fy, fx), travelling or evanescent."""
     xp = grid.xp
     transverse = fx**2 + fy**2
     squared = 1 / grid.wavelength**2 - transverse
@@ -226,7 +226,7 @@ def impulse_response_factors(grid: Grid):
         rank = max(position.ndim, grid.wavelength.ndim, grid.distance.ndim)
         offsets = xp.reshape(target[:, None] - source[None, :], (-1,) + (1,) * rank) * grid.pitch[axis]
         cycles = (position + offsets) ** 2 / (2 * grid.wavelength * grid.distance)
-        # Even by symmetry of the two apertures, so the non-negative half says it all.
+        # Even by symmetry of the two apertures, so that the non-negative half suffices.
         mean = xp.sum(phasor_of_cycles(cycles, double), axis=0) / offsets.shape[0]
         factors.append(grid.unfold_axis(mean, axis))
     return constant, *factors
@@ -330,7 +330,7 @@ class KernelCache:
             self.bytes -= _bytes_of(self._entries.popitem(last=False)[1])
 
     def _after_fork(self):
-        # Another thread may have held the lock: its owner is not in this process, and would never let go.
+        # Another thread may have held the lock: it does not exist in this process and would never release it.
         self._lock = threading.RLock()
 
     def resize(self, maximum_bytes: int):
@@ -371,7 +371,7 @@ def clear_kernel_cache() -> None:
 
 
 def set_kernel_cache_size(maximum_bytes: int) -> None:
-    """Bound the store of transfer functions; 0 switches it off.
+    """Bound the memory of the cache of transfer functions; 0 switches it off.
 
     Parameters
     ----------

@@ -357,7 +357,7 @@ class _Transfer:
         rays = Rays.between(grid, self.window)
         fy, fx = (line.held().cycles(pitch) / pitch for line, pitch in zip(rays.lines(), grid.pitch, strict=True))
         squared = 1 / grid.wavelength**2 - fy**2 - fx**2
-        # A decaying wave goes nowhere sideways.
+        # An evanescent wave does not propagate sideways.
         axial = xp.sqrt(xp.where(squared > 0, squared, xp.ones_like(squared) * 1e300))
         weight = rays.weight(self.window.guard, (fy / axial, fx / axial))
         kernel = plane_wave_transfer(grid, fy, fx) * xp.astype(weight, grid.dtype)

@@ -1,4 +1,4 @@
-"""Rays, points and surfaces as the public doors accept them, turned into tensors of one precision and device."""
+"""Checks of rays, points and surfaces given to public functions, and their conversion to tensors."""
 
 import functools
 from numbers import Real

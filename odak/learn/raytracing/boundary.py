@@ -47,8 +47,10 @@ def refract(
         Rays, ``[2, 3]`` or ``[m, 2, 3]``.
     normvector : torch.Tensor
         Normals as rays, of any length and sign; one serves many rays, and the reverse.
-    n1, n2 : float or torch.Tensor
-        Refractive indices before and behind the surface, numbers or ``[m]``.
+    n1 : float or torch.Tensor
+        Refractive index before the surface, a number or ``[m]``.
+    n2 : float or torch.Tensor
+        Refractive index behind the surface, a number or ``[m]``.
     error : float
         Not used: the result is exact. Kept for older calls.
 
@@ -110,12 +112,14 @@ def reflect(input_ray: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
 def fresnel_coefficients(
     ray: torch.Tensor, normal: torch.Tensor, n1: float | torch.Tensor, n2: complex | torch.Tensor
 ) -> Fresnel:
-    """Return the Fresnel coefficients of rays at surfaces; see :func:`odak.raytracing.fresnel_coefficients`.
+    """Return the Fresnel coefficients of rays at surfaces, as amplitudes and as shares of the power.
 
     Parameters
     ----------
-    ray, normal : torch.Tensor
-        ``[2, 3]`` or ``[m, 2, 3]``.
+    ray : torch.Tensor
+        Rays, ``[2, 3]`` or ``[m, 2, 3]``; directions of any length.
+    normal : torch.Tensor
+        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, of any length and sign.
     n1 : float or torch.Tensor
         Real index before the surface.
     n2 : float, complex or torch.Tensor
@@ -124,7 +128,18 @@ def fresnel_coefficients(
     Returns
     -------
     Fresnel
-        Named tuple of tensors ``[m]``, differentiable in all arguments.
+        Named tuple of tensors ``[m]`` for s and p: `reflected_*` and `transmitted_*` (complex amplitudes),
+        `reflectance_*` and `transmittance_*` (power, each pair adds up to 1); differentiable in all arguments.
+
+    Examples
+    --------
+    At normal incidence glass reflects ((n − 1)/(n + 1))²:
+
+    >>> import torch
+    >>> from odak.learn.raytracing import fresnel_coefficients
+    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
+    0.04
     """
     ray, normal = arguments.tensors(ray=ray, normal=normal)
     ray, normal = arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :]
@@ -141,7 +156,7 @@ def intersect_w_sphere(
     number_of_steps: int = 5000,
     error_threshold: float = 1e-2,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Meet a sphere in closed form: the nearest point ahead, or the exit when the ray starts inside.
+    """Intersect rays with a sphere in closed form, at the nearest point ahead, or the exit when the ray starts inside.
 
     Parameters
     ----------
@@ -149,8 +164,12 @@ def intersect_w_sphere(
         ``[2, 3]`` or ``[m, 2, 3]``.
     sphere : torch.Tensor
         ``[4]`` or ``[1, 4]``, or ``[m, 4]``: one for each ray.
-    learning_rate, number_of_steps, error_threshold
+    learning_rate : float, default: 0.2
         Not used; kept for older calls, which iterated.
+    number_of_steps : int, default: 5000
+        Not used; kept for older calls.
+    error_threshold : float, default: 0.01
+        Not used; kept for older calls.
 
     Returns
     -------
@@ -180,7 +199,7 @@ def intersect_w_sphere(
 
 
 def intersect_w_triangle(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
-    """Meet one triangle, ahead of the starts or behind them.
+    """Intersect rays with one triangle, ahead of the starts or behind them.
 
     Parameters
     ----------
@@ -197,6 +216,16 @@ def intersect_w_triangle(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
         - the k rays that hit the triangle, ``[k, 2, 3]``;
         - their normals ``[k, 2, 3]``;
         - bool ``[1, m]``: which rays hit, by the rule of :func:`odak.learn.raytracing.is_it_on_triangle`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_w_triangle
+    >>> triangle = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+    >>> rays = torch.tensor([[[1.0, 1, 0], [0, 0, 1]], [[4, 4, 0], [0, 0, 1]]])
+    >>> _, distances, _, _, hits = intersect_w_triangle(rays, triangle)
+    >>> distances.flatten().tolist(), hits.tolist()
+    ([5.0, 5.0], [[True, False]])
     """
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), _one("triangle", triangle)
@@ -205,7 +234,7 @@ def intersect_w_triangle(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
 
 
 def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
-    """Meet many triangles with many rays.
+    """Intersect many rays with many triangles.
 
     Parameters
     ----------
@@ -221,6 +250,16 @@ def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tup
         - lists with one entry for each triangle that is hit, in order: distances ``[k]``, rays ``[k, 2, 3]`` and
           normals ``[k, 2, 3]`` of the rays that hit it;
         - bool ``[m, n]``: which ray hits which triangle.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_w_triangle_batch
+    >>> triangle = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+    >>> triangles = torch.stack([triangle, triangle + 10])
+    >>> hits = intersect_w_triangle_batch(torch.tensor([[1.0, 1, 0], [0, 0, 1]]), triangles)[-1]
+    >>> hits.tolist()
+    [[True], [False]]
     """
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
@@ -231,7 +270,7 @@ def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tup
 
 
 def intersect_w_surface(ray: torch.Tensor, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Meet the plane through three points.
+    """Intersect rays with the plane through three points.
 
     Parameters
     ----------
@@ -261,9 +300,29 @@ def intersect_w_surface(ray: torch.Tensor, points: torch.Tensor) -> tuple[torch.
 
 
 def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Meet the planes of m triangles with n rays: normals ``[m, n, 2, 3]`` and signed distances ``[m, n]``.
+    """Intersect n rays with the planes of m triangles.
 
-    Each entry is that of :func:`intersect_w_surface`.
+    Parameters
+    ----------
+    ray : torch.Tensor
+        Rays, ``[2, 3]`` or ``[n, 2, 3]``.
+    triangle : torch.Tensor
+        Triangles, ``[3, 3]`` or ``[m, 3, 3]``.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Normals ``[m, n, 2, 3]`` and signed distances ``[m, n]``, each as of :func:`intersect_w_surface`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_w_surface_batch
+    >>> plane = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+    >>> shifted = plane + torch.tensor([0.0, 0.0, 2.0])
+    >>> ray = torch.tensor([[0.0, 0, 0], [0, 0, 1]])
+    >>> intersect_w_surface_batch(ray, torch.stack([plane, shifted]))[1].flatten().tolist()
+    [5.0, 7.0]
     """
     ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
@@ -284,6 +343,13 @@ def get_triangle_normal(triangle: torch.Tensor, triangle_center: torch.Tensor | 
     -------
     torch.Tensor
         ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN normal where the corners are in line.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import get_triangle_normal
+    >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
+    [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """
     center = {} if triangle_center is None else {"triangle_center": triangle_center}
     triangle, *center = arguments.tensors(triangle=triangle, **center)
@@ -308,6 +374,13 @@ def get_sphere_normal_torch(point: torch.Tensor, sphere: torch.Tensor) -> torch.
     -------
     torch.Tensor
         ``[m, 2, 3]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import get_sphere_normal_torch
+    >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
+    [0.0, 0.0, -1.0]
     """
     point, sphere = arguments.tensors(point=point, sphere=sphere)
     point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
@@ -316,7 +389,7 @@ def get_sphere_normal_torch(point: torch.Tensor, sphere: torch.Tensor) -> torch.
 
 
 def intersect_w_circle(ray: torch.Tensor, circle: Sequence) -> tuple[torch.Tensor, torch.Tensor]:
-    """Meet the plane of a circle; the distance is 0 where the point lies outside the circle.
+    """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle.
 
     Parameters
     ----------
@@ -329,6 +402,17 @@ def intersect_w_circle(ray: torch.Tensor, circle: Sequence) -> tuple[torch.Tenso
     -------
     tuple of torch.Tensor
         Normals as in :func:`intersect_w_surface` (``[2, 3]`` for a ray ``[2, 3]``) and distances ``[m, 1]``.
+
+    Examples
+    --------
+    The first ray meets the disc of radius 2 at z = 5, the second one passes by:
+
+    >>> import torch
+    >>> from odak.learn.raytracing import define_circle, intersect_w_circle
+    >>> circle = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
+    >>> rays = torch.tensor([[[1.0, 0, 0], [0, 0, 1]], [[3, 0, 0], [0, 0, 1]]])
+    >>> intersect_w_circle(rays, circle)[1].flatten().tolist()
+    [5.0, 0.0]
     """
     if not isinstance(circle, (list, tuple)) or len(circle) != 3:
         raise TypeError(f"circle must be [plane, centre, radius] of define_circle, got {type(circle).__name__}")
@@ -416,6 +500,13 @@ def get_cylinder_normal(point: torch.Tensor, cylinder: torch.Tensor) -> torch.Te
     -------
     torch.Tensor
         ``[m, 2, 3]``. Each starts at its point's foot on the axis.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_cylinder, get_cylinder_normal
+    >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
+    [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
     """
     point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
     point = arguments.points("point", point)
@@ -428,7 +519,7 @@ def get_cylinder_normal(point: torch.Tensor, cylinder: torch.Tensor) -> torch.Te
 def intersect_w_cylinder(
     ray: torch.Tensor, cylinder: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Meet an infinite cylinder in closed form: the nearest point ahead, or the exit when the ray starts inside.
+    """Intersect rays with an infinite cylinder in closed form, at the nearest point ahead, or the exit from inside.
 
     Parameters
     ----------

@@ -38,8 +38,12 @@ class detector:
     pixel_locations : torch.Tensor
         Places of the pixels in space, ``[n0·n1, 3]``, second index fast. The outer ones lie on the rim: their pitch is
         size/(n − 1).
-    pixel_size, pixel_diagonal_size, pixel_diagonal_half_size : torch.Tensor
-        size/resolution ``[2]``, its diagonal, and half of that.
+    pixel_size : torch.Tensor
+        size/resolution, ``[2]``.
+    pixel_diagonal_size : torch.Tensor
+        Diagonal of a pixel.
+    pixel_diagonal_half_size : torch.Tensor
+        Half of that diagonal.
     plane : torch.Tensor
         Three points of the plane, ``[3, 3]``.
     image : torch.Tensor

@@ -39,8 +39,10 @@ class planar_mesh:
     ----------
     heights : torch.Tensor
         Leaf ``[n0, n1, 1]`` that requires a gradient; the tensor given, when it was one.
-    X, Y : torch.Tensor
-        Places of the vertices, ``[n0, n1, 1]``.
+    X : torch.Tensor
+        Positions of the vertices along x, ``[n0, n1, 1]``.
+    Y : torch.Tensor
+        Positions of the vertices along y, ``[n0, n1, 1]``.
     ray_indices : torch.Tensor or None
         After :meth:`mirror`: which ray each of the reflected ones was, ``[k]``.
 

@@ -29,6 +29,13 @@ def define_plane(point: torch.Tensor, angles: torch.Tensor = _NONE) -> torch.Ten
     -------
     torch.Tensor
         ``[3, 3]``, a point per row; the right-hand normal is the rotated z axis.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_plane
+    >>> define_plane(torch.tensor([0.0, 0.0, 5.0]))[:, 2].tolist()
+    [5.0, 5.0, 5.0]
     """
     point, angles = _beside(point, angles)
     if point.numel() != 3 or angles.numel() != 3:
@@ -104,10 +111,14 @@ def bring_plane_to_origin(
     ----------
     point : torch.Tensor
         ``[3]`` or ``[m, 3]``.
-    plane, shape
+    plane : object, optional
         Not used; kept so that the call equals that of :func:`odak.raytracing.bring_plane_to_origin`.
-    center, angles : torch.Tensor
-        Where the plane's centre is, and its rotation in degrees about X, Y and Z, ``[3]``.
+    shape : sequence of float, default: (10.0, 10.0)
+        Not used; kept for the same reason.
+    center : torch.Tensor
+        Centre of the plane, ``[3]``; the origin by default.
+    angles : torch.Tensor
+        Rotation of the plane in degrees about X, Y and Z, ``[3]``; none by default.
     mode : str
         Order of the rotations, as in :func:`odak.learn.tools.rotate_points`.
 
@@ -115,6 +126,13 @@ def bring_plane_to_origin(
     -------
     torch.Tensor
         R⁻¹·(point − center), ``[m, 3]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import bring_plane_to_origin
+    >>> bring_plane_to_origin(torch.tensor([2.0, 1.0, 1.0]), center=torch.tensor([1.0, 1.0, 1.0])).tolist()
+    [[1.0, 0.0, 0.0]]
     """
     center, angles = ([0.0, 0.0, 0.0] if v is _NONE else v for v in (center, angles))
     point, center, angles = arguments.tensors(point=point, center=center, angles=angles)
@@ -126,7 +144,25 @@ def bring_plane_to_origin(
 
 
 def center_of_triangle(triangle: Any) -> torch.Tensor:
-    """Return the mean of the corners of triangles ``[3, 3]`` or ``[m, 3, 3]``, always as ``[m, 3]``."""
+    """Return the mean of the corners of triangles.
+
+    Parameters
+    ----------
+    triangle : torch.Tensor
+        One triangle ``[3, 3]``, or several ``[m, 3, 3]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 3]``, and ``[1, 3]`` for one triangle.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import center_of_triangle
+    >>> center_of_triangle(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 6, 0]])).tolist()
+    [[1.0, 2.0, 0.0]]
+    """
     (triangle,) = arguments.tensors(triangle=triangle)
     return arguments.triangles("triangle", triangle).mean(dim=-2)
 
@@ -164,9 +200,27 @@ def is_it_on_triangle(point_to_check: torch.Tensor, triangle: torch.Tensor) -> t
 
 
 def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
-    """Say which points of row i lie on triangle i: ``[k, m, 3]`` and ``[k, 3, 3]`` give bool ``[k, m]``.
+    """Say which points lie on the triangle of their row, judged along its normal.
 
-    The rule is that of :func:`is_it_on_triangle`.
+    Parameters
+    ----------
+    point_to_check : torch.Tensor
+        Points ``[k, m, 3]``: m of them for each triangle.
+    triangle : torch.Tensor
+        Triangles ``[k, 3, 3]``.
+
+    Returns
+    -------
+    torch.Tensor
+        bool ``[k, m]``, by the rule of :func:`is_it_on_triangle`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import is_it_on_triangle_batch
+    >>> triangle = torch.tensor([[[0.0, 0, 0], [4, 0, 0], [0, 4, 0]]])
+    >>> is_it_on_triangle_batch(torch.tensor([[[1.0, 1, 0], [4, 4, 0]]]), triangle).tolist()
+    [[True, False]]
     """
     point, triangle = arguments.tensors(point_to_check=point_to_check, triangle=triangle)
     triangle = arguments.listed("triangle", triangle, (3, 3), "[k, 3, 3]")
@@ -207,7 +261,27 @@ def define_sphere(center: torch.Tensor | None = None, radius: torch.Tensor | Non
 
 
 def sphere_function(point: Any, sphere: Any) -> torch.Tensor:
-    """Return |p − c|² − r² of points ``[3]`` or ``[m, 3]`` and spheres ``[4]`` or ``[m, 4]``: zero on the sphere."""
+    """Return |p − c|² − r², which is zero on a sphere and negative inside.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        Points p, ``[3]`` or ``[m, 3]``.
+    sphere : torch.Tensor
+        Centres c and radii r, ``[4]`` or ``[m, 4]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import sphere_function
+    >>> sphere_function(torch.tensor([[0.0, 0, 0], [3, 0, 0]]), torch.tensor([0.0, 0, 0, 2])).tolist()
+    [-4.0, 5.0]
+    """
     point, sphere = arguments.tensors(point=point, sphere=sphere)
     sphere = arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
     arm = arguments.points("point", point) - sphere[..., :3]
@@ -215,7 +289,30 @@ def sphere_function(point: Any, sphere: Any) -> torch.Tensor:
 
 
 def define_circle(center: Any, radius: Any, angles: Any) -> list:
-    """Return a circle as [plane ``[3, 3]``, centre, radius ``[1]``]; see :func:`define_plane`."""
+    """Return a circle as [plane ``[3, 3]``, centre, radius ``[1]``].
+
+    Parameters
+    ----------
+    center : torch.Tensor
+        Centre of the circle, ``[3]``.
+    radius : float or torch.Tensor
+        Radius, in the unit of the centre.
+    angles : torch.Tensor
+        Degrees about X, Y and Z, applied in this order. Without tilt the circle lies in z = center[2].
+
+    Returns
+    -------
+    list
+        Three points of the plane ``[3, 3]``, the centre and the radius, as :func:`intersect_w_circle` takes them.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_circle
+    >>> plane, center, radius = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
+    >>> plane[:, 2].tolist(), radius.tolist()
+    ([5.0, 5.0, 5.0], [2.0])
+    """
     place, radius = arguments.tensors(center=center, radius=radius)
     plane = define_plane(arguments.vector("center", place), angles)
     return [plane, center, arguments.vector("radius", radius, 1).to(plane)]
@@ -266,7 +363,27 @@ def define_cylinder(
 
 
 def cylinder_function(point: Any, cylinder: Any) -> torch.Tensor:
-    """Return the squared distance to the axis minus r² of points ``[3]`` or ``[m, 3]``: zero on the cylinder."""
+    """Return the squared distance to the axis of a cylinder minus the squared radius.
+
+    Parameters
+    ----------
+    point : torch.Tensor
+        Points p, ``[3]`` or ``[m, 3]``.
+    cylinder : torch.Tensor
+        ``[7]`` or ``[m, 7]`` of :func:`define_cylinder`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[m]``: zero on the cylinder, negative inside.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import cylinder_function, define_cylinder
+    >>> cylinder_function(torch.tensor([[0.0, 0, 9], [3, 0, 9]]), define_cylinder(torch.zeros(3), 2.0)).tolist()
+    [-4.0, 5.0]
+    """
     point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
     center, radius, axis = split_cylinder(cylinder)
     arm = arguments.points("point", point) - center

@@ -70,8 +70,10 @@ def create_ray_from_two_points(x0y0z0: torch.Tensor, x1y1z1: torch.Tensor) -> to
 
     Parameters
     ----------
-    x0y0z0, x1y1z1 : torch.Tensor
-        Starts and ends, ``[3]`` or ``[m, 3]``; one of either serves many of the other.
+    x0y0z0 : torch.Tensor
+        Starts, ``[3]`` or ``[m, 3]``; one start serves many ends.
+    x1y1z1 : torch.Tensor
+        Points that the rays head to, ``[3]`` or ``[m, 3]``; one end serves many starts.
 
     Returns
     -------
@@ -97,13 +99,22 @@ def create_ray_from_all_pairs(x0y0z0: torch.Tensor, x1y1z1: torch.Tensor) -> tor
 
     Parameters
     ----------
-    x0y0z0, x1y1z1 : torch.Tensor
-        Starts ``[m, 3]`` and ends ``[n, 3]``.
+    x0y0z0 : torch.Tensor
+        Starts, ``[m, 3]``.
+    x1y1z1 : torch.Tensor
+        Ends, ``[n, 3]``.
 
     Returns
     -------
     torch.Tensor
         ``[m·n, 2, 3]``; ray i·n + j goes from start i to end j. NaN where both coincide.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray_from_all_pairs
+    >>> tuple(create_ray_from_all_pairs(torch.zeros(2, 3), torch.ones(3, 3)).shape)
+    (6, 2, 3)
     """
     start, end = arguments.tensors(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
     start, end = arguments.points("x0y0z0", start)[:, None], arguments.points("x1y1z1", end)
@@ -126,6 +137,16 @@ def create_ray_from_angles(point: torch.Tensor, angles: torch.Tensor, mode: str 
     -------
     torch.Tensor
         ``[m, 2, 3]``.
+
+    Examples
+    --------
+    A rotation of 90° about y takes the z axis to the x axis:
+
+    >>> import torch
+    >>> from odak.learn.raytracing import create_ray_from_angles
+    >>> ray = create_ray_from_angles(torch.zeros(3), torch.tensor([0.0, 90.0, 0.0]))
+    >>> [round(abs(value), 6) for value in ray[0, 1].tolist()]
+    [1.0, 0.0, 0.0]
     """
     point, angles = arguments.tensors(point=point, angles=angles)
     point, angles = arguments.points("point", point), arguments.points("angles", angles)
@@ -209,8 +230,14 @@ def create_ray_from_point_w_luminous_angle(
         Start of all rays, ``[3]``.
     num_ray : int
         Number of rays.
-    tilt, angle_limit, seed, generator
-        As in :func:`create_ray_from_grid_w_luminous_angle`.
+    tilt : torch.Tensor
+        Degrees about X, Y and Z, applied in this order, by which the axis of the cone is rotated from +z.
+    angle_limit : float
+        Half angle of the cone in degrees, 0 … 180. Directions are uniform in solid angle.
+    seed : int, optional
+        Makes the result repeatable.
+    generator : torch.Generator, optional
+        The same, with the caller's generator.
 
     Returns
     -------
@@ -276,6 +303,14 @@ def get_points_along_a_ray_segment(ray: torch.Tensor, distances: torch.Tensor) -
     -------
     torch.Tensor
         ``[k, 3]`` for one ray, ``[m, k, 3]`` for several.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import get_points_along_a_ray_segment
+    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> get_points_along_a_ray_segment(ray, torch.tensor([1.0, 2.5]))[:, 2].tolist()
+    [1.0, 2.5]
     """
     ray, distances = arguments.tensors(ray=ray, distances=distances)
     ray = arguments.rays("ray", ray)
@@ -288,8 +323,10 @@ def calculate_intersection_of_two_rays(ray0: torch.Tensor, ray1: torch.Tensor) -
 
     Parameters
     ----------
-    ray0, ray1 : torch.Tensor
-        ``[2, 3]`` or ``[m, 2, 3]``; one of either serves many of the other.
+    ray0 : torch.Tensor
+        First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
+    ray1 : torch.Tensor
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
 
     Returns
     -------
@@ -317,13 +354,24 @@ def find_nearest_points(ray0: torch.Tensor, ray1: torch.Tensor) -> tuple[torch.T
 
     Parameters
     ----------
-    ray0, ray1 : torch.Tensor
-        ``[2, 3]`` or ``[m, 2, 3]``; one of either serves many of the other.
+    ray0 : torch.Tensor
+        First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
+    ray1 : torch.Tensor
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
 
     Returns
     -------
     tuple of torch.Tensor
         Points ``[m, 3]`` on ray0 and ray1; for parallel lines ray0's start and its foot on ray1.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import find_nearest_points
+    >>> ray0 = torch.tensor([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    >>> ray1 = torch.tensor([[0.0, 0.0, 5.0], [0.0, 1.0, 0.0]])
+    >>> [point.tolist() for point in find_nearest_points(ray0, ray1)]
+    [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 5.0]]]
     """
     start0, direction0, start1, direction1 = _pair(ray0, ray1)
     t0, t1 = nearest_on_lines(start0, direction0, start1, direction1)

@@ -138,7 +138,7 @@ def intersect_parametric(
     target_error: float = 0.00000001,
     iter_no_limit: int = 100000,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Meet a surface given as a function: the nearest point ahead of each ray.
+    """Intersect rays with a surface given as a function, at the nearest point ahead.
 
     Parameters
     ----------

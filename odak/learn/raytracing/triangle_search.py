@@ -266,7 +266,7 @@ def _leaves(tree: Tree, beam: Beam, best, face, ray, node, chosen):
 
 
 class MeshHit(NamedTuple):
-    """Where rays meet a mesh.
+    """Intersections of rays with a mesh of triangles.
 
     Attributes
     ----------
@@ -282,6 +282,16 @@ class MeshHit(NamedTuple):
         Weights of the three corners, ``[..., 3]``, sum 1; NaN unless hit.
     status : torch.Tensor
         :class:`odak.raytracing.RayStatus` as int8, ``[...]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import triangle_mesh
+    >>> vertices = torch.tensor([[0.0, 0, 5], [4, 0, 5], [0, 4, 5]])
+    >>> mesh = triangle_mesh(vertices, torch.tensor([[0, 1, 2]]))
+    >>> hit = mesh.intersect(torch.tensor([[[1.0, 1, 0], [0, 0, 1]], [[9, 9, 0], [0, 0, 1]]]))
+    >>> hit.distance[0].item(), hit.face.tolist()
+    (5.0, [0, -1])
     """
 
     distance: Any

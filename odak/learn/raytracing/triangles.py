@@ -1,4 +1,4 @@
-"""Meshes of triangles that rays meet in bulk: nearest hit, without gaps, differentiable in rays and vertices."""
+"""Intersections of many rays with meshes of triangles, without gaps, differentiable in rays and vertices."""
 
 import itertools
 from typing import Any
