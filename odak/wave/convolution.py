@@ -17,8 +17,8 @@ def convolve(field, kernel):
 
     The field ``[..., m, n]`` is continued by zeros to the kernel's size ``[..., M, N]`` (M ≥ m, N ≥ n), transformed,
     multiplied by the kernel (FFT order), transformed back and cut to ``[..., m, n]`` again. Cyclic convolution is
-    independent of the position of the window, which starts at index 0, so that nothing is shifted; rows that are zero are not
-    transformed going in, rows that are cut are not transformed coming out.
+    independent of the position of the window, which starts at index 0, so that nothing is shifted; rows that are zero
+    are not transformed going in, rows that are cut are not transformed coming out.
 
     Parameters
     ----------

@@ -349,7 +349,8 @@ def weighted_gerchberg_saxton(
     """Return a phase-only hologram whose far field, as in the focal plane of a lens, has the target's amplitude.
 
     Each iteration adapts the weights of the target's amplitude where it is not zero, until the far field is
-    proportional to the target, for arrays of spots and for images. Where the target is zero, so should be the far field.
+    proportional to the target, for arrays of spots and for images. Where the target is zero the far field should be
+    dark.
 
     Parameters
     ----------
