@@ -28,7 +28,7 @@ from odak.learn.raytracing.system.lens_files import system_to_dict
 from odak.learn.raytracing.system.paraxial import first_order, seidel_sums
 from odak.learn.raytracing.system.pupils import AIMS, launch, pupil_samples
 from odak.learn.raytracing.system.surfaces import checked_system, is_break
-from odak.learn.raytracing.system.tracing import ray_paths
+from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import modulation_transfer_function, point_spread_function
 from odak.tools.paths import _text, replacing
 
@@ -68,6 +68,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         rays = launch(system, pupil_samples("y", count), aim=aim)
         paths = ray_paths(system, rays)[system.reference].cpu()
         frames = [tuple(part.cpu().numpy() for part in pair) for pair in zip(*system.frames(), strict=True)]
+        curves = _curves(system, rays)
     start = paths[..., 0, :]
     direction = torch.stack([value[0].cpu() for value in rays[3:]], -1)
     extent = float(
@@ -93,7 +94,8 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         color = _color(f)
         for p in range(paths.shape[1]):
             label = _field_label(system, f) if p == 0 else None
-            axes.plot(paths[f, p, :, 2], paths[f, p, :, 1], color=color, lw=0.7, label=label, zorder=2)
+            line = _with_curves(paths[f, p], {place: curve[f, p] for place, curve in curves.items()}, len(frames))
+            axes.plot(line[:, 2], line[:, 1], color=color, lw=0.7, label=label, zorder=2)
     for i, item in enumerate(system.surfaces):
         if is_break(item):
             continue
@@ -110,6 +112,31 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     _scale_bar(axes, system.unit)
     axes.set_title(system.name, fontsize=11)
     return figure
+
+
+def _curves(system, rays) -> dict[int, np.ndarray]:
+    """Return points of the rays within each graded-index medium, by the number of the surface in front of it."""
+    graded = [i for i, item in enumerate(system.surfaces) if item.gradient is not None]
+    if not graded:
+        return {}
+    paths = ray_paths(system, rays)
+    ends = {i: next(j for j in range(i + 1, len(system.surfaces) + 1) if not _is_break(system, j)) for i in graded}
+    return {
+        i: curved_paths(system, rays, i, paths[..., j + 1, :])[system.reference].cpu().numpy() for i, j in ends.items()
+    }
+
+
+def _is_break(system, i: int) -> bool:
+    return i < len(system.surfaces) and is_break(system.surfaces[i])
+
+
+def _with_curves(path: np.ndarray, curves: dict[int, np.ndarray], stations: int) -> np.ndarray:
+    """Return the points of a ray at its stations, the last of which are surfaces, with those of its curves between."""
+    first = len(path) - stations
+    parts = [path[:first]]
+    for i in range(stations):
+        parts += [path[first + i : first + i + 1], *([curves[i][1:-1]] if i in curves else [])]
+    return np.concatenate(parts)
 
 
 def _color(i: int) -> tuple[float, ...]:

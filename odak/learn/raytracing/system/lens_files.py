@@ -27,6 +27,7 @@ from odak.learn.raytracing.system.surfaces import (
     surface,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
+from odak.raytracing.gradients import FunctionGradient, Gradient
 from odak.raytracing.phases import IdealLens, LinearGrating, Phase, RadialPhase
 from odak.raytracing.surfaces import (
     Biconic,
@@ -43,7 +44,7 @@ from odak.tools.paths import _text, replacing
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
 _IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
-_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase"}
+_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase", "gradient"}
 _BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
 _SYSTEM = {
     "aperture",
@@ -151,12 +152,16 @@ def _shape(item: Any) -> dict:
         entry = {key: value for key, value in entry.items() if key != "conic"} | {"shape": _by_fields(item.shape)}
     if item.own_phase is not None:
         entry["phase"] = _by_fields(item.phase)
+    if item.own_gradient is not None:
+        entry["gradient"] = _by_fields(item.gradient)
     entry["aperture"] = [_by_fields(part) for part in item.apertures]
     return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
 
 
 def _by_fields(item: Any) -> dict:
-    """Return a shape, a phase or an aperture as the name of its class and its fields."""
+    """Return a shape, a phase, a gradient or an aperture as the name of its class and its fields."""
+    if isinstance(item, FunctionGradient):
+        raise ValueError("a graded index given by a function cannot be written: define a class of Gradient")
     values = {field.name: _plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
     return {"kind": type(item).__name__} | values
 
@@ -235,7 +240,7 @@ def _built_item(where: str, entry) -> surface:
 def _built(where: str, entry, keys) -> surface:
     _known(where, entry, keys)
     entry = {"radius": math.inf, **entry}
-    for key, base in (("shape", Shape), ("phase", Phase)):
+    for key, base in (("shape", Shape), ("phase", Phase), ("gradient", Gradient)):
         if key in entry:
             entry[key] = _from_fields(f"{key} of {where}", base, entry[key])
     if "aperture" in entry:
@@ -796,6 +801,8 @@ def _zmx_text(system) -> str:
 
 def _written_form(name: str, item, scale: float) -> list[str]:
     """Return the lines of a surface's type, shape and phase."""
+    if item.own_gradient is not None:
+        raise ValueError(f"{name} has a graded index behind it, which is not written")
     if bool(item.shift.any()) or bool(item.tilt.any()):
         raise ValueError(f"{name} is shifted or tilted, which is not written; use coordinate breaks")
     shape, phase = item.shape, item.phase

@@ -262,7 +262,7 @@ def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: 
         raise TypeError(f"perturbations must be a sequence of Perturbation, got {perturbations!r:.80}")
     count = len(system.surfaces)
     values = nominal._asdict()
-    apart = {name: values.pop(name) for name in ("shapes", "phases", "wavelengths")}
+    apart = {name: values.pop(name) for name in ("shapes", "phases", "wavelengths", "gradients")}
     for name in ("shift", "tilt"):
         if values[name] is None:
             values[name] = torch.zeros(count, 2, dtype=torch.float64, device=nominal.thickness.device)

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _array, _validate
+from odak._array import is_readable
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     checked_prescription,
@@ -71,6 +72,11 @@ class Matrix(NamedTuple):
     def then_surface(self, power) -> "Matrix":
         """Return the matrix with a surface of this power behind it."""
         return Matrix(self.a, self.b, self.c - power * self.a, self.d - power * self.b)
+
+    def then(self, a, b, c, d) -> "Matrix":
+        """Return the matrix with another one behind it."""
+        first, second = self.a * a + self.c * b, self.b * a + self.d * b
+        return Matrix(first, second, self.a * c + self.c * d, self.b * c + self.d * d)
 
     def then_gap(self, reduced) -> "Matrix":
         """Return the matrix with a gap of this thickness over index behind it."""
@@ -222,15 +228,34 @@ def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: boo
     """Return the matrix of surfaces `start` to `stop` − 1, with the gap behind the last of them if asked for."""
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
+    # Indices at the vertices: those of a graded medium differ from that of its material, and at its two ends.
+    graded = None if start == 0 or p.gradients is None else _graded_gap(p, index, start - 1)
     for i in range(start, stop):
-        curvature = p.shape(i).curvatures()[1]
-        power = (index[..., i + 1] - index[..., i]) * curvature
+        before = index[..., i] if graded is None else graded[4][1]
+        graded = None if p.gradients is None else _graded_gap(p, index, i)
+        behind = index[..., i + 1] if graded is None else graded[4][0]
+        power = (behind - before) * p.shape(i).curvatures()[1]
         if p.phases is not None and p.phases[i] is not None and p.wavelengths is not None:
             power = power + p.phases[i].powers(p.wavelengths[0])[1]
         found = found.then_surface(power)
         if i + 1 < stop or gap:
-            found = found.then_gap(p.thickness[..., i] / index[..., i + 1])
+            if graded is None:
+                found = found.then_gap(p.thickness[..., i] / index[..., i + 1])
+            else:
+                found = found.then(*graded[:4])
     return found
+
+
+def _graded_gap(p: Prescription, index: torch.Tensor, i: int):
+    """Return the matrix elements and the end indices of a graded medium behind surface `i`, None for a plain one."""
+    gradient = p.gradients[i]  # type: ignore[index]
+    if gradient is None:
+        return None
+    if is_readable(index) and bool((index[..., i + 1] < 0).any()):
+        raise ValueError(
+            f"surfaces[{i}] has a graded medium behind an odd number of mirrors: no first-order properties"
+        )
+    return gradient.paraxial(index[..., i + 1], p.thickness[..., i])
 
 
 def _axial_ray(system, whole: Matrix, n):
@@ -321,8 +346,10 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     """
     checked_system(system), checked_prescription(prescription)
     p = system.prescription() if prescription is None else prescription
-    if (p.shapes is not None and any(p.shapes)) or (p.phases is not None and any(p.phases)):
-        raise ValueError("system must consist of planes, conics and even aspheres without diffractive phases")
+    if any(group is not None and any(group) for group in (p.shapes, p.phases, p.gradients)):
+        raise ValueError(
+            "system must consist of planes, conics and even aspheres without diffractive phases and graded indices"
+        )
     one = p.at(system.reference)
     n = signed_indices(system, one)
     pupil = entrance_pupil(system, prescription=one)
@@ -414,8 +441,8 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
     first, second = (_validate.place_in(n, v, len(items)) for n, v in (("first", first), ("second", second)))
     if not first < second:
         raise ValueError(f"first must be below second, got {first} and {second}")
-    if any(is_break(item) or item.phase is not None or item.reflects for item in items):
-        raise ValueError("system must be made of refracting surfaces without coordinate breaks and phases")
+    if any(is_break(item) or item.phase is not None or item.gradient is not None or item.reflects for item in items):
+        raise ValueError("system must be made of refracting surfaces without coordinate breaks, phases and gradients")
 
     def medium(i: int):
         item = items[i] if i >= 0 else None

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak._array import is_readable
+from odak.learn.raytracing.system.curved_rays import arrive
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
 from odak.raytracing.intersections import RayStatus
@@ -32,6 +33,8 @@ class Layout(NamedTuple):
         Class of the diffractive phase of each surface, or None.
     orders : tuple
         Of coordinate breaks: "shift", "tilt", or the number of the surface to whose frame the axis returns.
+    media : tuple
+        Class of the graded index behind each surface, or None.
     placed : bool
         Surfaces are shifted or tilted, or coordinates change.
     """
@@ -42,6 +45,7 @@ class Layout(NamedTuple):
     limits: tuple[Any, ...]
     phases: tuple[Any, ...] = ()
     orders: tuple[Any, ...] = ()
+    media: tuple[Any, ...] = ()
     placed: bool = False
 
     @property
@@ -51,6 +55,7 @@ class Layout(NamedTuple):
             not self.placed
             and all(kind in STANDARD for kind in self.kinds)
             and not any(self.phases)
+            and not any(self.media)
             and all(limit is None or isinstance(limit, float) for limit in self.limits)
         )
 
@@ -78,7 +83,8 @@ class Numbers(NamedTuple):
     shift, tilt : torch.Tensor or None
         ``[B, S, 2]`` and ``[B, S, 3]``, tilts in radians.
     others : tuple of torch.Tensor
-        Parameters ``[B, …]`` of the shapes that are not standard and of phases, in the order of the surfaces.
+        Parameters ``[B, …]`` of the shapes that are not standard, of phases and of graded indices, in the order of
+        the surfaces.
     """
 
     curvature: torch.Tensor
@@ -126,10 +132,9 @@ class State(NamedTuple):
 
 
 def _other_count(layout: Layout, i: int) -> int:
-    kind, phase = layout.kinds[i], layout.phases[i] if layout.phases else None
-    return (0 if kind in STANDARD else len(kind.ranks_of_parameters())) + (
-        0 if phase is None else len(phase.ranks_of_parameters())
-    )
+    kinds = [None if layout.kinds[i] in STANDARD else layout.kinds[i]]
+    kinds += [given[i] for given in (layout.phases, layout.media) if given]
+    return sum(len(kind.ranks_of_parameters()) for kind in kinds if kind is not None)
 
 
 def flat_arguments(layout: Layout, numbers: Numbers) -> tuple[list[torch.Tensor], list[int]]:
@@ -179,12 +184,15 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
     point, direction, path = (x, y, z), (u, v, w), torch.zeros_like(x + distance[..., 0])
     status = status.expand(path.shape)
     frames = Frames() if any(isinstance(order, int) for order in layout.orders) else None
+    medium: Graded | None = None
     for i, kind in enumerate(layout.kinds):
-        phase_kind = layout.phases[i] if layout.phases else None
         shape = _shape(kind, curvature[..., i], conic[..., i], coefficients[..., i, :], others)
-        phase = None if phase_kind is None else _taken(phase_kind, others)
+        phase, gradient = (_taken(given[i], others) if given else None for given in (layout.phases, layout.media))
         action, sign = layout.actions[i], layout.signs[i]
-        point = (point[0], point[1], point[2] - distance[..., i])
+        if medium is None:
+            point = (point[0], point[1], point[2] - distance[..., i])
+        else:
+            medium = medium.further(distance[..., i])
         if frames is not None:
             frames.move(distance[..., i])
         place: Frame | None = None
@@ -193,11 +201,22 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
             if action == "break":
                 if frames is not None:
                     place = frames.turn(place, layout.orders[i])
-                point, direction = place.enter(point, direction)
+                if medium is None:
+                    point, direction = place.enter(point, direction)
+                else:
+                    medium = medium._replace(frame=medium.frame.then(place))
                 continue
-            point, direction = place.enter(point, direction)
+            if medium is None:
+                point, direction = place.enter(point, direction)
         if frames is not None:
             frames.note()
+        n1 = index[..., i]
+        if medium is not None:
+            here = medium.frame if place is None else medium.frame.then(place)
+            curved = arrive(medium.gradient, medium.base, here, point, direction, shape, sign)
+            point, direction, n1, length, arrived = curved
+            status = _marked(status, arrived, RayStatus.NOT_CONVERGED)
+            path = path + torch.where(status == HIT, length, 0.0)
         # A ray must arrive from the side that its surface is passed from.
         moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
         status = _marked(status, moves, RayStatus.MISS)
@@ -205,7 +224,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
         found, state = intersection(point, direction, shape, None, "through")
         status = _marked(status, found.hit, state)
         kept = status == HIT
-        path = path + index[..., i] * torch.where(kept, found.distance, 0.0)
+        path = path + n1 * torch.where(kept, found.distance, 0.0)
         point, direction = _on_axis(status, sign, found.point, direction)
         limit = layout.limits[i]
         if limit is not None:
@@ -213,7 +232,11 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
             status = _marked(status, inside, RayStatus.VIGNETTED)
         if action != "pass" or phase is not None:
             normal = _on_axis(status, 1, point, found.normal)[1]
-            n1, n2 = index[..., i], index[..., i + 1]
+            n2 = n1 if action == "reflect" else index[..., i + 1]
+            if gradient is not None:
+                vertex = point if place is None else place.leave(point, direction)[0]
+                squared = gradient.squared(*vertex, n2)[0]
+                n2 = torch.where(squared > 0, squared, 1.0).sqrt()
             if phase is not None:
                 covered = phase.covers(point[0], point[1])
                 status = status if covered is True else _marked(status, covered, RayStatus.VIGNETTED)
@@ -228,6 +251,12 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
             point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
         if place is not None:
             point, direction = place.leave(point, direction)
+        if gradient is not None:
+            medium = Graded(gradient, index[..., i + 1], IDENTITY)
+        elif medium is not None and action == "reflect":
+            point, direction = medium.frame.leave(point, direction)
+        else:
+            medium = None
     held: Any = (*point, *direction, path, status)
     return State(*held)
 
@@ -243,7 +272,7 @@ def _shape(kind, curvature, conic, coefficients, others) -> Shape:
 
 
 def _taken(kind, others):
-    return kind(*(next(others) for _ in kind.ranks_of_parameters()))
+    return None if kind is None else kind(*(next(others) for _ in kind.ranks_of_parameters()))
 
 
 def _passes(limit, x, y):
@@ -303,6 +332,28 @@ class Frame(NamedTuple):
 
 
 IDENTITY = Frame([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], (0.0, 0.0, 0.0))
+
+
+class Graded(NamedTuple):
+    """The graded-index medium that rays are in.
+
+    Attributes
+    ----------
+    gradient : Gradient
+        The medium.
+    base : torch.Tensor
+        Index of its material.
+    frame : Frame
+        Frame of the axis, as far as one has come, in that of the medium, where the rays are held.
+    """
+
+    gradient: Any
+    base: torch.Tensor
+    frame: Frame
+
+    def further(self, distance) -> "Graded":
+        """Return the medium with the frame moved along the axis."""
+        return self._replace(frame=self.frame.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance))))
 
 
 class Frames:

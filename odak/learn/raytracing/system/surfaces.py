@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import fields as fields_of
-from itertools import pairwise
+from itertools import pairwise, zip_longest
 from numbers import Real
 from typing import Any, NamedTuple
 
@@ -16,6 +16,7 @@ from odak.catalog.materials import MICROMETRES, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
+from odak.raytracing.gradients import Gradient
 from odak.raytracing.phases import Phase
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
 
@@ -69,7 +70,9 @@ class surface(torch.nn.Module):
     aperture : odak.raytracing.apertures.Aperture or sequence of them, optional
         Further limits: rectangles, ellipses, polygons, rings, obscurations.
     phase : odak.raytracing.phases.Phase, optional
-        A grating, a phase polynomial or an ideal lens on it.
+        A grating, a hologram, a phase polynomial or an ideal lens on it.
+    gradient : odak.raytracing.gradients.Gradient, optional
+        Graded index of the medium behind it, of which `material` gives the base index; up to the next surface.
     stop : bool
         Whether it is the aperture stop.
     shift : sequence of float or torch.Tensor
@@ -118,6 +121,7 @@ class surface(torch.nn.Module):
         semi_diameter: float | None = None,
         aperture: Aperture | Sequence[Aperture] | None = None,
         phase: Phase | None = None,
+        gradient: Gradient | None = None,
         stop: bool = False,
         shift: Sequence[float] = (0.0, 0.0),
         tilt: Sequence[float] = (0.0, 0.0),
@@ -142,6 +146,9 @@ class surface(torch.nn.Module):
         _hold(self, "coefficients", _validate.real("coefficients", coefficients) if len(coefficients) else coefficients)
         self.own_shape = None if shape is None else _Parameters("shape", _checked("shape", shape, Shape))
         self.own_phase = None if phase is None else _Parameters("phase", _checked("phase", phase, Phase))
+        self.own_gradient = None
+        if gradient is not None:
+            self.own_gradient = _Parameters("gradient", _checked("gradient", gradient, Gradient))
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
@@ -149,6 +156,8 @@ class surface(torch.nn.Module):
         if isinstance(self.material, (Real, torch.Tensor)):
             _hold(self, "index", _validate.real("material", material, positive=True))
             self.material = None
+        if gradient is not None and self.material == MIRROR:
+            raise ValueError("gradient belongs to the medium behind a surface that refracts, not to a mirror")
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
             self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
@@ -183,6 +192,11 @@ class surface(torch.nn.Module):
         return None if self.own_phase is None else self.own_phase.build()
 
     @property
+    def gradient(self) -> Gradient | None:
+        """Graded index of the medium behind the surface, made of its numbers as they are."""
+        return None if self.own_gradient is None else self.own_gradient.build()
+
+    @property
     def limit(self) -> Any:
         """Aperture: a semi-diameter, an object with a method ``passes(x, y)``, or None."""
         if not self.apertures:
@@ -208,9 +222,10 @@ class surface(torch.nn.Module):
         ----------
         name : str
             "curvature", "radius", "conic", "coefficients", "thickness", "index" (of a material given as a number),
-            "shift" or "tilt"; or a parameter of the shape or the phase.
+            "shift" or "tilt"; or a parameter of the shape, the phase or the gradient ("coefficients" is that of the
+            first of them that has any).
         """
-        for held in (self.own_shape, self.own_phase):
+        for held in (self.own_shape, self.own_phase, self.own_gradient):
             if held is not None and isinstance(name, str) and _has(held, name):
                 return _vary(held, name)
         name = _validate.one_of("name", name, VARIABLES)
@@ -396,6 +411,8 @@ class Prescription(NamedTuple):
         For each surface its phase or None.
     wavelengths : torch.Tensor or None
         Vacuum wavelengths ``[W]``, which phases need.
+    gradients : tuple or None
+        For each surface the graded index behind it or None.
     """
 
     curvature: torch.Tensor
@@ -408,6 +425,7 @@ class Prescription(NamedTuple):
     shapes: tuple | None = None
     phases: tuple | None = None
     wavelengths: torch.Tensor | None = None
+    gradients: tuple | None = None
 
     @property
     def batch(self) -> torch.Size:
@@ -423,19 +441,20 @@ class Prescription(NamedTuple):
         )
 
     def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
-        """Return the parameters of other shapes and of phases with their own axes, in the order of the surfaces."""
-        shapes = list(self.shapes or [None] * self.thickness.shape[-1])
-        phases = list(self.phases or [None] * len(shapes))
+        """Return the parameters of other shapes, phases and gradients with their own axes, by surfaces."""
+        groups = [list(group or [None] * self.thickness.shape[-1]) for group in self._groups()]
         if image is not None:
-            shapes.append(image.shape if image.own_shape is not None else None)
-            phases.append(None)
+            groups[0].append(image.shape if image.own_shape is not None else None)
         like, found = self.thickness, []
-        for shape, phase in zip(shapes, phases, strict=True):
-            for held in (shape, phase):
+        for parts in zip_longest(*groups):
+            for held in parts:
                 if held is not None:
                     pairs = zip(held.parameters(), held.ranks_of_parameters(), strict=True)
                     found += [(torch.as_tensor(v, dtype=torch.float64, device=like.device), r) for v, r in pairs]
         return found
+
+    def _groups(self) -> tuple:
+        return self.shapes, self.phases, self.gradients
 
     def shape(self, i: int) -> Shape:
         """Return the shape of a surface, its parameters ``[..., …]``."""
@@ -462,7 +481,7 @@ class Prescription(NamedTuple):
         axes = (1, 1, 1, 2, 2, 2, 2)
         parts: Any = [None if value is None else one(value, own) for value, own in zip(self[:7], axes, strict=True)]
         held = []
-        for group in (self.shapes, self.phases):
+        for group in self._groups():
             chosen = [
                 item
                 if item is None
@@ -470,7 +489,7 @@ class Prescription(NamedTuple):
                 for item in group or ()
             ]
             held.append(tuple(chosen) if group is not None else None)
-        return Prescription(*(*parts, *held, self.wavelengths))
+        return Prescription(*parts, held[0], held[1], self.wavelengths, held[2])
 
     def requires_grad(self) -> bool:
         """Return whether a number requires a gradient."""
@@ -557,7 +576,7 @@ def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool
     ValueError
         If the axis does not meet a surface: a fold without coordinate breaks.
     """
-    kinds, actions, limits, phases, orders = [], [], [], [], []
+    kinds, actions, limits, orders = [], [], [], []
     before: tuple = ("air",)
     p = prescription
     for i, item in enumerate(surfaces):
@@ -569,7 +588,6 @@ def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool
         )
         actions.append(action)
         limits.append(item.limit if vignetting else None)
-        phases.append(None if p.phases is None or p.phases[i] is None else type(p.phases[i]))
         orders.append(item.order)
         before = medium
     if image is None:
@@ -577,7 +595,10 @@ def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool
     else:
         kinds.append(_kind(image.curvature, image.coefficients) if image.own_shape is None else image.own_shape.kind)
     limits.append(image.limit if image is not None and vignetting else None)
-    actions, phases, orders = [*actions, "pass"], [*phases, None], [*orders, None]
+    actions, orders = [*actions, "pass"], [*orders, None]
+    phases, media = (
+        tuple(None if held is None else type(held) for held in (*(group or ()), None)) for group in p._groups()[1:]
+    )
     slanted = image is not None and image.is_off_axis
     placed = slanted or p.shift is not None or p.tilt is not None or "break" in actions
     signs, sign = [], 1
@@ -586,7 +607,8 @@ def layout_of(surfaces, prescription: Prescription, image=None, vignetting: bool
         sign = -sign if action == "reflect" else sign
     if placed:
         signs = _signs_along_axis(p, image, actions, orders) or signs
-    return Layout(tuple(kinds), tuple(actions), tuple(signs), tuple(limits), tuple(phases), tuple(orders), bool(placed))
+    parts = tuple(kinds), tuple(actions), tuple(signs), tuple(limits)
+    return Layout(*parts, phases if any(phases) else (), tuple(orders), media if any(media) else (), bool(placed))
 
 
 def _signs_along_axis(p: Prescription, image, actions, orders) -> list[int] | None:
@@ -615,7 +637,7 @@ def _any(value: torch.Tensor) -> bool:
 
 
 def _medium_key(item) -> tuple:
-    if item.material is None:
+    if item.material is None or item.own_gradient is not None:
         return ("index", id(item))
     if isinstance(item.material, str):
         return (item.material,)
@@ -753,7 +775,7 @@ class optical_system(torch.nn.Module):
         )
         index = self._indices(wavelengths)
         shapes = tuple(None if item.own_shape is None else item.shape for item in items)
-        phases = tuple(item.phase for item in items)
+        phases, gradients = (tuple(getattr(item, name) for item in items) for name in ("phase", "gradient"))
         return Prescription(
             curvature,
             conic,
@@ -765,6 +787,7 @@ class optical_system(torch.nn.Module):
             shapes if any(shapes) else None,
             phases if any(phases) else None,
             torch.tensor(wavelengths, dtype=torch.float64, device=index.device),
+            gradients if any(gradients) else None,
         )
 
     def frames(self, prescription: Prescription | None = None, own: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
@@ -854,8 +877,13 @@ def checked_system(system) -> optical_system:
 def _image(value) -> surface | None:
     if value is not None and (not isinstance(value, surface) or is_break(value)):
         raise TypeError(f"image must be a surface, got {type(value).__name__}")
-    if value is not None and (value.stop or value.material != "air" or bool(value.thickness != 0) or value.phase):
-        raise ValueError("image is where light ends: it has no thickness, no material, no phase and is no stop")
+    inert = ("stop", "phase", "gradient")
+    if value is not None and (
+        value.material != "air" or bool(value.thickness != 0) or any(getattr(value, name) for name in inert)
+    ):
+        raise ValueError(
+            "image is where light ends: it has no thickness, no material, no phase, no gradient and is no stop"
+        )
     return value
 
 

@@ -8,6 +8,7 @@ import torch
 
 from odak import _array, _torch_private, _validate
 from odak.learn.raytracing.recompute import in_pieces
+from odak.learn.raytracing.system.curved_rays import points_within
 from odak.learn.raytracing.system.fused import Trace
 from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace
 from odak.learn.raytracing.system.surfaces import (
@@ -198,6 +199,44 @@ def ray_paths(system: Any, rays: Rays, *, prescription: Prescription | None = No
         local = torch.stack(found[:3], -1)
         stations.append(local @ matrices[place].to(local).mT + origins[place].to(local))
     return torch.stack(stations, -2)
+
+
+def curved_paths(system: Any, rays: Rays, place: int, ends: torch.Tensor, count: int = 32) -> torch.Tensor:
+    """Return points of rays within the graded-index medium behind a surface, in global coordinates.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    rays : Rays
+        From :func:`launch`.
+    place : int
+        Number of the surface.
+    ends : torch.Tensor
+        Global points ``[W, F, P, 3]`` where the rays leave the medium, from :func:`ray_paths`.
+    count : int
+        Number of pieces.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[W, F, P, count + 1, 3]``, NaN for rays that are lost.
+    """
+    numbers = system.prescription()
+    layout = layout_of(system.surfaces, numbers, system.image)
+    sequence = layout.first(place + 1)._replace(actions=layout.actions[: place + 1])
+    shape = _shape(rays, numbers)
+    flat = [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays]
+    state = plain_trace(
+        sequence, *flat, *flat_arguments(sequence, numbers.numbers(system.image).first(place + 1, layout))[0]
+    )
+    matrices, origins = system.frames(own=False)
+    local = ((ends - origins[place]) @ matrices[place]).reshape(*state.x.shape, 3)
+    lost = ~torch.isfinite(local).all(-1) | (state.status != HIT)
+    gradient, base = system.surfaces[place].gradient, numbers.index[..., place + 1].reshape(-1, 1)
+    points = points_within(gradient, base, state[:6], torch.where(lost, 0.0, local[..., 2]), count)
+    points = torch.where(lost, torch.nan, points).movedim((0, 1), (-2, -1))
+    return (points @ matrices[place].mT + origins[place]).reshape(*shape, count + 1, 3)
 
 
 def in_surface_frame(system, prescription: Prescription, place: int, traced: Traced) -> tuple:

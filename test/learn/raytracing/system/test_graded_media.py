@@ -1,0 +1,213 @@
+"""Graded-index media in optical systems: stigmatic balls, rods of a pitch, breaks and mirrors, gradients, files."""
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+import torch
+
+from odak.learn.raytracing.system import (
+    coordinate_break,
+    first_order,
+    launch,
+    layout_figure,
+    optical_system,
+    ray_paths,
+    seidel_sums,
+    surface,
+    system_from_dict,
+    system_to_dict,
+    trace,
+    trace_fields,
+)
+from odak.learn.raytracing.system.tracing import curved_paths
+from odak.raytracing import RayStatus
+from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
+
+F64 = torch.float64
+RAYS = torch.tensor([[[0.5, 0.2, 0.0], [0.0, 0, 1]], [[0.3, -0.4, 0.0], [0.1, 0.05, math.sqrt(1 - 0.0125)]]], dtype=F64)
+
+
+@dataclass(frozen=True)
+class Constant(Gradient):
+    """A medium of the index of its material and more: what a user writes."""
+
+    more: Any = 0.0
+
+    def index(self, x, y, z, base):
+        return base + self.more + 0 * (x + y + z)
+
+
+def rod_of(length=7.0, **options):
+    front = surface(9.0, thickness=length, material=1.6, gradient=RadialGradient([-0.09]), **options)
+    return optical_system([front, surface(-15.0, thickness=2.0)], 1.0, fields=[0.0, 3.0])
+
+
+def test_a_luneburg_ball_focuses_parallel_light_on_its_rear():
+    """n² = 2 − r²: every ray ends in the antipode after a path of (1 + π/2)·R from the tangent plane."""
+    ball = FunctionGradient.of(lambda x, y, z, base: (2 - x * x - y * y - (z - 1) ** 2).clamp(min=0.1) ** 0.5)
+    lens = optical_system([surface(1.0, thickness=2.0, material=1.0, gradient=ball), surface(-1.0)], 1.9)
+    found = trace_fields(lens, "rings", 4)
+    assert bool(found.arrived.all())
+    assert float(torch.stack([found.x, found.y, found.z]).abs().max()) < 1e-12
+    assert float((found.path - (1 + math.pi / 2)).abs().max()) < 1e-11
+
+
+def test_a_medium_without_a_gradient_is_plain_glass():
+    """The curved path through a constant index is the straight one, fold and tilts included, with all derivatives."""
+
+    def system_of(**options):
+        glass = {"material": 1.5, **options}
+        return optical_system(
+            [
+                surface(30.0, thickness=5.0, tilt=(2.0, 1.0), **glass),
+                coordinate_break(tilt=(45.0, 0.0, 0.0)),
+                surface(material="mirror"),
+                coordinate_break(tilt=(45.0, 0.0, 0.0), thickness=-6.0),
+                surface(25.0, thickness=-20.0, shift=(0.1, 0.2)),
+            ],
+            2.0,
+        )
+
+    plain = system_of()
+    curved = system_of(gradient=Constant(0.0))
+    for name, found in trace(curved, RAYS)._asdict().items():
+        assert torch.allclose(found, getattr(trace(plain, RAYS), name), rtol=0, atol=1e-11), name
+    for system in (plain, curved):
+        for item in system.surfaces:
+            item.vary("tilt"), item.vary("thickness")
+        system.surfaces[0].vary("index"), system.surfaces[0].vary("curvature"), system.surfaces[4].vary("curvature")
+        sum(value.sum() for value in trace(system, RAYS)[:7]).backward()
+    ours, expected = (dict(system.named_parameters()) for system in (curved, plain))
+    for name, value in expected.items():
+        assert torch.allclose(ours[name].grad, value.grad, rtol=1e-8, atol=1e-8), name
+
+
+def test_first_order_of_graded_media_is_the_limit_of_rays():
+    for gradient in (AxialGradient([0.05, -0.004]),):
+        front = surface(20.0, thickness=4.0, material=1.6, gradient=gradient)
+        lens = optical_system([front, surface(-30.0, thickness=3.0)], 2e-3)
+        edge = trace_fields(lens, "y", 3)
+        focal = -1e-3 * edge.w[0, 0, 2] / edge.v[0, 0, 2]
+        properties = first_order(lens)
+        assert torch.allclose(properties.focal_length, focal, rtol=1e-6)
+        back = 3.0 - edge.y[0, 0, 2] * edge.w[0, 0, 2] / edge.v[0, 0, 2]
+        assert torch.allclose(properties.back_focal_distance, back, rtol=1e-6)
+    # A quarter pitch, π/(2g): focal length 1/(n₀g), and the focus on the rear face.
+    flat = surface(thickness=math.pi / 0.6, material=1.6, gradient=RadialGradient([-0.09]))
+    quarter = first_order(optical_system([flat, surface()], 1.0))
+    assert abs(float(quarter.focal_length) - 1 / 0.48) < 1e-7
+    assert abs(float(quarter.back_focal_distance)) < 1e-7
+
+
+def _landing(system, names):
+    from torch.func import functional_call
+
+    class Whole(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.lens = system
+
+        def forward(self, rays):
+            found = trace(self.lens, rays, until=1)
+            return torch.cat([found.x.flatten(), found.v.flatten(), found.path.flatten()])
+
+    return lambda rays, *values: functional_call(Whole(), dict(zip(names, values, strict=True)), (rays,))
+
+
+def _varied():
+    lens = rod_of(2.0)
+    values = [lens.surfaces[0].vary(name) for name in ("index", "thickness", "curvature")]
+    values += [
+        lens.surfaces[0].own_gradient and lens.surfaces[0].vary("coefficients"),
+        lens.surfaces[1].vary("curvature"),
+    ]
+    held = {id(value): name for name, value in lens.named_parameters()}
+    return lens, values, [f"lens.{held[id(value)]}" for value in values]
+
+
+def test_gradients_by_the_adjoint():
+    """By the ray, the medium, the base index, and the surfaces at both ends, against finite differences."""
+    lens, values, names = _varied()
+    assert torch.autograd.gradcheck(_landing(lens, names), (RAYS.clone().requires_grad_(), *values), fast_mode=True)
+
+
+@pytest.mark.slow
+def test_second_derivatives_through_the_adjoint():
+    lens, values, names = _varied()
+    ray = RAYS[:1].clone().requires_grad_()
+    assert torch.autograd.gradgradcheck(_landing(lens, names), (ray, *values), fast_mode=True)
+
+
+def test_the_memory_of_the_graph_does_not_grow_with_the_steps():
+    """What autograd saves for a rod of one pitch is what it saves for one of twenty."""
+
+    def saved(length):
+        sizes = []
+        lens = rod_of(length)
+        lens.surfaces[0].vary("coefficients")
+        with torch.autograd.graph.saved_tensors_hooks(lambda t: sizes.append(t.numel()) or t, lambda t: t):
+            trace(lens, RAYS, until=1)
+        return sum(sizes)
+
+    assert saved(2.0) == saved(100.0)
+
+
+def test_functions_of_ones_own_take_part_in_gradients():
+    lens = optical_system(
+        [
+            surface(
+                thickness=3.0,
+                material=1.5,
+                gradient=FunctionGradient.of(lambda x, y, z, n, a, b: n + a * (x * x + y * y) + b * z, [-0.02, 0.01]),
+            ),
+            surface(thickness=4.0),
+        ],
+        1.0,
+    )
+    given = lens.surfaces[0].vary("parameters_of_function")
+    trace(lens, RAYS).y[0, 0, 1].backward()
+    step = 1e-5
+    for i in range(2):
+        ends = []
+        for side in (1, -1):
+            with torch.no_grad():
+                given[i] += side * step
+                ends.append(float(trace(lens, RAYS).y[0, 0, 1]))
+                given[i] -= side * step
+        assert abs((ends[0] - ends[1]) / (2 * step) - float(given.grad[i])) < 1e-7
+    with pytest.raises(ValueError, match="given by a function cannot be written"):
+        system_to_dict(lens)
+
+
+def test_files_ways_of_rays_and_what_is_refused():
+    lens = rod_of()
+    again = system_from_dict(system_to_dict(lens))
+    assert torch.equal(trace_fields(again).y, trace_fields(lens).y)
+    rays = launch(lens, "y", 3)
+    paths = ray_paths(lens, rays)
+    within = curved_paths(lens, rays, 0, paths[..., 2, :], 16)
+    assert torch.allclose(within[..., 0, :], paths[..., 1, :], rtol=0, atol=1e-12)
+    assert torch.allclose(within[..., -1, :], paths[..., 2, :], rtol=0, atol=1e-9)
+    assert len(layout_figure(lens, count=3).axes[0].lines) > 6
+    with pytest.raises(ValueError, match="graded indices"):
+        seidel_sums(lens)
+    with pytest.raises(ValueError, match="not to a mirror"):
+        surface(material="mirror", gradient=RadialGradient([0.1]))
+    with pytest.raises(TypeError, match="gradient must be a Gradient"):
+        surface(gradient=0.1)
+
+
+def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
+    """A medium that bends a steep ray back: its status says so, the others have finite gradients."""
+    front = surface(thickness=5.0, material=1.6, gradient=AxialGradient([-0.2]))
+    lens = optical_system([front, surface(thickness=1.0)], 1.0)
+    front.vary("coefficients")
+    steep = torch.tensor(
+        [[[0.0, 0, 0], [0, 0.9, math.sqrt(0.19)]], [[0.0, 0, 0], [0, 0.1, math.sqrt(0.99)]]], dtype=F64
+    )
+    found = trace(lens, steep)
+    assert found.status[0, 0].tolist() == [RayStatus.NOT_CONVERGED, RayStatus.HIT]
+    torch.where(found.arrived, found.y, 0.0).sum().backward()
+    assert bool(torch.isfinite(front.own_gradient.coefficients.grad).all())
