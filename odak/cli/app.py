@@ -230,6 +230,8 @@ def metamer(
     levels: options.Levels = 5,
     orientations: options.Orientations = 2,
     iterations: options.Refinements = 60,
+    joint: options.Joint = False,
+    nominal_width: options.NominalWidth = False,
     seed: options.NoiseSeed = 0,
     device: options.Device = "auto",
     quiet: options.Quiet = False,

@@ -39,6 +39,10 @@ class MetamerJob:
         Of the pyramid.
     iterations : int
         Evaluations of the metameric loss by which the metamer is made; 0 for matched noise.
+    joint : bool
+        Match statistics of pairs of bands too, which keeps edges.
+    nominal_width : bool
+        Pool over regions as wide as `alpha` says, instead of 1.7 to 1.9 times as wide.
     seed : int
         Seed of the noise.
     device : str
@@ -57,6 +61,8 @@ class MetamerJob:
     levels: int = 5
     orientations: int = 2
     iterations: int = 60
+    joint: bool = False
+    nominal_width: bool = False
     seed: int = 0
     device: str = "auto"
     quiet: bool = False
@@ -107,7 +113,12 @@ def run(job: MetamerJob) -> dict:
         "real_image_width": job.width,
         "real_viewing_distance": job.distance,
     }
-    bands: dict[str, Any] = {"n_pyramid_levels": job.levels, "n_orientations": job.orientations}
+    bands: dict[str, Any] = {
+        "n_pyramid_levels": job.levels,
+        "n_orientations": job.orientations,
+        "joint": job.joint,
+        "nominal_width": job.nominal_width,
+    }
     with tqdm(total=STAGES + job.iterations, desc="metamer", unit="step", disable=job.quiet) as bar:
         pooling = make_pooling_size_map_pixels(job.gaze, picture.shape[-2:], **view)
         bar.update()

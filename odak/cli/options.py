@@ -259,4 +259,14 @@ Refinements = Annotated[
         metavar="COUNT", help="Evaluations of the metameric loss by which the metamer is made; 0 for matched noise."
     ),
 ]
+Joint = Annotated[
+    bool,
+    typer.Option(
+        "--joint", help="Match statistics across channels, orientations and scales too: keeps edges, takes longer."
+    ),
+]
+NominalWidth = Annotated[
+    bool,
+    typer.Option("--nominal-width", help="Pool over regions as wide as --alpha says, not 1.7 to 1.9 times as wide."),
+]
 NoiseSeed = Annotated[int, typer.Option(help="Seed of the noise.")]

@@ -64,6 +64,8 @@ from .hdr import pq_decode as pq_decode
 from .hdr import pq_encode as pq_encode
 from .hdr import pu21_decode as pu21_decode
 from .hdr import pu21_encode as pu21_encode
+from .joint_statistics import synthesize_texture as synthesize_texture
+from .joint_statistics import texture_statistics as texture_statistics
 from .learned_perceptual_losses import CVVDP as CVVDP
 from .learned_perceptual_losses import FVVDP as FVVDP
 from .learned_perceptual_losses import LPIPS as LPIPS

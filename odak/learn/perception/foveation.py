@@ -188,6 +188,7 @@ def make_pooling_size_map_lod(
     real_viewing_distance: float = 0.6,
     mode: str = "quadratic",
     *,
+    nominal_width: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
@@ -207,6 +208,9 @@ def make_pooling_size_map_lod(
         Distance of the eye from the picture's centre, in the same unit.
     mode : str
         "quadratic" or "linear".
+    nominal_width : bool
+        Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
+        standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -228,7 +232,7 @@ def make_pooling_size_map_lod(
         dtype=torch.float64,
         device=device,
     )
-    return _level(pixels).to(dtype)
+    return _level(pixels, nominal_width).to(dtype)
 
 
 def make_radial_map(
@@ -321,6 +325,7 @@ def make_equi_pooling_size_map_lod(
     alpha: float = 0.3,
     mode: str = "quadratic",
     *,
+    nominal_width: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
@@ -336,6 +341,9 @@ def make_equi_pooling_size_map_lod(
         Pooling angle over eccentricity ("linear") or over its square in radians ("quadratic").
     mode : str
         "quadratic" or "linear".
+    nominal_width : bool
+        Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
+        standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -350,7 +358,7 @@ def make_equi_pooling_size_map_lod(
     pixels = make_equi_pooling_size_map_pixels(
         gaze_angles, image_pixel_size, alpha, mode, dtype=torch.float64, device=device
     )
-    return _level(pixels).to(dtype)
+    return _level(pixels, nominal_width).to(dtype)
 
 
 def _geometry(real_image_width, real_viewing_distance):
@@ -396,14 +404,26 @@ def _length(vectors):
     return (x * x + y * y).addcmul_(z, z).sqrt_()
 
 
-def _level(pixels):
-    return torch.log2(1e-6 + pixels).clamp_min(0)
+def _level(pixels, nominal_width):
+    if not _validate.flag("nominal_width", nominal_width):
+        return torch.log2(1e-6 + pixels).clamp_min(0)
+    # A square of n pixels has the variance (n² − 1)/12 along each axis. The kernel of level l ≥ 1, 2 × 2 means enlarged
+    # bilinearly, has 4ˡ/4 on average over its positions, and level 0 none. Between levels variances mix linearly.
+    variance = ((pixels**2 - 1) / 12).clamp_min(0)
+    lower = torch.floor(torch.log2(4 * variance.clamp_min(1)) / 2)
+    return torch.where(variance < 1, variance, lower + (4 * variance / 4**lower - 1) / 3)
 
 
 class RadiallyVaryingBlur(nn.Module):
     """Blur of pictures over regions as wide as the eye's pooling regions.
 
     The map of levels is kept for the last picture size, gaze and viewing geometry.
+
+    Parameters
+    ----------
+    nominal_width : bool
+        Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
+        standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
 
     Attributes
     ----------
@@ -413,8 +433,9 @@ class RadiallyVaryingBlur(nn.Module):
         What the map was made for.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, nominal_width: bool = False) -> None:
         super().__init__()
+        self.nominal_width = _validate.flag("nominal_width", nominal_width)
         for name in ("lod_map", "lod_fraction"):
             self.register_buffer(name, None, persistent=False)
         self._key: tuple | None = None
@@ -522,12 +543,13 @@ class RadiallyVaryingBlur(nn.Module):
         geometry = (*geometry, _validate.flag("equi", equi))
         size = tuple(image.shape[-2:])
         self.n_channels = image.shape[1]
-        key = (size, geometry, image.dtype, image.device)
+        key = (size, geometry, self.nominal_width, image.dtype, image.device)
         if key == self._key:
             return self._sampler
         # A map made in inference mode could not be used with autograd later.
         with torch.inference_mode(False), torch.no_grad():
-            lod = level_map(size, *geometry, dtype=torch.float64, device=image.device)
+            options: dict[str, Any] = {"nominal_width": self.nominal_width, "device": image.device}
+            lod = level_map(size, *geometry, dtype=torch.float64, **options)
             self._sampler = MipSampler(lod, image.dtype)
             self.lod_map, self.lod_fraction = lod.to(image.dtype), (lod % 1).to(image.dtype)
         self._key, self.size = key, size
@@ -545,6 +567,7 @@ def level_map(
     mode: str,
     equi: bool,
     *,
+    nominal_width: bool = False,
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
@@ -566,6 +589,9 @@ def level_map(
         "quadratic" or "linear".
     equi : bool
         Whether the picture is equirectangular.
+    nominal_width : bool
+        Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
+        standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
     dtype : torch.dtype
         Precision of the map.
     device : torch.device, optional
@@ -577,7 +603,7 @@ def level_map(
         ``[H, W]``.
     """
     mode = _validate.one_of("mode", mode, MODES)
-    options: dict[str, Any] = {"dtype": dtype, "device": device}
+    options: dict[str, Any] = {"nominal_width": nominal_width, "dtype": dtype, "device": device}
     if equi:
         return make_equi_pooling_size_map_lod(centre, size, alpha, mode, **options)
     return make_pooling_size_map_lod(centre, size, alpha, real_image_width, real_viewing_distance, mode, **options)
@@ -600,6 +626,9 @@ class BlurLoss(nn.Module):
         Blur the image as well as the target.
     equi : bool
         Pictures are equirectangular; the gaze is then (yaw, pitch) in radians.
+    nominal_width : bool
+        Choose levels whose sampling kernel, a square enlarged bilinearly, is as wide as the pooling region: equal
+        standard deviations. False takes squares as wide as the region, whose kernel is 1.7 to 1.9 times as wide.
 
     Raises
     ------
@@ -627,6 +656,7 @@ class BlurLoss(nn.Module):
         mode: str = "quadratic",
         blur_source: bool = False,
         equi: bool = False,
+        nominal_width: bool = False,
     ) -> None:
         super().__init__()
         device = checked_device("device", device)
@@ -635,7 +665,7 @@ class BlurLoss(nn.Module):
         self.real_image_width = _validate.number("real_image_width", real_image_width, positive=True)
         self.real_viewing_distance = _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
         self.blur_source, self.equi = _validate.flag("blur_source", blur_source), _validate.flag("equi", equi)
-        self.blur = RadiallyVaryingBlur().to(device)
+        self.blur = RadiallyVaryingBlur(nominal_width).to(device)
         self.target: torch.Tensor | None = None
         self.loss_func = nn.MSELoss()
 

@@ -14,6 +14,7 @@ from odak.learn._tensors import checked_device
 from odak.learn.perception.color_conversion import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.color_matrices import as_pictures
 from odak.learn.perception.foveation import RadiallyVaryingBlur, _growth, _point, level_map, make_radial_map
+from odak.learn.perception.joint_statistics import descended, joint_maps
 from odak.learn.perception.pooling import (
     Sampler,
     UniformSampler,
@@ -45,8 +46,10 @@ class _StatisticsLoss(nn.Module):
 
     _place: torch.Tensor
 
-    def __init__(self, device, n_pyramid_levels, n_orientations, trust_target) -> None:
+    def __init__(self, device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint) -> None:
         super().__init__()
+        self.nominal_width = _validate.flag("nominal_width", nominal_width)
+        self.joint = _validate.flag("joint", joint)
         self.register_buffer("_place", torch.empty(0, device=checked_device("device", device)), persistent=False)
         self.n_pyramid_levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
         self.n_orientations = _validate.integer("n_orientations", n_orientations, minimum=1)
@@ -71,8 +74,20 @@ class _StatisticsLoss(nn.Module):
         self.loss_map = torch.stack(enlarged).sum(0)[:, 0]
 
     def _parts(self, picture, where):
-        """Return groups of bands, what pools each, its mask or None, and the masked map that is not pooled."""
+        """Return groups of bands, what pools each, its mask or None, and the maps that are compared as they are.
+
+        The first of these is the last low-pass; statistics of pairs follow if the loss asks for them.
+        """
         raise NotImplementedError
+
+    def _pairs(self, groups, low, samplers, masks):
+        """Return the statistics of pairs of bands of each level, times its mask; none unless `joint` is set."""
+        if not self.joint:
+            return []
+        levels = joint_maps(groups[1:], low, samplers, self._maker(low[0].shape[1]))
+        return [
+            one if mask is None else mask * one for found, mask in zip(levels, masks, strict=False) for one in found
+        ]
 
     def _apply(self, function, recurse=True):
         self._kept.clear()
@@ -91,23 +106,24 @@ class _StatisticsLoss(nn.Module):
         The last is None where they are not computed in strips; otherwise both share their memory.
         """
         picture = self._converted(picture, colourspace)
-        groups, samplers, masks, rest = self._parts(picture, where)
+        groups, samplers, masks, others = self._parts(picture, where)
         if not is_blocked(picture) or picture.requires_grad:
-            return picture, statistics_maps(groups, samplers, masks, rest), None
+            return picture, statistics_maps(groups, samplers, masks, others), None
         values = [local_statistics(bands, sampler) for bands, sampler in zip(groups, samplers, strict=True)]
         for value, mask in zip(values, masks, strict=True):
             if mask is not None:
                 value.mul_(mask[:, None, None])
         maps = [one for value, bands in zip(values, groups, strict=True) for one in as_maps(value, bands.shape)]
-        return picture, [*maps, rest], [*values, rest]
+        return picture, [*maps, *others], [*values, *others]
 
     def _distance(self, picture, kept, where):
         """Return the mean distance of a picture's statistics from a target's, computed in strips."""
-        groups, samplers, masks, rest = self._parts(picture, where)
-        total = functional.mse_loss(rest, kept[-1].expand_as(rest))
-        for values, bands, sampler, mask in zip(kept[:-1], groups, samplers, masks, strict=True):
+        groups, samplers, masks, others = self._parts(picture, where)
+        pairs = zip(others, kept[len(groups) :], strict=True)
+        total = torch.stack([functional.mse_loss(one, two.expand_as(one)) for one, two in pairs]).sum()
+        for values, bands, sampler, mask in zip(kept[: len(groups)], groups, samplers, masks, strict=True):
             total = total + squared_distance(bands, sampler, mask, values) / bands[:, :, 0].numel()
-        return total / (2 * sum(bands.shape[2] for bands in groups) + 1)
+        return total / (2 * sum(bands.shape[2] for bands in groups) + len(others))
 
     def _maker(self, channels):
         """Return the pyramid, made anew where channels or orientations have changed."""
@@ -148,7 +164,7 @@ class _StatisticsLoss(nn.Module):
                         return picture
                     return rgb_2_ycrcb(ycrcb_2_rgb(picture).clamp(least, most))
 
-                metamer = _descended(metamer, held, distance, iterations, progress)
+                metamer = descended(metamer, held, distance, iterations, progress)
         metamer = metamer[..., : image.shape[-2], : image.shape[-1]]
         return ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer
 
@@ -189,6 +205,13 @@ class MetamericLoss(_StatisticsLoss):
         Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
         values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
+    nominal_width : bool
+        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
+        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+    joint : bool
+        Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
+        and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
+        four orientations.
 
     Attributes
     ----------
@@ -232,8 +255,10 @@ class MetamericLoss(_StatisticsLoss):
         use_fullres_l0: bool = False,
         equi: bool = False,
         trust_target: bool = False,
+        nominal_width: bool = False,
+        joint: bool = False,
     ) -> None:
-        super().__init__(device, n_pyramid_levels, n_orientations, trust_target)
+        super().__init__(device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint)
         self.use_l2_foveal_loss = _validate.flag("use_l2_foveal_loss", use_l2_foveal_loss)
         self.use_fullres_l0 = _validate.flag("use_fullres_l0", use_fullres_l0)
         if use_l2_foveal_loss and use_fullres_l0:
@@ -329,7 +354,8 @@ class MetamericLoss(_StatisticsLoss):
         Returns
         -------
         list of torch.Tensor
-            Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+            Mean and deviation of the high-pass residual and of each band, fine to coarse, the last low-pass, and with
+            `joint` the statistics of pairs.
 
         Raises
         ------
@@ -378,7 +404,8 @@ class MetamericLoss(_StatisticsLoss):
         return super()._apply(function, recurse)
 
     def _options(self):
-        return self.n_pyramid_levels, self.n_orientations, self.use_l2_foveal_loss, self.use_fullres_l0
+        bands = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
+        return *bands, self.use_l2_foveal_loss, self.use_fullres_l0
 
     def _geometry(self, gaze):
         lengths = self.real_image_width, self.real_viewing_distance
@@ -386,14 +413,16 @@ class MetamericLoss(_StatisticsLoss):
 
     def _parts(self, picture, where):
         groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
-        if self.blurs is None or len(self.blurs) != self.n_pyramid_levels:
-            self.blurs = nn.ModuleList(RadiallyVaryingBlur() for _ in range(self.n_pyramid_levels))
+        kept = self.blurs
+        if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
+            self.blurs = nn.ModuleList(RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
         samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
         rest = samplers[0](picture) if self.use_fullres_l0 else low[-1]
         masks = self._level_masks(picture, where, [bands.shape[-2:] for bands in groups[1:]] + [rest.shape[-2:]])
         *level_masks, last = masks
         groups_masks = [level_masks[0], *level_masks]
-        return groups, [samplers[0], *samplers], groups_masks, rest if last is None else last * rest
+        others = [rest if last is None else last * rest, *self._pairs(groups, low, samplers, level_masks)]
+        return groups, [samplers[0], *samplers], groups_masks, others
 
     def _level_masks(self, image, geometry, sizes):
         """Return, for each size, how much each pixel's statistics count; None where all of it does."""
@@ -435,6 +464,13 @@ class MetamericLossUniform(_StatisticsLoss):
         Take a target at the same address for unchanged, unless torch counted a change to it, instead of comparing its
         values with those of the last call. On a GPU values are never compared, and the target's statistics are computed
         at every call unless this is set.
+    nominal_width : bool
+        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
+        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+    joint : bool
+        Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
+        and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
+        four orientations.
 
     Attributes
     ----------
@@ -453,8 +489,10 @@ class MetamericLossUniform(_StatisticsLoss):
         n_pyramid_levels: int = 5,
         n_orientations: int = 2,
         trust_target: bool = False,
+        nominal_width: bool = False,
+        joint: bool = False,
     ) -> None:
-        super().__init__(device, n_pyramid_levels, n_orientations, trust_target)
+        super().__init__(device, n_pyramid_levels, n_orientations, trust_target, nominal_width, joint)
         self.pooling_size = _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
         self.target: torch.Tensor | None = None
 
@@ -488,7 +526,8 @@ class MetamericLossUniform(_StatisticsLoss):
         """
         checked_pictures("MetamericLossUniform", image, target, self.n_pyramid_levels)
         visualise_loss, where = _validate.flag("visualise_loss", visualise_loss), self.pooling_size
-        key = (where, self.n_pyramid_levels, self.n_orientations, image_colorspace)
+        options = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
+        key = (where, options, image_colorspace)
         self.target, self.target_stats, kept = self._kept.get(
             target, key, lambda: self._described(target, image_colorspace, where)
         )
@@ -513,7 +552,8 @@ class MetamericLossUniform(_StatisticsLoss):
         Returns
         -------
         list of torch.Tensor
-            Mean and deviation of the high-pass residual and of each band, fine to coarse, and the last low-pass.
+            Mean and deviation of the high-pass residual and of each band, fine to coarse, the last low-pass, and with
+            `joint` the statistics of pairs.
 
         Raises
         ------
@@ -571,11 +611,14 @@ class MetamericLossUniform(_StatisticsLoss):
 
     def _parts(self, picture, where):
         groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
-        samplers = [_uniform_sampler(bands, where / 2**level) for level, bands in enumerate(groups[1:])]
-        return groups, [samplers[0], *samplers], [None] * len(groups), low[-1]
+        samplers = [
+            _uniform_sampler(bands, where / 2**level, self.nominal_width) for level, bands in enumerate(groups[1:])
+        ]
+        masks = [None] * len(groups)
+        return groups, [samplers[0], *samplers], masks, [low[-1], *self._pairs(groups, low, samplers, masks)]
 
 
-def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
+def uniform_blur(image: torch.Tensor, pooling_size: float, nominal_width: bool = False) -> torch.Tensor:
     """Return means over squares, enlarged bilinearly to the picture's size.
 
     Parameters
@@ -584,6 +627,9 @@ def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
         ``[B, C, H, W]``.
     pooling_size : float
         Side of the squares in pixels, at least 1/64; at least one square fits always.
+    nominal_width : bool
+        Take smaller squares, so that the kernel, a square enlarged bilinearly, has the standard deviation of a square
+        of the pooling size. False takes squares of that size, whose kernel is 1.7 times as wide.
 
     Returns
     -------
@@ -597,13 +643,15 @@ def uniform_blur(image: torch.Tensor, pooling_size: float) -> torch.Tensor:
     """
     if as_pictures("image", image, None).ndim != 4 or 0 in _validate.image("image", image, axes=4).shape:
         raise ValueError(f"image must be [B, C, H, W], none empty, got {tuple(image.shape)}")
-    return _uniform_sampler(image, float(_validate.number("pooling_size", pooling_size, positive=True, least=FINEST)))(
-        image
-    )
+    size = float(_validate.number("pooling_size", pooling_size, positive=True, least=FINEST))
+    return _uniform_sampler(image, size, _validate.flag("nominal_width", nominal_width))(image)
 
 
-def _uniform_sampler(image, pooling_size):
+def _uniform_sampler(image, pooling_size, nominal_width):
     size = tuple(image.shape[-2:])
+    if nominal_width:
+        # A square of n pixels has the variance (n² − 1)/12 along each axis; squares of m enlarged bilinearly, m²/4.
+        pooling_size = max(1.0, math.sqrt(max(0.0, pooling_size**2 - 1) / 3))
     squares = tuple(max(1, int(side / pooling_size)) for side in size)
     return UniformSampler(size, squares, image.device, image.dtype)
 
@@ -642,10 +690,17 @@ class MetamerMSELoss(nn.Module):
         at every call unless this is set.
     iterations : int
         Evaluations of the metameric loss by which a metamer is made; 0 for matched noise.
+    nominal_width : bool
+        Pool over regions whose standard deviation is that of a square of the pooling size. False keeps the wider ones:
+        1.7 to 1.9 times that, because a square of the size is enlarged bilinearly.
+    joint : bool
+        Compare statistics of pairs of bands too, across channels, orientations, scales and neighbours, which keep edges
+        and corners: :func:`odak.learn.perception.joint_statistics.joint_maps`. Takes several times as long; meant for
+        four orientations.
 
     Attributes
     ----------
-    alpha, real_image_width, real_viewing_distance, mode, n_pyramid_levels, n_orientations, equi
+    alpha, real_image_width, real_viewing_distance, mode, n_pyramid_levels, n_orientations, equi, nominal_width, joint
         As given; a change counts from the next call on.
     target, target_metamer
         Of the last call; None before.
@@ -667,6 +722,8 @@ class MetamerMSELoss(nn.Module):
     real_viewing_distance = _of_the_metameric_loss("real_viewing_distance")
     n_pyramid_levels = _of_the_metameric_loss("n_pyramid_levels")
     n_orientations = _of_the_metameric_loss("n_orientations")
+    nominal_width = _of_the_metameric_loss("nominal_width")
+    joint = _of_the_metameric_loss("joint")
 
     def __init__(
         self,
@@ -680,6 +737,8 @@ class MetamerMSELoss(nn.Module):
         equi: bool = False,
         trust_target: bool = False,
         iterations: int = METAMER_ITERATIONS,
+        nominal_width: bool = False,
+        joint: bool = False,
     ) -> None:
         super().__init__()
         self.iterations = _validate.integer("iterations", iterations)
@@ -693,6 +752,8 @@ class MetamerMSELoss(nn.Module):
             n_orientations=n_orientations,
             use_l2_foveal_loss=False,
             equi=equi,
+            nominal_width=nominal_width,
+            joint=joint,
         )
         self.loss_func = nn.MSELoss()
         self.target: Any = None
@@ -749,7 +810,7 @@ class MetamerMSELoss(nn.Module):
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
         geometry = inner._geometry(gaze)
-        levels = partial(_level_map, geometry=geometry, device=image.device)
+        levels = partial(_level_map, geometry=geometry, nominal_width=inner.nominal_width, device=image.device)
         iterations = self.iterations if iterations is None else iterations
         return inner._metamer(image, geometry, levels, seed, iterations, progress)
 
@@ -844,7 +905,7 @@ def statistics_maps(
     groups: list[torch.Tensor],
     samplers: Sequence[Sampler],
     masks: Sequence[torch.Tensor | None],
-    rest: torch.Tensor,
+    others: Sequence[torch.Tensor],
 ) -> list[torch.Tensor]:
     """Return mean and standard deviation of a pyramid's bands, each over a pixel's pooling region.
 
@@ -856,14 +917,14 @@ def statistics_maps(
         Those that compute the local means of each group.
     masks : sequence of torch.Tensor or None
         How much each pixel counts ``[H, W]``, for each group.
-    rest : torch.Tensor
-        The map that is not pooled, times its own mask.
+    others : sequence of torch.Tensor
+        Maps that are compared as they are, times their own masks, first of all the last low-pass.
 
     Returns
     -------
     list of torch.Tensor
-        Mean and deviation of the high-pass residual, of each band of each level, and `rest`: 2(1 + (n − 1)K) + 1
-        tensors ``[B, C, H, W]``.
+        Mean and deviation of the high-pass residual and of each band of each level, 2(1 + (n − 1)K) tensors
+        ``[B, C, H, W]``, and `others`.
     """
     maps: list[torch.Tensor] = []
     for bands, sampler, mask in zip(groups, samplers, masks, strict=True):
@@ -873,7 +934,7 @@ def statistics_maps(
             pairs = zip(*(value.unbind(2) for value in pooled(bands, sampler)), strict=True)
             found = [one for pair in pairs for one in pair]
         maps += found if mask is None else [mask * one for one in found]
-    return [*maps, rest]
+    return [*maps, *others]
 
 
 def matched_noise(
@@ -955,32 +1016,8 @@ def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tens
     return bounds[0], bounds[1]
 
 
-def _level_map(size, geometry, device):
-    return level_map(tuple(size), *geometry, dtype=torch.float64, device=device)
-
-
-def _descended(picture, held, distance, iterations, progress):
-    """Return a picture of the form `held(free)` that L-BFGS has brought closer to the target of a distance."""
-    with torch.enable_grad():
-        free = held(picture).detach().requires_grad_()
-        unit = distance(free.detach()).clamp_min(torch.finfo(free.dtype).tiny)
-        optimizer = torch.optim.LBFGS(
-            [free], max_iter=iterations, max_eval=iterations, tolerance_grad=0, tolerance_change=0,
-            history_size=10, line_search_fn="strong_wolfe",
-        )  # fmt: skip
-
-        def evaluate():
-            inside = held(free)
-            # What lies outside is drawn back, so that it does not stay at the bound for ever.
-            value = (distance(inside) + (free - inside).square().mean()) / unit
-            # L-BFGS takes contiguous gradients only.
-            free.grad = torch.autograd.grad(value, free)[0].contiguous()
-            if progress is not None:
-                progress()
-            return value
-
-        optimizer.step(evaluate)
-    return held(free.detach())
+def _level_map(size, geometry, nominal_width, device):
+    return level_map(tuple(size), *geometry, nominal_width=nominal_width, dtype=torch.float64, device=device)
 
 
 def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:

@@ -160,6 +160,46 @@ def orientations(n_orientations: int) -> np.ndarray:
     return np.arange(n_orientations) * math.pi / n_orientations
 
 
+def quadrature(bands: np.ndarray, size: int) -> np.ndarray:
+    """Return the filters that are a quarter of a cycle behind the bands of a bank.
+
+    Parameters
+    ----------
+    bands : numpy.ndarray
+        ``[K, k, k]`` as :func:`design` returns them, to be applied by correlation.
+    size : int
+        Odd size of the filters.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[K, size, size]``, each of sum 0: where a band gives cos φ for a grating that runs along its orientation, its
+        filter gives sin φ.
+
+    Notes
+    -----
+    Least squares on Q(ω) = −i·sign(ω·u)·B(ω) over a grid of the whole plane, each frequency weighted by the amplitude
+    1/|ω| that pictures have, with the response at zero held by a large weight.
+    """
+    frequencies = 2 * math.pi * (np.arange(2 * GRID) + 0.5) / (2 * GRID) - math.pi
+    x, down = np.meshgrid(frequencies, frequencies)
+    x, down = np.append(x.ravel(), 0.0), np.append(down.ravel(), 0.0)
+
+    def waves(side):
+        offset = np.arange(side) - side // 2
+        return np.exp(1j * (down[:, None] * np.repeat(offset, side) + x[:, None] * np.tile(offset, side)))
+
+    weight = 1 / np.maximum(np.hypot(x, down), FOOT)
+    weight[-1] = SUMS
+    equations = waves(size) * weight[:, None]
+    toward = np.cos(orientations(len(bands)))[:, None] * x - np.sin(orientations(len(bands)))[:, None] * down
+    wanted = -1j * np.sign(toward) * (waves(bands.shape[-1]) @ bands.reshape(len(bands), -1).T).T * weight
+    stacked = np.concatenate([equations.real, equations.imag])
+    taps = np.linalg.lstsq(stacked, np.concatenate([wanted.real, wanted.imag], 1).T, rcond=1e-10)[0]
+    taps -= taps.mean(0)
+    return taps.T.reshape(len(bands), size, size)
+
+
 class _Problem:
     """Unknown taps of a bank, the responses they give and the residuals of its flatness."""
 

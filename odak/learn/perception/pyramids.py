@@ -14,7 +14,7 @@ from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.perception import pyramid_filter_design
 from odak.learn.perception.color_matrices import is_plain
-from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
+from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, quadrature, steering
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -22,6 +22,8 @@ FULL_SIZES = {1: (13, 7, 9, 9), 2: (17, 9, 9, 9), 6: (17, 9, 9, 9)}
 OTHER_FULL_SIZES = (17, 9, 15, 9)
 CROPPED_LOW, CROPPED_LOW0 = 13, 5
 TRAINED_SIZE = 5
+# Size of the filters that are in quadrature with the bands.
+QUADRATURE_SIZE = 9
 # Profiles across and along of a small derivative, and its largest tap.
 TRAINED_ACROSS, TRAINED_ALONG, TRAINED_PEAK = (0.478, 1.0, 0.0, -1.0, -0.478), (0.155, 0.645, 1.0, 0.645, 0.155), 0.061
 
@@ -338,6 +340,33 @@ class SpatialSteerablePyramid(nn.Module):
                 groups.append(self._split(low[-1]))
         return groups, low
 
+    def quadrature(self, low: torch.Tensor) -> torch.Tensor:
+        """Return bands a quarter of a cycle behind those of a level: the imaginary parts of complex bands.
+
+        Parameters
+        ----------
+        low : torch.Tensor
+            Low-pass ``[B, C, H, W]`` of a level, any number of channels.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[B, C, K, H, W]``. For a grating along the orientation of band k the band is A·cos φ and this A·sin φ; the
+            root of the sum of their squares is the local amplitude A, whatever the phase.
+
+        Notes
+        -----
+        See :func:`odak.learn.perception.pyramid_filter_design.quadrature`. Filters of 9 × 9 taps come within a few per
+        cent of the exact relation in the octave of the bands; :class:`FrequencySteerablePyramid` is exact.
+        """
+        if not isinstance(low, torch.Tensor) or not low.is_floating_point():
+            raise TypeError("low must be a tensor of real floats [B, C, H, W]")
+        if low.ndim != 4 or min(low.shape[-2:]) <= QUADRATURE_SIZE // 2:
+            smallest = QUADRATURE_SIZE // 2 + 1
+            raise ValueError(f"low must be [B, C, H, W] with sides of {smallest} or more, got {tuple(low.shape)}")
+        self._follow(low)
+        return correlate(low, _quadrature_taps(*self._bank(), low.dtype, low.device))
+
     def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
         """Return the picture of a pyramid, which stays as it is.
 
@@ -365,7 +394,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _build(self, dtype, device) -> None:
         options: dict[str, Any] = {"dtype": dtype, "device": device}
-        arguments = (self.filter_size, self.n_orientations, self.filter_type)
+        arguments = self._bank()[:3]
         filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
         # Whatever mode the caller is in, the filters must serve gradients later.
         with torch.inference_mode(False):
@@ -376,6 +405,9 @@ class SpatialSteerablePyramid(nn.Module):
             mixing, parts = _unsteered(*arguments, self.use_bilinear_downup)
             self._set("_mixing", torch.tensor(mixing, **options))
             self._set("_parts", torch.tensor(parts, **options)[None].repeat(self.n_channels, 1, 1, 1).flip(2, 3))
+
+    def _bank(self):
+        return self.filter_size, self.n_orientations, self.filter_type, self.use_bilinear_downup
 
     def _set(self, name, value) -> None:
         self.register_buffer(name, value, persistent=False)
@@ -462,6 +494,14 @@ def _unsteered(size, count, kind, bilinear):
     return shares.T, parts.reshape(count, *bands[0].shape[-2:])
 
 
+@functools.lru_cache(maxsize=16)
+def _quadrature_taps(size, count, kind, bilinear, dtype, device):
+    bands = get_steerable_pyramid_filters(size, count, kind, bilinear=bilinear, dtype=torch.float64)["b"]
+    taps = quadrature(torch.cat(bands)[:, 0].numpy(), QUADRATURE_SIZE)
+    with torch.inference_mode(False):
+        return torch.tensor(taps, dtype=dtype, device=device)
+
+
 class FrequencySteerablePyramid(nn.Module):
     """Steerable pyramid whose masks add up to one: its adjoint is its inverse, to rounding.
 
@@ -500,13 +540,16 @@ class FrequencySteerablePyramid(nn.Module):
         """Return :meth:`construct_pyramid`."""
         return self.construct_pyramid(image)
 
-    def construct_pyramid(self, image: torch.Tensor) -> Pyramid:
+    def construct_pyramid(self, image: torch.Tensor, quadrature: bool = False) -> Pyramid:
         """Return the pyramid of a picture, fine to coarse; differentiable.
 
         Parameters
         ----------
         image : torch.Tensor
             Real floats ``[..., H, W]``, each side at least 2ⁿ for n + 1 levels.
+        quadrature : bool
+            Return complex bands: the real part is the band, the imaginary part the band a quarter of a cycle behind, so
+            that the modulus is the local amplitude and the argument the local phase.
 
         Returns
         -------
@@ -520,7 +563,7 @@ class FrequencySteerablePyramid(nn.Module):
         ValueError, TypeError
             If the picture is not of real floats or too small for the levels.
         """
-        size = self._size(image)
+        quadrature, size = _validate.flag("quadrature", quadrature), self._size(image)
         high, levels = self._prepare(size, image.dtype, image.device)
         spectrum = torch.fft.rfft2(image, norm="ortho")
         pyramid = [{"h": _picture(spectrum * high, size)}]
@@ -528,8 +571,13 @@ class FrequencySteerablePyramid(nn.Module):
             if level:
                 spectrum = _cropped(spectrum, size_here)
                 pyramid.append({})
-            masked = _picture(spectrum[..., None, :, :] * bands, size_here)
-            pyramid[-1]["b"] = list(masked.unbind(-3))
+            masked = spectrum[..., None, :, :] * bands
+            found = _picture(masked, size_here)
+            if quadrature:
+                signs = _directions(size_here, size, self.n_orientations).to(image)
+                behind = masked * torch.complex(torch.zeros_like(signs), -signs)
+                found = torch.complex(found, _picture(behind, size_here))
+            pyramid[-1]["b"] = list(found.unbind(-3))
             spectrum = spectrum * low
         smallest = _halved(levels[-1][0])
         pyramid.append({"l": _picture(_cropped(spectrum, smallest), smallest)})
@@ -541,7 +589,7 @@ class FrequencySteerablePyramid(nn.Module):
         Parameters
         ----------
         pyramid : list of dict
-            As :meth:`construct_pyramid` makes it.
+            As :meth:`construct_pyramid` makes it. Of complex bands the real parts are used.
 
         Returns
         -------
@@ -562,7 +610,8 @@ class FrequencySteerablePyramid(nn.Module):
         spectrum = torch.fft.rfft2(pyramid[-1]["l"], norm="ortho")
         for (size_here, bands, low), level in zip(reversed(levels), reversed(pyramid[:-1]), strict=True):
             spectrum = _spread(spectrum, size_here) * low
-            transformed = torch.fft.rfft2(torch.stack(tuple(level["b"]), -3), norm="ortho")
+            stacked = torch.stack(tuple(level["b"]), -3)
+            transformed = torch.fft.rfft2(stacked.real if stacked.is_complex() else stacked, norm="ortho")
             spectrum = spectrum + (transformed * bands.conj()).sum(-3)
         return _picture(spectrum + torch.fft.rfft2(residual, norm="ortho") * high, size)
 
@@ -605,6 +654,13 @@ def _masks(size, n_levels, count, dtype, device):
         )
         here = _halved(here)
     return real(high), levels
+
+
+def _directions(here, size, count):
+    """Return on which side of each orientation's axis the frequencies of a level lie, as −1, 0 or 1 ``[K, H, W]``."""
+    angle = _polar(here, size)[1]
+    along = np.cos(angle - orientations(count)[:, None, None])
+    return torch.from_numpy(np.where(np.abs(along) < 1e-9, 0.0, np.sign(along)))
 
 
 def _polar(here, size):

@@ -66,6 +66,8 @@ BY_NAME = {
         "seed": 3,
         # A descent amplifies rounding: results of other precisions would be other metamers.
         "iterations": 0,
+        "sample": tensor(1, 1, 32, 32),
+        "low": SMALL,
         "source_white": [0.95, 1.0, 1.09],
         "target_white": [0.96, 1.0, 0.83],
         "centre": [0.5, 0.4],
@@ -149,6 +151,8 @@ BY_CALL = {
         "statsmap_a": _uniform_statistics(3),
         "statsmap_b": _uniform_statistics(9),
     },
+    f"{HERE}.synthesize_texture": {"size": [32, 32]},
+    f"{HERE}.texture_statistics": {"picture": tensor(1, 1, 32, 32)},
     f"{HERE}.util.check_values": {"peak": 1.0},
     f"{HERE}.RadiallyVaryingBlur.sampler": {
         "alpha": 0.2,
