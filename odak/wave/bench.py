@@ -169,6 +169,12 @@ class FreeSpace:
         Place (y, x) of the window's centre in metres.
     index : float or tensor
         Refractive index of the medium.
+
+    Examples
+    --------
+    >>> from odak.wave import FreeSpace
+    >>> FreeSpace(0.3, index=1.5).matrix()
+    [[1.0, 0.19999999999999998], [0.0, 1.0]]
     """
 
     distance: Any
@@ -204,6 +210,12 @@ class ThinLens:
         Focal length in metres; positive converges.
     offset : tuple
         Position (y, x) of its axis in metres.
+
+    Examples
+    --------
+    >>> from odak.wave import ThinLens
+    >>> ThinLens(0.5).matrix()
+    [[1.0, 0.0], [-2.0, 1.0]]
     """
 
     focal: Any
@@ -230,6 +242,16 @@ class CircularAperture:
         Radius in metres.
     offset : tuple
         Position (y, x) of its centre in metres.
+
+    Examples
+    --------
+    The open area of a field of ones is that of the disc:
+
+    >>> import numpy as np
+    >>> from odak.wave import CircularAperture
+    >>> field, pitch = CircularAperture(1e-4).apply(np.ones((64, 64), complex), 8e-6, 532e-9)
+    >>> round(float(field.real.sum()) * pitch**2 / (np.pi * 1e-4**2), 2)
+    1.0
     """
 
     radius: Any
@@ -257,6 +279,16 @@ class RectangularAperture:
         Width along columns in metres.
     offset : tuple
         Position (y, x) of its centre in metres.
+
+    Examples
+    --------
+    The open area of a field of ones is that of the rectangle:
+
+    >>> import numpy as np
+    >>> from odak.wave import RectangularAperture
+    >>> field, pitch = RectangularAperture(1e-4, 2e-4).apply(np.ones((64, 64), complex), 8e-6, 532e-9)
+    >>> round(float(field.real.sum()) * pitch**2 / 2e-8, 6)
+    1.0
     """
 
     height: Any
@@ -283,6 +315,14 @@ class Mask:
     transmission : array or callable
         Complex or real, it multiplies the field; or a function without arguments that returns it, such as a modulator's
         model with its present phase.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import Mask
+    >>> field, pitch = Mask(np.full((2, 2), 0.5)).apply(np.ones((2, 2), complex), 8e-6, 532e-9)
+    >>> field.real.tolist()
+    [[0.5, 0.5], [0.5, 0.5]]
     """
 
     transmission: Any
@@ -297,7 +337,7 @@ class Mask:
 
 @dataclass(frozen=True)
 class FirstOrderSystem:
-    """System of a bench that is known by its ray matrix, see :func:`propagate_abcd`.
+    """First-order system of a bench, given by its ray matrix, see :func:`propagate_abcd`.
 
     Attributes
     ----------
@@ -309,6 +349,17 @@ class FirstOrderSystem:
         Pixel pitch behind the system.
     output_shape : tuple of int, optional
         Rows and columns behind the system.
+
+    Examples
+    --------
+    A telescope that images at a magnification of −0.1 reduces the pitch tenfold:
+
+    >>> import numpy as np
+    >>> from odak.wave import FirstOrderSystem
+    >>> telescope = FirstOrderSystem([[-0.1, 0.0], [0.0, -10.0]])
+    >>> field, pitch = telescope.apply(np.ones((64, 64), complex), 40e-6, 532e-9)
+    >>> round(pitch * 1e6, 6)
+    4.0
     """
 
     abcd: Any
@@ -326,7 +377,27 @@ class FirstOrderSystem:
 
 
 class BenchPlane(NamedTuple):
-    """Field behind an element of a bench: position along the axis, field, pixel pitch, element (None at the start)."""
+    """Field behind an element of a bench.
+
+    Attributes
+    ----------
+    position : float or tensor
+        Position along the axis in metres.
+    field : array
+        Complex field ``[..., rows, columns]``.
+    pitch : float, tuple or tensor
+        Pixel pitch of the field in metres.
+    element : object or None
+        Element that the field leaves; None in front of the first one.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import FreeSpace, ThinLens, optical_bench
+    >>> bench = optical_bench([ThinLens(0.1), FreeSpace(0.05)], 532e-9)
+    >>> [plane.position for plane in bench.planes(np.ones((32, 32), complex), 8e-6)]
+    [0.0, 0.0, 0.05]
+    """
 
     position: Any
     field: Any

@@ -83,12 +83,20 @@ def across_ranks(
 
     Parameters
     ----------
-    function, batch, *arguments, **options
-        As in :func:`across_devices`.
+    function : callable
+        Called as ``function(part, *arguments, **options)``, such as :func:`odak.learn.wave.propagate_beam`. Each item
+        of what it returns must depend on the same item of the batch alone.
+    batch : torch.Tensor or tuple of torch.Tensor
+        Split along the first axis into nearly equal parts; several tensors of the same length are passed one after
+        another.
+    *arguments
+        Passed to each call.
     group : torch.distributed.ProcessGroup, optional
         Processes that take part; all of them by default.
     device : torch.device, optional
         Device of this process; that of the batch by default.
+    **options
+        Passed to each call; tensors in the batch, the arguments and the options are copied to the device.
 
     Returns
     -------
@@ -105,6 +113,16 @@ def across_ranks(
     Differentiable in the batch, in all tensors passed, and in the parameters of a `torch.nn.Module`. Every process must
     go on to compute the same loss from the result and call ``backward``; each then holds the gradient of the whole
     batch. Tensors that the function takes from elsewhere get the gradient of this process's part alone.
+
+    Examples
+    --------
+    Without a group of processes the function is called once, for the whole batch:
+
+    >>> import torch
+    >>> from odak.learn.wave import across_ranks, propagate_beam
+    >>> fields = torch.ones(3, 16, 16, dtype=torch.complex64)
+    >>> tuple(across_ranks(propagate_beam, fields, None, 1e-3, 8e-6, 532e-9).shape)
+    (3, 16, 16)
     """
     tensors, home = _checked(function, batch)
     device = checked_device("device", device)

@@ -55,8 +55,10 @@ def quadratic_phase_function(
 
     Parameters
     ----------
-    nx, ny : int
-        Rows and columns.
+    nx : int
+        Rows.
+    ny : int
+        Columns.
     k : float
         Wave number in rad/m.
     focal : float
@@ -70,6 +72,16 @@ def quadratic_phase_function(
     -------
     torch.Tensor
         complex64 ``[nx, ny]``.
+
+    Examples
+    --------
+    The phase is −k·r²/(2f), here at a corner at r² = 2·(2·1e-4)²:
+
+    >>> import torch
+    >>> from odak.learn.wave import quadratic_phase_function, wavenumber
+    >>> lens = quadratic_phase_function(5, 5, wavenumber(1e-6), focal=1.0, dx=8e-5)
+    >>> round(lens[0, 0].angle().item(), 4), round(-float(wavenumber(1e-6)) * 8e-8 / 2, 4)
+    (-0.2513, -0.2513)
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)

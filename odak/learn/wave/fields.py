@@ -27,6 +27,14 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     -------
     torch.Tensor
         Complex field of amplitude one, in the phase's precision; differentiable any number of times.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import unit_phasor
+    >>> field = unit_phasor(torch.tensor([0.0, torch.pi / 2]))
+    >>> [round(value, 6) for value in field.imag.tolist()]
+    [0.0, 1.0]
     """
     if not isinstance(phase, torch.Tensor) or phase.is_complex():
         raise TypeError(f"phase must be a real tensor, got {getattr(phase, 'dtype', type(phase).__name__)}")
@@ -35,7 +43,25 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
 
 
 def intensity(field: torch.Tensor) -> torch.Tensor:
-    """Return |field|², real, in the field's precision; differentiable any number of times, also at zero."""
+    """Return the intensity |field|² of a complex field.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Complex field of any shape.
+
+    Returns
+    -------
+    torch.Tensor
+        Real, of the field's shape and precision; differentiable any number of times, also at zero.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import intensity
+    >>> intensity(torch.tensor([3 + 4j, 2j])).tolist()
+    [25.0, 4.0]
+    """
     if not isinstance(field, torch.Tensor):
         raise TypeError(f"field must be a complex tensor, got {type(field).__name__}")
     return _Intensity.apply(_array.to_complex(field).resolve_conj())
@@ -44,7 +70,7 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
 def exposure(
     field: torch.Tensor, power: torch.Tensor, one_each: bool = False, *, workspace: Workspace | None = None
 ) -> torch.Tensor:
-    """Return the light that the frames of a field, shown one after another, leave on each plane and colour.
+    """Return the intensity that the frames of a field, shown one after another, add up to on each plane and colour.
 
     Parameters
     ----------
@@ -63,6 +89,16 @@ def exposure(
     torch.Tensor
         Σ_f power² · |field|², ``[planes, colours, rows, columns]``, differentiable any number of times in both. With
         `one_each` no sum: ``[planes, frames, rows, columns]``.
+
+    Examples
+    --------
+    Two frames of amplitude 1, of which the second is shown at twice the amplitude, add up to 1² + 2²:
+
+    >>> import torch
+    >>> from odak.learn.wave import exposure
+    >>> field = torch.ones(2, 1, 1, 4, 4, dtype=torch.complex64)
+    >>> exposure(field, torch.tensor([[1.0], [2.0]]))[0, 0, 0, 0].item()
+    5.0
     """
     one_each = _validate.flag("one_each", one_each)
     if not isinstance(field, torch.Tensor) or not field.is_complex():
@@ -109,19 +145,26 @@ generate_complex_field = torch_face(fields.generate_complex_field, through=_one_
 
 
 def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch.Tensor:
-    """Return amplitude·exp(i·arg field), the amplitude taken as it is (a negative one turns the phase by π).
+    """Return amplitude·exp(i·arg field), a field with its phase kept and its amplitude replaced.
 
     Parameters
     ----------
     field : torch.Tensor
         Complex field.
     amplitude : float or torch.Tensor
-        New amplitude.
+        New amplitude; a negative one changes the phase by π.
 
     Returns
     -------
     torch.Tensor
         Complex field.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import set_amplitude
+    >>> [round(value, 6) for value in set_amplitude(torch.tensor([3j, -4j]), 2.0).imag.tolist()]
+    [2.0, -2.0]
     """
     field = _validate.array("field", field)
     if _array.is_array(amplitude):
@@ -132,7 +175,41 @@ def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch
 def produce_phase_only_slm_pattern(
     hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination: Any = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return a hologram as a modulator shows it and its levels: :func:`odak.wave.produce_phase_only_slm_pattern`."""
+    """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
+
+    Parameters
+    ----------
+    hologram : torch.Tensor
+        Complex hologram ``[..., rows, columns]``; its phase is what counts.
+    slm_range : float
+        Phase range of the modulator in radians.
+    bits : int, default: 8
+        Bits per pixel, 1 to 16.
+    default_range : float, default: 6.28
+        Phase range, in radians, over which the levels are spread when the field is rebuilt from them.
+    illumination : torch.Tensor, optional
+        Amplitude of the light on the modulator; ones by default.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Complex field illumination·exp(i·level/2^bits·default_range) and the levels, int32, 0 … 2^bits − 1.
+
+    See Also
+    --------
+    odak.wave.produce_phase_only_slm_pattern : The same for arrays, which can save the pattern too.
+
+    Examples
+    --------
+    With 2 bits the phases 0 and π are the levels 0 and 2:
+
+    >>> import torch
+    >>> from odak.learn.wave import produce_phase_only_slm_pattern
+    >>> hologram = torch.tensor([[1 + 0j, -1 + 0j]])
+    >>> field, levels = produce_phase_only_slm_pattern(hologram, 2 * torch.pi, bits=2, default_range=2 * torch.pi)
+    >>> levels.tolist(), [round(value, 6) for value in field[0].real.tolist()]
+    ([[0, 2]], [1.0, -1.0])
+    """
     return fields.produce_phase_only_slm_pattern(hologram, slm_range, None, bits, default_range, illumination)
 
 

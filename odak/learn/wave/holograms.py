@@ -333,8 +333,8 @@ def gerchberg_saxton(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram of an image by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
-    Each turn keeps the phase alone on the hologram and sets the target's amplitude on the image; around the image, on
-    planes of twice its size, light may fall as it likes.
+    Each iteration keeps the phase alone on the hologram and sets the target's amplitude on the image; around the image,
+    on planes of twice its size, the field is free.
 
     Parameters
     ----------
@@ -375,6 +375,16 @@ def gerchberg_saxton(
     -----
     The arguments of :func:`odak.learn.wave.stochastic_gradient_descent` are accepted too, its older ones included; the
     target is then an intensity, and an ArgumentWarning names those without effect, such as `learning_rate`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import gerchberg_saxton
+    >>> image = torch.zeros(16, 16)
+    >>> image[6:10, 6:10] = 1
+    >>> hologram, reconstruction = gerchberg_saxton(image, 5, 5e-3, 8e-6, 532e-9, 6.2832, "Angular Spectrum", seed=0)
+    >>> bool((hologram.abs() - 1).abs().max() < 1e-5)
+    True
     """
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     progress, callback = _validate.flag("progress", progress), _validate.function_or_none("callback", callback)
@@ -414,6 +424,19 @@ def point_wise(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    The hologram of one pixel is brought to a focus on that pixel:
+
+    >>> import torch
+    >>> from odak.learn.wave import point_wise, propagate_beam
+    >>> image = torch.zeros(32, 32)
+    >>> image[20, 12] = 1
+    >>> hologram = point_wise(image, 532e-9, 2e-3, 8e-6, torch.device("cpu"), lens_size=15)
+    >>> focus = propagate_beam(hologram, None, 2e-3, 8e-6, 532e-9, "Angular Spectrum").abs()
+    >>> divmod(int(focus.argmax()), 32)
+    (20, 12)
     """
     target = _validate.image("target", tensor("target", target)).to(checked_device("device", device))
     device = target.device
@@ -446,8 +469,10 @@ def shift_w_double_phase(
         Phase ``[rows, columns]`` in radians.
     depth_shift : float
         Distance to move by, in metres.
-    pixel_pitch, wavelength : float
-        In metres.
+    pixel_pitch : float
+        Pixel pitch in metres.
+    wavelength : float
+        Wavelength in metres.
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`.
     kernel_length : int
@@ -471,6 +496,13 @@ def shift_w_double_phase(
     Neighbouring pixels add up to the field only behind an iris in the Fourier plane that stops the checkerboard's own
     orders, half of the band of the pixels at most; without one the image is lost in them. The displays and
     :func:`stochastic_gradient_descent` take one as `iris_radius` and `iris_focal_length`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import shift_w_double_phase
+    >>> tuple(shift_w_double_phase(torch.zeros(16, 16), 1e-3, 8e-6, 532e-9).shape)
+    (16, 16)
     """
     phase = _validate.image("phase", floating("phase", phase))
     check_has_kernel(propagation_type)

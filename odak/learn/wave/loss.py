@@ -482,7 +482,7 @@ class speckle_contrast(nn.Module):
 
 
 class multiplane_loss(FocalTargets):
-    """Squared differences of images on several planes, of which the parts in focus and the bright parts count more.
+    """Squared differences of images on several planes, with more weight on the parts in focus and the bright parts.
 
     With image I, target T and the mask M of the plane: w₀·MSE(I, T) + w₁·MSE(I·M, T·M) + w₂·MSE(I·T, T·T).
 
@@ -523,8 +523,10 @@ class multiplane_loss(FocalTargets):
 
     Attributes
     ----------
-    targets, masks : torch.Tensor
-        ``[P, C, m, n]``.
+    targets : torch.Tensor
+        Targets of the planes, ``[P, C, m, n]``.
+    masks : torch.Tensor
+        Pixels that belong to each plane, ``[P, C, m, n]``.
     focus_target : torch.Tensor
         The sharp picture ``[C, m, n]``.
 
@@ -639,13 +641,24 @@ _BASE_WEIGHTS = {term.format(norm): 1.0 for norm in _NORMS for term in _TERMS}
 
 
 class perceptual_multiplane_loss(FocalTargets):
-    """The terms of ``multiplane_loss``, squared and absolute, and measures of how close an eye finds images.
+    """The terms of ``multiplane_loss``, squared and absolute, and perceptual measures of the difference of images.
 
     Parameters
     ----------
-    target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, device, generator, \
-    distances, wavelengths, pixel_pitch, numerical_aperture
-        As in :class:`~odak.learn.wave.loss.multiplane_loss`.
+    target_image : torch.Tensor
+        Picture ``[C, m, n]`` or ``[m, n]``.
+    target_depth : torch.Tensor
+        Depth of each pixel ``[m, n]``, 0 … 1; a pixel belongs to plane round(depth·(P − 1)).
+    blur_ratio : float, default: 0.25
+        Growth of the blur's σ from one plane to the next: a pixel j planes away is blurred by σ = int(j·blur_ratio).
+    target_blur_size : int, default: 10
+        Side of the blur's kernel in pixels; an even one grows by one.
+    number_of_planes : int, default: 4
+        Number of planes P.
+    multiplier : float, default: 1.0
+        Factor of the targets' intensity.
+    scheme : {"defocus", "naive"}
+        Targets that show what is out of focus, or are dark beyond their plane.
     base_loss_weights : dict, optional
         Weights of "base_l2_loss", "loss_l2_mask", "loss_l2_cor", "base_l1_loss", "loss_l1_mask" and "loss_l1_cor"; all
         1 by default, and 0 for those that a dict leaves out.
@@ -655,9 +668,23 @@ class perceptual_multiplane_loss(FocalTargets):
         is how far a quality is from that of equal images: 10 − JOD, 1 − SSIM; of "psnr", which has no largest value,
         its negative, −∞ for equal images.
     reduction : {"mean", "sum"}
-        How pixels are put together in the six terms.
-    return_components : bool
+        How pixels are combined in the six terms.
+    return_components : bool, default: False
         Return ``(loss, components)``, a dict of weighted terms that add up to the loss.
+    device : torch.device or str, optional
+        Where the loss lives; by default where the picture is. It moves with :meth:`to`.
+    generator : torch.Generator, optional
+        Where noise is drawn from; torch's own by default.
+    distances : sequence of float, optional
+        Distances of the P planes in metres. With them the blur follows from the geometry, see
+        :func:`odak.learn.wave.loss.geometric_targets`, and `blur_ratio` and `target_blur_size` have no effect.
+    wavelengths : sequence of float, optional
+        Wavelength of each of the C colours in metres, with `distances`.
+    pixel_pitch : float, optional
+        Pixel pitch of the picture in metres, with `distances`.
+    numerical_aperture : float, optional
+        Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
+        the modulator, λ/(2·pixel_pitch).
 
     Raises
     ------

@@ -208,8 +208,10 @@ class focal_surface_light_propagation(nn.Module):
 
     Parameters
     ----------
-    depth, dimensions : int
-        Levels of both parts, and channels of their first.
+    depth : int
+        Levels of both parts.
+    dimensions : int
+        Channels of their first level.
     input_channels : int
         Real and imaginary parts of the colours, 6 for three of them.
     out_channels : int

@@ -117,7 +117,7 @@ def _along_columns(image, kernel):
 
 
 class spatial_light_modulator(torch.nn.Module):
-    """Turns the phase asked for into the field that a phase-only modulator makes of it.
+    """Model of a phase-only modulator, which returns the field that it makes of a phase.
 
     The phase is wrapped, shown by the nearest level, smoothed by crosstalk, multiplied by `scale`, and mixed with the
     light of the gaps: field = amplitude·exp(i·scale·aberration)·(F·exp(i·scale·shown) + (1 − F)·dead + zero order).
@@ -140,8 +140,10 @@ class spatial_light_modulator(torch.nn.Module):
         Or a kernel on the sample grid with odd lengths, ``[k]`` (along both axes) or ``[k, l]``, divided by its sum.
     fill_factor : float or torch.Tensor
         Share F of the panel's area that modulates, a centred square of each pixel.
-    dead_area_phase, dead_area_amplitude : float or torch.Tensor
-        Phase in radians and amplitude of the light from the gaps.
+    dead_area_phase : float or torch.Tensor
+        Phase in radians of the light from the gaps.
+    dead_area_amplitude : float or torch.Tensor
+        Amplitude of the light from the gaps.
     zero_order : complex or torch.Tensor
         Amplitude of further unmodulated light, as from the cover glass.
     aberration : torch.Tensor, optional
@@ -359,6 +361,13 @@ def temporal_average(intensity: torch.Tensor, dim: int = -3) -> torch.Tensor:
     -------
     torch.Tensor
         `intensity` without that axis.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import temporal_average
+    >>> temporal_average(torch.tensor([[[1.0]], [[3.0]]])).tolist()
+    [[2.0]]
     """
     intensity = floating("intensity", intensity)
     dim = _validate.whole("dim", dim, minimum=-(2**31))

@@ -20,7 +20,7 @@ _SOFTNESS = 0.1
 
 
 class complex_2d_gaussians(nn.Module):
-    """Flat Gaussians on a picture, each with a size, a rotation, and an amplitude and a phase for each colour.
+    """Gaussians in a plane, each with a size, a rotation, and an amplitude and a phase for each colour.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class complex_2d_gaussians(nn.Module):
     device : torch.device or str
         Where the parameters live.
     merge_opacity : bool
-        Leave the opacities out: they are one, and the colours are all there is to amplitude.
+        Set the opacities to one, so that the colours alone give the amplitudes.
     seed : int, optional
         Makes the first parameters reproducible.
     channels : int
@@ -39,12 +39,18 @@ class complex_2d_gaussians(nn.Module):
 
     Attributes
     ----------
-    means_2d, pre_act_scales : torch.nn.Parameter
-        ``[N, 2]``, see :meth:`apply_activations`.
-    pre_act_rotation, pre_act_opacities : torch.nn.Parameter
-        ``[N]``.
-    colours, pre_act_phase : torch.nn.Parameter
-        ``[N, C]``.
+    means_2d : torch.nn.Parameter
+        Centres ``[N, 2]``, see :meth:`apply_activations`.
+    pre_act_scales : torch.nn.Parameter
+        Sizes before their activation, ``[N, 2]``.
+    pre_act_rotation : torch.nn.Parameter
+        Rotations before their activation, ``[N]``.
+    pre_act_opacities : torch.nn.Parameter
+        Opacities before their activation, ``[N]``.
+    colours : torch.nn.Parameter
+        Amplitudes ``[N, C]``.
+    pre_act_phase : torch.nn.Parameter
+        Phases before their activation, ``[N, C]``.
 
     Raises
     ------

@@ -55,10 +55,20 @@ class complex_3d_gaussians(nn.Module):
 
     Attributes
     ----------
-    pre_act_quats, means, pre_act_scales, colours, pre_act_phase : torch.nn.Parameter
-        ``[N, 4]`` and ``[N, 3]``.
-    pre_act_opacities, pre_act_plane_assignment : torch.nn.Parameter
-        ``[N]`` and ``[N, P]``.
+    pre_act_quats : torch.nn.Parameter
+        Quaternions of the rotations before normalization, ``[N, 4]``.
+    means : torch.nn.Parameter
+        Centres ``[N, 3]``.
+    pre_act_scales : torch.nn.Parameter
+        Sizes before their activation, ``[N, 3]``.
+    colours : torch.nn.Parameter
+        Amplitudes ``[N, 3]``.
+    pre_act_phase : torch.nn.Parameter
+        Phases before their activation, ``[N, 3]``.
+    pre_act_opacities : torch.nn.Parameter
+        Opacities before their activation, ``[N]``.
+    pre_act_plane_assignment : torch.nn.Parameter
+        Weights of the planes before the choice of one, ``[N, P]``.
 
     Raises
     ------
@@ -513,6 +523,13 @@ class StraightThroughEstimator(nn.Module):
     ------
     ValueError
         If the temperature is not positive.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import StraightThroughEstimator
+    >>> StraightThroughEstimator()(torch.tensor([[0.1, 0.7, 0.2]])).tolist()
+    [[0.0, 1.0, 0.0]]
     """
 
     def __init__(self, temperature: float = 0.001):

@@ -52,6 +52,14 @@ class Splats(NamedTuple):
         Logits of the opacities ``[N]``.
     harmonics : torch.Tensor
         Coefficients of the spherical harmonics of the colour ``[N, (degree + 1)², 3]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Splats
+    >>> splats = Splats(torch.zeros(2, 3), torch.ones(2, 4), torch.zeros(2, 3), torch.zeros(2), torch.zeros(2, 1, 3))
+    >>> len(splats.means), torch.sigmoid(splats.opacities).tolist()
+    (2, [0.5, 0.5])
     """
 
     means: torch.Tensor
@@ -72,6 +80,19 @@ class ColmapView(NamedTuple):
         Camera with the axes of odak, in which both axes of the image are inverted.
     size : tuple of int
         Width and height of the image in pixels.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.wave import load_colmap
+    >>> from odak.tools import write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = [os.path.join(folder, name) for name in ("cameras.txt", "images.txt")]
+    ...     written = write_to_text_file(["1 PINHOLE 640 480 500 500 320 240"], files[0])
+    ...     written = write_to_text_file(["1 1 0 0 0 0 0 0 1 first.png", ""], files[1])
+    ...     views = load_colmap(folder)
+    >>> views[0].name, views[0].size
+    ('first.png', (640, 480))
     """
 
     name: str
@@ -99,6 +120,19 @@ def load_splats(path: str | os.PathLike) -> Splats:
         If there is no such file.
     ValueError
         If the path is not acceptable, or the file is broken or lacks a property.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.wave import Splats, load_splats, save_splats
+    >>> splats = Splats(torch.zeros(2, 3), torch.ones(2, 4), torch.zeros(2, 3), torch.zeros(2), torch.zeros(2, 1, 3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "scene.ply")
+    ...     save_splats(name, splats)
+    ...     again = load_splats(name)
+    >>> torch.equal(again.quats, splats.quats)
+    True
     """
     path = validate_path(path, [".ply"])
     if not os.path.exists(path):
@@ -142,6 +176,19 @@ def save_splats(path: str | os.PathLike, splats: Splats) -> None:
     ------
     ValueError
         If the path is not acceptable, or a shape is wrong.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.wave import Splats, load_splats, save_splats
+    >>> splats = Splats(torch.zeros(2, 3), torch.ones(2, 4), torch.zeros(2, 3), torch.zeros(2), torch.zeros(2, 1, 3))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "scene.ply")
+    ...     save_splats(name, splats)
+    ...     again = load_splats(name)
+    >>> torch.equal(again.quats, splats.quats)
+    True
     """
     path = validate_path(path, [".ply"])
     splats = Splats(*splats)
@@ -230,6 +277,15 @@ def view_colours(harmonics: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     -------
     torch.Tensor
         Red, green, blue ``[N, 3]``.
+
+    Examples
+    --------
+    Gaussians without harmonics are grey from all directions:
+
+    >>> import torch
+    >>> from odak.learn.wave import view_colours
+    >>> view_colours(torch.zeros(1, 1, 3), torch.tensor([[0.0, 0.0, 1.0]])).tolist()
+    [[0.5, 0.5, 0.5]]
     """
     harmonics, directions = rows_of(harmonics=(harmonics, "K", 3), directions=(directions, 3))
     basis = spherical_harmonics(_degree(harmonics.shape[1]), directions)
@@ -257,6 +313,19 @@ def load_colmap(folder: str | os.PathLike, device: torch.device | str = "cpu") -
         If the folder has no such files.
     ValueError
         If a file is broken, or a camera has distortion: undistort the images with COLMAP first.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.wave import load_colmap
+    >>> from odak.tools import write_to_text_file
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = [os.path.join(folder, name) for name in ("cameras.txt", "images.txt")]
+    ...     written = write_to_text_file(["1 PINHOLE 640 480 500 500 320 240"], files[0])
+    ...     written = write_to_text_file(["1 1 0 0 0 0 0 0 1 first.png", ""], files[1])
+    ...     views = load_colmap(folder)
+    >>> views[0].name, views[0].size
+    ('first.png', (640, 480))
     """
     place = Path(validate_path(folder, name="folder"))
     for extension, read_cameras, read_images in (

@@ -19,14 +19,62 @@ from odak.learn.wave.training import linear
 
 
 class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
-    """:class:`multi_color_hologram_optimizer` as it was: an offset per pixel, always held to a double phase or smooth.
+    """Multi-colour hologram optimizer of earlier releases, with a phase offset per pixel and constrained patterns.
 
     Parameters
     ----------
-    learning_rate, learning_rate_floor : float
-        Step of Adam in radians at the start and at the end, falling evenly.
-    wavelengths, resolution, targets, propagator, **others
-        As in :class:`multi_color_hologram_optimizer`.
+    wavelengths : sequence of float
+        Wavelengths of the C light sources in metres, as in the propagator.
+    resolution : sequence of int
+        Rows m and columns n of the modulator, as in the propagator.
+    targets : torch.Tensor
+        Intensities to show, ``[D, C, ms, ns]``, 0 … 1, or ``[D, 1, ms, ns]``, the same in every colour.
+    propagator : odak.learn.wave.propagator
+        The display. It takes over `method` and the source powers found.
+    number_of_frames : int, default: 3
+        Number F of patterns, as in the propagator.
+    number_of_depth_layers : int, default: 1
+        Number D of planes, as in the propagator.
+    learning_rate : float, default: 0.02
+        Step of Adam in radians at the start.
+    learning_rate_floor : float, default: 0.005
+        Step of Adam in radians at the end, to which the step falls linearly.
+    double_phase : bool, default: True
+        Constrain the pattern to a double phase, else to a smooth one.
+    scale_factor : int, default: 1
+        Samples s per pixel, as `resolution_factor` in the propagator.
+    method : str, default: "multi-color"
+        "conventional" (one source per frame) or "multi-color" (powers learned).
+    channel_power_filename : str, optional
+        File of a tensor ``[F, C]`` of powers to start from, clipped to 0 … 1.
+    device : torch.device, optional
+        Where to compute; that of the propagator by default.
+    loss_function : callable, optional
+        Loss of each plane and colour, see :class:`multi_color_hologram_optimizer`; the squared error by default.
+    peak_amplitude : float, default: 1.0
+        Intensity of the brightest target, in units of what a source of power one gives where light is spread evenly.
+    optimize_peak_amplitude : bool, default: False
+        Leave the targets' scale free, as in :class:`multi_color_hologram_optimizer`.
+    img_loss_thres : float
+        Not used; kept for older calls.
+    reduction : {"sum", "mean"}
+        How the losses of pixels and planes are combined.
+    **others
+        Further options of :class:`multi_color_hologram_optimizer`: `camera`, `initial_phase`, `progress`, `callback`,
+        `checkpoint`, `checkpoint_every` and `seed`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import mixed_color_hologram_optimizer, propagator
+    >>> colours = [639e-9, 515e-9, 473e-9]
+    >>> display = propagator([32, 32], colours, 8e-6, number_of_frames=3, propagator_type="forward", volume_depth=0)
+    >>> optimizer = mixed_color_hologram_optimizer(
+    ...     colours, [32, 32], torch.rand(1, 3, 32, 32), display, seed=0, progress=False
+    ... )
+    >>> phases, images, *_ = optimizer.optimize(2)
+    >>> tuple(phases.shape), tuple(images.shape)
+    ((3, 32, 32), (3, 1, 3, 32, 32))
     """
 
     _title = "mixed-colour hologram"

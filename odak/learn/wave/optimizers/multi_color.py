@@ -67,22 +67,30 @@ class multi_color_hologram_optimizer:
         ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
         keywords it does not know are left out. The squared error by default.
     peak_amplitude : float
-        Brightness of the targets, in units of what a source of power one gives where light is spread evenly. The light
-        loss pulls the sum of all source amplitudes to F times that.
+        Intensity of the brightest target, in units of what a source of power one gives where light is spread evenly.
+        The light loss draws the sum of all source amplitudes to F times that.
     optimize_peak_amplitude : bool
-        Leave the targets' brightness free: in each iteration it is the one at which the images are closest to them, and
+        Leave the targets' scale free: in each iteration it is the one at which the images are closest to them, and
         the loss is that of the images divided by it.
     img_loss_thres : float
-        Taken for the sake of older callers, and not used.
+        Not used; kept for older calls.
     reduction : {"sum", "mean"}
         How the losses of pixels and planes are put together.
     camera : callable, optional
         ``camera(phases)`` shows phases ``[F, m, n]`` on the real display and returns the intensities it captures,
         ``[D, C, ms, ns]``. The loss is then that of the captured images (camera in the loop).
     initial_phase : torch.Tensor, optional
-        Phases to start from, ``[F, m, n]``; random over several turns by default.
-    progress, callback, checkpoint, checkpoint_every, seed
-        As in :func:`odak.learn.wave.stochastic_gradient_descent`.
+        Phases in radians to start from, ``[F, m, n]``; random over several cycles of 2π by default.
+    progress : bool, default: True
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int, default: 50
+        Iterations between two writings of that file; it is written at the end and on an interruption too.
+    seed : int, optional
+        Makes the random start reproducible; by default torch's own generator draws it.
 
     Raises
     ------

@@ -31,15 +31,19 @@ class multiplane_hologram_optimizer:
         Rows m and columns n.
     targets : torch.Tensor
         Intensities to show, ``[P, m, n]`` or ``[P, 1, m, n]``; of more planes than P the first are used.
-    propagation_type, propagator_type : str
-        As in :class:`odak.learn.wave.propagator`.
+    propagation_type : str
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`.
+    propagator_type : str
+        "forward" (from the modulator to the planes) or "back and forth" (through a relay of `zero_mode_distance`), see
+        :class:`odak.learn.wave.propagator`.
     number_of_iterations : int
         Number of iterations. Each visits all planes in order and takes a step at each.
     learning_rate : float
         Step of Adam in radians.
-    phase_initial, amplitude_initial : torch.Tensor, optional
-        Phase to start from, 0 … 1 rad at random by default, and amplitude of the light on the modulator, one by
-        default; ``[m, n]`` each.
+    phase_initial : torch.Tensor, optional
+        Phase to start from in radians, ``[m, n]``; 0 … 1 rad at random by default.
+    amplitude_initial : torch.Tensor, optional
+        Amplitude of the light on the modulator, ``[m, n]``; one by default.
     loss_function : callable, optional
         ``loss_function(image, target, plane_id)`` on masked images; the mean squared error by default. It is called
         for each plane before the first step too.
@@ -51,8 +55,16 @@ class multiplane_hologram_optimizer:
         Distance in metres of the relay that light goes to and comes back from.
     device : torch.device, optional
         Where to compute.
-    progress, callback, checkpoint, checkpoint_every, seed
-        As in :func:`odak.learn.wave.stochastic_gradient_descent`; they count visits of planes.
+    progress : bool, default: True
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each visit of a plane, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int, default: 50
+        Visits of planes between two writings of that file; it is written at the end and on an interruption too.
+    seed : int, optional
+        Makes the random start reproducible; by default torch's own generator draws it.
 
     Raises
     ------
