@@ -62,6 +62,16 @@ def rgb_2_ycrcb(image: torch.Tensor) -> torch.Tensor:
     -----
     Cr = 0.5 + 0.713·(R − Y), Cb = 0.5 + 0.564·(B − Y), as in OpenCV; BT.601 itself gives 0.7133 and 0.5643. The inverse
     has three digits as well, so that a round trip is off by up to 3e-4.
+
+    Examples
+    --------
+    Greys have the chroma 0.5:
+
+    >>> import torch
+    >>> from odak.learn.perception import rgb_2_ycrcb
+    >>> result = rgb_2_ycrcb(torch.tensor([0.5, 0.5, 0.5]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.5, 0.5, 0.5]
     """
     return mix(_RGB_TO_YCRCB, as_pictures("image", image), offset=_CHROMA_OFFSET)
 
@@ -69,7 +79,28 @@ def rgb_2_ycrcb(image: torch.Tensor) -> torch.Tensor:
 def ycrcb_2_rgb(image: torch.Tensor) -> torch.Tensor:
     """Return R′G′B′ of Y, Cr, Cb: the inverse of :func:`rgb_2_ycrcb` to 3e-4.
 
-    Parameters, result and errors are those of :func:`rgb_2_ycrcb`; channels come in the order Y, Cr, Cb.
+    Parameters
+    ----------
+    image : torch.Tensor
+        Y, Cr, Cb ``[..., 3, H, W]``, the chroma of greys being 0.5.
+
+    Returns
+    -------
+    torch.Tensor
+        Display-encoded RGB ``[..., 3, H, W]``, four axes for three.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import ycrcb_2_rgb
+    >>> result = ycrcb_2_rgb(torch.tensor([0.5, 0.5, 0.5]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.5, 0.5, 0.5]
     """
     return mix(_YCRCB_TO_RGB, as_pictures("image", image), offset=_RGB_OFFSET)
 
@@ -131,6 +162,14 @@ def linear_rgb_to_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     Notes
     -----
     IEC 61966-2-1:1999, section 5.3.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import linear_rgb_to_rgb
+    >>> result = linear_rgb_to_rgb(torch.tensor([0.0, 0.214041, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.0, 0.5, 1.0]
     """
     _validate.number("threshold", threshold, positive=True)
     return srgb_encoded(as_pictures("image", image), float(threshold))
@@ -156,14 +195,49 @@ def linear_rgb_to_xyz(image: torch.Tensor, *, white: Sequence[float] = XYZ_WHITE
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats, or the white is not three positive numbers.
+
+    Examples
+    --------
+    White has the luminance Y = 1:
+
+    >>> import torch
+    >>> from odak.learn.perception import linear_rgb_to_xyz
+    >>> result = linear_rgb_to_xyz(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.9505, 1.0, 1.0888]
     """
     return mix(_xyz_matrices(white)[0], as_pictures("image", image))
 
 
 def xyz_to_linear_rgb(image: torch.Tensor, *, white: Sequence[float] = XYZ_WHITE) -> torch.Tensor:
-    """Return linear RGB of CIE 1931 XYZ: the inverse of :func:`linear_rgb_to_xyz`, with its parameters and errors.
+    """Return linear RGB with the primaries of sRGB of CIE 1931 XYZ: the inverse of :func:`linear_rgb_to_xyz`.
 
-    Colours outside the gamut have values below 0 or above 1.
+    Parameters
+    ----------
+    image : torch.Tensor
+        XYZ ``[..., 3, H, W]``, Y being 1 for white.
+    white : sequence of float
+        XYZ of R = G = B = 1, as in :func:`linear_rgb_to_xyz`.
+
+    Returns
+    -------
+    torch.Tensor
+        Linear RGB ``[..., 3, H, W]``, four axes for three; colours outside the gamut have values below 0 or above 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats, or the white is not three positive numbers.
+
+    Examples
+    --------
+    The white D65 is R = G = B:
+
+    >>> import torch
+    >>> from odak.learn.perception import xyz_to_linear_rgb
+    >>> result = xyz_to_linear_rgb(torch.tensor([0.9505, 1.0, 1.089]).reshape(1, 3, 1, 1))
+    >>> [round(value, 2) for value in result.flatten().tolist()]
+    [1.0, 1.0, 1.0]
     """
     return mix(_xyz_matrices(white)[1], as_pictures("image", image))
 
@@ -192,6 +266,16 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     Notes
     -----
     Smith, SIGGRAPH Comput. Graph. 12, 12 (1978).
+
+    Examples
+    --------
+    Green has the hue 2π/3:
+
+    >>> import torch
+    >>> from odak.learn.perception import rgb_to_hsv
+    >>> result = rgb_to_hsv(torch.tensor([0.0, 1.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [2.0944, 1.0, 1.0]
     """
     eps = float(_validate.number("eps", eps, least=0))
     red, green, blue = as_pictures("image", image).unbind(-3)
@@ -224,6 +308,16 @@ def hsv_to_rgb(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    The hue 2π/3 is green:
+
+    >>> import torch
+    >>> from odak.learn.perception import hsv_to_rgb
+    >>> result = hsv_to_rgb(torch.tensor([2.0944, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.0, 1.0, 0.0]
     """
     hue, saturation, value = as_pictures("image", image).unbind(-3)
     sixths, lost = _modulo_six(hue * (3 / math.pi)), saturation * value
@@ -256,14 +350,45 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     -----
     CIE 015:2018, section 8.2.1; the white is D65 = (0.31271, 0.32902). Computed in float64 whatever the input: in
     float32 alone, dark channels of saturated colours would come back 8e-6 off; stored in float32, they are 8e-7 off.
+
+    Examples
+    --------
+    White has the lightness 100:
+
+    >>> import torch
+    >>> from odak.learn.perception import srgb_to_lab
+    >>> result = srgb_to_lab(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 2) for value in result.flatten().tolist()]
+    [100.0, 0.0, 0.0]
     """
     return by_pixels(_to_lab, _single("image", image), _to_lab_gradient)
 
 
 def lab_to_srgb(image: torch.Tensor) -> torch.Tensor:
-    """Return sRGB of CIE 1976 L*a*b*: the inverse of :func:`srgb_to_lab`, with its axes and errors.
+    """Return sRGB of CIE 1976 L*a*b*: the inverse of :func:`srgb_to_lab`.
 
-    Colours outside the gamut have values below 0 or above 1.
+    Parameters
+    ----------
+    image : torch.Tensor
+        L*a*b* ``[..., 3, H, W]``, or one picture ``[H, W, 3]`` whose first axis is not 3.
+
+    Returns
+    -------
+    torch.Tensor
+        sRGB with the axes of the input; colours outside the gamut have values below 0 or above 1.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import lab_to_srgb
+    >>> result = lab_to_srgb(torch.tensor([100.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [1.0, 1.0, 1.0]
     """
     return by_pixels(_from_lab, _single("image", image), _from_lab_gradient)
 
@@ -273,8 +398,10 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
 
     Parameters
     ----------
-    input_image, target_image : torch.Tensor
-        sRGB ``[3, H, W]`` or batches; sizes may differ.
+    input_image : torch.Tensor
+        Picture whose colours are changed, sRGB ``[3, H, W]`` or a batch.
+    target_image : torch.Tensor
+        Picture whose colours are taken, sRGB ``[3, H, W]`` or a batch; its size may differ.
     model : {"Lab Stats"}
         How colours are carried over.
 
@@ -291,6 +418,17 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
     Notes
     -----
     Reinhard, Ashikhmin, Gooch and Shirley, IEEE Comput. Graph. Appl. 21, 34 (2001), in L*a*b* for lαβ.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import color_map, srgb_to_lab
+    >>> generator = torch.Generator().manual_seed(0)
+    >>> first, second = (torch.rand(3, 8, 8, generator=generator) * scale for scale in (0.5, 1.0))
+    >>> result = color_map(first, second)
+    >>> lightness = [srgb_to_lab(picture)[..., 0, :, :].mean().item() for picture in (result, second)]
+    >>> abs(lightness[0] - lightness[1]) < 1e-2
+    True
     """
     _validate.one_of("model", model, ("Lab Stats",))
     source, target = (_single(*named) for named in (("input_image", input_image), ("target_image", target_image)))
@@ -325,6 +463,14 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image is not one picture of three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import rgb_to_gray
+    >>> result = rgb_to_gray(torch.tensor([1.0, 0.0, 0.0]).reshape(3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.299]
     """
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
         raise TypeError(f"image must be a tensor of real floats, got {getattr(image, 'dtype', type(image).__name__)}")
@@ -468,8 +614,10 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
 
     Parameters
     ----------
-    first, second : torch.Tensor
-        L*a*b* ``[..., 3, H, W]``; leading axes broadcast.
+    first : torch.Tensor
+        L*a*b* ``[..., 3, H, W]``.
+    second : torch.Tensor
+        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
 
     Returns
     -------
@@ -484,6 +632,14 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     Notes
     -----
     CIE 015:2018, section 8.2.1.3.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import delta_e
+    >>> first, second = torch.tensor([[50.0, 0.0, 0.0], [53.0, 4.0, 0.0]]).reshape(2, 1, 3, 1, 1)
+    >>> delta_e(first, second).item()
+    5.0
     """
     first, second = _pair(first, second)
     return _root((first - second).square().sum(-3, keepdim=True))
@@ -494,8 +650,10 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
 
     Parameters
     ----------
-    first, second : torch.Tensor
-        L*a*b* ``[..., 3, H, W]``; leading axes broadcast.
+    first : torch.Tensor
+        L*a*b* ``[..., 3, H, W]``.
+    second : torch.Tensor
+        L*a*b* ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
 
     Returns
     -------

@@ -68,8 +68,10 @@ def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = 
     ----------
     image : torch.Tensor
         Linear RGB ``[..., 3, H, W]``.
-    source, target : {"BT.709", "BT.2020", "Display P3"}
-        Primaries of the picture and of the result.
+    source : {"BT.709", "BT.2020", "Display P3"}
+        Primaries of the picture.
+    target : {"BT.709", "BT.2020", "Display P3"}
+        Primaries of the result.
 
     Returns
     -------
@@ -85,6 +87,16 @@ def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = 
     Notes
     -----
     ITU-R BT.2087-0 gives the matrix from BT.709 to BT.2020.
+
+    Examples
+    --------
+    Both have the white D65, so that greys stay:
+
+    >>> import torch
+    >>> from odak.learn.perception import change_primaries
+    >>> result = change_primaries(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [1.0, 1.0, 1.0]
     """
     source, target = (
         _validate.one_of(name, value, PRIMARIES) for name, value in (("source", source), ("target", target))

@@ -105,6 +105,16 @@ def lab_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats, or the white is not three positive numbers.
+
+    Examples
+    --------
+    The lightness 100 without chroma is the white:
+
+    >>> import torch
+    >>> from odak.learn.perception import lab_to_xyz
+    >>> result = lab_to_xyz(torch.tensor([100.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.9505, 1.0, 1.0891]
     """
     level, red, blue = as_pictures("image", image).unbind(-3)
     y = (level + 16) / 116
@@ -136,6 +146,16 @@ def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     Notes
     -----
     CIE 015:2018, section 8.2.2.
+
+    Examples
+    --------
+    A grey of the luminance 0.2:
+
+    >>> import torch
+    >>> from odak.learn.perception import xyz_to_luv
+    >>> result = xyz_to_luv(torch.tensor([0.1901, 0.2, 0.21781]).reshape(1, 3, 1, 1))
+    >>> [abs(round(value, 1)) for value in result.flatten().tolist()]
+    [51.8, 0.0, 0.0]
     """
     white = _white(white)
     x, y, z = as_pictures("image", image).unbind(-3)
@@ -167,6 +187,16 @@ def luv_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats, or the white is not three positive numbers.
+
+    Examples
+    --------
+    The lightness 100 without chroma is the white:
+
+    >>> import torch
+    >>> from odak.learn.perception import luv_to_xyz
+    >>> result = luv_to_xyz(torch.tensor([100.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.9505, 1.0, 1.0891]
     """
     white = _white(white)
     level, u, v = as_pictures("image", image).unbind(-3)
@@ -198,6 +228,16 @@ def xyz_to_lms(image: torch.Tensor, cones: str = "Hunt-Pointer-Estevez") -> torc
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats, or the cones are not known.
+
+    Examples
+    --------
+    A spectrum of equal energy, X = Y = Z, excites all cones alike:
+
+    >>> import torch
+    >>> from odak.learn.perception import xyz_to_lms
+    >>> result = xyz_to_lms(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 2) for value in result.flatten().tolist()]
+    [1.0, 1.0, 1.0]
     """
     return mix(CONES[_validate.one_of("cones", cones, CONES)], as_pictures("image", image))
 
@@ -221,6 +261,16 @@ def lms_to_xyz(image: torch.Tensor, cones: str = "Hunt-Pointer-Estevez") -> torc
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats, or the cones are not known.
+
+    Examples
+    --------
+    Equal responses of all cones are a spectrum of equal energy, X = Y = Z:
+
+    >>> import torch
+    >>> from odak.learn.perception import lms_to_xyz
+    >>> result = lms_to_xyz(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 2) for value in result.flatten().tolist()]
+    [1.0, 1.0, 1.0]
     """
     return mix(_inverse(CONES[_validate.one_of("cones", cones, CONES)]), as_pictures("image", image))
 
@@ -255,6 +305,17 @@ def adapt_chromatically(
     Notes
     -----
     Bradford: ICC.1:2022, annex E. CAT16: Li et al., Color Res. Appl. 42, 703 (2017).
+
+    Examples
+    --------
+    The white of the source becomes that of the target:
+
+    >>> import torch
+    >>> from odak.learn.perception import adapt_chromatically
+    >>> d65, d50 = (0.9505, 1.0, 1.089), (0.9642, 1.0, 0.8251)
+    >>> white = torch.tensor(d65).reshape(1, 3, 1, 1)
+    >>> [round(value, 4) for value in adapt_chromatically(white, d65, d50).flatten().tolist()]
+    [0.9642, 1.0, 0.8251]
     """
     matrix = np.array(CONES[_validate.one_of("cones", cones, CONES)])
     source, target = _white(source_white, "source_white"), _white(target_white, "target_white")
@@ -283,6 +344,16 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     Notes
     -----
     Ottosson, *A perceptual color space for image processing* (2020).
+
+    Examples
+    --------
+    The white D65 has the lightness 1 and no chroma:
+
+    >>> import torch
+    >>> from odak.learn.perception import xyz_to_oklab
+    >>> result = xyz_to_oklab(torch.tensor([0.9505, 1.0, 1.089]).reshape(1, 3, 1, 1))
+    >>> [abs(round(value, 2)) for value in result.flatten().tolist()]
+    [1.0, 0.0, 0.0]
     """
     return mix(rows(_OKLAB), _signed_cube_root(mix(rows(_OKLAB_CONES), as_pictures("image", image))))
 
@@ -304,6 +375,14 @@ def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import oklab_to_xyz
+    >>> result = oklab_to_xyz(torch.tensor([1.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 2) for value in result.flatten().tolist()]
+    [0.95, 1.0, 1.09]
     """
     return mix(_inverse(rows(_OKLAB_CONES)), mix(_inverse(rows(_OKLAB)), as_pictures("image", image)) ** 3)
 
@@ -325,6 +404,14 @@ def oklab_to_oklch(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import oklab_to_oklch
+    >>> result = oklab_to_oklch(torch.tensor([0.5, 0.0, 0.1]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.5, 0.1, 1.5708]
     """
     level, red, blue = as_pictures("image", image).unbind(-3)
     grey = (red == 0) & (blue == 0)
@@ -350,6 +437,14 @@ def oklch_to_oklab(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import oklch_to_oklab
+    >>> result = oklch_to_oklab(torch.tensor([0.5, 0.1, 1.5707964]).reshape(1, 3, 1, 1))
+    >>> [round(abs(value), 4) for value in result.flatten().tolist()]
+    [0.5, 0.0, 0.1]
     """
     level, chroma, hue = as_pictures("image", image).unbind(-3)
     return torch.stack([level, chroma * torch.cos(hue), chroma * torch.sin(hue)], -3)
@@ -377,6 +472,16 @@ def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     Notes
     -----
     ITU-R BT.2100-2, table 7.
+
+    Examples
+    --------
+    White at the peak of PQ has the intensity 1:
+
+    >>> import torch
+    >>> from odak.learn.perception import rgb_to_ictcp
+    >>> result = rgb_to_ictcp(torch.tensor([10000.0, 10000.0, 10000.0]).reshape(1, 3, 1, 1))
+    >>> [abs(round(value, 3)) for value in result.flatten().tolist()]
+    [1.0, 0.0, 0.0]
     """
     return mix(rows(_ICTCP), pq_encode(mix(rows(_ICTCP_CONES), as_pictures("luminance", luminance))))
 
@@ -398,6 +503,14 @@ def ictcp_to_rgb(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import ictcp_to_rgb
+    >>> result = ictcp_to_rgb(torch.tensor([1.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, -1) for value in result.flatten().tolist()]
+    [10000.0, 10000.0, 10000.0]
     """
     return mix(_inverse(rows(_ICTCP_CONES)), pq_decode(mix(_inverse(rows(_ICTCP)), as_pictures("image", image))))
 
@@ -420,6 +533,15 @@ def map_to_gamut(image: torch.Tensor) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import map_to_gamut
+    >>> green = torch.tensor([-0.3, 1.0, -0.1]).reshape(1, 3, 1, 1)
+    >>> mapped = map_to_gamut(green)
+    >>> bool((mapped >= 0).all() and (mapped <= 1).all())
+    True
     """
     image = as_pictures("image", image)
     oklab = xyz_to_oklab(mix(rows(_SRGB), image))
@@ -466,6 +588,16 @@ def tone_map(image: torch.Tensor, method: str = "Reinhard", white: float = 4.0) 
     -----
     Reinhard, Stark, Shirley and Ferwerda, ACM Trans. Graph. 21, 267 (2002). Hable, *Uncharted 2: HDR lighting*, Game
     Developers Conference (2010).
+
+    Examples
+    --------
+    The luminance `white` becomes 1:
+
+    >>> import torch
+    >>> from odak.learn.perception import tone_map
+    >>> grey = torch.full((1, 3, 1, 1), 4.0)
+    >>> round(tone_map(grey, white=4.0).max().item(), 6)
+    1.0
     """
     image = as_pictures("image", image)
     method = _validate.one_of("method", method, ("Reinhard", "Hable"))

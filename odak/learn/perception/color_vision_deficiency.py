@@ -76,6 +76,16 @@ def simulate_color_vision_deficiency(
     Brettel, Viénot and Mollon, J. Opt. Soc. Am. A 14, 2647 (1997), its neutral axis being the display's white; Viénot,
     Brettel and Mollon, Color Res. Appl. 24, 243 (1999), without its reduction of contrast; Machado, Oliveira and
     Fernandes, IEEE Trans. Vis. Comput. Graph. 15, 1291 (2009). All act on linear intensities.
+
+    Examples
+    --------
+    Greys look the same to everybody:
+
+    >>> import torch
+    >>> from odak.learn.perception import simulate_color_vision_deficiency
+    >>> result = simulate_color_vision_deficiency(torch.tensor([0.5, 0.5, 0.5]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.5, 0.5, 0.5]
     """
     image = as_pictures("image", image)
     deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
@@ -247,6 +257,14 @@ def extract_local_patches(
     ------
     ValueError, TypeError
         If the image is not ``[B, C, H, W]`` of real floats, or the patch is larger than it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import extract_local_patches
+    >>> patches, corners = extract_local_patches(torch.zeros(1, 3, 6, 8), patch_size=4, stride=2)
+    >>> tuple(patches.shape), corners[-1]
+    ((1, 48, 6), (4, 2))
     """
     image = _checked("image", image)
     patch_size = _validate.integer("patch_size", patch_size, minimum=1)
@@ -267,8 +285,10 @@ def compute_local_contrast_similarity(
 
     Parameters
     ----------
-    patch_x, patch_y : torch.Tensor
-        Patches ``[D, N]`` of one shape.
+    patch_x : torch.Tensor
+        Patches ``[D, N]``, D samples each.
+    patch_y : torch.Tensor
+        Patches to compare with, of the same shape.
     epsilon : float
         Keeps the ratio apart from 0/0.
 
@@ -281,6 +301,16 @@ def compute_local_contrast_similarity(
     ------
     ValueError, TypeError
         If the patches are not ``[D, N]`` of real floats and one shape.
+
+    Examples
+    --------
+    Patches of which one has twice the contrast of the other have the similarity 2·2/(1 + 4):
+
+    >>> import torch
+    >>> from odak.learn.perception import compute_local_contrast_similarity
+    >>> patch = torch.tensor([[0.0], [1.0]])
+    >>> round(compute_local_contrast_similarity(patch, 2 * patch).item(), 6)
+    0.8
     """
     for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
         if not isinstance(patch, torch.Tensor) or not patch.is_floating_point():
@@ -302,8 +332,10 @@ def local_contrast_loss(
 
     Parameters
     ----------
-    image, simulated_image : torch.Tensor
-        ``[B, C, H, W]`` of one shape, sides at least 4.
+    image : torch.Tensor
+        Picture ``[B, C, H, W]``, sides at least 4.
+    simulated_image : torch.Tensor
+        The picture as simulated, of the same shape.
     patch_size : int
         Side of a patch in pixels.
     stride : int
@@ -320,6 +352,14 @@ def local_contrast_loss(
     ------
     ValueError, TypeError
         If the pictures are not as said, or the patch is larger than they are.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import local_contrast_loss
+    >>> picture = torch.linspace(0, 1, 192).reshape(1, 3, 8, 8)
+    >>> local_contrast_loss(picture, picture).item() < 1e-6, local_contrast_loss(picture, 0 * picture).item() > 0.9
+    (True, True)
     """
     image, simulated_image = _checked_pair(image, simulated_image)
     _validate.number("epsilon", epsilon, positive=True)
@@ -333,8 +373,10 @@ def color_information_loss(
 
     Parameters
     ----------
-    image, simulated_image : torch.Tensor
-        ``[B, C, H, W]`` of one shape, sides at least 4.
+    image : torch.Tensor
+        Picture ``[B, C, H, W]``, sides at least 4.
+    simulated_image : torch.Tensor
+        The picture as simulated, of the same shape.
     kernel_size : int
         Side of the blur's kernel, in pixels.
     sigma : float
@@ -350,6 +392,14 @@ def color_information_loss(
     ------
     ValueError, TypeError
         If the pictures are not as said, or the kernel is not acceptable.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import color_information_loss
+    >>> picture = torch.linspace(0, 1, 48).reshape(1, 3, 4, 4)
+    >>> color_information_loss(picture, picture).item()
+    0.0
     """
     image, simulated_image = _checked_pair(image, simulated_image)
     kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
@@ -371,8 +421,10 @@ def cvd_loss(
 
     Parameters
     ----------
-    image, simulated_image : torch.Tensor
-        ``[B, C, H, W]`` of one shape, sides at least 4.
+    image : torch.Tensor
+        Picture ``[B, C, H, W]``, sides at least 4.
+    simulated_image : torch.Tensor
+        The picture as simulated, of the same shape.
     alpha : float
         Weight of local contrast.
     beta : float

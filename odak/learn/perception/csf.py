@@ -50,6 +50,14 @@ def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float =
     Notes
     -----
     Barten, *Contrast Sensitivity of the Human Eye* (SPIE, 1999), chapter 3.
+
+    Examples
+    --------
+    The pupil narrows from about 8 to 2 mm:
+
+    >>> from odak.learn.perception import pupil_diameter
+    >>> [round(pupil_diameter(luminance).item(), 1) for luminance in (1e-4, 10.0, 1e4)]
+    [7.7, 3.5, 2.2]
     """
     luminance, size = _numbers(luminance=luminance, size=size)
     return 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
@@ -270,7 +278,7 @@ def castle_contrast_sensitivity(
     channel: str = "achromatic",
     temporal_frequency: int = 0,
 ) -> torch.Tensor:
-    """Return how sensitive the eye is to gratings of brightness or colour.
+    """Return the contrast sensitivity of the eye to gratings of luminance or colour, by castleCSF.
 
     Parameters
     ----------
@@ -300,6 +308,13 @@ def castle_contrast_sensitivity(
     -----
     Ashraf, Mantiuk, Chapiro and Wuerger, J. Vis. 24, 5 (2024). Logarithms are interpolated linearly between 32
     frequencies and 32 luminances. :func:`odak.learn.perception.contrast_sensitivity` needs no table.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import castle_contrast_sensitivity
+    >>> peak, high = (castle_contrast_sensitivity(f).item() for f in (3.0, 30.0))  # doctest: +SKIP
+    >>> peak > 10 * high  # doctest: +SKIP
+    True
     """
     channel = _validate.one_of("channel", channel, CHANNELS)
     if temporal_frequency not in FLICKERS or (temporal_frequency and channel != CHANNELS[0]):

@@ -80,6 +80,14 @@ def color_matching_functions(wavelengths: torch.Tensor | Sequence[float]) -> tor
     Notes
     -----
     CIE 018:2019.
+
+    Examples
+    --------
+    ȳ is the photopic luminous efficiency, 1 at 555 nm:
+
+    >>> from odak.learn.perception import color_matching_functions
+    >>> round(color_matching_functions([555.0])[1].item(), 6)
+    1.0
     """
     return _from_table("CIE 1931", wavelengths)
 
@@ -101,6 +109,12 @@ def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
     ------
     ValueError, TypeError
         If the wavelengths are not a list of real numbers.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import illuminant_d65
+    >>> illuminant_d65([560.0]).item()
+    100.0
     """
     return _from_table("D65", wavelengths)[0]
 
@@ -124,6 +138,17 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     ------
     ValueError, TypeError
         If the numbers of samples differ or the wavelengths do not rise.
+
+    Examples
+    --------
+    The chromaticity of the illuminant D65 is (0.3127, 0.3290):
+
+    >>> import torch
+    >>> from odak.learn.perception import illuminant_d65, spectrum_to_xyz
+    >>> wavelengths = torch.arange(380.0, 781.0)
+    >>> xyz = spectrum_to_xyz(illuminant_d65(wavelengths), wavelengths)
+    >>> [round(value, 3) for value in (xyz[:2] / xyz.sum()).tolist()]
+    [0.313, 0.329]
     """
     if not isinstance(spectrum, torch.Tensor) or not spectrum.is_floating_point():
         kind = getattr(spectrum, "dtype", type(spectrum).__name__)
@@ -325,7 +350,7 @@ OPPONENT = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, 1.0))
 
 
 class display_color_hvs(nn.Module):
-    """How a display excites the cones of a viewer, and how far apart two of its pictures are in opponent colours.
+    """Cone responses of a viewer to the primaries of a display, and differences of its pictures in opponent colours.
 
     Parameters
     ----------
@@ -349,10 +374,16 @@ class display_color_hvs(nn.Module):
     ----------
     primaries_spectrum : torch.Tensor
         ``[P, S]``.
-    l_normalized, m_normalized, s_normalized : torch.Tensor
-        Sensitivities ``[S]``; also spelt ``l_normalised`` and so on.
-    lms_tensor, primaries_tensor : torch.Tensor
-        Response of each cone to each primary, ``[P, 3]`` and ``[3, P]``.
+    l_normalized : torch.Tensor
+        Sensitivity of the L cones ``[S]``; also spelt ``l_normalised``, like the other two.
+    m_normalized : torch.Tensor
+        Sensitivity of the M cones ``[S]``.
+    s_normalized : torch.Tensor
+        Sensitivity of the S cones ``[S]``.
+    lms_tensor : torch.Tensor
+        Response of each cone to each primary, ``[P, 3]``.
+    primaries_tensor : torch.Tensor
+        The inverse, ``[3, P]``.
 
     Raises
     ------

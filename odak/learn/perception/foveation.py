@@ -55,6 +55,12 @@ def make_3d_location_map(
     ------
     ValueError, TypeError
         If a length is not positive, or the size not two positive integers.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import make_3d_location_map
+    >>> [round(value, 6) for value in make_3d_location_map([3, 3], 0.2, 0.7)[:, 1, 2].tolist()]
+    [0.1, 0.0, 0.7]
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
@@ -164,6 +170,15 @@ def make_pooling_size_map_pixels(
     -----
     Pooling diameters that grow with eccentricity: Freeman and Simoncelli, Nat. Neurosci. 14, 1195 (2011); the map:
     Walton et al., ACM Trans. Graph. 40, 48 (2021).
+
+    Examples
+    --------
+    The pooling regions grow with the distance from the gaze:
+
+    >>> from odak.learn.perception import make_pooling_size_map_pixels
+    >>> width = make_pooling_size_map_pixels([0.5, 0.5], [65, 65])
+    >>> bool(width[32, 32] < width[32, 48] < width[32, 64])
+    True
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
@@ -220,6 +235,13 @@ def make_pooling_size_map_lod(
     -------
     torch.Tensor
         ``[H, W]``, 0 where the eye resolves single pixels.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import make_pooling_size_map_lod
+    >>> level = make_pooling_size_map_lod([0.5, 0.5], [65, 65])
+    >>> level[32, 32].item()
+    0.0
     """
     dtype, device = _options(dtype, device)
     pixels = make_pooling_size_map_pixels(
@@ -259,6 +281,13 @@ def make_radial_map(
     -------
     torch.Tensor
         ``[H, W]``, 0 … 1.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import make_radial_map
+    >>> radius = make_radial_map([5, 5], [0.5, 0.5])
+    >>> radius[0, 0].item(), radius[2, 2].item() < 0.2
+    (1.0, True)
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("size", size)
@@ -305,6 +334,13 @@ def make_equi_pooling_size_map_pixels(
     ------
     ValueError, TypeError
         If the mode is unknown, `alpha` is negative, or the gaze not two finite numbers.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import make_equi_pooling_size_map_pixels
+    >>> width = make_equi_pooling_size_map_pixels([0.0, 0.0], [33, 65])
+    >>> bool(width[16, 32] < width[16, 48] < width[16, 60])
+    True
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
@@ -353,6 +389,13 @@ def make_equi_pooling_size_map_lod(
     -------
     torch.Tensor
         ``[H, W]``.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import make_equi_pooling_size_map_lod
+    >>> level = make_equi_pooling_size_map_lod([0.0, 0.0], [33, 65])
+    >>> level[16, 32].item()
+    0.0
     """
     dtype, device = _options(dtype, device)
     pixels = make_equi_pooling_size_map_pixels(
@@ -427,10 +470,23 @@ class RadiallyVaryingBlur(nn.Module):
 
     Attributes
     ----------
-    lod_map, lod_fraction : torch.Tensor or None
-        Level of the MIP pyramid of each pixel ``[H, W]``, and its fractional part; None before the first use.
+    lod_map : torch.Tensor or None
+        Level of the MIP pyramid of each pixel ``[H, W]``; None before the first use.
+    lod_fraction : torch.Tensor or None
+        Its fractional part.
     size, n_channels, alpha, real_image_width, real_viewing_distance, centre, mode, equi
         What the map was made for.
+
+    Examples
+    --------
+    A constant picture is not changed:
+
+    >>> import torch
+    >>> from odak.learn.perception import RadiallyVaryingBlur
+    >>> blur = RadiallyVaryingBlur()
+    >>> picture = torch.full((1, 3, 32, 32), 0.5)
+    >>> round(blur.blur(picture).min().item(), 6)
+    0.5
     """
 
     def __init__(self, nominal_width: bool = False) -> None:
@@ -610,7 +666,7 @@ def level_map(
 
 
 class BlurLoss(nn.Module):
-    """Mean squared distance from the target as blurred for a gaze.
+    """Mean squared difference of a picture from the target blurred for a gaze.
 
     Parameters
     ----------
@@ -618,8 +674,10 @@ class BlurLoss(nn.Module):
         Where the loss is first; results follow their inputs.
     alpha : float
         Growth of the eye's pooling regions with eccentricity.
-    real_image_width, real_viewing_distance : float
-        Width of the picture as shown and distance of the eye from its centre, in one unit.
+    real_image_width : float
+        Width of the picture as shown.
+    real_viewing_distance : float
+        Distance of the eye from its centre, in the same unit.
     mode : str
         "quadratic" or "linear" growth.
     blur_source : bool
@@ -642,7 +700,16 @@ class BlurLoss(nn.Module):
 
     Notes
     -----
-    A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye only cannot tell.
+    A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye cannot resolve details.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import BlurLoss
+    >>> loss = BlurLoss(blur_source=True)
+    >>> picture = torch.rand(1, 3, 32, 32)
+    >>> loss(picture, picture).item()
+    0.0
     """
 
     _place: torch.Tensor

@@ -89,6 +89,13 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     ------
     TypeError
         If the signal is not a tensor of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import pq_decode
+    >>> [round(value) for value in pq_decode(torch.tensor([0.0, 0.508078, 1.0])).tolist()]
+    [0, 100, 10000]
     """
     return _pq_decoded(_floats("signal", signal))
 
@@ -110,6 +117,13 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     ------
     TypeError
         If the light is not a tensor of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import hlg_encode
+    >>> [round(value, 4) for value in hlg_encode(torch.tensor([0.0, 1 / 12, 1.0])).tolist()]
+    [0.0, 0.5, 1.0]
     """
     return _hlg_encoded(_floats("light", light))
 
@@ -131,6 +145,13 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     ------
     TypeError
         If the signal is not a tensor of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import hlg_decode
+    >>> [round(value, 4) for value in hlg_decode(torch.tensor([0.0, 0.5, 1.0])).tolist()]
+    [0.0, 0.0833, 1.0]
     """
     return _hlg_decoded(_floats("signal", signal))
 
@@ -141,7 +162,7 @@ def hlg_system_gamma(peak_luminance: float) -> float:
     Parameters
     ----------
     peak_luminance : float
-        Of white, in cd/m².
+        Luminance of white in cd/m².
 
     Returns
     -------
@@ -152,6 +173,12 @@ def hlg_system_gamma(peak_luminance: float) -> float:
     ------
     ValueError, TypeError
         If the luminance is not positive.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import hlg_system_gamma
+    >>> hlg_system_gamma(1000.0)
+    1.2
     """
     peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
     if 400 <= peak_luminance <= 2000:
@@ -162,14 +189,16 @@ def hlg_system_gamma(peak_luminance: float) -> float:
 def hlg_to_luminance(
     signal: torch.Tensor, peak_luminance: float = 1000.0, black_luminance: float = 0.0
 ) -> torch.Tensor:
-    """Return what an HLG display emits (EOTF, ITU-R BT.2100-2, table 5).
+    """Return the luminance that an HLG display emits (EOTF, ITU-R BT.2100-2, table 5).
 
     Parameters
     ----------
     signal : torch.Tensor
         HLG R′G′B′ ``[..., 3, H, W]`` with the primaries of BT.2020, 0 … 1.
-    peak_luminance, black_luminance : float
-        Of the display, in cd/m².
+    peak_luminance : float
+        Luminance of white on the display, in cd/m².
+    black_luminance : float
+        Luminance of black on the display, in cd/m².
 
     Returns
     -------
@@ -180,6 +209,15 @@ def hlg_to_luminance(
     ------
     ValueError, TypeError
         If the signal does not have three channels of real floats, or the luminances are not rising.
+
+    Examples
+    --------
+    White has the peak luminance:
+
+    >>> import torch
+    >>> from odak.learn.perception import hlg_to_luminance
+    >>> round(hlg_to_luminance(torch.ones(1, 3, 1, 1)).max().item())
+    1000
     """
     gamma, lift = _hlg_display(peak_luminance, black_luminance)
     light = hlg_decode((1 - lift) * _rgb("signal", signal) + lift)
@@ -189,14 +227,16 @@ def hlg_to_luminance(
 def luminance_to_hlg(
     luminance: torch.Tensor, peak_luminance: float = 1000.0, black_luminance: float = 0.0
 ) -> torch.Tensor:
-    """Return the HLG signal that makes a display emit a picture: the inverse of :func:`hlg_to_luminance`.
+    """Return the HLG signal of the luminance that a display is to emit: the inverse of :func:`hlg_to_luminance`.
 
     Parameters
     ----------
     luminance : torch.Tensor
         Of each channel in cd/m², ``[..., 3, H, W]`` with the primaries of BT.2020; below 0 counts as 0.
-    peak_luminance, black_luminance : float
-        Of the display, in cd/m².
+    peak_luminance : float
+        Luminance of white on the display, in cd/m².
+    black_luminance : float
+        Luminance of black on the display, in cd/m².
 
     Returns
     -------
@@ -207,6 +247,15 @@ def luminance_to_hlg(
     ------
     ValueError, TypeError
         If the picture does not have three channels of real floats, or the luminances are not rising.
+
+    Examples
+    --------
+    The peak luminance is the signal 1:
+
+    >>> import torch
+    >>> from odak.learn.perception import luminance_to_hlg
+    >>> round(luminance_to_hlg(torch.full((1, 3, 1, 1), 1000.0)).max().item(), 4)
+    1.0
     """
     gamma, lift = _hlg_display(peak_luminance, black_luminance)
     emitted = _rgb("luminance", luminance).clamp_min(0) / peak_luminance
@@ -239,6 +288,13 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     -----
     Mantiuk and Azimi, Picture Coding Symposium (2021), and the parameters published with it. Give metrics a data range
     of 256 where white of 100 cd/m² is the peak.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import pu21_encode
+    >>> round(pu21_encode(torch.tensor(100.0)).item()), round(pu21_encode(torch.tensor(1e4)).item(), 1)
+    (256, 595.4)
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
     return _pu21_encoded(_floats("luminance", luminance), p)
@@ -263,6 +319,14 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
     ------
     ValueError, TypeError
         If the values are not a tensor of real floats or the variant is not known.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import pu21_decode
+    >>> from odak.learn.perception import pu21_encode
+    >>> round(pu21_decode(pu21_encode(torch.tensor(50.0))).item(), 2)
+    50.0
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
     return _pu21_decoded(_floats("values", values), p)

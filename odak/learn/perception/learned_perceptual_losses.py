@@ -98,6 +98,14 @@ class CVVDP(_DifferencePredictor):
     ------
     ImportError
         If the package is missing and required; the message says what to install.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import CVVDP
+    >>> measure, picture = CVVDP(), torch.rand(1, 3, 64, 64)  # doctest: +SKIP
+    >>> measure(picture, picture).item()  # doctest: +SKIP
+    10.0
     """
 
     _module, _package = "pycvvdp", "cvvdp"
@@ -137,6 +145,14 @@ class FVVDP(_DifferencePredictor):
     ------
     ImportError
         If the package is missing and required; the message says what to install.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import FVVDP
+    >>> measure, picture = FVVDP(), torch.rand(1, 3, 64, 64)  # doctest: +SKIP
+    >>> measure(picture, picture).item()  # doctest: +SKIP
+    10.0
     """
 
     _module, _package = "pyfvvdp", "pyfvvdp"
@@ -175,6 +191,14 @@ class LPIPS(_Wrapper):
     ------
     ImportError
         If the package is missing and required; the message says what to install.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import LPIPS
+    >>> measure, picture = LPIPS(), torch.rand(1, 3, 64, 64)  # doctest: +SKIP
+    >>> measure(picture, picture).item()  # doctest: +SKIP
+    0.0
     """
 
     _module = _package = "lpips"

@@ -448,7 +448,7 @@ class MetamericLoss(_StatisticsLoss):
 
 
 class MetamericLossUniform(_StatisticsLoss):
-    """Distance between the pooled statistics of two pictures, the same everywhere.
+    """Difference of the pooled statistics of two pictures, with pooling regions of one size everywhere.
 
     Parameters
     ----------
@@ -480,6 +480,15 @@ class MetamericLossUniform(_StatisticsLoss):
     Notes
     -----
     See :class:`odak.learn.perception.MetamericLoss`; statistics of the target are kept in the same way.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import MetamericLossUniform
+    >>> loss = MetamericLossUniform(pooling_size=8, n_pyramid_levels=2)
+    >>> picture = torch.rand(1, 3, 32, 32)
+    >>> loss(picture, picture).item()
+    0.0
     """
 
     def __init__(
@@ -640,6 +649,17 @@ def uniform_blur(image: torch.Tensor, pooling_size: float, nominal_width: bool =
     ------
     ValueError, TypeError
         If the picture has not four axes, or the size is below 1/64.
+
+    Examples
+    --------
+    The mean is kept:
+
+    >>> import torch
+    >>> from odak.learn.perception import uniform_blur
+    >>> picture = torch.zeros(1, 1, 16, 16)
+    >>> picture[..., 8:] = 1
+    >>> round(uniform_blur(picture, 4.0).mean().item(), 6)
+    0.5
     """
     if as_pictures("image", image, None).ndim != 4 or 0 in _validate.image("image", image, axes=4).shape:
         raise ValueError(f"image must be [B, C, H, W], none empty, got {tuple(image.shape)}")
@@ -664,7 +684,7 @@ def _of_the_metameric_loss(name: str) -> Any:
 
 
 class MetamerMSELoss(nn.Module):
-    """Mean squared distance from one metamer of the target.
+    """Mean squared difference of a picture from one metamer of the target.
 
     Parameters
     ----------
@@ -713,6 +733,15 @@ class MetamerMSELoss(nn.Module):
     -----
     Equal pictures do not give 0: the target is one of its own metamers, but not the one that was drawn. The metamer is
     kept as long as a target of the same values comes with the same gaze and parameters.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import MetamerMSELoss
+    >>> loss = MetamerMSELoss(n_pyramid_levels=2, iterations=0)
+    >>> picture = torch.rand(1, 3, 64, 64)
+    >>> loss(loss.gen_metamer(picture, [0.5, 0.5]), picture).item() >= 0
+    True
     """
 
     alpha = _of_the_metameric_loss("alpha")

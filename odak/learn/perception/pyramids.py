@@ -74,6 +74,15 @@ def get_steerable_pyramid_filters(
     Designed by :func:`odak.learn.perception.pyramid_filter_design.design` on first use (under a second) and kept.
     Deviation of T = H₀² + L₀²(ΣBₖ² + L²/4) from 1 of the full banks: below 0.02 for K = 1, 2, 3, 4, 6. In the bilinear
     mode cos⁴(ωₓ/2)·cos⁴(ω_y/2) is in place of L²/4, and the deviation is below 0.05.
+
+    Examples
+    --------
+    The bands have no response to a constant:
+
+    >>> from odak.learn.perception import get_steerable_pyramid_filters
+    >>> filters = get_steerable_pyramid_filters(9, 4, "full")
+    >>> len(filters["b"]), all(abs(band.sum().item()) < 1e-5 for band in filters["b"])
+    (4, True)
     """
     count = _validate.integer("n_orientations", n_orientations, minimum=1)
     kind = _validate.one_of("filter_type", filter_type, FILTER_TYPES)
@@ -90,7 +99,7 @@ def get_steerable_pyramid_filters(
 
 
 def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[str, Any]:
-    """Return the middles of a bank's filters.
+    """Return the central parts of the filters of a bank.
 
     Parameters
     ----------
@@ -114,6 +123,13 @@ def crop_steerable_pyramid_filters(filters: dict[str, Any], size: int) -> dict[s
     -----
     A bank that is cut reconstructs worse than one designed at its size, which is what
     :func:`get_steerable_pyramid_filters` gives for "cropped".
+
+    Examples
+    --------
+    >>> from odak.learn.perception import crop_steerable_pyramid_filters, get_steerable_pyramid_filters
+    >>> cropped = crop_steerable_pyramid_filters(get_steerable_pyramid_filters(9, 4, "full"), 5)
+    >>> tuple(cropped["b"][0].shape)
+    (1, 1, 5, 5)
     """
     size = _odd(size)
     if not isinstance(filters, dict) or not {"l", "l0", "h0", "b"} <= set(filters):
@@ -177,6 +193,13 @@ def pad_image_for_pyramid(image: torch.Tensor, n_pyramid_levels: int) -> torch.T
     torch.Tensor
         The picture itself where it fits; otherwise its top-left part is the picture. Sides too short to be reflected
         repeat their last pixel.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import pad_image_for_pyramid
+    >>> tuple(pad_image_for_pyramid(torch.zeros(1, 1, 30, 33), 3).shape)
+    (1, 1, 32, 40)
     """
     step = 2 ** _validate.integer("n_pyramid_levels", n_pyramid_levels)
     rows, columns = _validate.image("image", image, axes=4).shape[-2:]
@@ -221,8 +244,12 @@ class SpatialSteerablePyramid(nn.Module):
 
     Attributes
     ----------
-    filt_h0, filt_l0, filt_l : torch.Tensor
-        Filters ``[C, 1, k, k]``; `filt_l` only without `use_bilinear_downup`.
+    filt_h0 : torch.Tensor
+        High-pass filter ``[C, 1, k, k]``.
+    filt_l0 : torch.Tensor
+        First low-pass filter ``[C, 1, k, k]``.
+    filt_l : torch.Tensor
+        Low-pass filter between levels ``[C, 1, k, k]``; only without `use_bilinear_downup`.
     band_filters : list of torch.Tensor
         K filters ``[C, 1, k, k]``.
 

@@ -39,7 +39,18 @@ _FLIP_CSF = (((1.0, 0.0047),), ((1.0, 0.0053),), ((34.1, 0.04), (13.5, 0.025)))
 
 
 class PSNR(nn.Module):
-    """Peak signal-to-noise ratio in decibels: the larger, the closer."""
+    """Peak signal-to-noise ratio in decibels: the larger, the closer.
+
+    Examples
+    --------
+    An error of 0.1 everywhere is 20 dB below the peak:
+
+    >>> import torch
+    >>> from odak.learn.perception import PSNR
+    >>> target = torch.zeros(1, 1, 8, 8)
+    >>> round(PSNR()(target + 0.1, target).item(), 3)
+    20.0
+    """
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor, peak_value: float = 1.0) -> torch.Tensor:
         """Return 10·log₁₀(peak²/MSE) over all values.
@@ -66,7 +77,16 @@ class PSNR(nn.Module):
 
 
 class SSIM(nn.Module):
-    """Structural similarity: 1 for equal pictures."""
+    """Structural similarity: 1 for equal pictures.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import SSIM
+    >>> picture = torch.linspace(0, 1, 400).reshape(1, 1, 20, 20)
+    >>> SSIM()(picture, picture).item()
+    1.0
+    """
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
         """Return :func:`structural_similarity`."""
@@ -74,7 +94,16 @@ class SSIM(nn.Module):
 
 
 class MSSSIM(nn.Module):
-    """Structural similarity at five scales: 1 for equal pictures."""
+    """Structural similarity at five scales: 1 for equal pictures.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import MSSSIM
+    >>> picture = torch.linspace(0, 1, 176**2).reshape(1, 1, 176, 176)
+    >>> MSSSIM()(picture, picture).item()
+    1.0
+    """
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
         """Return :func:`multi_scale_structural_similarity`."""
@@ -86,8 +115,10 @@ def structural_similarity(predictions: torch.Tensor, targets: torch.Tensor, data
 
     Parameters
     ----------
-    predictions, targets : torch.Tensor
-        ``[..., H, W]`` of one shape, each side at least 11.
+    predictions : torch.Tensor
+        Pictures ``[..., H, W]``, each side at least 11.
+    targets : torch.Tensor
+        Pictures of the same shape that they are compared with.
     data_range : float
         Largest value that a picture could have, less the smallest.
 
@@ -128,8 +159,10 @@ def multi_scale_structural_similarity(
 
     Parameters
     ----------
-    predictions, targets : torch.Tensor
-        ``[..., H, W]`` of one shape, each side at least 176.
+    predictions : torch.Tensor
+        Pictures ``[..., H, W]``, each side at least 176.
+    targets : torch.Tensor
+        Pictures of the same shape that they are compared with.
     data_range : float
         Largest value that a picture could have, less the smallest.
 
@@ -149,6 +182,14 @@ def multi_scale_structural_similarity(
     -----
     Wang, Simoncelli and Bovik, Asilomar Conf. Signals Syst. Comput. 37, 1398 (2003), eq. 7 with the weights of its
     section 3.2; halved between scales by 2 × 2 means.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import multi_scale_structural_similarity
+    >>> picture = torch.linspace(0, 1, 176**2).reshape(1, 176, 176)
+    >>> multi_scale_structural_similarity(picture, picture).item()
+    1.0
     """
     predictions, targets = _checked(predictions, targets, WINDOW << (len(SCALE_WEIGHTS) - 1), data_range)
     one, two = _planes(predictions), _planes(targets)
@@ -193,6 +234,14 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     Andersson, Nilsson, Akenine-Möller, Oskarsson, Åström and Fairchild, Proc. ACM Comput. Graph. Interact. Tech. 3, 15
     (2020): opponent channels filtered by contrast sensitivity, their distance in L*a*b* with Hunt's effect, raised by
     differences of edges and points.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import flip
+    >>> picture = torch.full((1, 3, 16, 16), 0.5)
+    >>> flip(picture, picture).max().item()
+    0.0
     """
     density = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
     predictions, targets = checked_pair(predictions, targets)
@@ -215,6 +264,14 @@ class FLIP(nn.Module):
     ----------
     pixels_per_degree : float
         Pixels in one degree of visual angle.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import FLIP
+    >>> white, black = torch.ones(1, 3, 16, 16), torch.zeros(1, 3, 16, 16)
+    >>> FLIP()(white, white).item(), FLIP()(white, black).item() > 0.9
+    (0.0, True)
     """
 
     def __init__(self, pixels_per_degree: float = 67.02) -> None:
@@ -238,6 +295,14 @@ class PU21PSNR(nn.Module):
     -----
     Mantiuk and Azimi, Picture Coding Symposium (2021). The peak is 256, the value of white of 100 cd/m², so that the
     result compares with that of ordinary pictures.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import PU21PSNR
+    >>> picture = torch.full((1, 3, 8, 8), 100.0)
+    >>> PU21PSNR()(picture, picture).item()
+    inf
     """
 
     def __init__(self, variant: str = "banding_glare") -> None:
@@ -261,6 +326,14 @@ class PU21SSIM(nn.Module):
     Notes
     -----
     Mantiuk and Azimi, Picture Coding Symposium (2021), with a data range of 256.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import PU21SSIM
+    >>> picture = torch.linspace(1, 1000, 400).reshape(1, 1, 20, 20)
+    >>> round(PU21SSIM()(picture, picture).item(), 6)
+    1.0
     """
 
     def __init__(self, variant: str = "banding_glare") -> None:
@@ -431,13 +504,28 @@ class Ring:
 
     Attributes
     ----------
-    inner, outer : float
-        Limits in degrees; the inner one belongs to the ring.
+    inner : float
+        Lower limit of the eccentricity in degrees, which belongs to the ring.
+    outer : float
+        Upper limit in degrees.
     pixels : int
         Pixels of a picture in the ring.
-    psnr, ssim : torch.Tensor
-        Without axes, over all pictures and channels; not a number where the ring holds no pixel, or for the SSIM no
-        place where the window fits. The window reaches 5 pixels beyond the ring.
+    psnr : torch.Tensor
+        Peak signal-to-noise ratio in decibels, without axes, over all pictures and channels; not a number where the
+        ring holds no pixel.
+    ssim : torch.Tensor
+        Structural similarity, without axes; not a number where no window fits. The window reaches 5 pixels beyond the
+        ring.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import eccentricity_report
+    >>> target = torch.zeros(1, 64, 64)
+    >>> report = eccentricity_report(target + 0.1, target, edges=(0, 2, 12))
+    >>> ring = report.rings[0]
+    >>> ring.inner, ring.outer, round(ring.psnr.item(), 3)
+    (0.0, 2.0, 20.0)
     """
 
     inner: float
@@ -449,14 +537,23 @@ class Ring:
 
 @dataclass(frozen=True)
 class EccentricityReport:
-    """Rings from the inside out, and how the picture was seen; ``str`` gives a table.
+    """Image quality by eccentricity, from the inner ring to the outer one; ``str`` gives a table.
 
     Attributes
     ----------
     rings : tuple of Ring
         The rings.
     conditions : str
-        Size, gaze and geometry in words.
+        Size, gaze and geometry of viewing in words.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import eccentricity_report
+    >>> target = torch.zeros(1, 64, 64)
+    >>> report = eccentricity_report(target + 0.1, target, edges=(0, 2, 12))
+    >>> len(report.rings)
+    2
     """
 
     rings: tuple[Ring, ...]
@@ -485,8 +582,10 @@ def eccentricity_report(
 
     Parameters
     ----------
-    predictions, targets : torch.Tensor
-        ``[..., H, W]`` of one shape, each side at least 11.
+    predictions : torch.Tensor
+        Pictures ``[..., H, W]``, each side at least 11.
+    targets : torch.Tensor
+        Pictures of the same shape that they are compared with.
     gaze : sequence of float
         Where the viewer looks, (x, y) from the top left corner (0, 0) to the bottom right one (1, 1); may lie off the
         picture.
@@ -572,6 +671,13 @@ def ring_masks(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import ring_masks
+    >>> masks = ring_masks([32, 32], edges=(0, 2, 5))
+    >>> tuple(masks.shape), bool((masks[0] & masks[1]).any())
+    ((2, 32, 32), False)
     """
     size = _validate.size("size", size)
     limits = _validate.numbers(_validate.real("edges", edges))
@@ -597,8 +703,10 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
     ----------
     image : torch.Tensor
         ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
-    roi_high, roi_low : sequence of int
-        Regions ``[first row, last row + 1, first column, last column + 1]``.
+    roi_high : sequence of int
+        Region of H, ``[first row, last row + 1, first column, last column + 1]``.
+    roi_low : sequence of int
+        Region of L, in the same form.
 
     Returns
     -------
@@ -613,6 +721,14 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
     See Also
     --------
     odak.learn.tools.weber_contrast : The same without the check of L, for losses.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import weber_contrast
+    >>> image = torch.tensor([[3.0, 1.0]])
+    >>> weber_contrast(image, [0, 1, 0, 1], [0, 1, 1, 2]).item()
+    2.0
     """
     _require_positive("roi_low", loss.region_means(image, roi_high, roi_low)[1])
     return loss.weber_contrast(image, roi_high, roi_low)
@@ -621,7 +737,32 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
 def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequence[int]) -> torch.Tensor:
     """Return Michelson's contrast (H − L)/(H + L) of the mean values H and L in two regions.
 
-    Parameters, result and errors are those of :func:`weber_contrast`, but it is H + L that must be positive.
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[H, W]``, ``[C, H, W]`` or ``[B, C, H, W]``.
+    roi_high : sequence of int
+        Region of H, ``[first row, last row + 1, first column, last column + 1]``.
+    roi_low : sequence of int
+        Region of L, in the same form.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[C]``, or ``[B, C]`` when there are several images; negative where the regions are swapped.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a region is empty or leaves the image, the image has other axes, or H + L is not positive.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import michelson_contrast
+    >>> image = torch.tensor([[3.0, 1.0]])
+    >>> michelson_contrast(image, [0, 1, 0, 1], [0, 1, 1, 2]).item()
+    0.5
     """
     _require_positive("roi_high and roi_low", sum(loss.region_means(image, roi_high, roi_low)))
     return loss.michelson_contrast(image, roi_high, roi_low)
@@ -636,7 +777,7 @@ def content_aware_contrast_ratio(
     max_iter: int = 100,
     lightness_channel: int = 0,
 ) -> dict | list[dict]:
-    """Return the contrast between what is dark and what is bright in each window of a picture, and its pooled value.
+    """Return the contrast of dark and bright pixels in each window of a picture, and its pooled value.
 
     Parameters
     ----------
@@ -648,8 +789,10 @@ def content_aware_contrast_ratio(
         Distance between windows.
     pooling_percentile : float
         The windows whose contrast is at least this percentile are pooled.
-    eps, max_iter : float, int
-        A window's threshold is found when it moves by no more than `eps`, or after so many iterations.
+    eps : float
+        A window's threshold is found when it changes by no more than this.
+    max_iter : int
+        Largest number of iterations of the threshold.
     lightness_channel : int
         Which channel of ``[B, C, H, W]`` is the lightness.
 
@@ -670,6 +813,17 @@ def content_aware_contrast_ratio(
     Each window is split at the threshold that is the mean of the means on its two sides (ISODATA; Ridler and Calvard,
     IEEE Trans. Syst. Man Cybern. 8, 630 (1978)); its contrast is 1 − dark/bright. They are pooled by the
     harmonic mean.
+
+    Examples
+    --------
+    The contrast of 0.25 and 0.5 is 1 − 0.25/0.5:
+
+    >>> import torch
+    >>> from odak.learn.perception import content_aware_contrast_ratio
+    >>> picture = torch.full((31, 31), 0.25)
+    >>> picture[:, 16:] = 0.5
+    >>> round(content_aware_contrast_ratio(picture)["max_contrast_ratio"], 4)
+    0.5
     """
     pictures = _lightness(image, lightness_channel)
     _validate.number("eps", eps, least=0)

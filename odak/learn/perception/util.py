@@ -21,13 +21,21 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     ----------
     loss_name : str
         Name of the loss, with which the message begins.
-    image, target : torch.Tensor
-        ``[B, C, H, W]`` of one shape, one or three channels.
+    image : torch.Tensor
+        ``[B, C, H, W]``, one or three channels.
+    target : torch.Tensor
+        Image of the same shape.
 
     Raises
     ------
     ValueError, TypeError
         If the sizes differ, there are not four axes, or not one or three channels.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import check_loss_inputs
+    >>> check_loss_inputs("loss", torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8))
     """
     if not isinstance(loss_name, str):
         raise TypeError(f"loss_name must be a string, got {type(loss_name).__name__}")
