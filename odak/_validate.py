@@ -165,14 +165,17 @@ def array(name: str, value, *, like=None):
     return made if like is None else cast(made, like, (complex_dtype if made.dtype.kind == "c" else real_dtype)(like))
 
 
-def given(name: str, value):
-    """Return a finite number as it is, an array of numbers too, and a list of finite ones as an array."""
+def given(name: str, value, *, rows: bool = False):
+    """Return a finite number as it is, an array of numbers too, and a list of finite ones as an array.
+
+    With `rows`, nested lists may hold NaN, as arrays do: rays that missed something.
+    """
     if type(value) in (int, float, complex):
         if not abs(value) < math.inf:
             raise ValueError(f"{name} must be finite, got {value!r}")
         return value
     made = array(name, value)
-    if made is not value and not (made.size and numpy.isfinite(made).all()):
+    if made is not value and not (made.size and ((rows and made.ndim > 1) or numpy.isfinite(made).all())):
         raise ValueError(f"{name} must hold finite numbers, at least one; got {value!r:.100}")
     return made
 
@@ -180,13 +183,14 @@ def given(name: str, value):
 def reals(**values) -> list:
     """Return arguments as real floating arrays of one library, on one device and in one precision.
 
-    Numbers and lists must be finite; they take the library, device and precision of the arrays among the arguments, as
-    :func:`odak._array.placement` finds them. What is not a number in an array spreads to the result.
+    Numbers must be finite, but for those in nested lists; they take the library, device and precision of
+    the arrays among the arguments, as :func:`odak._array.placement` finds them. What is not a number in an array
+    spreads to the result.
     """
     xp, device, dtype = placement(*values.values())
     made = []
     for name, value in values.items():
-        value = array(name, value) if is_array(value) else converted(given(name, value), xp, device)
+        value = array(name, value) if is_array(value) else converted(given(name, value, rows=True), xp, device)
         if "complex" in str(value.dtype) or str(value.dtype).endswith("bool"):
             raise TypeError(f"{name} must be real numbers, got {value.dtype}")
         made.append(converted(value, xp, device, dtype))

@@ -102,7 +102,7 @@ class plane_detector:
             in the pixel hit; the lower rim of a pixel belongs to it.
         """
         rays = arguments.flat_rays("ray", ray)
-        normal, distance = intersect_w_surface(rays, self.plane)
+        normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
         hits = arguments.batch(normal, 2)[:, 0]
         row, column, inside = self._pixels(rays, hits)
         channels = self._channels(channel)

@@ -101,7 +101,7 @@ class thin_diffuser:
             Of :func:`odak.raytracing.intersect_w_surface`.
         """
         rays = arguments.flat_rays("ray", ray)
-        normal, distance = intersect_w_surface(rays, self.plane)
+        normal, distance = map(np.asarray, intersect_w_surface(rays, self.plane))
         hits = arguments.batch(normal, 2)[:, 0]
         local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
         inside = is_ahead(rays, hits) & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)

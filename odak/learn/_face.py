@@ -51,7 +51,8 @@ def torch_face(
     tensors: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
     through: Callable | None = None,
-    describe: Mapping[str, str] | None = None,
+    describe: Mapping[str, str] | str | None = None,
+    name: str | None = None,
 ) -> Callable[P, torch.Tensor]: ...
 
 
@@ -62,11 +63,12 @@ def torch_face(
     tensors: Iterable[str] = (),
     defaults: Mapping[str, Any] | None = None,
     through: Callable | None = None,
-    describe: Mapping[str, str] | None = None,
+    describe: Mapping[str, str] | str | None = None,
+    name: str | None = None,
 ) -> Callable[P, R]: ...
 
 
-def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None):
+def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, name=None):
     """Return the PyTorch function of a function of the core.
 
     It calls the core's function with torch as the array library (where the core has an argument `xp`, which it hides)
@@ -79,17 +81,21 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None):
         Function of the core, written for any array library.
     tensors : iterable of str
         Arguments whose numbers, lists and NumPy arrays become tensors before the call: on one device, that of the first
-        tensor among them, and in one precision, the widest of the floating tensors among them, else torch's default.
+        tensor among them, and in one precision, the widest of the floating tensors among them, else torch's default;
+        None stays None.
         Leave out what the core takes as numbers with all their digits, such as a pixel pitch.
     defaults : mapping, optional
         Defaults that differ from those of the core, by argument.
     through : callable, optional
         Called as ``through(core, **arguments)`` instead of the core, to change what goes in or comes out.
-    describe : mapping, optional
-        Texts that replace those of the core: by argument its type and, from the second line on, its description; by
-        title ("Returns", "Notes", "Examples") a section, left out where the text is empty; by "" the summary. Examples
-        that are not replaced are those of the core with its imports and ``np.`` replaced, so that the core's examples
-        use only what NumPy and torch have in common.
+    describe : mapping or str, optional
+        Texts that replace those of the core: a docstring of the sections that differ, under Parameters those that do;
+        or a mapping: by argument its type and, from the second line on, its description; by title ("Returns", "Notes",
+        "Examples") a section, left out where the text is empty; by "" the summary. Examples that are not replaced are
+        those of the core with its imports and ``np.`` replaced, so that the core's examples use only what NumPy and
+        torch have in common.
+    name : str, optional
+        The function's name, where it is not that of the core's.
 
     Returns
     -------
@@ -108,22 +114,31 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None):
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
         options = {**preset, **dict(zip(positional, args, strict=False)), **options}
         if converted:
-            options.update(_converted({name: options[name] for name in converted if name in options}))
+            given = {name: options[name] for name in converted if options.get(name) is not None}
+            options.update(zip(given, tensors_of(**given), strict=True))
         if "device" in options:
             options["device"] = checked_device("device", options["device"])
         return through(core, **fixed, **options) if through is not None else core(**fixed, **options)
 
-    face.__name__ = face.__qualname__ = core.__name__
+    face.__name__ = face.__qualname__ = name or core.__name__
     face.__module__ = sys._getframe(1).f_globals["__name__"]
     face.__signature__ = signature
     face.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
     face.__annotations__["return"] = signature.return_annotation
-    face.__doc__ = _documentation(core, named, preset, describe or {})
+    texts = _sections(describe) if isinstance(describe, str) else describe or {}
+    face.__doc__ = _documentation(core, named, preset, texts)
     return face
 
 
-def _converted(given):
-    return dict(zip(given, tensors_of(**given), strict=True))
+def _sections(text: str) -> dict[str, str]:
+    """Return the sections of a docstring by title, and the entries of its parameters by name."""
+    summary, *parts = _SECTION.split("\n\n" + inspect.cleandoc(text))
+    sections = dict(zip(parts[::2], parts[1::2], strict=True))
+    for entry in re.split(r"\n(?=\S)", sections.pop("Parameters", "").strip("\n")):
+        name, _, words = entry.partition(" : ")
+        if name:
+            sections[name] = words
+    return sections | ({"": summary.strip()} if summary.strip() else {})
 
 
 def _signature(core, defaults) -> inspect.Signature:

@@ -49,15 +49,45 @@ def tensors_of(**values) -> list[torch.Tensor]:
     ----------
     **values : torch.Tensor, array, number or nested sequence of numbers
         By argument. The device is that of the first tensor among them, the precision the widest of the floating tensors
-        among them; torch's defaults where there is none. Complex values stay complex.
+        among them; torch's defaults where there is none. Complex values stay complex. Numbers must be finite;
+        arrays and nested lists may hold NaN: rays that missed something.
     """
+    values = {name: _stacked(value) for name, value in values.items()}
     given = [value for value in values.values() if isinstance(value, torch.Tensor)]
     kinds = [value.dtype.to_real() for value in given if value.is_floating_point() or value.is_complex()]
     dtype = functools.reduce(torch.promote_types, kinds) if kinds else torch.get_default_dtype()
     device = given[0].device if given else None
-    # Numbers pass through NumPy, which holds all their digits.
-    made = [tensor(n, value if _array.is_array(value) else _validate.array(n, value)) for n, value in values.items()]
+    made = [_read(name, value) for name, value in values.items()]
     return [value.to(device=device, dtype=dtype.to_complex() if value.is_complex() else dtype) for value in made]
+
+
+def reals_of(**values) -> list[torch.Tensor]:
+    """Return the tensors of :func:`tensors_of`, after checking that they are real."""
+    made = tensors_of(**values)
+    for name, value in zip(values, made, strict=True):
+        if value.is_complex():
+            raise TypeError(f"{name} must be real numbers, got {value.dtype}")
+    return made
+
+
+def _stacked(value):
+    """Return a list in which there are tensors as one tensor."""
+    if not isinstance(value, (list, tuple)) or not any(isinstance(v, torch.Tensor) for v in value):
+        return value
+    return torch.stack([v if isinstance(v, torch.Tensor) else torch.tensor(v, dtype=torch.float64) for v in value])
+
+
+def _read(name: str, value) -> torch.Tensor:
+    if _array.is_array(value):
+        made = tensor(name, value)
+        if made.dtype == torch.bool:
+            raise TypeError(f"{name} must be real numbers, got {made.dtype}")
+        return made
+    value = _validate.given(name, value, rows=True)
+    if _array.is_array(value):
+        return tensor(name, value)
+    # In double precision, which holds all digits of a number.
+    return torch.tensor(value, dtype=torch.complex128 if isinstance(value, complex) else torch.float64)
 
 
 def trainable(value: torch.Tensor) -> torch.Tensor:

@@ -1,19 +1,20 @@
-"""Rays at surfaces: intersections, normals, reflection, refraction and Fresnel coefficients, in NumPy."""
+"""Rays at surfaces: intersections, normals, reflection, refraction and Fresnel coefficients."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from odak import _validate
-from odak._array import Array
+from odak import _array, _validate
+from odak._array import Array, namespace, placement
 from odak._warnings import ConvergenceWarning, warn
 from odak.raytracing import arguments, geometry, interfaces, intersections
 from odak.raytracing.interfaces import Fresnel
 from odak.raytracing.primitives import split_cylinder
 
 
-def reflect(input_ray: Array, normal: Array) -> np.ndarray:
+def reflect(input_ray: Array, normal: Array) -> Array:
     """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
 
     Parameters
@@ -25,7 +26,7 @@ def reflect(input_ray: Array, normal: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         Rays that start at the normals' points, ``[2, 3]`` for one, else ``[m, 2, 3]``.
 
     Notes
@@ -44,7 +45,7 @@ def reflect(input_ray: Array, normal: Array) -> np.ndarray:
     return arguments.single(arguments.as_rays(normal[..., 0, :], direction))
 
 
-def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Array, error: float = 0.01) -> np.ndarray:
+def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Array, error: float = 0.01) -> Array:
     """Refract rays at surfaces by Snell's law.
 
     Parameters
@@ -62,7 +63,7 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
 
     Returns
     -------
-    numpy.ndarray
+    array
         Rays that start at the normals' points, ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN directions where the ray is
         totally reflected. See :func:`odak.raytracing.interfaces.refract_directions` for statuses.
 
@@ -74,11 +75,10 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
            [0.      , 0.4     , 0.916515]])
     """
     ray, normal = _batches(("vector", vector), ("normvector", normvector))
-    n1, n2 = arguments.index("n1", n1), arguments.index("n2", n2)
+    n1, n2 = arguments.index("n1", n1, ray), arguments.index("n2", n2, ray)
     _validate.fitting(vector=ray.shape[:-2], n1=n1, n2=n2)
     direction, _ = interfaces.refract_directions(ray[..., 1, :], normal[..., 1, :], n1, n2)
-    dtype = np.result_type(ray, normal)
-    return arguments.single(arguments.as_rays(normal[..., 0, :], direction).astype(dtype))
+    return arguments.single(arguments.as_rays(normal[..., 0, :], direction))
 
 
 def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: complex | Array) -> Fresnel:
@@ -113,14 +113,14 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     array([0.04])
     """
     ray, normal = _batches(("ray", ray), ("normal", normal))
-    n1, n2 = arguments.index("n1", n1), np.asarray(_validate.array("n2", n2))
-    if not n2.ndim and not np.isfinite(n2):
-        raise ValueError(f"n2 must be finite, got {n2}")
+    n1, n2 = arguments.index("n1", n1, ray), _validate.given("n2", n2)
+    # A number keeps its digits, and may be complex.
+    n2 = _array.converted(n2, *placement(ray)[:2]) if _array.is_array(n2) else n2
     _validate.fitting(ray=ray.shape[:-2], n1=n1, n2=n2)
     return interfaces.fresnel(ray[..., 1, :], normal[..., 1, :], n1, n2)
 
 
-def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarray]:
+def intersect_w_surface(ray: Array, points: Array) -> tuple[Array, Array]:
     """Intersect rays with the plane through three points.
 
     Parameters
@@ -132,7 +132,7 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarr
 
     Returns
     -------
-    tuple of numpy.ndarray
+    tuple of array
         Normals as rays (where the plane is hit, unit normal), ``[2, 3]`` or ``[m, 2, 3]``, and distances ``[m]``,
         without sign. NaN for rays along the plane.
 
@@ -143,14 +143,14 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[np.ndarray, np.ndarr
     (array([[ 0. ,  7.5, 10. ],
            [ 0. ,  0. ,  1. ]]), array([12.5]))
     """
-    ray = arguments.batch(arguments.rays("ray", ray), 2)
-    points = arguments.triangles("points", points)
+    ray, points = _validate.reals(ray=ray, points=points)
+    ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
     _validate.fitting(ray=ray.shape[:-2], points=points.shape[:-2])
     hit = _meet_plane(ray, points)
-    return arguments.single(arguments.as_rays(hit.point, hit.normal)), np.abs(hit.distance)
+    return arguments.single(arguments.as_rays(hit.point, hit.normal)), abs(hit.distance)
 
 
-def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -> np.ndarray:
+def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -> Array:
     """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
 
     Parameters
@@ -162,7 +162,7 @@ def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN normal where the corners are in line.
 
     Examples
@@ -172,13 +172,16 @@ def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -
     array([[1., 1., 0.],
            [0., 0., 1.]])
     """
-    triangle = arguments.batch(arguments.triangles("triangle", triangle), 2)
-    given = triangle_center is not None
-    center = arguments.points("triangle_center", triangle_center) if given else triangle.mean(axis=-2)
-    return arguments.single(arguments.as_rays(center, geometry.triangle_normal(triangle)))
+    given = {} if triangle_center is None else {"triangle_center": triangle_center}
+    triangle, *center = _validate.reals(triangle=triangle, **given)
+    triangle = arguments.triangles("triangle", triangle)
+    xp = namespace(triangle)
+    start = arguments.points("triangle_center", center[0]) if center else xp.mean(triangle, axis=-2)
+    _validate.fitting(triangle=triangle.shape[:-1], triangle_center=start)
+    return arguments.single(arguments.as_rays(start, geometry.triangle_normal(triangle)))
 
 
-def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.ndarray]:
+def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
     """Intersect rays with the plane of a circle; the distance is 0 where the intersection lies outside the circle.
 
     Parameters
@@ -190,7 +193,7 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.nda
 
     Returns
     -------
-    tuple of numpy.ndarray
+    tuple of array
         Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, and distances ``[m]``, as of :func:`intersect_w_surface`.
 
     Examples
@@ -205,13 +208,12 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[np.ndarray, np.nda
     """
     if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
         raise TypeError(f"circle must be a list [plane, centre, radius], got {circle!r:.80}")
-    given = arguments.rays("ray", ray)
-    rays = arguments.batch(given, 2)
-    normal, distance = intersect_w_surface(rays, circle[0])
+    ray, plane, center, radius = _validate.reals(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
+    normal, distance = intersect_w_surface(arguments.rays("ray", ray), arguments.triangles("circle[0]", plane))
     normal = arguments.batch(normal, 2)
-    arm = normal[..., 0, :] - arguments.points("circle[1]", circle[1])
-    outside = geometry.dot(arm, arm) > arguments.floats("circle[2]", circle[2]) ** 2
-    return normal if given.ndim > 2 else normal[0], np.where(outside, 0.0, distance)
+    arm = normal[..., 0, :] - arguments.vector("circle[1]", center)
+    outside = geometry.dot(arm, arm) > arguments.vector("circle[2]", radius, 1) ** 2
+    return normal if ray.ndim > 2 else normal[0, ...], namespace(arm).where(outside, 0.0, distance)
 
 
 def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
@@ -236,19 +238,20 @@ def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
     >>> intersect_w_triangle([[9, 9, 0], [0, 0, 1]], [[0, 0, 5], [1, 0, 5], [0, 1, 5]])
     (0, 0)
     """
-    rays = arguments.batch(arguments.rays("ray", ray), 2)
-    triangle = arguments.triangles("triangle", triangle)
-    _validate.fitting(ray=rays.shape[:-2], triangle=triangle.shape[:-2])
-    hit = _meet_plane(rays, triangle)
-    place = np.where(hit.hit[..., None], hit.point, 0.0)
+    ray, triangle = _validate.reals(ray=ray, triangle=triangle)
+    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
+    _validate.fitting(ray=ray.shape[:-2], triangle=triangle.shape[:-2])
+    hit = _meet_plane(ray, triangle)
+    xp = namespace(ray)
+    place = xp.where(hit.hit[..., None], hit.point, 0.0)
     inside = hit.hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
     if inside.shape == (1,) and not inside[0]:
         return 0, 0
-    normal = np.where(inside[..., None, None], arguments.as_rays(hit.point, hit.normal), np.nan)
-    return arguments.single(normal), np.where(inside, np.abs(hit.distance), 0.0)
+    normal = xp.where(inside[..., None, None], arguments.as_rays(hit.point, hit.normal), math.nan)
+    return arguments.single(normal), xp.where(inside, abs(hit.distance), 0.0)
 
 
-def get_sphere_normal(point: Array, sphere: Array) -> np.ndarray:
+def get_sphere_normal(point: Array, sphere: Array) -> Array:
     """Return the rays from points of a sphere towards its centre.
 
     Parameters
@@ -260,7 +263,7 @@ def get_sphere_normal(point: Array, sphere: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]`` for one, else ``[m, 2, 3]``.
 
     Examples
@@ -270,13 +273,14 @@ def get_sphere_normal(point: Array, sphere: Array) -> np.ndarray:
     array([[ 0.,  0.,  3.],
            [ 0.,  0., -1.]])
     """
-    point = arguments.batch(arguments.points("point", point), 1)
-    center = arguments.numbers("sphere", sphere, 4)[..., :3]
+    point, sphere = _validate.reals(point=point, sphere=sphere)
+    point = arguments.points("point", point)
+    center = arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")[..., :3]
     _validate.fitting(point=point, sphere=center)
     return arguments.single(arguments.as_rays(point, geometry.unit(center - point)))
 
 
-def get_cylinder_normal(point: Array, cylinder: Array) -> np.ndarray:
+def get_cylinder_normal(point: Array, cylinder: Array) -> Array:
     """Return the rays from the axis of a cylinder outwards through points of it.
 
     Parameters
@@ -288,7 +292,7 @@ def get_cylinder_normal(point: Array, cylinder: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]`` for one, else ``[m, 2, 3]``. Each starts at its point's foot on the axis.
 
     Examples
@@ -298,11 +302,11 @@ def get_cylinder_normal(point: Array, cylinder: Array) -> np.ndarray:
     array([[0., 0., 3.],
            [0., 1., 0.]])
     """
-    point = arguments.batch(arguments.points("point", point), 1)
-    center, _, axis = split_cylinder(cylinder)
+    point, cylinder = _validate.reals(point=point, cylinder=cylinder)
+    point, (center, _, axis) = arguments.points("point", point), split_cylinder(cylinder)
     _validate.fitting(point=point, cylinder=center)
     axis = geometry.unit(axis)
-    foot = center + geometry.dot(*np.broadcast_arrays(point - center, axis))[..., None] * axis
+    foot = center + geometry.dot(*namespace(axis).broadcast_arrays(point - center, axis))[..., None] * axis
     return arguments.single(arguments.as_rays(foot, geometry.unit(point - foot)))
 
 
@@ -329,10 +333,10 @@ def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
     (array([[10.,  0.,  0.],
            [-1.,  0.,  0.]]), array([12.]))
     """
-    rays = arguments.batch(arguments.rays("ray", ray), 2)
-    sphere = arguments.numbers("sphere", sphere, 4)
-    _validate.fitting(ray=rays.shape[:-2], sphere=sphere.shape[:-1])
-    hit = intersections.sphere(rays[..., 0, :], rays[..., 1, :], sphere[..., :3], sphere[..., 3])
+    ray, sphere = _validate.reals(ray=ray, sphere=sphere)
+    ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
+    _validate.fitting(ray=ray.shape[:-2], sphere=sphere.shape[:-1])
+    hit = intersections.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
     return _curved(hit.point, 0.0 - hit.normal, hit)
 
 
@@ -358,10 +362,10 @@ def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
     >>> intersect_w_cylinder([[-20, 0, 4], [1, 0, 0]], define_cylinder([0, 0, 0], 2))[1]
     array([18.])
     """
-    rays = arguments.batch(arguments.rays("ray", ray), 2)
-    center, radius, axis = split_cylinder(cylinder)
-    _validate.fitting(ray=rays.shape[:-2], cylinder=radius)
-    hit = intersections.cylinder(rays[..., 0, :], rays[..., 1, :], center, radius, axis)
+    ray, cylinder = _validate.reals(ray=ray, cylinder=cylinder)
+    ray, (center, radius, axis) = arguments.rays("ray", ray), split_cylinder(cylinder)
+    _validate.fitting(ray=ray.shape[:-2], cylinder=radius)
+    hit = intersections.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
     return _curved(hit.point - radius[..., None] * hit.normal, hit.normal, hit)
 
 
@@ -373,15 +377,16 @@ def _curved(start, direction, hit) -> tuple:
 
 def _meet_plane(rays, triangle):
     """Meet the planes of triangles through their centres, which rounding harms least."""
-    centre = triangle.mean(axis=-2)
+    centre = namespace(triangle).mean(triangle, axis=-2)
     return intersections.plane(rays[..., 0, :], rays[..., 1, :], centre, geometry.triangle_normal(triangle))
 
 
 def _batches(*named):
     """Return sets of rays with a batch axis each, broadcast against each other."""
-    batches = {name: arguments.batch(arguments.rays(name, value), 2) for name, value in named}
+    made = _validate.reals(**dict(named))
+    batches = {name: arguments.rays(name, value) for (name, _), value in zip(named, made, strict=True)}
     _validate.fitting(**batches)
-    return np.broadcast_arrays(*batches.values())
+    return namespace(*made).broadcast_arrays(*batches.values())
 
 
 # Distances at which a surface is looked for: from 1e-6 to 1e7, each a tenth beyond the one before.
@@ -419,7 +424,7 @@ def intersection_kernel_for_parametric_surfaces(
     """
     _validate.function("surface_function", surface_function)
     ray = arguments.flat_rays("ray", ray)
-    distance = np.atleast_1d(arguments.floats("distance", distance))
+    distance = np.atleast_1d(*_validate.reals(distance=distance))
     if distance.ndim > 1:
         raise ValueError(f"distance must be a number or [m], got {distance.shape}")
     _validate.fitting(distance=distance, ray=ray[:, 0, 0])

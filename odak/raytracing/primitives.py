@@ -1,11 +1,10 @@
 """Planes, triangles, circles, spheres and cylinders: how they are written down, and where points lie on them."""
 
 from collections.abc import Sequence
+from typing import Any
 
-import numpy as np
-
-from odak import _validate
-from odak._array import Array
+from odak import _array, _validate
+from odak._array import Array, namespace
 from odak.raytracing import arguments, geometry
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
@@ -14,19 +13,19 @@ PLANE_CORNERS = ((10.0, 10.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 0.0))
 _NONE = (0.0, 0.0, 0.0)
 
 
-def define_plane(point: Sequence[float] | Array, angles: Sequence[float] = _NONE) -> np.ndarray:
+def define_plane(point: Sequence[float] | Array, angles: Sequence[float] | Array = _NONE) -> Array:
     """Return three points of a plane through `point`, tilted.
 
     Parameters
     ----------
-    point : sequence of float
+    point : sequence of float or array
         ``[3]``; the last of the three points.
-    angles : sequence of float
+    angles : sequence of float or array
         Degrees about X, Y and Z, applied in this order. Without tilt the plane is z = point[2].
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[3, 3]``, a point per row; the right-hand normal is the rotated z axis.
 
     Examples
@@ -37,19 +36,19 @@ def define_plane(point: Sequence[float] | Array, angles: Sequence[float] = _NONE
            [ 0., 10.,  5.],
            [ 0.,  0.,  5.]])
     """
-    point = arguments.points("point", point).reshape(3)
-    matrix = rotation_matrix(arguments.finite_points("angles", angles).reshape(3)).astype(point.dtype)
-    return point + apply_matrix(matrix, np.asarray(PLANE_CORNERS, dtype=point.dtype))
+    point, angles = _validate.reals(point=point, angles=angles)
+    matrix = rotation_matrix(arguments.vector("angles", angles))
+    return arguments.vector("point", point) + apply_matrix(matrix, _array.cast(PLANE_CORNERS, point))
 
 
 def bring_plane_to_origin(
     point: Array,
     plane: Array | None,
     shape: Sequence[float] = (10.0, 10.0),
-    center: Sequence[float] = _NONE,
-    angles: Sequence[float] = _NONE,
+    center: Sequence[float] | Array = _NONE,
+    angles: Sequence[float] | Array = _NONE,
     mode: str = "XYZ",
-) -> np.ndarray:
+) -> Array:
     """Return points in the frame of a plane that was rotated by `angles` and moved to `center`.
 
     Parameters
@@ -60,16 +59,16 @@ def bring_plane_to_origin(
         Not used; kept for older calls.
     shape : sequence of float, default: (10.0, 10.0)
         Not used; kept for older calls.
-    center : sequence of float
+    center : sequence of float or array
         Where the plane's centre is.
-    angles : sequence of float
+    angles : sequence of float or array
         The plane's rotation in degrees about X, Y and Z.
     mode : str
         Order of the rotations, as in :func:`odak.tools.rotate_point`.
 
     Returns
     -------
-    numpy.ndarray
+    array
         R⁻¹·(point − center), ``[3]`` or ``[m, 3]``.
 
     Examples
@@ -78,15 +77,14 @@ def bring_plane_to_origin(
     >>> bring_plane_to_origin([2, 1, 1], None, center=[1, 1, 1], angles=[0, 0, 90]).round(12) + 0
     array([ 0., -1.,  0.])
     """
-    point = arguments.batch(arguments.points("point", point), 1)
-    center = arguments.finite_points("center", center).astype(point.dtype)
+    point, center, angles = _validate.reals(point=point, center=center, angles=angles)
+    point, center = arguments.points("point", point), arguments.points("center", center)
     _validate.fitting(point=point, center=center)
-    matrix = rotation_matrix(arguments.finite_points("angles", angles).reshape(3), mode).astype(point.dtype)
-    moved = point - center
-    return arguments.single(apply_matrix(matrix.T, moved))
+    matrix = rotation_matrix(arguments.vector("angles", angles), mode)
+    return arguments.single(apply_matrix(namespace(matrix).matrix_transpose(matrix), point - center))
 
 
-def center_of_triangle(triangle: Array) -> np.ndarray:
+def center_of_triangle(triangle: Array) -> Array:
     """Return the mean of the corners of triangles.
 
     Parameters
@@ -96,7 +94,7 @@ def center_of_triangle(triangle: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[m, 3]``, and ``[1, 3]`` for one triangle.
 
     Examples
@@ -105,10 +103,11 @@ def center_of_triangle(triangle: Array) -> np.ndarray:
     >>> center_of_triangle([[0, 0, 0], [3, 0, 0], [0, 6, 0]]).tolist()
     [[1.0, 2.0, 0.0]]
     """
-    return arguments.batch(arguments.triangles("triangle", triangle), 2).mean(axis=-2)
+    (triangle,) = _validate.reals(triangle=triangle)
+    return namespace(triangle).mean(arguments.triangles("triangle", triangle), axis=-2)
 
 
-def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2: Array) -> bool | np.ndarray:
+def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2: Array) -> bool | Array:
     """Say whether a point lies within a triangle, judged along the triangle's normal; its rim belongs to it.
 
     Parameters
@@ -124,7 +123,7 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
 
     Returns
     -------
-    bool or numpy.ndarray
+    bool or array
         One bool, or ``[m]`` of them.
 
     Notes
@@ -137,13 +136,13 @@ def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2:
     >>> is_it_on_triangle([1, 1, 0], [0, 0, 0], [4, 0, 0], [0, 4, 0])
     True
     """
-    names = ("pointtocheck", "point0", "point1", "point2")
-    values = (pointtocheck, point0, point1, point2)
-    result = geometry.is_on_triangle(*(arguments.points(n, v) for n, v in zip(names, values, strict=True)))
+    given = {"pointtocheck": pointtocheck, "point0": point0, "point1": point1, "point2": point2}
+    made = zip(given, _validate.reals(**given), strict=True)
+    result = geometry.is_on_triangle(*(_validate.shaped(name, value, ..., 3) for name, value in made))
     return bool(result) if result.ndim == 0 else result
 
 
-def define_circle(center: Array, radius: float, angles: Sequence[float]) -> list:
+def define_circle(center: Array, radius: float, angles: Sequence[float] | Array) -> list:
     """Return a circle as [plane ``[3, 3]``, centre, radius].
 
     Parameters
@@ -167,36 +166,37 @@ def define_circle(center: Array, radius: float, angles: Sequence[float]) -> list
     >>> plane[:, 2].tolist(), float(radius)
     ([5.0, 5.0, 5.0], 2.0)
     """
-    arguments.finite_points("center", center)
-    _radius(radius)
-    return [define_plane(center, angles), center, radius]
+    plane = define_plane(arguments.vector("center", *_validate.reals(center=center)), angles)
+    arguments.vector("radius", arguments.radius(radius, plane), 1)
+    return [plane, center, radius]
 
 
-def define_sphere(center: Sequence[float] | Array, radius: float) -> np.ndarray:
-    """Return a sphere as ``[c_x, c_y, c_z, r]``.
+def define_sphere(center: Sequence[float] | Array, radius: float | Array) -> Array:
+    """Return spheres as ``[c_x, c_y, c_z, r]``.
 
     Parameters
     ----------
-    center : sequence of float
-        ``[3]``.
-    radius : float
-        Radius, in the unit of the centre.
+    center : sequence of float or array
+        ``[3]`` or ``[m, 3]``.
+    radius : float or array
+        Radius, in the unit of the centre: a number, ``[1]``, ``[m]`` or ``[m, 1]``.
 
     Returns
     -------
-    numpy.ndarray
-        float64 ``[4]``.
+    array
+        ``[4]`` for one sphere, else ``[m, 4]``; one centre serves many radii, and the reverse.
 
     Examples
     --------
     >>> from odak.raytracing import define_sphere
-    >>> define_sphere([0, 0, 5], 3).tolist()
-    [0.0, 0.0, 5.0, 3.0]
+    >>> define_sphere([0, 0, 5], 3.0)
+    array([0., 0., 5., 3.])
     """
-    return np.concatenate((arguments.finite_points("center", center).reshape(3), _radius(radius))).astype(np.float64)
+    (center,) = _validate.reals(center=center)
+    return arguments.single(_rows(center=center, radius=arguments.radius(radius, center)))
 
 
-def sphere_function(point: Array, sphere: Array) -> np.ndarray:
+def sphere_function(point: Array, sphere: Array) -> Array:
     """Return |p − c|² − r², which is zero on a sphere and negative inside.
 
     Parameters
@@ -208,7 +208,7 @@ def sphere_function(point: Array, sphere: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[m]``.
 
     Examples
@@ -217,29 +217,31 @@ def sphere_function(point: Array, sphere: Array) -> np.ndarray:
     >>> sphere_function([[0, 0, 0], [3, 0, 0]], [0, 0, 0, 2]).tolist()
     [-4.0, 5.0]
     """
-    point = arguments.batch(arguments.points("point", point), 1)
-    sphere = arguments.numbers("sphere", sphere, 4)
+    point, sphere = _validate.reals(point=point, sphere=sphere)
+    point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
     _validate.fitting(point=point, sphere=sphere[..., :3])
     arm = point - sphere[..., :3]
     return geometry.dot(arm, arm) - sphere[..., 3] ** 2
 
 
-def define_cylinder(center: Sequence[float], radius: float, rotation: Sequence[float] = _NONE) -> np.ndarray:
-    """Return an infinite cylinder as ``[c, r, q]``, q a point of its axis one unit from c.
+def define_cylinder(
+    center: Sequence[float] | Array, radius: float | Array, rotation: Sequence[float] | Array = _NONE
+) -> Array:
+    """Return infinite cylinders as ``[c, r, q]``, q a point of the axis one unit from c.
 
     Parameters
     ----------
-    center : sequence of float
-        A point of the axis, ``[3]``.
-    radius : float
-        Radius.
-    rotation : sequence of float
-        Degrees about X, Y and Z that turn the axis away from +z.
+    center : sequence of float or array
+        A point of the axis, ``[3]`` or ``[m, 3]``.
+    radius : float or array
+        Radius: a number, ``[1]``, ``[m]`` or ``[m, 1]``.
+    rotation : sequence of float or array
+        Degrees about X, Y and Z that turn the axis away from +z, ``[3]`` or ``[m, 3]``.
 
     Returns
     -------
-    numpy.ndarray
-        float64 ``[7]``.
+    array
+        ``[7]`` for one cylinder, else ``[m, 7]``; one of each argument serves many of the others.
 
     Examples
     --------
@@ -247,12 +249,14 @@ def define_cylinder(center: Sequence[float], radius: float, rotation: Sequence[f
     >>> define_cylinder([0, 0, 4], 2.0)
     array([0., 0., 4., 2., 0., 0., 5.])
     """
-    center = arguments.finite_points("center", center).reshape(3).astype(np.float64)
-    axis = rotation_matrix(arguments.finite_points("rotation", rotation).reshape(3).astype(np.float64))[:, 2]
-    return np.concatenate((center, _radius(radius), center + axis))
+    center, rotation = _validate.reals(center=center, rotation=rotation)
+    axis = rotation_matrix(arguments.listed("rotation", rotation, (3,), "[3] or [m, 3]"))[..., 2]
+    rows = _rows(center=center, radius=arguments.radius(radius, center), rotation=axis)
+    xp = namespace(rows)
+    return arguments.single(xp.concat((rows[:, :4], rows[:, :3] + rows[:, 4:]), axis=-1))
 
 
-def cylinder_function(point: Array, cylinder: Array) -> np.ndarray:
+def cylinder_function(point: Array, cylinder: Array) -> Array:
     """Return the squared distance to the axis of a cylinder minus the squared radius.
 
     Parameters
@@ -264,7 +268,7 @@ def cylinder_function(point: Array, cylinder: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[m]``: zero on the cylinder, negative inside.
 
     Notes
@@ -277,21 +281,24 @@ def cylinder_function(point: Array, cylinder: Array) -> np.ndarray:
     >>> cylinder_function([[0, 0, 9], [3, 0, 9]], define_cylinder([0, 0, 0], 2)).tolist()
     [-4.0, 5.0]
     """
-    point = arguments.batch(arguments.points("point", point), 1)
+    point, cylinder = _validate.reals(point=point, cylinder=cylinder)
     center, radius, axis = split_cylinder(cylinder)
+    point = arguments.points("point", point)
     _validate.fitting(point=point, cylinder=center)
-    arm = geometry.cross(*np.broadcast_arrays(point - center, geometry.unit(axis)))
+    arm = geometry.cross(*namespace(point).broadcast_arrays(point - center, geometry.unit(axis)))
     return geometry.dot(arm, arm) - radius**2
 
 
-def split_cylinder(cylinder) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return centre ``[..., 3]``, radius ``[...]`` and axis ``[..., 3]`` of cylinders ``[..., 7]``."""
-    cylinder = arguments.numbers("cylinder", cylinder, 7)
+def split_cylinder(cylinder) -> tuple[Any, Any, Any]:
+    """Return centre ``[m, 3]``, radius ``[m]`` and axis ``[m, 3]`` of cylinders ``[..., 7]``."""
+    cylinder = arguments.shaped("cylinder", cylinder, (7,), "[7] or [m, 7]")
     return cylinder[..., :3], cylinder[..., 3], cylinder[..., 4:] - cylinder[..., :3]
 
 
-def _radius(radius) -> np.ndarray:
-    value = arguments.floats("radius", radius).reshape(-1)
-    if value.size != 1 or not (np.isfinite(value[0]) and value[0] >= 0):
-        raise ValueError(f"radius must be one finite number, at least 0, got {radius!r}")
-    return value
+def _rows(center, radius, **more):
+    """Return centres, radii and what follows as rows ``[m, ...]``; one of each serves many of the others."""
+    xp = namespace(center)
+    center = arguments.listed("center", center, (3,), "[3] or [m, 3]")
+    columns = {"center": center, "radius": xp.reshape(radius, (-1, 1)), **more}
+    (count,) = _validate.fitting(**{name: value[:, 0] for name, value in columns.items()})
+    return xp.concat([xp.broadcast_to(v, (count, v.shape[-1])) for v in columns.values()], axis=-1)

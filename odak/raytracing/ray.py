@@ -4,8 +4,6 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from odak import _array, _validate
 from odak._array import Array, is_readable, namespace
 from odak._warnings import AccuracyWarning, warn
@@ -14,7 +12,7 @@ from odak.raytracing.geometry import safe_sqrt
 from odak.tools.transformation import rotation_matrix
 
 
-def create_ray(x0y0z0: Array, abg: Array) -> np.ndarray:
+def create_ray(x0y0z0: Array, abg: Array) -> Any:
     """Return the ray from a point with given angles to the three axes.
 
     Parameters
@@ -27,7 +25,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]``, or ``[m, 2, 3]``.
 
     Raises
@@ -47,9 +45,10 @@ def create_ray(x0y0z0: Array, abg: Array) -> np.ndarray:
     array([[1.   , 2.   , 3.   ],
            [0.   , 0.5  , 0.866]])
     """
-    cosines = np.cos(np.deg2rad(arguments.points("abg", abg)))
-    start = arguments.points("x0y0z0", x0y0z0)
-    _validate.fitting(x0y0z0=start, abg=cosines)
+    start, abg = _validate.reals(x0y0z0=x0y0z0, abg=abg)
+    start, abg = _validate.shaped("x0y0z0", start, ..., 3), _validate.shaped("abg", abg, ..., 3)
+    _validate.fitting(x0y0z0=start, abg=abg)
+    cosines = namespace(abg).cos(abg * (math.pi / 180))
     warn_unless_unit("abg", cosines)
     return arguments.as_rays(start, cosines)
 
@@ -70,7 +69,7 @@ def warn_unless_unit(name: str, cosines) -> None:
         )
 
 
-def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
+def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> Array:
     """Return rays that start at the first points and head to the second ones.
 
     Parameters
@@ -82,7 +81,7 @@ def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]`` for one ray, else ``[m, 2, 3]``. Unit direction cosines, NaN where start and end coincide.
 
     Examples
@@ -92,27 +91,27 @@ def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
     array([[0. , 0. , 0. ],
            [0. , 0.6, 0.8]])
     """
-    start = arguments.batch(arguments.points("x0y0z0", x0y0z0), 1)
-    end = arguments.batch(arguments.points("x1y1z1", x1y1z1), 1)
+    start, end = _validate.reals(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
+    start, end = arguments.points("x0y0z0", start), arguments.points("x1y1z1", end)
     _validate.fitting(x0y0z0=start, x1y1z1=end)
     return arguments.single(arguments.as_rays(start, geometry.unit(end - start)))
 
 
-def create_ray_from_angles(point: Array, angles: Sequence[float], mode: str = "XYZ") -> np.ndarray:
+def create_ray_from_angles(point: Array, angles: Sequence[float] | Array, mode: str = "XYZ") -> Array:
     """Return the ray from a point along the rotated z axis.
 
     Parameters
     ----------
     point : array
         Start, ``[3]`` or ``[m, 3]``.
-    angles : sequence of float
+    angles : sequence of float or array
         Degrees about X, Y and Z; zero angles point along +z.
     mode : str
         Order of the rotations, as in :func:`odak.tools.rotate_point`.
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[2, 3]`` or ``[m, 2, 3]``.
 
     Examples
@@ -122,12 +121,13 @@ def create_ray_from_angles(point: Array, angles: Sequence[float], mode: str = "X
     array([[1., 2., 3.],
            [1., 0., 0.]])
     """
-    point = arguments.batch(arguments.points("point", point), 1)
-    direction = rotation_matrix(arguments.finite_points("angles", angles), mode)[..., 2]
-    return arguments.single(arguments.as_rays(point, direction.astype(point.dtype)))
+    point, angles = _validate.reals(point=point, angles=angles)
+    point, angles = arguments.points("point", point), arguments.points("angles", angles)
+    _validate.fitting(point=point, angles=angles)
+    return arguments.single(arguments.as_rays(point, rotation_matrix(angles, mode)[..., 2]))
 
 
-def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
+def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> Array:
     """Return a ray from each of the first points to each of the second ones.
 
     Parameters
@@ -139,7 +139,7 @@ def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[m·n, 2, 3]``; ray i·n + j goes from start i to end j. NaN cosines where the two coincide.
 
     Examples
@@ -148,16 +148,14 @@ def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> np.ndarray:
     >>> create_ray_from_all_pairs([[0, 0, 0], [1, 0, 0]], [[0, 0, 1], [0, 0, 2], [0, 0, 3]]).shape
     (6, 2, 3)
     """
-    start = arguments.batch(arguments.points("x0y0z0", x0y0z0), 1)
-    end = arguments.batch(arguments.points("x1y1z1", x1y1z1), 1)
-    for name, points in (("x0y0z0", start), ("x1y1z1", end)):
-        if points.ndim > 2:
-            raise ValueError(f"{name} must be [3] or [m, 3], got {points.shape}")
-    rays = arguments.as_rays(start[:, None], geometry.unit(end - start[:, None]))
-    return rays.reshape(-1, 2, 3)
+    start, end = _validate.reals(x0y0z0=x0y0z0, x1y1z1=x1y1z1)
+    start = arguments.listed("x0y0z0", start, (3,), "[3] or [m, 3]")[:, None, :]
+    end = arguments.listed("x1y1z1", end, (3,), "[3] or [m, 3]")
+    rays = arguments.as_rays(start, geometry.unit(end - start))
+    return namespace(rays).reshape(rays, (-1, 2, 3))
 
 
-def propagate_a_ray(ray: Array, distance: float | Array) -> np.ndarray:
+def propagate_a_ray(ray: Array, distance: float | Array) -> Array:
     """Return rays whose starts have moved along their directions; the directions stay.
 
     Parameters
@@ -165,11 +163,11 @@ def propagate_a_ray(ray: Array, distance: float | Array) -> np.ndarray:
     ray : array
         ``[2, 3]`` or ``[m, 2, 3]``.
     distance : float or array
-        A number or ``[m]``; negative goes backwards.
+        A number, ``[1]``, ``[m]``, ``[m, 1]`` or ``[1, m]``, ``[...]`` for more axes; negative goes backwards.
 
     Returns
     -------
-    numpy.ndarray
+    array
         A new array, ``[2, 3]`` for one ray, else ``[m, 2, 3]``.
 
     Examples
@@ -179,14 +177,15 @@ def propagate_a_ray(ray: Array, distance: float | Array) -> np.ndarray:
     array([[0. , 6. , 8. ],
            [0. , 0.6, 0.8]])
     """
-    ray = arguments.batch(arguments.rays("ray", ray), 2)
-    distance = np.atleast_1d(arguments.floats("distance", distance)).astype(ray.dtype)
+    ray, distance = _validate.reals(ray=ray, distance=distance)
+    ray = arguments.rays("ray", ray)
+    distance = namespace(distance).reshape(distance, (-1,)) if ray.ndim == 3 else distance
     _validate.fitting(ray=ray.shape[:-2], distance=distance)
     moved = ray[..., 0, :] + distance[..., None] * ray[..., 1, :]
     return arguments.single(arguments.as_rays(moved, ray[..., 1, :]))
 
 
-def get_points_along_a_ray_segment(ray: Array, distances: Array) -> np.ndarray:
+def get_points_along_a_ray_segment(ray: Array, distances: Array) -> Array:
     """Return the points of rays at given distances from their starts.
 
     Parameters
@@ -198,7 +197,7 @@ def get_points_along_a_ray_segment(ray: Array, distances: Array) -> np.ndarray:
 
     Returns
     -------
-    numpy.ndarray
+    array
         ``[k, 3]`` for one ray, else ``[m, k, 3]``.
 
     Examples
@@ -208,12 +207,12 @@ def get_points_along_a_ray_segment(ray: Array, distances: Array) -> np.ndarray:
     array([[0., 0., 1.],
            [0., 0., 2.]])
     """
-    ray = arguments.batch(arguments.rays("ray", ray), 2)
-    distances = arguments.floats("distances", distances).reshape(-1, 1).astype(ray.dtype)
+    ray, distances = _validate.reals(ray=ray, distances=distances)
+    ray, distances = arguments.rays("ray", ray), namespace(ray).reshape(distances, (-1, 1))
     return arguments.single(ray[..., None, 0, :] + distances * ray[..., None, 1, :])
 
 
-def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarray]:
+def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[Array, Array]:
     """Return the common point of two lines and how far along each of the rays it lies.
 
     Parameters
@@ -225,7 +224,7 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.nda
 
     Returns
     -------
-    tuple of numpy.ndarray
+    tuple of array
         Point ``[3]`` and distances ``[2]``, signed, of ray0 and ray1; ``[m, 3]`` and ``[m, 2]`` for batches. Where the
         lines are skew or parallel: ray0's start and two zeros. NaN where a ray is not finite.
 
@@ -239,16 +238,16 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[np.nda
     >>> calculate_intersection_of_two_rays([[0, 0, 0], [1, 0, 0]], [[3, -7, 0], [0, 1, 0]])
     (array([3., 0., 0.]), array([3., 7.]))
     """
-    start0, direction0, start1, direction1, one = _pair(ray0, ray1)
+    start0, direction0, start1, direction1 = _pair(ray0, ray1)
     t0, t1, meet = geometry.crossing_of_lines(start0, direction0, start1, direction1)
-    distances = np.where(meet[..., None], np.stack((t0, t1), axis=-1), 0.0)
+    xp = namespace(t0)
     # Lost rays are NaN here, unlike rays that do not intersect.
-    distances += 0.0 * (start0 + direction0 + start1 + direction1).sum(axis=-1, keepdims=True)
-    point = start0 + distances[..., :1] * direction0
-    return (point[0], distances[0]) if one else (point, distances)
+    none = 0.0 * xp.sum(start0 + direction0 + start1 + direction1, axis=-1, keepdims=True)
+    distances = xp.where(meet[..., None], xp.stack((t0, t1), axis=-1), none)
+    return arguments.single(start0 + distances[..., :1] * direction0), arguments.single(distances)
 
 
-def find_nearest_points(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarray]:
+def find_nearest_points(ray0: Array, ray1: Array) -> tuple[Array, Array]:
     """Return, on each of two lines, the point nearest to the other line.
 
     Parameters
@@ -260,7 +259,7 @@ def find_nearest_points(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarra
 
     Returns
     -------
-    tuple of numpy.ndarray
+    tuple of array
         Points ``[3]`` on ray0 and ray1, or ``[m, 3]``; both are the crossing where the lines meet. For parallel lines:
         ray0's start and its foot on ray1.
 
@@ -270,18 +269,19 @@ def find_nearest_points(ray0: Array, ray1: Array) -> tuple[np.ndarray, np.ndarra
     >>> find_nearest_points([[1, 0, 0], [1, 0, 0]], [[0, 0, 5], [0, 1, 0]])
     (array([0., 0., 0.]), array([0., 0., 5.]))
     """
-    start0, direction0, start1, direction1, one = _pair(ray0, ray1)
+    start0, direction0, start1, direction1 = _pair(ray0, ray1)
     t0, t1 = geometry.nearest_on_lines(start0, direction0, start1, direction1)
     nearest0, nearest1 = start0 + t0[..., None] * direction0, start1 + t1[..., None] * direction1
-    return (nearest0[0], nearest1[0]) if one else (nearest0, nearest1)
+    return arguments.single(nearest0), arguments.single(nearest1)
 
 
 def _pair(ray0, ray1):
-    """Return starts and directions ``[m, 3]`` of two sets of rays, and whether there is one of each."""
-    ray0, ray1 = (arguments.batch(arguments.rays(n, ray), 2) for n, ray in (("ray0", ray0), ("ray1", ray1)))
+    """Return starts and directions ``[m, 3]`` of two sets of rays, of one shape."""
+    ray0, ray1 = _validate.reals(ray0=ray0, ray1=ray1)
+    ray0, ray1 = arguments.rays("ray0", ray0), arguments.rays("ray1", ray1)
     _validate.fitting(ray0=ray0, ray1=ray1)
-    ray0, ray1 = np.broadcast_arrays(ray0, ray1)
-    return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :], ray0.shape[:-2] == (1,)
+    ray0, ray1 = namespace(ray0).broadcast_arrays(ray0, ray1)
+    return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :]
 
 
 # The phase of samples of less power is not defined well enough.

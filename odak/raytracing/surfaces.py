@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from odak import _validate
-from odak._array import Array, cast, is_array, is_readable, is_torch, namespace
+from odak._array import Array, cast, device_of, is_array, is_readable, is_torch, namespace
 from odak.raytracing import arguments, closed_forms
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
@@ -331,7 +331,7 @@ class SplineFreeform(Shape):
         SplineFreeform
             Its control points solve the two tridiagonal systems of interpolation, in NumPy.
         """
-        values = _validate.image("heights", arguments.floats("heights", heights))
+        values = _validate.image("heights", np.asarray(*_validate.reals(heights=heights)))
         for axis in (0, 1):
             n = values.shape[axis]
             matrix = (4 * np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1)) / 6
@@ -940,19 +940,41 @@ def intersect_w_sag(
     >>> intersect_w_sag([[0, 3, -10], [0, 0, 1]], Conic(curvature=1 / 5)).distance
     array(11.)
     """
-    ray = arguments.rays("ray", ray)
-    start, direction = ray[..., 0, :], ray[..., 1, :]
-    checked_shape("surface", surface)
-    kinds = {field.name: getattr(surface, field.name) for field in fields(surface)}
-    kinds = {name: arguments.floats(f"surface.{name}", value) for name, value in kinds.items()}
-    parameters = [value.astype(ray.dtype) for value in kinds.values()]
-    center = None if center is None else arguments.finite_points("center", center)
-    aperture = None if aperture is None else _validate.real("aperture", aperture)
-    ahead = _validate.flag("ahead", ahead)
-    matrix = None if angles is None else rotation_matrix(arguments.finite_points("angles", angles)).astype(ray.dtype)
-    start, direction = to_local(start, direction, center, matrix)
-    function, axes = hits_of(type(surface), ahead)
-    return to_global(in_pieces(function, axes, start, direction, aperture, *parameters), center, matrix)
+    return placed_hits(_in_precision_of_rays, in_pieces, ray, surface, center, angles, aperture, ahead)
+
+
+def _in_precision_of_rays(ray, **others):
+    made = _validate.reals(ray=ray, **others)
+    dtype = _validate.reals(ray=ray)[0].dtype if is_array(ray) else made[0].dtype
+    return [namespace(value).astype(value, dtype) for value in made]
+
+
+def placed_hits(read, evaluate, ray, surface, center, angles, aperture, ahead) -> Hit:
+    """Return what :func:`intersect_w_sag` does; `read` makes arrays of arguments, `evaluate` splits up batches."""
+    kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(checked_shape("surface", surface))}
+    # Surfaces without coefficients are right as they are.
+    held = {name: v for name, v in kinds.items() if not (isinstance(v, (list, tuple)) and len(v) == 0)}
+    placed = {"center": center, "angles": angles, "aperture": aperture}
+    given = {"ray": ray, **held, **{name: value for name, value in placed.items() if value is not None}}
+    made = dict(zip(given, read(**given), strict=True))
+    ray = _validate.shaped("ray", made["ray"], ..., 2, 3)
+    xp = namespace(ray)
+    none = xp.zeros(0, dtype=ray.dtype, device=device_of(ray))
+    parameters = [made.get(name, none) for name in kinds]
+    matrix = rotation_matrix(arguments.vector("angles", made["angles"])) if "angles" in made else None
+    place = _validate.shaped("center", made["center"], ..., 3) if "center" in made else None
+    if place is not None:
+        _validate.fitting(ray=ray[..., 0, :], center=place)
+    start, direction = to_local(ray[..., 0, :], ray[..., 1, :], place, matrix)
+    function, ranks = hits_of(type(surface), _validate.flag("ahead", ahead))
+    if "aperture" in made:
+        limit = _validate.real("aperture", made["aperture"])
+        _validate.fitting(ray=ray.shape[:-2], aperture=limit)
+        hit = evaluate(function, ranks, start, direction, limit, *parameters)
+    else:
+        ranks = ranks[:2] + ranks[3:]
+        hit = evaluate(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
+    return to_global(hit, place, matrix)
 
 
 def checked_shape(name: str, value) -> Shape:

@@ -102,3 +102,34 @@ def test_faces_of_the_package_can_be_pickled_compiled_and_transformed():
     assert torch.allclose(torch.func.vmap(jones.polarizer)(angles), expected)
     explanation = torch._dynamo.explain(jones.polarizer)(angles)
     assert explanation.graph_break_count == 0
+
+
+def test_sections_of_a_docstring_replace_those_of_the_core():
+    text = torch_face(
+        scaled,
+        tensors=("field",),
+        name="halved",
+        describe="""
+        Return half of it.
+
+        Parameters
+        ----------
+        factor : float
+            Half of what it was.
+
+        Returns
+        -------
+        torch.Tensor
+            Less.
+
+        Examples
+        --------
+        >>> 1 + 1
+        2
+        """,
+    )
+    assert text.__name__ == "halved" and text.__doc__.startswith("Return half of it.\n\nParameters\n")
+    assert (
+        "factor : float\n    Half of what it was.\ndevice :" in text.__doc__ and "field : torch.Tensor" in text.__doc__
+    )
+    assert "Returns\n-------\ntorch.Tensor\n    Less.\n" in text.__doc__ and text.__doc__.endswith(">>> 1 + 1\n2\n")

@@ -1,19 +1,20 @@
 """Rays at surfaces: differentiable intersections, normals, reflection, refraction and Fresnel coefficients."""
 
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import torch
 
 from odak import _validate
 from odak._array import is_readable
-from odak.learn.raytracing import arguments
-from odak.learn.raytracing.primitives import split_cylinder
+from odak.learn._face import torch_face
+from odak.learn._tensors import reals_of
+from odak.learn.raytracing.primitives import batched
 from odak.learn.raytracing.recompute import in_pieces
-from odak.raytracing import closed_forms, geometry, interfaces
+from odak.raytracing import arguments, closed_forms, geometry, interfaces
+from odak.raytracing import boundary as core
 from odak.raytracing import components as vec
-from odak.raytracing.interfaces import Fresnel
+from odak.raytracing.primitives import split_cylinder
 
 __all__ = [
     "fresnel_coefficients",
@@ -32,64 +33,99 @@ __all__ = [
 ]
 
 
-def refract(
-    vector: torch.Tensor,
-    normvector: torch.Tensor,
-    n1: float | torch.Tensor,
-    n2: float | torch.Tensor,
-    error: float = 0.01,
-) -> torch.Tensor:
-    """Refract rays at surfaces by Snell's law.
+def _reflect(core, input_ray, normal):
+    ray, normal = _validate.reals(input_ray=input_ray, normal=normal)
+    ray, normal = arguments.rays("input_ray", ray), arguments.rays("normal", normal)
+    _validate.fitting(input_ray=ray, normal=normal)
 
-    Parameters
-    ----------
-    vector : torch.Tensor
-        Rays, ``[2, 3]`` or ``[m, 2, 3]``.
-    normvector : torch.Tensor
-        Normals as rays, of any length and sign; one serves many rays, and the reverse.
-    n1 : float or torch.Tensor
-        Refractive index before the surface, a number or ``[m]``.
-    n2 : float or torch.Tensor
-        Refractive index behind the surface, a number or ``[m]``.
-    error : float
-        Not used: the result is exact. Kept for older calls.
+    def reflected(ray, normal):
+        return vec.join(vec.split(normal[..., 0, :]), interfaces.reflected(ray[..., 1, :], normal[..., 1, :]))
 
+    return in_pieces(reflected, (2, 2), ray, normal)
+
+
+def _refract(core, vector, normvector, n1, n2, error=0.01):
+    ray, normal, n1, n2 = _validate.reals(vector=vector, normvector=normvector, n1=n1, n2=n2)
+    ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
+    n1, n2 = n1.reshape(-1), n2.reshape(-1)
+    _validate.fitting(vector=ray.shape[:-2], normvector=normal.shape[:-2], n1=n1, n2=n2)
+
+    def refracted(ray, normal, n1, n2):
+        direction, _, _ = interfaces.refracted(ray[..., 1, :], normal[..., 1, :], n1, n2)
+        return vec.join(vec.split(normal[..., 0, :]), direction)
+
+    return in_pieces(refracted, (2, 2, 0, 0), ray, normal, n1, n2)
+
+
+fresnel_coefficients = torch_face(
+    core.fresnel_coefficients,
+    tensors=("ray", "normal"),
+    describe="""
+    Examples
+    --------
+    At normal incidence glass reflects ((n − 1)/(n + 1))²:
+
+    >>> import torch
+    >>> from odak.learn.raytracing import fresnel_coefficients
+    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
+    0.04
+    """,
+)
+get_cylinder_normal = torch_face(
+    core.get_cylinder_normal,
+    tensors=("point", "cylinder"),
+    through=batched(2),
+    describe="""
     Returns
     -------
     torch.Tensor
-        ``[m, 2, 3]``: rays that start at the normals' points. A totally reflected ray has a NaN direction and no
-        gradient. Differentiable in rays, normals and indices.
-
-    Notes
-    -----
-    Spencer and Murty, J. Opt. Soc. Am. 52, 672 (1962), with the closed root; see
-    :func:`odak.raytracing.interfaces.refract_directions`, which also returns statuses.
+        ``[m, 2, 3]``. Each starts at its point's foot on the axis.
 
     Examples
     --------
     >>> import torch
-    >>> from odak.learn.raytracing import refract
-    >>> normal = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
-    tensor([0.0000, 0.4000, 0.9165])
-    """
-    ray, normal, n1, n2 = arguments.tensors(vector=vector, normvector=normvector, n1=n1, n2=n2)
-    ray, normal = arguments.rays("vector", ray), arguments.rays("normvector", normal)
-    n1, n2 = n1.reshape(-1), n2.reshape(-1)
-    _validate.fitting(vector=ray.shape[:-2], normvector=normal.shape[:-2], n1=n1, n2=n2)
-    return in_pieces(_refracted, (2, 2, 0, 0), ray, normal, n1, n2)
+    >>> from odak.learn.raytracing import define_cylinder, get_cylinder_normal
+    >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
+    [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
+    """,
+)
+get_sphere_normal_torch = torch_face(
+    core.get_sphere_normal,
+    name="get_sphere_normal_torch",
+    tensors=("point", "sphere"),
+    through=batched(2),
+    describe="""
+    Returns
+    -------
+    torch.Tensor
+        ``[m, 2, 3]``.
 
-
-def reflect(input_ray: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
-    """Reflect rays at surfaces: d' = d − 2(d·n)/(n·n)·n.
-
-    Parameters
-    ----------
-    input_ray : torch.Tensor
-        ``[2, 3]`` or ``[m, 2, 3]``.
-    normal : torch.Tensor
-        Normals as rays, of any length and sign; one serves many rays, and the reverse.
-
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import get_sphere_normal_torch
+    >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
+    [0.0, 0.0, -1.0]
+    """,
+)
+get_triangle_normal = torch_face(
+    core.get_triangle_normal,
+    tensors=("triangle", "triangle_center"),
+    describe="""
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import get_triangle_normal
+    >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
+    [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """,
+)
+reflect = torch_face(
+    core.reflect,
+    tensors=("input_ray", "normal"),
+    through=_reflect,
+    describe="""
     Returns
     -------
     torch.Tensor
@@ -102,51 +138,28 @@ def reflect(input_ray: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
     >>> normal = torch.tensor([[1.0, 1.0, 1.0], [0.0, 0.0, 2.0]])
     >>> reflect(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal)[0, 1]
     tensor([ 0.0000,  0.6000, -0.8000])
-    """
-    ray, normal = arguments.tensors(input_ray=input_ray, normal=normal)
-    ray, normal = arguments.rays("input_ray", ray), arguments.rays("normal", normal)
-    _validate.fitting(input_ray=ray, normal=normal)
-    return in_pieces(_reflected, (2, 2), ray, normal)
-
-
-def fresnel_coefficients(
-    ray: torch.Tensor, normal: torch.Tensor, n1: float | torch.Tensor, n2: complex | torch.Tensor
-) -> Fresnel:
-    """Return the Fresnel coefficients of rays at surfaces, as amplitudes and as shares of the power.
-
-    Parameters
-    ----------
-    ray : torch.Tensor
-        Rays, ``[2, 3]`` or ``[m, 2, 3]``; directions of any length.
-    normal : torch.Tensor
-        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, of any length and sign.
-    n1 : float or torch.Tensor
-        Real index before the surface.
-    n2 : float, complex or torch.Tensor
-        Index behind it; a positive imaginary part absorbs.
-
+    """,
+)
+refract = torch_face(
+    core.refract,
+    tensors=("vector", "normvector", "n1", "n2"),
+    through=_refract,
+    describe="""
     Returns
     -------
-    Fresnel
-        Named tuple of tensors ``[m]`` for s and p: `reflected_*` and `transmitted_*` (complex amplitudes),
-        `reflectance_*` and `transmittance_*` (power, each pair adds up to 1); differentiable in all arguments.
+    torch.Tensor
+        ``[m, 2, 3]``: rays that start at the normals' points. A totally reflected ray has a NaN direction and no
+        gradient. Differentiable in rays, normals and indices.
 
     Examples
     --------
-    At normal incidence glass reflects ((n − 1)/(n + 1))²:
-
     >>> import torch
-    >>> from odak.learn.raytracing import fresnel_coefficients
-    >>> ray = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
-    0.04
-    """
-    ray, normal = arguments.tensors(ray=ray, normal=normal)
-    ray, normal = arguments.rays("ray", ray)[..., 1, :], arguments.rays("normal", normal)[..., 1, :]
-    n1, n2 = (v.to(ray.device) if torch.is_tensor(v) else v for v in (_index("n1", n1, ray), _index("n2", n2, ray)))
-    indices = {name: value for name, value in (("n1", n1), ("n2", n2)) if torch.is_tensor(value)}
-    _validate.fitting(ray=ray.shape[:-1], normal=normal.shape[:-1], **indices)
-    return interfaces.fresnel(ray, normal, n1, n2)
+    >>> from odak.learn.raytracing import refract
+    >>> normal = torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
+    tensor([0.0000, 0.4000, 0.9165])
+    """,
+)
 
 
 def intersect_w_sphere(
@@ -187,7 +200,7 @@ def intersect_w_sphere(
     >>> intersect_w_sphere(ray, define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0])))[2]
     tensor([2.])
     """
-    ray, sphere = arguments.tensors(ray=ray, sphere=sphere)
+    ray, sphere = reals_of(ray=ray, sphere=sphere)
     ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
     if ray.ndim == 3 and len(sphere) not in (1, len(ray)) and len(ray) != 1:
         raise ValueError(f"sphere must hold one sphere or one for each of {len(ray)} rays, got {len(sphere)}")
@@ -227,8 +240,10 @@ def intersect_w_triangle(ray: torch.Tensor, triangle: torch.Tensor) -> tuple:
     >>> distances.flatten().tolist(), hits.tolist()
     ([5.0, 5.0], [[True, False]])
     """
-    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
-    ray, triangle = arguments.rays("ray", ray), _one("triangle", triangle)
+    ray, triangle = reals_of(ray=ray, triangle=triangle)
+    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
+    if len(triangle) != 1:
+        raise ValueError(f"triangle must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
     normal, distance, check = _meet_triangles(ray, triangle)
     return normal[0], distance[0][..., None], ray[check[0]], normal[0][check[0]], check
 
@@ -261,7 +276,7 @@ def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tup
     >>> hits.tolist()
     [[True], [False]]
     """
-    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
+    ray, triangle = reals_of(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
     normal, distance, check = _meet_triangles(ray, triangle)
     struck = check.flatten(1).any(dim=1).nonzero().flatten().tolist()
@@ -293,7 +308,7 @@ def intersect_w_surface(ray: torch.Tensor, points: torch.Tensor) -> tuple[torch.
     >>> intersect_w_surface(ray, define_plane(torch.tensor([0.0, 0.0, 10.0])))[1]
     tensor([[-12.5000]])
     """
-    ray, points = arguments.tensors(ray=ray, points=points)
+    ray, points = reals_of(ray=ray, points=points)
     ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
     normal, distance = in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(points))
     return normal, distance[..., None]
@@ -324,68 +339,9 @@ def intersect_w_surface_batch(ray: Any, triangle: Any) -> tuple[torch.Tensor, to
     >>> intersect_w_surface_batch(ray, torch.stack([plane, shifted]))[1].flatten().tolist()
     [5.0, 7.0]
     """
-    ray, triangle = arguments.tensors(ray=ray, triangle=triangle)
+    ray, triangle = reals_of(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
     return in_pieces(_plane_hits, (2, 1, 1), ray, *_planes(_before(triangle, ray)))
-
-
-def get_triangle_normal(triangle: torch.Tensor, triangle_center: torch.Tensor | None = None) -> torch.Tensor:
-    """Return the unit normals of triangles by the right-hand rule, as rays from their centres.
-
-    Parameters
-    ----------
-    triangle : torch.Tensor
-        ``[3, 3]`` or ``[m, 3, 3]``.
-    triangle_center : torch.Tensor, optional
-        Where the normals start; by default the mean of the corners.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[2, 3]`` for one, else ``[m, 2, 3]``; NaN normal where the corners are in line.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import get_triangle_normal
-    >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
-    [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
-    """
-    center = {} if triangle_center is None else {"triangle_center": triangle_center}
-    triangle, *center = arguments.tensors(triangle=triangle, **center)
-    triangle = arguments.triangles("triangle", triangle)
-    start = arguments.points("triangle_center", center[0]) if center else triangle.mean(dim=-2)
-    _validate.fitting(triangle=triangle.shape[:-1], triangle_center=start)
-    normal = arguments.as_rays(start, geometry.triangle_normal(triangle))
-    return normal[0] if len(normal) == 1 else normal
-
-
-def get_sphere_normal_torch(point: torch.Tensor, sphere: torch.Tensor) -> torch.Tensor:
-    """Return the rays from points of a sphere towards its centre.
-
-    Parameters
-    ----------
-    point : torch.Tensor
-        ``[3]`` or ``[m, 3]``.
-    sphere : torch.Tensor
-        ``[4]`` or ``[1, 4]``: centre and radius.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import get_sphere_normal_torch
-    >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
-    [0.0, 0.0, -1.0]
-    """
-    point, sphere = arguments.tensors(point=point, sphere=sphere)
-    point, sphere = arguments.points("point", point), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
-    _validate.fitting(point=point.shape[:-1], sphere=sphere.shape[:-1])
-    return arguments.as_rays(point, geometry.unit(sphere[..., :3] - point))
 
 
 def intersect_w_circle(ray: torch.Tensor, circle: Sequence) -> tuple[torch.Tensor, torch.Tensor]:
@@ -416,7 +372,7 @@ def intersect_w_circle(ray: torch.Tensor, circle: Sequence) -> tuple[torch.Tenso
     """
     if not isinstance(circle, (list, tuple)) or len(circle) != 3:
         raise TypeError(f"circle must be [plane, centre, radius] of define_circle, got {type(circle).__name__}")
-    ray, plane, center, radius = arguments.tensors(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
+    ray, plane, center, radius = reals_of(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
     rays, plane = arguments.rays("ray", ray), arguments.triangles("circle[0]", plane)
     normal, distance = in_pieces(_circle_hits, (2, 1, 1, 1, 0), rays, *_planes(plane), center, radius.reshape(-1))
     return normal if ray.ndim > 2 else normal[0], distance[..., None]
@@ -461,61 +417,6 @@ def _sphere_hits(ray, sphere):
     return rays, vec.join(vec.split(sphere[..., :3]), hit.normal), hit.distance, hit.hit
 
 
-def _reflected(ray, normal):
-    return vec.join(vec.split(normal[..., 0, :]), interfaces.reflected(ray[..., 1, :], normal[..., 1, :]))
-
-
-def _refracted(ray, normal, n1, n2):
-    direction, _, _ = interfaces.refracted(ray[..., 1, :], normal[..., 1, :], n1, n2)
-    return vec.join(vec.split(normal[..., 0, :]), direction)
-
-
-def _index(name: str, value, ray: torch.Tensor):
-    """Return a refractive index after checking it, a list as precise as the rays; the one behind may be complex."""
-    is_complex = isinstance(value, complex) or (torch.is_tensor(value) and value.is_complex())
-    if is_complex and name == "n2":
-        return value
-    value = _validate.real(name, value)
-    return value if isinstance(value, (Real, torch.Tensor)) else arguments.tensors(ray=ray, **{name: value})[1]
-
-
-def _one(name: str, triangle: torch.Tensor) -> torch.Tensor:
-    triangle = arguments.triangles(name, triangle)
-    if len(triangle) != 1:
-        raise ValueError(f"{name} must be one triangle [3, 3] or [1, 3, 3], got {tuple(triangle.shape)}")
-    return triangle
-
-
-def get_cylinder_normal(point: torch.Tensor, cylinder: torch.Tensor) -> torch.Tensor:
-    """Return the rays from the axis of a cylinder outwards through points of it.
-
-    Parameters
-    ----------
-    point : torch.Tensor
-        ``[3]`` or ``[m, 3]``.
-    cylinder : torch.Tensor
-        ``[7]``, or ``[m, 7]``: one for each point.
-
-    Returns
-    -------
-    torch.Tensor
-        ``[m, 2, 3]``. Each starts at its point's foot on the axis.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_cylinder, get_cylinder_normal
-    >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
-    [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
-    """
-    point, cylinder = arguments.tensors(point=point, cylinder=cylinder)
-    point = arguments.points("point", point)
-    center, _, axis = split_cylinder(cylinder)
-    axis = geometry.unit(axis)
-    foot = center + geometry.dot(*torch.broadcast_tensors(point - center, axis))[..., None] * axis
-    return arguments.as_rays(foot, geometry.unit(point - foot))
-
-
 def intersect_w_cylinder(
     ray: torch.Tensor, cylinder: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
@@ -543,7 +444,7 @@ def intersect_w_cylinder(
     >>> intersect_w_cylinder(ray, define_cylinder(torch.zeros(3), 2.0))[2]
     tensor([18.])
     """
-    ray, cylinder = arguments.tensors(ray=ray, cylinder=cylinder)
+    ray, cylinder = reals_of(ray=ray, cylinder=cylinder)
     ray = arguments.rays("ray", ray)
     center, radius, axis = split_cylinder(cylinder)
     if ray.ndim == 3 and len(center) not in (1, len(ray)) and len(ray) != 1:

@@ -6,10 +6,10 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import checked_device
-from odak.learn.raytracing import arguments
+from odak.learn._tensors import checked_device, reals_of
 from odak.learn.raytracing.boundary import intersect_w_surface
 from odak.learn.raytracing.primitives import define_plane
+from odak.raytracing import arguments
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
 __all__ = ["detector"]
@@ -82,7 +82,7 @@ class detector:
         none = [0.0, 0.0, 0.0]
         given = {"size": size, "center": none if center is None else center, "tilt": none if tilt is None else tilt}
         given = {name: v.to(self.device) if torch.is_tensor(v) else v for name, v in given.items()}
-        values = [value.reshape(-1).to(self.device) for value in arguments.tensors(**given)]
+        values = [value.reshape(-1).to(self.device) for value in reals_of(**given)]
         for name, value, count in zip(given, values, (2, 3, 3), strict=True):
             if len(value) != count:
                 raise ValueError(f"{name} must be {count} numbers, got {len(value)}")
@@ -126,7 +126,7 @@ class detector:
         if color >= self.colors:
             raise ValueError(f"color must be below {self.colors}, got {color}")
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
-        rays, size, center, tilt = arguments.tensors(
+        rays, size, center, tilt = reals_of(
             rays=rays, size=self.size, center=self.surface_center, tilt=self.surface_tilt
         )
         rays = arguments.rays("rays", rays).reshape(-1, 2, 3)

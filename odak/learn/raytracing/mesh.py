@@ -6,11 +6,11 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import checked_device, trainable
-from odak.learn.raytracing import arguments
+from odak.learn._tensors import checked_device, reals_of, trainable
 from odak.learn.raytracing.boundary import reflect
 from odak.learn.raytracing.triangles import triangle_mesh
 from odak.learn.tools.file import save_torch_tensor
+from odak.raytracing import arguments
 from odak.tools.asset import write_PLY
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
@@ -77,7 +77,7 @@ class planar_mesh:
         none = [0.0, 0.0, 0.0]
         given = [size, none if angles is None else angles, none if offset is None else offset]
         given = [v.to(self.device) if torch.is_tensor(v) else v for v in given]
-        size, angles, offset = arguments.tensors(size=given[0], angles=given[1], offset=given[2])
+        size, angles, offset = reals_of(size=given[0], angles=given[1], offset=given[2])
         for name, value, count in (("size", size, 2), ("angles", angles, 3), ("offset", offset, 3)):
             if value.numel() != count:
                 raise ValueError(f"{name} must be {count} numbers, got {tuple(value.shape)}")
@@ -141,7 +141,7 @@ class planar_mesh:
             the others are sorted by triangle, and within a triangle as given: :attr:`ray_indices` says which they were.
         """
         rays = rays.to(self.device) if torch.is_tensor(rays) else rays
-        rays, _ = arguments.tensors(rays=rays, heights=self.heights)
+        rays, _ = reals_of(rays=rays, heights=self.heights)
         rays = arguments.rays("rays", rays).reshape(-1, 2, 3)
         hit = self.get_mesh().intersect(rays)
         struck = hit.hit.nonzero().flatten()

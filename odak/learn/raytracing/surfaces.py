@@ -1,18 +1,17 @@
 """Intersections of rays with surfaces z = sag(x, y) and with level sets of functions, differentiable in both."""
 
 from collections.abc import Callable
-from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import torch
 
 from odak import _validate
-from odak.learn.raytracing import arguments
+from odak.learn._face import torch_face
+from odak.learn._tensors import reals_of
 from odak.learn.raytracing.recompute import in_pieces
-from odak.raytracing import boundary, surfaces
+from odak.raytracing import arguments, boundary, surfaces
 from odak.raytracing.geometry import dot, unit
-from odak.raytracing.intersections import Hit
 from odak.raytracing.surfaces import (
     Biconic,
     ChebyshevFreeform,
@@ -28,7 +27,6 @@ from odak.raytracing.surfaces import (
     Toroid,
     ZernikeFreeform,
 )
-from odak.tools.transformation import rotation_matrix
 
 __all__ = [
     "Biconic",
@@ -49,43 +47,31 @@ __all__ = [
 ]
 
 
-def intersect_w_sag(
-    ray: torch.Tensor,
-    surface: Shape,
-    center: torch.Tensor | None = None,
-    angles: torch.Tensor | None = None,
-    aperture: float | torch.Tensor | None = None,
-    ahead: bool = True,
-) -> Hit:
-    """Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and all parameters of the surface.
+intersect_w_sag = torch_face(
+    surfaces.intersect_w_sag,
+    through=lambda core, ray, surface, center=None, angles=None, aperture=None, ahead=True: surfaces.placed_hits(
+        reals_of, in_pieces, ray, surface, center, angles, aperture, ahead
+    ),
+    describe="""
+    Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and parameters of the surface.
 
     Parameters
     ----------
-    ray : torch.Tensor
-        ``[2, 3]`` or ``[..., 2, 3]``. Directions need not be unit vectors.
     surface : Shape
         A Conic, EvenAsphere, Toroid or any other shape, its vertex at the origin and its axis along z. Parameters that
         are tensors broadcast against the rays' batch axes (coefficients with their last axis, heights as a whole,
         aside).
     center : torch.Tensor, optional
-        Where its vertex is, ``[3]``.
+        Position of its vertex, ``[3]``.
     angles : torch.Tensor, optional
         Its rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
     aperture : float or torch.Tensor, optional
         Distance from the axis at which it ends.
-    ahead : bool
-        Take only points ahead of the start; else also those behind it, at negative distances.
-
-    Returns
-    -------
-    Hit
-        Distance ``[...]`` in lengths of the direction, point and unit normal ``[..., 3]`` (towards the surface's +z),
-        status ``[...]``. NaN, without gradient, where the status is not HIT.
 
     Notes
     -----
-    Large batches are evaluated block by block, forward and backward, and keep nothing but their arguments. Derivatives
-    are those of the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
+    Large batches are evaluated block by block, forward and backward, and keep nothing but their arguments.
+    Derivatives are those of the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
 
     Examples
     --------
@@ -97,37 +83,8 @@ def intersect_w_sag(
     >>> distance.backward()
     >>> round(distance.item(), 9), round(curvature.grad.item(), 9)
     (11.0, 6.25)
-    """
-    surfaces.checked_shape("surface", surface)
-    names = [field.name for field in fields(surface)]
-    extra = {"center": center, "angles": angles, "aperture": aperture}
-    extra = {name: value for name, value in extra.items() if value is not None}
-    given = {name: getattr(surface, name) for name in names}
-    # Surfaces without coefficients are right as they are.
-    empty = [name for name, value in given.items() if isinstance(value, (list, tuple)) and not len(value)]
-    values = arguments.tensors(ray=ray, **given | {name: torch.zeros(0) for name in empty}, **extra)
-    ray, parameters = values[0], values[1 : 1 + len(names)]
-    extra = dict(zip(extra, values[1 + len(names) :], strict=True))
-    if ray.shape[-2:] != (2, 3):
-        raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
-    ahead = _validate.flag("ahead", ahead)
-    if "aperture" in extra:
-        _validate.fitting(ray=ray.shape[:-2], aperture=extra["aperture"])
-    matrix = rotation_matrix(arguments.vector("angles", extra["angles"])) if "angles" in extra else None
-    center = extra.get("center")
-    if center is not None:
-        center = (
-            arguments.shaped("center", center, (3,), "[3]") if center.ndim > 1 else arguments.vector("center", center)
-        )
-        _validate.fitting(ray=ray[..., 0, :], center=center)
-    start, direction = surfaces.to_local(ray[..., 0, :], ray[..., 1, :], center, matrix)
-    function, ranks = surfaces.hits_of(type(surface), ahead)
-    if "aperture" in extra:
-        hit = in_pieces(function, ranks, start, direction, extra["aperture"], *parameters)
-    else:
-        ranks = ranks[:2] + ranks[3:]
-        hit = in_pieces(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
-    return surfaces.to_global(hit, center, matrix)
+    """,
+)
 
 
 def intersect_parametric(
@@ -178,7 +135,7 @@ def intersect_parametric(
     _validate.number("target_error", target_error, positive=True)
     _validate.function("surface_function", surface_function)
     _validate.function_or_none("surface_normal_function", surface_normal_function)
-    (ray,) = arguments.tensors(ray=ray)
+    (ray,) = reals_of(ray=ray)
     batch = arguments.rays("ray", ray).shape[:-2]
     rays = ray.reshape(-1, 2, 3)
     found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)

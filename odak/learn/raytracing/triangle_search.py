@@ -5,8 +5,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak.learn.raytracing import arguments
-from odak.raytracing import geometry, intersections
+from odak.raytracing import arguments, geometry, intersections
 from odak.raytracing.geometry import (
     edge_areas,
     encloses,

@@ -6,8 +6,8 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import tensor
-from odak.learn.raytracing import arguments, triangle_search
+from odak.learn._tensors import reals_of, tensor
+from odak.learn.raytracing import triangle_search
 from odak.learn.raytracing.triangle_search import (
     Frame,
     MeshHit,
@@ -79,7 +79,7 @@ class triangle_mesh:
         backend: str = "auto",
         memory_budget: int = 2**28,
     ) -> None:
-        (vertices,) = arguments.tensors(vertices=vertices)
+        (vertices,) = reals_of(vertices=vertices)
         self.vertices = _checked_vertices(vertices)
         self.faces = _checked_faces(faces, self.vertices)
         self.backend = _validate.one_of("backend", backend, BACKENDS)
@@ -96,7 +96,7 @@ class triangle_mesh:
 
         Meant for the steps of an optimization. Normals given at vertices are kept.
         """
-        (vertices,) = arguments.tensors(vertices=vertices)
+        (vertices,) = reals_of(vertices=vertices)
         if len(_checked_vertices(vertices)) != len(self.vertices):
             raise ValueError(f"vertices must be as many as before, {len(self.vertices)}; got {len(vertices)}")
         mesh = triangle_mesh(vertices, self.faces, self.normals, self.backend, self.memory_budget)
@@ -150,7 +150,7 @@ class triangle_mesh:
         ValueError
             If a shape is wrong.
         """
-        vertices, rays = arguments.tensors(vertices=self.vertices, rays=rays)
+        vertices, rays = reals_of(vertices=self.vertices, rays=rays)
         if rays.shape[-2:] != (2, 3):
             raise ValueError(f"rays must be [2, 3] or [..., 2, 3], got {tuple(rays.shape)}")
         batch, flat = rays.shape[:-2], rays.reshape(-1, 2, 3)
@@ -262,7 +262,7 @@ def _checked_faces(faces, vertices: torch.Tensor) -> torch.Tensor:
 def _checked_normals(normals, vertices: torch.Tensor):
     if isinstance(normals, str):
         return _validate.one_of("normals", normals, ("flat", "smooth"))
-    (normals,) = arguments.tensors(normals=normals)
+    (normals,) = reals_of(normals=normals)
     if normals.shape != vertices.shape:
         raise ValueError(f"normals must be {tuple(vertices.shape)} as the vertices, got {tuple(normals.shape)}")
     return normals
@@ -272,7 +272,7 @@ def _per_ray(name: str, value, rays: torch.Tensor) -> torch.Tensor | None:
     """Return a value for each ray ``[m]``, without a graph."""
     if value is None:
         return None
-    (value,) = arguments.tensors(**{name: value}) if name == "minimum_distance" else (tensor(name, value),)
+    (value,) = reals_of(**{name: value}) if name == "minimum_distance" else (tensor(name, value),)
     try:
         return value.to(rays.device).detach().expand(rays.shape[:-2]).reshape(-1)
     except RuntimeError as error:

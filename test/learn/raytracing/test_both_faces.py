@@ -184,9 +184,9 @@ def test_descartes_oval_images_a_point_to_a_point():
 def test_shapes_that_do_not_match_are_named():
     with pytest.raises(ValueError, match="cylinder must hold one cylinder or one for each of 3 rays, got 2"):
         learn.intersect_w_cylinder(torch.ones(3, 2, 3), torch.ones(2, 7))
-    with pytest.raises(ValueError, match="center, radius and rotation must be as many"):
+    with pytest.raises(ValueError, match=r"center \[3\], radius \[2\], rotation \[1\]"):
         learn.define_cylinder(torch.ones(3, 3), torch.ones(2))
-    with pytest.raises(ValueError, match=r"center and angles must be \[3\]"):
+    with pytest.raises(ValueError, match=r"center must be \[3\] or \[m, 3\], got \(2,\)"):
         learn.bring_plane_to_origin(torch.ones(3), center=torch.ones(2))
 
 

@@ -241,7 +241,7 @@ def test_lines_that_hold_no_number_do_not_cross_at_one():
 
 
 def test_spheres_and_points_that_are_not_as_many_are_named():
-    with pytest.raises(ValueError, match=r"point \[3\], sphere \[2\]"):
+    with pytest.raises(ValueError, match=r"point \[3, 3\], sphere \[2, 3\]"):
         rt.get_sphere_normal_torch(torch.ones(3, 3), torch.ones(2, 4))
 
 
