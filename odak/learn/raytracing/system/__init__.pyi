@@ -38,6 +38,9 @@ from .paraxial import ThirdOrder as ThirdOrder
 from .paraxial import first_order as first_order
 from .paraxial import ghost_system as ghost_system
 from .paraxial import seidel_sums as seidel_sums
+from .polarisation import PolarizedRays as PolarizedRays
+from .polarisation import polarized_point_spread_function as polarized_point_spread_function
+from .polarisation import polarized_trace as polarized_trace
 from .pupils import launch as launch
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields

@@ -27,6 +27,7 @@ from odak.learn.raytracing.system.surfaces import (
     surface,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
+from odak.raytracing.coatings import Coating
 from odak.raytracing.gradients import FunctionGradient, Gradient
 from odak.raytracing.phases import IdealLens, LinearGrating, Phase, RadialPhase
 from odak.raytracing.surfaces import (
@@ -44,7 +45,7 @@ from odak.tools.paths import _text, replacing
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
 _IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
-_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase", "gradient"}
+_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase", "gradient", "coating"}
 _BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
 _SYSTEM = {
     "aperture",
@@ -154,8 +155,20 @@ def _shape(item: Any) -> dict:
         entry["phase"] = _by_fields(item.phase)
     if item.own_gradient is not None:
         entry["gradient"] = _by_fields(item.gradient)
+    if item.own_coating is not None:
+        coating = item.coating
+        entry["coating"] = {"media": [_film(value) for value in coating.media]}
+        entry["coating"] |= {"thicknesses": _plain(coating.thicknesses)}
+        entry["coating"] |= {} if coating.substrate is None else {"substrate": _film(coating.substrate)}
     entry["aperture"] = [_by_fields(part) for part in item.apertures]
     return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
+
+
+def _film(medium):
+    """Return the name of a material, its index, or the parts of a complex one."""
+    if isinstance(medium, complex):
+        return [medium.real, medium.imag]
+    return getattr(medium, "name", medium)
 
 
 def _by_fields(item: Any) -> dict:
@@ -246,6 +259,9 @@ def _built(where: str, entry, keys) -> surface:
     if "aperture" in entry:
         parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
         entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
+    if "coating" in entry:
+        _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate"})
+        entry["coating"] = Coating(**entry["coating"])
     radius = entry.pop("radius")
     return surface(math.inf if radius is None else radius, **entry)
 
@@ -803,6 +819,8 @@ def _written_form(name: str, item, scale: float) -> list[str]:
     """Return the lines of a surface's type, shape and phase."""
     if item.own_gradient is not None:
         raise ValueError(f"{name} has a graded index behind it, which is not written")
+    if item.own_coating is not None:
+        raise ValueError(f"{name} has a coating, which is not written; remove it, or save the system as JSON")
     if bool(item.shift.any()) or bool(item.tilt.any()):
         raise ValueError(f"{name} is shifted or tilted, which is not written; use coordinate breaks")
     shape, phase = item.shape, item.phase

@@ -15,6 +15,7 @@ from odak.learn.raytracing.system.surfaces import (
     optical_system,
     surface,
 )
+from odak.raytracing.coatings import Coating
 
 
 class FirstOrder(NamedTuple):
@@ -425,6 +426,7 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
     -------
     optical_system
         With the same entrance beam, fields and wavelengths; the surfaces between the two are passed three times.
+        :func:`polarized_trace` tells how bright the ghost is: coatings and the media on both sides are kept.
 
     Raises
     ------
@@ -450,9 +452,18 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
             return "air"
         return float(item.index.detach()) if item.material is None else item.material
 
-    def passed(i: int, thickness, material) -> surface:
+    def films(i: int, backwards: bool, behind=None):
+        held = items[i].coating
+        if held is None:
+            return None if behind is None else Coating(substrate=behind)
+        held = held.reversed() if backwards else held
+        values = [float(value) for value in held.thicknesses]
+        return Coating(held.media, values, behind)
+
+    def passed(i: int, thickness, material, backwards: bool = False, behind=None) -> surface:
         item = items[i]
         return surface(
+            coating=films(i, backwards, behind),
             shape=item.shape,
             thickness=float(thickness.detach()),
             material=material,
@@ -464,9 +475,10 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
 
     with torch.no_grad():
         sequence = [passed(i, items[i].thickness, medium(i)) for i in range(second)]
-        sequence.append(passed(second, -items[second - 1].thickness, "mirror"))
-        sequence += [passed(i, -items[i - 1].thickness, medium(i - 1)) for i in range(second - 1, first, -1)]
-        sequence.append(passed(first, items[first].thickness, "mirror"))
+        # The reflecting interfaces are those of the media on both sides, with their coatings.
+        sequence.append(passed(second, -items[second - 1].thickness, "mirror", False, medium(second)))
+        sequence += [passed(i, -items[i - 1].thickness, medium(i - 1), True) for i in range(second - 1, first, -1)]
+        sequence.append(passed(first, items[first].thickness, "mirror", True, medium(first - 1)))
         sequence += [passed(i, items[i].thickness, medium(i)) for i in range(first + 1, len(items))]
         stop = system.stop if system.stop < second else system.stop + 2 * (second - first)
         sequence[stop].stop = True

@@ -1,5 +1,6 @@
 """Sequences of surfaces for blocks of rays: their numbers, their frames, and the trace in operations of the core."""
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import torch
@@ -156,7 +157,37 @@ def initial_status(rays) -> torch.Tensor:
     return torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
 
 
-def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
+class Passage(NamedTuple):
+    """What rays do at a surface, or at a coordinate break; directions are in the frame of the axis.
+
+    Attributes
+    ----------
+    place : int
+        Number of the surface.
+    action : str
+        As in :class:`Layout`.
+    incoming, outgoing, normal : tuple of torch.Tensor
+        Unit vectors before and behind, and normals; along the axis for rays that are lost.
+    before, behind : torch.Tensor
+        Indices on both sides.
+    length : torch.Tensor
+        Distance from the surface before.
+    turned : Frame or None
+        Of a break: the change of the frame.
+    """
+
+    place: int
+    action: str
+    incoming: tuple = ()
+    outgoing: tuple = ()
+    normal: tuple = ()
+    before: Any = None
+    behind: Any = None
+    length: Any = None
+    turned: Any = None
+
+
+def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None = None) -> State:
     """Return rays behind the last surface; those that fail lie on the axis.
 
     Parameters
@@ -165,6 +196,8 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
         The sequence.
     *tensors : torch.Tensor
         The six components of the rays ``[B, R]``, and what :func:`flat_arguments` returns.
+    record : callable, optional
+        Called with the :class:`Passage` of each surface and coordinate break.
 
     Notes
     -----
@@ -201,6 +234,8 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
             if action == "break":
                 if frames is not None:
                     place = frames.turn(place, layout.orders[i])
+                if record is not None:
+                    record(Passage(i, action, turned=place))
                 if medium is None:
                     point, direction = place.enter(point, direction)
                 else:
@@ -230,6 +265,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
         if limit is not None:
             inside = _passes(limit, point[0], point[1])
             status = _marked(status, inside, RayStatus.VIGNETTED)
+        incoming, normal, n2 = direction, None, index[..., i + 1]
         if action != "pass" or phase is not None:
             normal = _on_axis(status, 1, point, found.normal)[1]
             n2 = n1 if action == "reflect" else index[..., i + 1]
@@ -249,6 +285,10 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor) -> State:
                 direction, through, _ = interfaces.refracted(direction, normal, n1, n2)
             status = _marked(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
             point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
+        if record is not None:
+            ways = [incoming, direction, direction if normal is None else normal]
+            ways = ways if place is None else [place.leave(point, way)[1] for way in ways]
+            record(Passage(i, action, *ways, n1, n2, torch.where(status == HIT, found.distance, 0.0)))
         if place is not None:
             point, direction = place.leave(point, direction)
         if gradient is not None:

@@ -16,6 +16,7 @@ from odak.catalog.materials import MICROMETRES, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
+from odak.raytracing.coatings import Coating
 from odak.raytracing.gradients import Gradient
 from odak.raytracing.phases import Phase
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
@@ -43,6 +44,21 @@ class _Parameters(torch.nn.Module):
     def build(self) -> Any:
         """Return the shape or phase, made of the parameters as they are."""
         return self.kind(*(getattr(self, field.name) for field in fields_of(self.kind)))
+
+
+class _Films(torch.nn.Module):
+    """Coating whose thicknesses are a buffer, or a torch.nn.Parameter."""
+
+    def __init__(self, given: Coating):
+        super().__init__()
+        self.media, self.substrate = given.media, given.substrate
+        values = given.thicknesses
+        values = values if isinstance(values, torch.Tensor) else list(values)
+        _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)
+
+    def build(self) -> Coating:
+        """Return the coating, made of the thicknesses as they are."""
+        return Coating(self.media, self.thicknesses, self.substrate)
 
 
 class surface(torch.nn.Module):
@@ -73,6 +89,9 @@ class surface(torch.nn.Module):
         A grating, a hologram, a phase polynomial or an ideal lens on it.
     gradient : odak.raytracing.gradients.Gradient, optional
         Graded index of the medium behind it, of which `material` gives the base index; up to the next surface.
+    coating : odak.raytracing.coatings.Coating, optional
+        Thin films on it, which :func:`polarized_trace` takes into account; a mirror without is ideal, any other surface
+        without is bare.
     stop : bool
         Whether it is the aperture stop.
     shift : sequence of float or torch.Tensor
@@ -122,6 +141,7 @@ class surface(torch.nn.Module):
         aperture: Aperture | Sequence[Aperture] | None = None,
         phase: Phase | None = None,
         gradient: Gradient | None = None,
+        coating: Coating | None = None,
         stop: bool = False,
         shift: Sequence[float] = (0.0, 0.0),
         tilt: Sequence[float] = (0.0, 0.0),
@@ -149,6 +169,7 @@ class surface(torch.nn.Module):
         self.own_gradient = None
         if gradient is not None:
             self.own_gradient = _Parameters("gradient", _checked("gradient", gradient, Gradient))
+        self.own_coating = None if coating is None else _Films(_checked("coating", coating, Coating))
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
@@ -158,6 +179,8 @@ class surface(torch.nn.Module):
             self.material = None
         if gradient is not None and self.material == MIRROR:
             raise ValueError("gradient belongs to the medium behind a surface that refracts, not to a mirror")
+        if coating is not None and coating.substrate is not None and self.material != MIRROR:
+            raise ValueError("substrate of a coating belongs to mirrors: of other surfaces it is the medium behind")
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
             self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
@@ -197,6 +220,11 @@ class surface(torch.nn.Module):
         return None if self.own_gradient is None else self.own_gradient.build()
 
     @property
+    def coating(self) -> Coating | None:
+        """Thin films on the surface, of the thicknesses as they are."""
+        return None if self.own_coating is None else self.own_coating.build()
+
+    @property
     def limit(self) -> Any:
         """Aperture: a semi-diameter, an object with a method ``passes(x, y)``, or None."""
         if not self.apertures:
@@ -223,9 +251,9 @@ class surface(torch.nn.Module):
         name : str
             "curvature", "radius", "conic", "coefficients", "thickness", "index" (of a material given as a number),
             "shift" or "tilt"; or a parameter of the shape, the phase or the gradient ("coefficients" is that of the
-            first of them that has any).
+            first of them that has any); "thicknesses" of the coating.
         """
-        for held in (self.own_shape, self.own_phase, self.own_gradient):
+        for held in (self.own_shape, self.own_phase, self.own_gradient, self.own_coating):
             if held is not None and isinstance(name, str) and _has(held, name):
                 return _vary(held, name)
         name = _validate.one_of("name", name, VARIABLES)
@@ -877,12 +905,12 @@ def checked_system(system) -> optical_system:
 def _image(value) -> surface | None:
     if value is not None and (not isinstance(value, surface) or is_break(value)):
         raise TypeError(f"image must be a surface, got {type(value).__name__}")
-    inert = ("stop", "phase", "gradient")
+    inert = ("stop", "phase", "gradient", "coating")
     if value is not None and (
         value.material != "air" or bool(value.thickness != 0) or any(getattr(value, name) for name in inert)
     ):
         raise ValueError(
-            "image is where light ends: it has no thickness, no material, no phase, no gradient and is no stop"
+            "image is where light ends: it has no thickness, no material, no phase, gradient or coating, and is no stop"
         )
     return value
 

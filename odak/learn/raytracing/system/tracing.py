@@ -154,14 +154,25 @@ def _trace(system, rays, prescription, until, vignetting):
     if until is not None:
         last = _validate.place_in("until", until, len(system.surfaces)) + 1
         held, layout = held.first(last, layout), layout.first(last)
-    shape = _shape(rays, numbers)
-    flat = [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays]
+    flat, shape = spread_rays(rays, numbers)
     if layout.standard and not _torch_private.is_transformed(*flat, *held[:5]):
         found = Trace.apply(layout, *flat, *held[:5])
     else:
         given, ranks = flat_arguments(layout, held)
         state = in_pieces(partial(plain_trace, layout), (0,) * 6 + tuple(ranks), *flat, *given, size=BLOCK)
-        found = (*(torch.where(state.status == HIT, value, torch.nan) for value in state[:7]), state.status)
+        return finished(state, shape)
+    return Traced(*(value.reshape(shape) for value in found))
+
+
+def spread_rays(rays: Rays, numbers: Prescription) -> tuple[list[torch.Tensor], tuple[int, ...]]:
+    """Return the components of rays as ``[B, R]`` for :func:`plain_trace`, and the shape ``[..., W, F, P]``."""
+    shape = _shape(rays, numbers)
+    return [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays], shape
+
+
+def finished(state, shape: tuple[int, ...]) -> Traced:
+    """Return the rays of :func:`plain_trace` in their own shape, NaN where lost."""
+    found = (*(torch.where(state.status == HIT, value, torch.nan) for value in state[:7]), state.status)
     return Traced(*(value.reshape(shape) for value in found))
 
 

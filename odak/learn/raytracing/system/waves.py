@@ -267,6 +267,22 @@ def point_spread_function(system: Any, samples: int = 64, size: int = 256, **opt
     that is left out, with an AccuracyWarning where it is more than 2 %; :func:`propagated_point_spread_function` has
     it. The number of samples must resolve the phase: less than half a wave from one to the next.
     """
+    return pupil_image(system, samples, size, options)
+
+
+def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Callable | None = None) -> Spread:
+    """Return the image of a point by Fourier transforms of the fields in the pupil.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    samples, size, options
+        As of :func:`point_spread_function`.
+    amplitudes : callable, optional
+        Takes pupil points ``[P, 2]`` and returns the complex amplitudes ``[..., W, F, P]`` of one or several fields,
+        whose intensities add up; 1 of a single one by default.
+    """
     samples = _validate.integer("samples", samples, minimum=8)
     size = _validate.integer("size", size, minimum=samples)
     step = 2 / samples
@@ -276,16 +292,19 @@ def point_spread_function(system: Any, samples: int = 64, size: int = 256, **opt
     # Pixels on the rim count by the share of them that lies inside.
     share = ((1 - radius) / step + 0.5).clamp(0, 1)
     inside = share > 0
-    found = wavefront(system, torch.stack([x[inside], y[inside]], -1), **options)
+    points = torch.stack([x[inside], y[inside]], -1)
+    found = wavefront(system, points, **options)
     weight = torch.where(found.status == 0, share[inside].to(found.path.device), 0.0)
     phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
-    pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
-    pupil[..., inside.to(phase.device)] = phase
     before = size // 2 - samples // 2
     after = size - samples - before
-    field = torch.nn.functional.pad(pupil, (before, after, before, after))
-    field = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field, dim=(-2, -1))), dim=(-2, -1))
-    intensity = field.abs().square() / weight.sum(-1).square()[..., None, None]
+    intensity: Any = 0.0
+    for amplitude in [1.0] if amplitudes is None else amplitudes(points):
+        pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
+        pupil[..., inside.to(phase.device)] = amplitude * phase
+        field = torch.nn.functional.pad(pupil, (before, after, before, after))
+        field = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field, dim=(-2, -1))), dim=(-2, -1))
+        intensity = intensity + field.abs().square() / weight.sum(-1).square()[..., None, None]
     slopes = _derivatives(found, weight)
     waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=phase.device)[: phase.shape[-3]]
     given = options.get("prescription")

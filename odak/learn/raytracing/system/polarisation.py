@@ -1,0 +1,319 @@
+"""Polarised rays: their 3 × 3 matrices through a system, losses, diattenuation, retardance, and images of points."""
+
+import math
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing.system.pupils import launch
+from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, layout_of
+from odak.learn.raytracing.system.tracing import Rays, Traced, finished, spread_rays
+from odak.learn.raytracing.system.waves import Spread, pupil_image
+from odak.raytracing.coatings import Coating
+from odak.raytracing.geometry import safe_sqrt
+
+BARE = Coating()
+
+
+class PolarizedRays(NamedTuple):
+    """Rays at the end of a polarised trace; the axes ``[...]`` are ``[..., wavelengths, fields, pupil points]``.
+
+    Attributes
+    ----------
+    traced : Traced
+        The rays.
+    matrix : torch.Tensor
+        Polarisation ray tracing matrices P, complex ``[..., 3, 3]``: the electric field behind the system is P times
+        that in front, squares of it being powers. The direction of the ray goes over into that behind.
+    rotation : torch.Tensor
+        The same matrices Q of a system whose surfaces change directions alone, ``[..., 3, 3]``, of determinant −1 for
+        an odd number of mirrors.
+    incoming, outgoing : torch.Tensor
+        Unit directions in front and behind, ``[..., 3]``.
+    absorption : torch.Tensor
+        Share of the power that the media let pass, ``[...]``; not part of the matrices.
+    """
+
+    traced: Traced
+    matrix: torch.Tensor
+    rotation: torch.Tensor
+    incoming: torch.Tensor
+    outgoing: torch.Tensor
+    absorption: torch.Tensor
+
+    @property
+    def jones(self) -> torch.Tensor:
+        """Jones matrices ``[..., 2, 2]`` of QᵀP in axes across the ray in front, those of :func:`transverse_axes`."""
+        axes = transverse_axes(self.incoming).to(self.matrix.dtype)
+        inner = self.rotation.mT.to(self.matrix.dtype) @ self.matrix
+        return axes.mT @ inner @ axes
+
+    @property
+    def transmittance(self) -> torch.Tensor:
+        """Share of the power of unpolarised light that arrives, ``[...]``; 0 for rays that are lost."""
+        power = self.jones.abs().square().sum((-2, -1)) / 2 * self.absorption
+        return torch.where(self.traced.arrived, power, 0.0)
+
+    @property
+    def diattenuation(self) -> torch.Tensor:
+        """(T_max − T_min)/(T_max + T_min) over all states of polarisation, ``[...]``; NaN for rays that are lost."""
+        total, both = self.jones.abs().square().sum((-2, -1)), torch.linalg.det(self.jones).abs()
+        found = safe_sqrt(total * total - 4 * both * both) / torch.where(total > 0, total, 1.0)
+        return torch.where(self.traced.arrived, found, torch.nan)
+
+    @property
+    def retardance(self) -> torch.Tensor:
+        """Phase in radians between the two eigenstates, 0 … π, ``[...]``; NaN for rays that are lost.
+
+        It is that of the unitary part of QᵀP: rotations by folded ways do not count (Yun, McClain and Chipman, Appl.
+        Opt. 50, 2866 (2011)). A perfect mirror has none; one total reflection of Fresnel's phase difference δ has
+        π − δ, two in one plane have 2δ.
+        """
+        unitary = _unitary(self.jones)
+        half = (unitary[..., 0, 0] + unitary[..., 1, 1]) / 2
+        rest = unitary - half[..., None, None] * torch.eye(2, dtype=unitary.dtype, device=unitary.device)
+        sine = safe_sqrt(rest.abs().square().sum((-2, -1)) / 2)
+        return torch.where(self.traced.arrived, 2 * torch.atan2(sine, half.abs()), torch.nan)
+
+
+def _unitary(jones: torch.Tensor) -> torch.Tensor:
+    """Return the unitary factor of 2 × 2 matrices: J + det J/|det J|·adj(J)ᴴ, normalised."""
+    a, b, c, d = jones[..., 0, 0], jones[..., 0, 1], jones[..., 1, 0], jones[..., 1, 1]
+    determinant = a * d - b * c
+    size = determinant.abs()
+    phase = torch.where(size > 0, determinant, 1.0) / torch.where(size > 0, size, 1.0)
+    adjoint = torch.stack([torch.stack([d, -c], -1), torch.stack([-b, a], -1)], -2).conj()
+    total = jones + phase[..., None, None] * adjoint
+    scale = safe_sqrt(jones.abs().square().sum((-2, -1)) + 2 * size)
+    return total / torch.where(scale > 0, scale, 1.0)[..., None, None]
+
+
+def transverse_axes(direction: torch.Tensor) -> torch.Tensor:
+    """Return the axes x and y carried along from the z axis to unit directions, as columns ``[..., 3, 2]``.
+
+    Parameters
+    ----------
+    direction : torch.Tensor
+        ``[..., 3]``, of positive component along z.
+    """
+    u, v, w = direction.unbind(-1)
+    scale = 1 / (1 + w)
+    x = torch.stack([1 - u * u * scale, -u * v * scale, -u], -1)
+    y = torch.stack([-u * v * scale, 1 - v * v * scale, -v], -1)
+    return torch.stack([x, y], -1)
+
+
+def polarized_trace(
+    system: Any, rays: Any, *, prescription: Prescription | None = None, vignetting: bool = True
+) -> PolarizedRays:
+    """Trace polarised rays through a system, with the losses at its surfaces and within its glasses.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system. Surfaces without a coating are bare interfaces, mirrors without one ideal; diffractive phases turn
+        the field with the ray, without loss.
+    rays : Rays or torch.Tensor
+        As of :func:`trace`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    vignetting : bool
+        Let apertures block rays.
+
+    Returns
+    -------
+    PolarizedRays
+        complex128, differentiable in rays, numbers and the thicknesses of the films.
+
+    Raises
+    ------
+    ValueError
+        If the system has graded indices, which turn the polarisation on the way.
+
+    Notes
+    -----
+    Yun, Crabtree and Chipman, Appl. Opt. 50, 2855 (2011): P is the product of the matrices of the surfaces, each made
+    of the coefficients along s, p and the ray. Here the coefficients of transmission are multiplied by
+    √(n₂·cos θ₂/(n₁·cos θ₁)), so that squares are powers.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import launch, load_system, polarized_trace
+    >>> lens = load_system("singlet")
+    >>> round(float(polarized_trace(lens, launch(lens, "rings", 1)).transmittance[0, 0, 0]), 3)
+    0.917
+    """
+    checked_system(system), checked_prescription(prescription)
+    vignetting = _validate.flag("vignetting", vignetting)
+    numbers = system.prescription() if prescription is None else prescription
+    if numbers.gradients is not None:
+        raise ValueError("system must be without graded indices, which turn the polarisation on the way")
+    rays = Rays.from_tensor(rays) if isinstance(rays, torch.Tensor) else rays
+    layout = layout_of(system.surfaces, numbers, system.image, vignetting)
+    flat, shape = spread_rays(rays, numbers)
+    flat = [value.double() for value in flat]
+    held = numbers.numbers(system.image)
+    record = _Record(system, held, flat)
+    state = plain_trace(layout, *flat, *flat_arguments(layout, held)[0], record=record)
+    incoming, outgoing = (torch.stack(parts, -1) for parts in (flat[3:6], state[3:6]))
+    parts = (record.matrix, record.rotation, incoming, outgoing, record.absorption)
+    tails = (2, 2, 1, 1, 0)
+    parts = [value.reshape(*shape, *value.shape[value.ndim - n :]) for value, n in zip(parts, tails, strict=True)]
+    return PolarizedRays(finished(state, shape), *parts)
+
+
+class _Record:
+    """Product of the matrices of the surfaces, in the frame of the axis as far as one has come."""
+
+    def __init__(self, system, numbers, rays):
+        self.system, self.wavelength = system, numbers.wavelength[:, None]
+        one = torch.eye(3, dtype=torch.float64, device=rays[0].device)
+        self.rotation = one.expand(*rays[0].shape, 3, 3)
+        self.matrix = self.rotation.to(torch.complex128)
+        self.absorption = torch.ones_like(rays[0])
+        self.medium: Any = "air"
+
+    def __call__(self, passage: Passage) -> None:
+        """Multiply by the matrix of a surface, or change the frame."""
+        if passage.action == "break":
+            rows = [torch.stack(self._held(row), -1) for row in passage.turned.matrix]
+            turn = torch.stack(rows, -2).mT
+            self._multiply(turn.to(self.matrix.dtype), turn)
+            return
+        item = self.system.surfaces[passage.place] if passage.place < len(self.system.surfaces) else None
+        self.absorption = self.absorption * self._passed(passage.length)
+        if item is not None and not item.reflects:
+            self.medium = item.material
+        if item is None or (passage.action == "pass" and item.own_phase is None):
+            return
+        k, out, normal = (torch.stack(torch.broadcast_tensors(*way), -1) for way in passage[2:5])
+        s = _across(k, normal)
+        p, turned = torch.linalg.cross(k, s), torch.linalg.cross(out, s)
+        if item.own_phase is not None:
+            rotation = _turn(k, out, item.reflects)
+            self._multiply(rotation.to(self.matrix.dtype), rotation)
+            return
+        along = out[..., :, None] * k[..., None, :]
+        a, b = (s[..., :, None] * s[..., None, :], turned[..., :, None] * p[..., None, :])
+        side = -1.0 if item.reflects else 1.0
+        coefficients = self._coefficients(item, passage, k, out, normal)
+        matrix = sum(c[..., None, None] * part for c, part in zip(coefficients, (a, b), strict=True)) + along
+        self._multiply(matrix, a + side * b + along)
+
+    def _multiply(self, matrix, rotation) -> None:
+        self.matrix, self.rotation = matrix @ self.matrix, rotation @ self.rotation
+
+    def _held(self, row) -> list:
+        like = self.absorption
+        return [value + 0 * like if isinstance(value, torch.Tensor) else torch.full_like(like, value) for value in row]
+
+    def _coefficients(self, item, passage, k, out, normal) -> tuple:
+        """Return the complex amplitude coefficients along s and p."""
+        if item.reflects and item.own_coating is None:
+            one = torch.ones_like(self.absorption, dtype=self.matrix.dtype)
+            return -one, one
+        cosines = [(way * normal).sum(-1).abs() for way in (k, out)]
+        films = BARE if item.own_coating is None else item.coating
+        found = films.amplitudes(passage.before, passage.behind, *cosines, self.wavelength, self.system.unit)
+        return found[:2] if item.reflects else found[2:]
+
+    def _passed(self, length):
+        """Return the share of the power that the medium in front of a surface lets pass."""
+        absorption = getattr(self.medium, "absorption", None)
+        if absorption is None:
+            return 1.0
+        return torch.exp(-absorption(self.wavelength, self.system.unit) * length.abs())
+
+
+def _across(k, normal):
+    """Return unit vectors perpendicular to the plane of incidence; any across the ray at normal incidence."""
+    across = torch.linalg.cross(k, normal)
+    size = across.square().sum(-1, keepdim=True)
+    oblique = size > 1e-20
+    # At normal incidence all directions are alike: that of the axis which the ray is farthest from.
+    axis = torch.eye(3, dtype=k.dtype, device=k.device)[k.abs().argmin(-1)]
+    other = torch.linalg.cross(k, axis)
+    other = other / other.square().sum(-1, keepdim=True).sqrt()
+    return torch.where(oblique, across / torch.where(oblique, size, 1.0).sqrt(), other)
+
+
+def _turn(k, out, reflects: bool):
+    """Return the matrices that take directions to others: rotations in their plane, or reflections."""
+    one = torch.eye(3, dtype=k.dtype, device=k.device)
+    if reflects:
+        apart = out - k
+        return one - 2 * apart[..., :, None] * apart[..., None, :] / apart.square().sum(-1)[..., None, None]
+    both = k + out
+    mirrored = both[..., :, None] * both[..., None, :] / (1 + (k * out).sum(-1))[..., None, None]
+    return one - mirrored + 2 * out[..., :, None] * k[..., None, :]
+
+
+def _jones_vector(values) -> tuple[complex, complex]:
+    """Return a Jones vector as two complex numbers."""
+    found = torch.as_tensor(values, dtype=torch.complex128).reshape(-1).tolist()
+    if len(found) != 2 or not 0 < abs(found[0]) + abs(found[1]) < math.inf:
+        raise ValueError(f"polarization must be two finite numbers, not both 0, got {values!r}")
+    return found[0], found[1]
+
+
+def polarized_point_spread_function(
+    system: Any,
+    polarization: Any = None,
+    samples: int = 64,
+    size: int = 256,
+    *,
+    fields: Any = None,
+    aim: str = "paraxial",
+    vignetting: bool = True,
+    prescription: Prescription | None = None,
+) -> Spread:
+    """Return the image of a point in polarised light, by Fourier transforms of the three components of the field.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    polarization : sequence of two numbers, optional
+        Jones vector of the light along x and y in front of the system, complex perhaps; unpolarised by default.
+    samples, size : int
+        As of :func:`point_spread_function`.
+    fields, aim, vignetting, prescription
+        As of :func:`wavefront`.
+
+    Returns
+    -------
+    Spread
+        Its unit is the peak of the same pupil without aberrations, losses and polarisation, so that the sum tells the
+        losses too. Differentiable.
+
+    Notes
+    -----
+    Each ray carries the field P·E; images of the components along x, y and z add up as intensities (Richards and Wolf,
+    Proc. R. Soc. Lond. A 253, 358 (1959), for the vector nature of the focus).
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, polarized_point_spread_function
+    >>> image = polarized_point_spread_function(load_system("singlet"), (1.0, 0.0), 32, 64)
+    >>> tuple(image.intensity.shape)
+    (3, 3, 64, 64)
+    """
+    states = [(1.0, 0.0), (0.0, 1.0)] if polarization is None else [_jones_vector(polarization)]
+    options = {"prescription": prescription, "fields": fields, "aim": aim}
+
+    def amplitudes(points):
+        rays = launch(system, points, **options)
+        found = polarized_trace(system, rays, prescription=prescription, vignetting=vignetting)
+        axes = transverse_axes(found.incoming).to(found.matrix.dtype)
+        scale = torch.where(found.traced.arrived, found.absorption, 0.0).sqrt()[..., None]
+        parts = []
+        for state in states:
+            given = torch.tensor(state, dtype=found.matrix.dtype, device=axes.device)
+            given = given / (given.abs().square().sum().sqrt() * math.sqrt(len(states)))
+            field = (found.matrix @ (axes @ given)[..., None])[..., 0] * scale
+            parts += list(torch.where(found.traced.arrived[..., None], field, 0.0).unbind(-1))
+        return parts
+
+    return pupil_image(system, samples, size, {**options, "vignetting": vignetting}, amplitudes)
