@@ -150,6 +150,8 @@ BY_CALL = {
     f"{HERE}.system.write_zmx": {"path": Build(lambda folder: folder / "lens.zmx")},
     f"{HERE}.system.spot_diagram": {"reference": "centroid"},
     f"{HERE}.system.point_spread_function": {"samples": 16},
+    f"{HERE}.system.polarized_point_spread_function": {"samples": 16, "size": 32, "polarization": [1.0, 0.5]},
+    f"{HERE}.system.Coating": {"media": (1.38,), "thicknesses": [1e-4], "substrate": None},
     f"{HERE}.system.tolerance": {
         "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
         "samples": 3,

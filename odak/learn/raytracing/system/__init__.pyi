@@ -11,6 +11,7 @@ from .analysis import spot_diagram as spot_diagram
 from .analysis import through_focus as through_focus
 from .analysis import wavefront as wavefront
 from .analysis import zernike_fit as zernike_fit
+from .coatings import Coating as Coating
 from .drawing import draw_layout as draw_layout
 from .drawing import draw_spots as draw_spots
 from .drawing import fans_figure as fans_figure

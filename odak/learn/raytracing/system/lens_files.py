@@ -15,6 +15,7 @@ import torch
 from odak import _validate
 from odak.catalog.dispersion import model_glass
 from odak.catalog.materials import MICROMETRES, glass_makers, load_materials, material, nearest_materials  # noqa: F401
+from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import (
@@ -27,7 +28,6 @@ from odak.learn.raytracing.system.surfaces import (
     surface,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
-from odak.raytracing.coatings import Coating
 from odak.raytracing.gradients import FunctionGradient, Gradient
 from odak.raytracing.phases import IdealLens, LinearGrating, Phase, RadialPhase
 from odak.raytracing.surfaces import (

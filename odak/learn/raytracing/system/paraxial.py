@@ -7,6 +7,7 @@ import torch
 
 from odak import _array, _validate
 from odak._array import is_readable
+from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     checked_prescription,
@@ -15,7 +16,6 @@ from odak.learn.raytracing.system.surfaces import (
     optical_system,
     surface,
 )
-from odak.raytracing.coatings import Coating
 
 
 class FirstOrder(NamedTuple):

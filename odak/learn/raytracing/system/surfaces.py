@@ -14,9 +14,9 @@ from odak._array import is_readable
 from odak.catalog.dispersion import Material
 from odak.catalog.materials import MICROMETRES, refractive_index
 from odak.catalog.materials import material as find_material
+from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
-from odak.raytracing.coatings import Coating
 from odak.raytracing.gradients import Gradient
 from odak.raytracing.phases import Phase
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
@@ -89,7 +89,7 @@ class surface(torch.nn.Module):
         A grating, a hologram, a phase polynomial or an ideal lens on it.
     gradient : odak.raytracing.gradients.Gradient, optional
         Graded index of the medium behind it, of which `material` gives the base index; up to the next surface.
-    coating : odak.raytracing.coatings.Coating, optional
+    coating : Coating, optional
         Thin films on it, which :func:`polarized_trace` takes into account; a mirror without is ideal, any other surface
         without is bare.
     stop : bool

@@ -22,7 +22,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace,
 )
-from odak.raytracing.coatings import Coating
+from odak.learn.raytracing.system.coatings import Coating
 from odak.raytracing.phases import LinearGrating
 
 F64 = torch.float64

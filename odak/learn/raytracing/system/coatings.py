@@ -46,7 +46,7 @@ class Coating:
 
     Examples
     --------
-    >>> from odak.raytracing.coatings import Coating
+    >>> from odak.learn.raytracing.system import Coating
     >>> Coating.quarter_waves([1.38], 550e-6).thicknesses[0] > 99e-6
     True
     """
@@ -108,6 +108,11 @@ class Coating:
             In vacuum.
         unit : str
             Of the wavelength.
+
+        Returns
+        -------
+        Amplitudes
+            complex128, of the shape of `cosine`.
 
         Notes
         -----
