@@ -34,9 +34,10 @@ class plano_convex_lens:
         Its rotation in degrees about X, Y, Z.
     wavelength : float
         Millimetres; gives the index of the glass.
-    meduium, medium : str
-        What surrounds the lens: a name of :func:`odak.catalog.material_names`. The misspelt one is kept for older
-        calls.
+    medium : str
+        What surrounds the lens: a name of :func:`odak.catalog.material_names`.
+    meduium : str
+        Earlier, misspelt name of `medium`, kept for older calls.
 
     Attributes
     ----------
@@ -44,8 +45,12 @@ class plano_convex_lens:
         The entry of the catalogue.
     type, units, coating, diameter, thickness, radius
         From the entry.
-    center, convex_point, plane_center : numpy.ndarray
-        The sphere's centre, the vertex and the centre of the flat face, ``[3]``.
+    center : numpy.ndarray
+        Centre of the sphere, ``[3]``.
+    convex_point : numpy.ndarray
+        Vertex of the convex face, ``[3]``.
+    plane_center : numpy.ndarray
+        Centre of the flat face, ``[3]``.
     convex_surface, plane_surface
         The sphere ``[4]`` and the circle [plane, centre, radius] of the two faces.
 

@@ -74,7 +74,24 @@ def refractive_index(
 
 
 def abbe_number(name: Any) -> float:
-    """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula and as published (see `medium`)."""
+    """Return the Abbe number (n_d − 1)/(n_F − n_C) of a material, from its formula.
+
+    Parameters
+    ----------
+    name : str
+        Name of a material, see :func:`material_names`.
+
+    Returns
+    -------
+    float
+        Abbe number, from indices relative to air at the lines d, F and C, as published.
+
+    Examples
+    --------
+    >>> from odak.catalog import abbe_number
+    >>> round(abbe_number("N-BK7"), 1)
+    64.2
+    """
     return (name if isinstance(name, Material) else material(name)).abbe_number()
 
 
@@ -92,6 +109,12 @@ def material(name: str) -> Material:
     ValueError
         If there is no such material (the message names the nearest known ones), or several makers have a glass of
         this name (it names them).
+
+    Examples
+    --------
+    >>> from odak.catalog import material
+    >>> material("N-BK7").name
+    'N-BK7'
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, got {type(name).__name__}")
@@ -142,7 +165,19 @@ def material_names(maker: str | None = None) -> tuple[str, ...]:
 
 
 def glass_makers() -> tuple[str, ...]:
-    """Return the makers whose catalogues of optical glass are included, for "maker:name" and :func:`material_names`."""
+    """Return the makers whose catalogues of optical glass are included, for "maker:name" and :func:`material_names`.
+
+    Returns
+    -------
+    tuple of str
+        Names of the makers.
+
+    Examples
+    --------
+    >>> from odak.catalog import glass_makers
+    >>> "schott" in glass_makers()
+    True
+    """
     return tuple(_glass_data()["makers"])
 
 
@@ -151,8 +186,10 @@ def nearest_materials(nd: float, vd: float, count: int = 3, makers: Iterable[str
 
     Parameters
     ----------
-    nd, vd : float
-        Index at the d line and Abbe number, as in patents.
+    nd : float
+        Index at the d line, as in patents.
+    vd : float
+        Abbe number.
     count : int
         How many names.
     makers : iterable of str, optional
@@ -212,6 +249,18 @@ def load_materials(path: Any, replace: bool = False) -> tuple[str, ...]:
     ValueError
         If an entry is malformed or contradicts itself, an alias points nowhere, or a name is taken. Nothing is added
         then.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.catalog import load_materials
+    >>> from odak.tools import save_dictionary
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "own.json")
+    ...     entry = {"formula": "cauchy", "A": [1.5, 0.004], "range": [0.4, 0.8], "source": "measured"}
+    ...     saved = save_dictionary({"materials": {"own glass": entry}}, name)
+    ...     load_materials(name, replace=True)
+    ('own glass',)
     """
     replace = _validate.flag("replace", replace)
     known = _catalogue()

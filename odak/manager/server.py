@@ -129,7 +129,14 @@ def start_server(
 
 
 class Server:
-    """Workers of this machine, and their scheduler if it was started here; made by :func:`start_server`.
+    """Worker processes of this machine, and their scheduler if it was started here; made by :func:`start_server`.
+
+    Parameters
+    ----------
+    cluster : distributed.LocalCluster or None
+        The scheduler, None if it is on another machine.
+    workers : object
+        The worker processes.
 
     Attributes
     ----------

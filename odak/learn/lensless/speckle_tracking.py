@@ -38,8 +38,10 @@ class spec_track(nn.Module):
 
     Attributes
     ----------
-    train_history, validation_history : list of float
-        Mean loss of the batches in each epoch of :meth:`fit`.
+    train_history : list of float
+        Mean loss of the training batches in each epoch of :meth:`fit`.
+    validation_history : list of float
+        Mean loss of the validation batches in each epoch.
 
     Examples
     --------

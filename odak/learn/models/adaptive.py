@@ -246,8 +246,10 @@ class spatially_adaptive_convolution(_AdaptiveLayer):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     kernel_size : int
         Edge k of the kernel in pixels.
     stride : int
@@ -258,6 +260,14 @@ class spatially_adaptive_convolution(_AdaptiveLayer):
         Keep a bias in the state dict.
     activation : torch.nn.Module or None
         Kept as an attribute.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import spatially_adaptive_convolution
+    >>> layer = spatially_adaptive_convolution(2, 3)
+    >>> tuple(layer(torch.rand(1, 2, 8, 8), torch.rand(1, 18, 8, 8)).shape)
+    (1, 3, 8, 8)
     """
 
     def __init__(
@@ -320,6 +330,14 @@ class spatially_adaptive_module(_AdaptiveLayer):
         Keep a bias in the state dict.
     activation : torch.nn.Module or None
         Applied to the result.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import spatially_adaptive_module
+    >>> layer = spatially_adaptive_module(2, 3)
+    >>> tuple(layer(torch.rand(1, 2, 8, 8), torch.rand(1, 18, 8, 8)).shape)
+    (1, 3, 8, 8)
     """
 
     def __init__(

@@ -38,6 +38,13 @@ class residual_attention_layer(nn.Module):
     ------
     ValueError
         If `output_channels` is neither 1 nor `input_channels`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import residual_attention_layer
+    >>> tuple(residual_attention_layer(2, 1)(torch.rand(1, 2, 8, 8), torch.rand(1, 2, 8, 8)).shape)
+    (1, 2, 8, 8)
     """
 
     def __init__(
@@ -97,6 +104,16 @@ class non_local_layer(nn.Module):
         Edge of the two convolutions in pixels, odd.
     bias : bool
         Add a learned constant per channel.
+
+    Examples
+    --------
+    An untrained layer is the identity:
+
+    >>> import torch
+    >>> from odak.learn.models import non_local_layer
+    >>> layer, image = non_local_layer(4, 2), torch.rand(1, 4, 8, 8)
+    >>> torch.equal(layer(image), image)
+    True
     """
 
     def __init__(
@@ -157,6 +174,13 @@ class channel_gate(nn.Module):
     ------
     ValueError
         If a pool is unknown, or there is none.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import channel_gate
+    >>> tuple(channel_gate(4, reduction_ratio=2)(torch.rand(1, 4, 8, 8)).shape)
+    (1, 4, 8, 8)
     """
 
     def __init__(self, gate_channels: int, reduction_ratio: int = 16, pool_types: Sequence[str] = _POOLS):
@@ -183,6 +207,13 @@ class spatial_gate(nn.Module):
     """Spatial attention: pixels weighted by a function of the maximum and mean over channels (Woo et al. 2018, eq. 3).
 
     The weights are the sigmoid of one 7 × 7 convolution.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import spatial_gate
+    >>> tuple(spatial_gate()(torch.rand(1, 4, 8, 8)).shape)
+    (1, 4, 8, 8)
     """
 
     def __init__(self):

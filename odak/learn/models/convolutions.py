@@ -19,8 +19,10 @@ class convolution_layer(nn.Module):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     kernel_size : int
         Edge of the kernel in pixels.
     bias : bool
@@ -31,6 +33,13 @@ class convolution_layer(nn.Module):
         Normalize over the batch (Ioffe and Szegedy 2015).
     activation : torch.nn.Module or None
         Used as given, not copied, so that layers built with one instance share its parameters; None for none.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import convolution_layer
+    >>> tuple(convolution_layer(2, 4)(torch.rand(1, 2, 8, 8)).shape)
+    (1, 4, 8, 8)
     """
 
     def __init__(
@@ -78,8 +87,10 @@ class double_convolution(nn.Module):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     mid_channels : int, optional
         Channels between the two; `output_channels` when omitted.
     kernel_size : int
@@ -90,6 +101,13 @@ class double_convolution(nn.Module):
         Normalize over the batch after each convolution. A module here is the activation of the older call form.
     activation : torch.nn.Module or None
         Follows each convolution, one instance for both.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import double_convolution
+    >>> tuple(double_convolution(2, output_channels=4)(torch.rand(1, 2, 8, 8)).shape)
+    (1, 4, 8, 8)
     """
 
     def __init__(
@@ -139,6 +157,13 @@ class residual_layer(nn.Module):
         Normalize over the batch. A module here is the activation of the older call form.
     activation : torch.nn.Module or None
         Follows each convolution, the second one too.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import residual_layer
+    >>> tuple(residual_layer(2)(torch.rand(1, 2, 8, 8)).shape)
+    (1, 2, 8, 8)
     """
 
     def __init__(
@@ -175,6 +200,16 @@ class normalization(nn.Module):
     ----------
     dim : int
         Number of channels.
+
+    Examples
+    --------
+    The mean over the channels of each pixel becomes zero:
+
+    >>> import torch
+    >>> from odak.learn.models import normalization
+    >>> image = normalization(4)(torch.rand(1, 4, 8, 8))
+    >>> bool(image.mean(dim=1).abs().max() < 1e-5)
+    True
     """
 
     def __init__(self, dim: int = 1):
@@ -196,8 +231,10 @@ class downsample_layer(nn.Module):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     kernel_size : int
         Edge of the kernels in pixels.
     bias : bool
@@ -206,6 +243,13 @@ class downsample_layer(nn.Module):
         Normalize over the batch. A module here is the activation of the older call form.
     activation : torch.nn.Module or None
         Follows each convolution.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import downsample_layer
+    >>> tuple(downsample_layer(2, 4)(torch.rand(1, 2, 8, 8)).shape)
+    (1, 4, 4, 4)
     """
 
     def __init__(
@@ -258,6 +302,13 @@ class upsample_layer(nn.Module):
         Follows each convolution.
     bilinear : bool
         Interpolate with the corners aligned; otherwise a transposed convolution with a bias.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import upsample_layer
+    >>> tuple(upsample_layer(4, 2)(torch.rand(1, 4, 4, 4), torch.rand(1, 2, 8, 8)).shape)
+    (1, 2, 8, 8)
     """
 
     def __init__(
@@ -321,14 +372,23 @@ class upsample_convtranspose2d_layer(nn.Module):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     kernel_size : int
         Edge of the kernel in pixels.
     stride : int
         Factor of enlargement.
     bias : bool
         Add a learned constant per channel.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import upsample_convtranspose2d_layer
+    >>> tuple(upsample_convtranspose2d_layer(4, 2)(torch.rand(1, 4, 4, 4), torch.rand(1, 2, 8, 8)).shape)
+    (1, 2, 8, 8)
     """
 
     def __init__(
@@ -382,6 +442,13 @@ class global_transformations(nn.Module):
         Channels of the second image.
     output_channels : int
         Channels of the first one.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import global_transformations
+    >>> tuple(global_transformations(4, 2)(torch.rand(1, 2, 8, 8), torch.rand(1, 4, 8, 8)).shape)
+    (1, 2, 8, 8)
     """
 
     def __init__(self, input_channels: int, output_channels: int):
@@ -421,8 +488,10 @@ class global_feature_module(nn.Module):
 
     Parameters
     ----------
-    input_channels, output_channels : int
-        Channels before and after, which must be equal.
+    input_channels : int
+        Channels of the image.
+    output_channels : int
+        Channels of the result, equal to `input_channels`.
     mid_channels : int
         Channels inside the double convolutions.
     kernel_size : int
@@ -438,6 +507,13 @@ class global_feature_module(nn.Module):
     ------
     ValueError
         If the numbers of channels before and after differ.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import global_feature_module
+    >>> tuple(global_feature_module(4, 8, 4, kernel_size=3)(torch.rand(1, 4, 8, 8), torch.rand(1, 4, 8, 8)).shape)
+    (1, 4, 8, 8)
     """
 
     def __init__(

@@ -46,10 +46,14 @@ class gaussian_2d(nn.Module):
 
     Attributes
     ----------
-    widths, offsets : torch.nn.Parameter
-        w and o, ``[2, 1, N]``.
-    rotations, alphas : torch.nn.Parameter
-        ρ in radians and α, ``[1, N]``.
+    widths : torch.nn.Parameter
+        Widths w, ``[2, 1, N]``.
+    offsets : torch.nn.Parameter
+        Offsets o, ``[2, 1, N]``.
+    rotations : torch.nn.Parameter
+        Rotations ρ in radians, ``[1, N]``.
+    alphas : torch.nn.Parameter
+        Heights α before the hyperbolic tangent, ``[1, N]``.
 
     Raises
     ------
@@ -251,8 +255,10 @@ class gaussians_2d(nn.Module):
     ----------
     model : gaussian_2d
         The Gaussians.
-    number_of_elements, total_params : int
-        Number of Gaussians and of their parameters.
+    number_of_elements : int
+        Number of Gaussians.
+    total_params : int
+        Number of their parameters.
 
     Examples
     --------
@@ -608,19 +614,29 @@ class gaussian_3d_volume(nn.Module):
     ----------
     number_of_elements : int
         Number N of Gaussians.
-    initial_centers, initial_angles, initial_scales, initial_alphas : torch.Tensor, optional
-        First parameters, see :meth:`initialize_parameters`.
+    initial_centers : torch.Tensor, optional
+        Centres to start from, see :meth:`initialize_parameters`.
+    initial_angles : torch.Tensor, optional
+        Rotations to start from.
+    initial_scales : torch.Tensor, optional
+        Standard deviations to start from.
+    initial_alphas : torch.Tensor, optional
+        Weights to start from.
 
     Attributes
     ----------
-    centers, scales : torch.nn.Parameter
-        Centres and standard deviations along the Gaussians' own axes ``[N, 3]``.
+    centers : torch.nn.Parameter
+        Centres ``[N, 3]``.
+    scales : torch.nn.Parameter
+        Standard deviations along the Gaussians' own axes, ``[N, 3]``.
     angles : torch.nn.Parameter
         Rotations about x, y and z in units of 180° ``[N, 3]``.
     alphas : torch.nn.Parameter
         Weights ``[N, 1]``.
-    l1_loss, l2_loss : torch.nn.Module
-        Mean absolute and mean squared difference.
+    l1_loss : torch.nn.Module
+        Mean absolute difference.
+    l2_loss : torch.nn.Module
+        Mean squared difference.
 
     Raises
     ------

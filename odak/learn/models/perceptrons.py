@@ -54,6 +54,15 @@ def swish(x: torch.Tensor) -> torch.Tensor:
     -------
     torch.Tensor
         The same shape and dtype.
+
+    Examples
+    --------
+    x·sigmoid(x) at 1:
+
+    >>> import torch
+    >>> from odak.learn.models import swish
+    >>> round(swish(torch.tensor(1.0)).item(), 4)
+    0.7311
     """
     return nn.functional.silu(features("x", x))
 
@@ -65,6 +74,13 @@ class gaussian_activation(nn.Module):
     ----------
     dim : int
         Number of features, the last axis of the input.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import gaussian_activation
+    >>> tuple(gaussian_activation(4)(torch.rand(8, 4)).shape)
+    (8, 4)
     """
 
     def __init__(self, dim: int):
@@ -77,7 +93,15 @@ class gaussian_activation(nn.Module):
 
 
 class swish_activation(nn.Module):
-    """Swish, x·sigmoid(x), as a module (Ramachandran et al. 2017)."""
+    """Swish, x·sigmoid(x), as a module (Ramachandran et al. 2017).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import swish_activation
+    >>> round(swish_activation()(torch.tensor(1.0)).item(), 4)
+    0.7311
+    """
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return x·sigmoid(x) for an input of any shape."""
@@ -91,6 +115,15 @@ class siren_activation(nn.Module):
     ----------
     multiplier : float
         Angular frequency ω by which the input is multiplied.
+
+    Examples
+    --------
+    sin(30·0.05):
+
+    >>> import torch
+    >>> from odak.learn.models import siren_activation
+    >>> round(siren_activation(30.0)(torch.tensor(0.05)).item(), 4)
+    0.9975
     """
 
     def __init__(self, multiplier: float = 1.0):
@@ -113,6 +146,13 @@ class film_siren_activation(nn.Module):
     ----------
     dim : int
         Number of features, the last axis of the input.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import film_siren_activation
+    >>> tuple(film_siren_activation(4)(torch.rand(8, 4)).shape)
+    (8, 4)
     """
 
     def __init__(self, dim: int):

@@ -38,8 +38,10 @@ class unet(nn.Module):
         Number of contracting steps.
     dimensions : int
         Channels at full size; each contracting step doubles them.
-    input_channels, output_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    output_channels : int
+        Channels of the result.
     bilinear : bool
         Enlarge by interpolation instead of transposed convolutions.
     kernel_size : int
@@ -265,8 +267,10 @@ class spatially_adaptive_unet(nn.Module):
         The encoder has depth + 1 steps.
     dimensions : int
         Channels D at full size; each contracting step doubles them.
-    input_channels, out_channels : int
-        Numbers of channels.
+    input_channels : int
+        Channels of the input.
+    out_channels : int
+        Channels of the result.
     kernel_size : int
         Edge k of the kernels in pixels.
     bias : bool

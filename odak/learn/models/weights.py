@@ -33,6 +33,19 @@ def save_weights(module: nn.Module, filename: str | os.PathLike, *, extensions: 
     ------
     ValueError
         If the path is not acceptable or its folder does not exist.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.models import load_weights, save_weights
+    >>> first, second = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "weights.pt")
+    ...     save_weights(first, name)
+    ...     load_weights(second, name)
+    >>> torch.equal(first.weight, second.weight)
+    True
     """
     with replacing(validate_path(filename, texts("extensions", extensions))) as stream:
         torch.save(_module(module).state_dict(), stream)
@@ -68,6 +81,19 @@ def load_weights(
     ValueError
         If the path is not acceptable; if the file is broken, would run code, or holds no state dict; or if its keys or
         shapes are not those of the module: the message names those missing, unexpected and of another shape.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.models import load_weights, save_weights
+    >>> first, second = torch.nn.Linear(2, 1), torch.nn.Linear(2, 1)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "weights.pt")
+    ...     save_weights(first, name)
+    ...     load_weights(second, name)
+    >>> torch.equal(first.weight, second.weight)
+    True
     """
     path = validate_path(filename, texts("extensions", extensions))
     module, device = _module(module), checked_device("device", device)

@@ -108,8 +108,10 @@ def intersect_parametric(
         signs on its sides, in torch operations.
     surface_normal_function : callable, optional
         Takes the same and returns normals as rays; by default along the function's gradient.
-    target_error, iter_no_limit
-        Of the search, as in :func:`odak.raytracing.intersect_parametric`.
+    target_error : float, default: 1e-8
+        Largest |surface_function| that counts as on the surface.
+    iter_no_limit : int, default: 100000
+        Largest number of refinements of the search.
 
     Returns
     -------

@@ -92,14 +92,18 @@ def prepare(
         Width and height of the picture.
     camera_fov : float
         Full angle across the longer side of the picture, in degrees.
-    camera_location, camera_lookat : sequence of float
-        Where the camera stands, and what it looks at.
+    camera_location : sequence of float
+        Position of the camera.
+    camera_lookat : sequence of float
+        Point that the camera looks at.
     clip : sequence of float
         Nearest and farthest distance that it sees.
     device : str
         "GPU" or "CPU". Without a GPU the CPU renders, with a warning in the log.
-    intensity, world_color : float, sequence of float
-        Strength of the background and its colour, linear light.
+    intensity : float
+        Strength of the background.
+    world_color : sequence of float
+        Colour of the background, red, green and blue in linear light.
 
     Returns
     -------
@@ -132,8 +136,12 @@ def import_ply(
     ----------
     filename : str
         A ".ply" file.
-    location, angle, scale : sequence of float
-        Where it stands: degrees about X, then Y, then Z, after scaling.
+    location : sequence of float
+        Position of the mesh's origin.
+    angle : sequence of float
+        Degrees about X, then Y, then Z, after scaling.
+    scale : sequence of float
+        Factors along x, y and z.
 
     Returns
     -------
@@ -154,8 +162,10 @@ def cylinder_between(
 
     Parameters
     ----------
-    start_loc, end_loc : sequence of float
-        Middles of its ends.
+    start_loc : sequence of float
+        Centre of the first end.
+    end_loc : sequence of float
+        Centre of the second end.
     r : float
         Its radius.
     objname : str
@@ -384,7 +394,13 @@ def init(headless: bool = False, blend_fn: str = "") -> Session:
 
 
 def check(proc: Session) -> None:
-    """Let the scene of a handle of :func:`init` go. Nothing runs that would have to be waited for."""
+    """Release the scene of a handle of :func:`init`; there is no process to wait for.
+
+    Parameters
+    ----------
+    proc : Session
+        Handle of :func:`init`.
+    """
     proc.kill()
 
 

@@ -55,19 +55,30 @@ def diffuse(color: str | Sequence[float] = "white") -> Material:
     ----------
     color : str or sequence of float
         A name or "#rrggbb" as in web pages, or red, green, blue from 0 to 1 as in a picture (sRGB).
+
+    Examples
+    --------
+    >>> from odak.visualize.blender import diffuse
+    >>> wall = diffuse("#cc4444")
     """
     return Material("diffuse", linear_color(color))
 
 
 def emission(color: str | Sequence[float] = "white", strength: float = 1.0) -> Material:
-    """Return a surface that shines by itself.
+    """Return a surface that emits light.
 
     Parameters
     ----------
     color : str or sequence of float
-        As in :func:`diffuse`. At strength 1 a picture shows this very colour.
+        A name or "#rrggbb" as in web pages, or red, green, blue from 0 to 1 as in a picture (sRGB). At strength 1 a
+        picture shows this very colour.
     strength : float
-        How much brighter than that.
+        Factor of the emitted radiance.
+
+    Examples
+    --------
+    >>> from odak.visualize.blender import emission
+    >>> lamp = emission("white", strength=5.0)
     """
     return Material("emission", linear_color(color), strength=_not_negative("strength", strength))
 
@@ -133,6 +144,11 @@ def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Mat
         What it reflects, as in :func:`diffuse`.
     roughness : float
         0 polished, 1 matt.
+
+    Examples
+    --------
+    >>> from odak.visualize.blender import metal
+    >>> mirror = metal("white", roughness=0.0)
     """
     return Material("metal", linear_color(color), roughness=_share("roughness", roughness))
 

@@ -218,6 +218,13 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     -------
     matplotlib.figure.Figure
         The circle is Airy's first dark ring at the reference wavelength.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, spots_figure
+    >>> lens = load_system("cooke_triplet")
+    >>> len(spots_figure(lens).axes) >= len(lens.fields)
+    True
     """
     checked_system(system)
     found = spot_diagram(system, "rings", 8) if found is None else found
@@ -262,6 +269,13 @@ def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
     -------
     matplotlib.figure.Figure
         A row for each field; a colour for each wavelength.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import fans_figure, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> len(fans_figure(lens).axes) >= len(lens.fields)
+    True
     """
     checked_system(system)
     scale, fields = MICROMETRES[system.unit], len(system.fields)
@@ -300,6 +314,13 @@ def field_figure(system: Any, points: int = 21) -> Figure:
     -------
     matplotlib.figure.Figure
         Three panels; the field runs upwards.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import field_figure, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> len(field_figure(lens, points=5).axes)
+    3
     """
     checked_system(system)
     points = _validate.integer("points", points, minimum=2)
@@ -354,6 +375,13 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
         Two panels: modulation over frequency (full lines tangential, dashed ones sagittal, black the limit of
         diffraction), and the share of the energy within a radius. Of systems with more than a wavelength of aberration
         both are those of the rays, as the titles say.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, transfer_figure
+    >>> lens = load_system("cooke_triplet")
+    >>> len(transfer_figure(lens, samples=32).axes)
+    2
     """
     checked_system(system)
     samples = _validate.integer("samples", samples, minimum=8)
@@ -419,6 +447,13 @@ def draw_layout(system: Any, aim: str = "paraxial", count: int = 5) -> Image.Ima
     -------
     PIL.Image.Image
         RGB.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import draw_layout, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> draw_layout(lens).mode
+    'RGB'
     """
     return _picture(layout_figure(system, aim, count))
 
@@ -437,6 +472,13 @@ def draw_spots(system: Any, found: Spots) -> Image.Image:
     -------
     PIL.Image.Image
         RGB.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import draw_spots, load_system, spot_diagram
+    >>> lens = load_system("cooke_triplet")
+    >>> draw_spots(lens, spot_diagram(lens)).mode
+    'RGB'
     """
     return _picture(spots_figure(system, found))
 

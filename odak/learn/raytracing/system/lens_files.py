@@ -62,7 +62,14 @@ _SYSTEM = {
 
 
 def sample_systems() -> tuple[str, ...]:
-    """Return the names of the sample systems, for :func:`load_system`."""
+    """Return the names of the sample systems, for :func:`load_system`.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import sample_systems
+    >>> "cooke_triplet" in sample_systems()
+    True
+    """
     return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
 
 
@@ -107,6 +114,18 @@ def save_system(system: optical_system, path: Any) -> None:
         The system.
     path : str or pathlib.Path
         File to write.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import first_order, load_system, save_system
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.json")
+    ...     save_system(lens, name)
+    ...     again = load_system(name)
+    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
+    0.0
     """
     path = _text("path", path)
     text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
@@ -115,7 +134,25 @@ def save_system(system: optical_system, path: Any) -> None:
 
 
 def system_to_dict(system: optical_system) -> dict:
-    """Return a system as a dictionary of plain numbers and strings; infinities are null."""
+    """Return a system as a dictionary of plain numbers and strings; infinities are null.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+
+    Returns
+    -------
+    dict
+        Plain numbers and strings, which JSON can hold; infinities are null.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
+    >>> entry = system_to_dict(load_system("cooke_triplet"))
+    >>> system_from_dict(entry).name == load_system("cooke_triplet").name
+    True
+    """
     checked_system(system)
     surfaces = [_entry(item, i == system.stop) for i, item in enumerate(system.surfaces)]
     finite = None if system.at_infinity else system.object_distance
@@ -226,6 +263,13 @@ def system_from_dict(entry: dict) -> optical_system:
     ------
     ValueError, TypeError
         If a key is unknown or a value out of range, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
+    >>> entry = system_to_dict(load_system("cooke_triplet"))
+    >>> len(system_from_dict(entry).surfaces) == len(load_system("cooke_triplet").surfaces)
+    True
     """
     if not isinstance(entry, Mapping):
         raise TypeError(f"entry must be a dictionary, got {type(entry).__name__}")
@@ -392,7 +436,7 @@ _PLACEHOLDER = (1.5, 40.0)
 
 
 class ZmxReport(NamedTuple):
-    """Report of a file: what was not used, and how open questions were decided.
+    """Report of a Zemax file: the lines that were not used, and decisions that the file left open.
 
     Attributes
     ----------
@@ -400,6 +444,18 @@ class ZmxReport(NamedTuple):
         Every line that had no effect, as "line 12, surface 3: KEY words".
     notes : tuple of str
         Decisions that the file left open, and settings that have no counterpart.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import load_system, read_zmx, write_zmx
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.zmx")
+    ...     write_zmx(lens, name)
+    ...     again, report = read_zmx(name)
+    >>> report.ignored
+    ()
     """
 
     ignored: tuple[str, ...]
@@ -445,6 +501,18 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     Semi-diameters (DIAM) limit rays only where the file says so, by a circular (CLAP) or floating (FLAP) aperture. A
     glass that is not known but whose index and Abbe number the file states is a model glass; the report names it. Image
     heights as fields become object angles or heights: paraxially, or by tracing chief rays.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import first_order, load_system, read_zmx, write_zmx
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.zmx")
+    ...     write_zmx(lens, name)
+    ...     again, report = read_zmx(name)
+    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
+    0.0
     """
     path = Path(_text("path", path))
     if glasses is not None and not isinstance(glasses, Mapping):
@@ -782,6 +850,18 @@ def write_zmx(system: optical_system, path: Any) -> None:
     ValueError
         If the system holds what the format cannot say: shifts and tilts of single surfaces (use coordinate breaks), a
         return to an earlier frame, a shape without a counterpart, a medium without a name.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import first_order, load_system, read_zmx, write_zmx
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.zmx")
+    ...     write_zmx(lens, name)
+    ...     again, report = read_zmx(name)
+    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
+    0.0
     """
     path, text = _text("path", path), _zmx_text(checked_system(system))
     with replacing(path) as stream:

@@ -14,7 +14,7 @@ DISTRIBUTIONS = ("normal", "uniform")
 
 
 class LevenbergMarquardtResult(NamedTuple):
-    """How a run ended.
+    """Result of a Levenberg–Marquardt optimization.
 
     Attributes
     ----------
@@ -24,6 +24,15 @@ class LevenbergMarquardtResult(NamedTuple):
         The same at the start and after each step taken.
     converged : bool
         Whether it ended because nothing changed any more.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import LevenbergMarquardtResult, levenberg_marquardt
+    >>> x = torch.tensor([3.0], dtype=torch.float64, requires_grad=True)
+    >>> result = levenberg_marquardt(lambda: x - 1, [x])
+    >>> result.converged, round(result.loss, 9), round(x.item(), 6)
+    (True, 0.0, 1.0)
     """
 
     loss: float
@@ -167,7 +176,7 @@ def _by_columns(value, parameters):
 
 
 class Perturbation(NamedTuple):
-    """How far a number may be off.
+    """Statistical deviation of a number of a system.
 
     Attributes
     ----------
@@ -184,6 +193,13 @@ class Perturbation(NamedTuple):
         "normal" or "uniform".
     together : bool
         Draw once for all the surfaces: a lens that is shifted as a whole.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Perturbation
+    >>> off = Perturbation("thickness", 2, 0.05)
+    >>> off.size, off.distribution
+    (0.05, 'normal')
     """
 
     name: str
@@ -195,7 +211,7 @@ class Perturbation(NamedTuple):
 
 
 class ToleranceResult(NamedTuple):
-    """A Monte Carlo run.
+    """Result of a Monte Carlo analysis of tolerances.
 
     Attributes
     ----------
@@ -205,6 +221,15 @@ class ToleranceResult(NamedTuple):
         The same for the system as drawn.
     prescription : Prescription
         The perturbed numbers, ``[samples, …]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Perturbation, ToleranceResult, load_system, tolerance
+    >>> lens = load_system("cooke_triplet")
+    >>> off = [Perturbation("radius", [0, 1], 1e-3, relative=True)]
+    >>> result = tolerance(lens, off, samples=4)
+    >>> len(result.merit)
+    4
     """
 
     merit: torch.Tensor

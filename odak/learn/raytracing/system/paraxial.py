@@ -43,6 +43,16 @@ class FirstOrder(NamedTuple):
         Focal length over entrance pupil; 1/(2·n′u′) of the marginal ray.
     numerical_aperture : torch.Tensor
         n′·sin u′ of the marginal ray, tan u′ being its paraxial slope.
+
+    Examples
+    --------
+    The f-number is the focal length over the diameter of the entrance pupil:
+
+    >>> from odak.learn.raytracing.system import FirstOrder, first_order, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> found = first_order(lens)
+    >>> round(float(found.focal_length / found.entrance_pupil_diameter - found.f_number), 9)
+    0.0
     """
 
     focal_length: torch.Tensor
@@ -304,6 +314,13 @@ class ThirdOrder(NamedTuple):
         Sums over all surfaces as transverse aberrations in the image: "SA", "TCO" (tangential coma), "TAS" and "SAS"
         (tangential and sagittal astigmatism), "PTB" (Petzval blur), "DST" (distortion), "AX" and "LAT" (axial and
         lateral colour).
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ThirdOrder, load_system, seidel_sums
+    >>> lens = load_system("cooke_triplet")
+    >>> tuple(seidel_sums(lens).seidel.shape)
+    (5, 6)
     """
 
     seidel: torch.Tensor

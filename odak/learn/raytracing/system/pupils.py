@@ -40,8 +40,10 @@ def pupil_samples(
         As above.
     seed : int
         Of the random points.
-    device, dtype
-        Of the result.
+    device : torch.device or str, optional
+        Device of the result.
+    dtype : torch.dtype, default: torch.float64
+        Real dtype of the result.
 
     Returns
     -------
@@ -119,6 +121,16 @@ def launch(
         plane of the first vertex. Pupil points are heights in the entrance pupil, for a near object slopes of rays: the
         same up to a factor, but defined for a pupil at infinity too. Rays for which `aim` "real" finds no way to their
         point of the stop have infinite direction cosines; their status behind the system is NOT_AIMED.
+
+    Examples
+    --------
+    Two rings have 1 + 6 + 12 points:
+
+    >>> from odak.learn.raytracing.system import launch, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> rays = launch(lens, "rings", 2)
+    >>> rays.x.shape[-1]
+    19
     """
     aim, dtype = _validate.one_of("aim", aim, AIMS), checked_dtype("dtype", dtype)
     checked_prescription(prescription)

@@ -441,6 +441,13 @@ class Prescription(NamedTuple):
         Vacuum wavelengths ``[W]``, which phases need.
     gradients : tuple or None
         For each surface the graded index behind it or None.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Prescription, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> tuple(lens.prescription().curvature.shape) == (len(lens.surfaces),)
+    True
     """
 
     curvature: torch.Tensor
@@ -701,8 +708,10 @@ class optical_system(torch.nn.Module):
         conic constant, coefficients, semi-diameter, shift and tilt count. A plane by default.
     unit : str
         Unit of all lengths, wavelengths included: "mm", "m", "um" or "nm".
-    name, source : str
-        What it is called and where it comes from.
+    name : str
+        Name of the system.
+    source : str
+        Where the system comes from: a book, a patent, a file.
 
     Raises
     ------

@@ -232,6 +232,17 @@ class Spread(NamedTuple):
         Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
     strehl : torch.Tensor
         Largest value of the intensity, ``[..., W, F]``.
+
+    Examples
+    --------
+    The image of a point on the axis is centred:
+
+    >>> from odak.learn.raytracing.system import Spread, optical_system, point_spread_function, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> mirror = optical_system([parabola], aperture=20.0)
+    >>> spread = point_spread_function(mirror, 32, 128)
+    >>> divmod(int(spread.intensity[0, 0].argmax()), 128)
+    (64, 64)
     """
 
     intensity: torch.Tensor
@@ -266,6 +277,16 @@ def point_spread_function(system: Any, samples: int = 64, size: int = 256, **opt
     that fit the traced rays best. Numerical apertures up to 0.5 or so. Fields off both axes mix the two coordinates:
     that is left out, with an AccuracyWarning where it is more than 2 %; :func:`propagated_point_spread_function` has
     it. The number of samples must resolve the phase: less than half a wave from one to the next.
+
+    Examples
+    --------
+    A parabolic mirror images a distant point on its axis without aberration:
+
+    >>> from odak.learn.raytracing.system import optical_system, point_spread_function, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> mirror = optical_system([parabola], aperture=20.0)
+    >>> round(float(point_spread_function(mirror, 32, 128).strehl.max()), 2)
+    1.0
     """
     return pupil_image(system, samples, size, options)
 
@@ -354,6 +375,18 @@ def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch
     Notes
     -----
     The modulus of the Fourier transform of the point spread function (Goodman 2005, section 6.3).
+
+    Examples
+    --------
+    It is 1 at frequency 0:
+
+    >>> from odak.learn.raytracing.system import modulation_transfer_function, optical_system
+    >>> from odak.learn.raytracing.system import point_spread_function, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> mirror = optical_system([parabola], aperture=20.0)
+    >>> frequencies, modulation = modulation_transfer_function(point_spread_function(mirror, 32, 128))
+    >>> float(frequencies[0, 0, 0]), round(float(modulation[0, 0, 0]), 6)
+    (0.0, 1.0)
     """
     if not isinstance(spread, Spread):
         raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
@@ -373,8 +406,15 @@ def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: fl
     ----------
     radius : torch.Tensor
         Distances from the centre.
-    wavelength, numerical_aperture : float
-        In the unit of `radius`; of the image side.
+    wavelength : float
+        Wavelength in the unit of `radius`.
+    numerical_aperture : float
+        Numerical aperture on the side of the image.
+
+    Returns
+    -------
+    torch.Tensor
+        Intensity, 1 in the centre, of the shape of `radius`.
 
     Raises
     ------
@@ -384,6 +424,16 @@ def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: fl
     Notes
     -----
     Airy, Trans. Camb. Phil. Soc. 5, 283 (1835); Born and Wolf, Principles of Optics (1999), section 8.5.2.
+
+    Examples
+    --------
+    The first dark ring has the radius 0.61·λ/NA:
+
+    >>> import torch
+    >>> from odak.learn.raytracing.system import airy_pattern
+    >>> radius = torch.tensor([0.0, 0.61 * 0.5e-3 / 0.1])
+    >>> bool(airy_pattern(radius, 0.5e-3, 0.1)[1] < 1e-4)
+    True
     """
     radius = floating("radius", radius)
     _validate.number("wavelength", wavelength, positive=True)
@@ -415,8 +465,8 @@ def propagated_point_spread_function(
         Samples along each side of the field and of the image.
     pitch : float, optional
         Their pitch, by default such that the light fills most of the field.
-    propagation_type : str
-        As in :func:`odak.learn.wave.propagate_beam`.
+    propagation_type : str, default: "Bandlimited Angular Spectrum"
+        Method of :func:`odak.learn.wave.propagate_beam` by which the field is propagated to the image.
     fields : sequence of pairs or torch.Tensor, optional
         Field points (x, y), or ``[F, 2]``, in place of `field`, all on grids of one pitch.
     **options
@@ -434,6 +484,14 @@ def propagated_point_spread_function(
     field has the amplitude and the phase of the rays where they are. It costs more: the pitch must hold the phase of
     the whole converging wave. The unit is the peak of a sphere of the same amplitude about the image point, by the
     Rayleigh–Sommerfeld integral (Goodman 2005, section 3.5).
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import optical_system, propagated_point_spread_function, surface
+    >>> lens = optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.2)
+    >>> spread = propagated_point_spread_function(lens, 128)
+    >>> 0.9 < spread.strehl.max().item() < 1.01
+    True
     """
     from odak.learn.wave.propagation import propagate_beam
 
@@ -477,6 +535,14 @@ class ExitField(NamedTuple):
     status : torch.Tensor
         What befell the ray of each sample, numbers of :class:`odak.raytracing.RayStatus`, int8
         ``[..., rows, columns]``; MISS outside the pupil.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ExitField, exit_field, optical_system, surface
+    >>> lens = optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.2)
+    >>> wave = exit_field(lens, 128)
+    >>> tuple(wave.field.shape[-2:]), wave.wavelength == lens.wavelengths[0]
+    ((128, 128), True)
     """
 
     field: torch.Tensor

@@ -46,8 +46,10 @@ class multi_color_hologram_optimizer:
         Intensities to show, ``[D, C, ms, ns]``, 0 … 1, or ``[D, 1, ms, ns]``, the same in every colour.
     propagator : odak.learn.wave.propagator
         The display. It takes over `method` and the source powers found.
-    number_of_frames, number_of_depth_layers : int
-        F and D, as in the propagator.
+    number_of_frames : int
+        Number F of patterns, as in the propagator.
+    number_of_depth_layers : int
+        Number D of planes, as in the propagator.
     learning_rate : float
         Step of Adam in radians, which falls to `min_learning_rate` along a cosine.
     min_learning_rate : float, optional
