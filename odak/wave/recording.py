@@ -290,6 +290,15 @@ def unwrap_phase(phase: Array, mask: Array | None = None, seed: int | None = 0) 
     Notes
     -----
     Herráez, Burton, Lalor and Gdeisat, Appl. Opt. 41, 7437 (2002), as implemented by scikit-image.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import unwrap_phase
+    >>> slope = np.tile(np.linspace(-9, 9, 40), (40, 1))
+    >>> found = unwrap_phase(np.angle(np.exp(1j * slope)))  # doctest: +SKIP
+    >>> bool(np.allclose(found, slope))  # doctest: +SKIP
+    True
     """
     phase = _validate.image("phase", _real("phase", phase))
     _validate.real("phase", phase)

@@ -109,6 +109,7 @@ from .gaussians import save_splats as save_splats
 from .gaussians import spherical_harmonics as spherical_harmonics
 from .gaussians import view_colours as view_colours
 from .hardware import holographic_display as holographic_display
+from .holograms import double_phase_hologram as double_phase_hologram
 from .holograms import gerchberg_saxton as gerchberg_saxton
 from .holograms import point_wise as point_wise
 from .holograms import shift_w_double_phase as shift_w_double_phase
@@ -140,3 +141,4 @@ from .propagation import seperable_impulse_response_fresnel as seperable_impulse
 from .propagators import propagator as propagator
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
+from .slm import temporal_modulator as temporal_modulator

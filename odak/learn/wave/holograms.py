@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._array import phasor
+from odak._warnings import AccuracyWarning, warn
 from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, floating, tensor, trainable
 from odak.learn.wave.camera import captured_by, seen
@@ -54,6 +55,7 @@ def stochastic_gradient_descent(
     callback: Callable | None = None,
     checkpoint: str | os.PathLike | None = None,
     checkpoint_every: int = 50,
+    pixel_fill: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram whose intensity at a distance is the target.
 
@@ -90,7 +92,8 @@ def stochastic_gradient_descent(
     frames : int
         Number of patterns shown one after another, faster than an eye or a camera tells apart. The image is the mean of
         their intensities. With frames of few bits (``slm=spatial_light_modulator(bits=1)``), as fast modulators show
-        them, this averages the quantisation too.
+        them, this averages the quantisation too. A modulator that is still settling while it is lit is
+        ``slm=temporal_modulator(…)``.
     slm : callable, optional
         Model of the modulator: ``slm(phase)`` is the field it sends out, such as
         :class:`odak.learn.wave.spatial_light_modulator`. The hologram returned is that field. With a fill factor below
@@ -112,6 +115,10 @@ def stochastic_gradient_descent(
         File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
     checkpoint_every : int
         Iterations between two writings of that file; it is written at the end and on an interruption too.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The field is then propagated with the spectrum of
+        pixels of that size, up to 1/(2·pixel_pitch); an iris has to keep the orders beyond it away. By default pixels
+        are points, unless `slm` has a fill factor.
 
     Returns
     -------
@@ -156,14 +163,7 @@ def stochastic_gradient_descent(
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     frames = _validate.integer("frames", frames, minimum=1)
-    if (iris_radius is None) != (iris_focal_length is None):
-        raise ValueError("iris_radius and iris_focal_length must be given together")
-    cutoff = None
-    if iris_radius is not None and iris_focal_length is not None:
-        _validate.real("iris_radius", iris_radius, positive=True)
-        _validate.real("iris_focal_length", iris_focal_length, positive=True)
-        _validate.number("wavelength", wavelength)
-        cutoff = float(iris_radius / (wavelength * iris_focal_length))
+    cutoff = _cutoff(wavelength, iris_radius, iris_focal_length)
     shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
     lengths: dict[str, Any] = {
         "distance": distance,
@@ -177,7 +177,12 @@ def stochastic_gradient_descent(
     modulate = unit_phasor if slm is None else slm
     if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
         raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
-    fill = pixel_fill_of(slm, cutoff is not None)
+    if pixel_fill is None:
+        fill = pixel_fill_of(slm, cutoff is not None)
+    else:
+        fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+        if fill > 1:
+            raise ValueError(f"pixel_fill must be at most 1, got {pixel_fill!r}")
     reconstruct = functools.partial(propagate_within_window, cutoff=cutoff, pixel_fill=fill, **lengths)
     loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
 
@@ -209,6 +214,18 @@ def stochastic_gradient_descent(
     with torch.no_grad():
         hologram = modulate(phase)
         return hologram, reconstruct(hologram)  # type: ignore[call-arg]
+
+
+def _cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:
+    """Return the cut-off of an iris in cycles per metre after checking its lengths; None without an iris."""
+    if (iris_radius is None) != (iris_focal_length is None):
+        raise ValueError("iris_radius and iris_focal_length must be given together")
+    if iris_radius is None:
+        return None
+    _validate.real("iris_radius", iris_radius, positive=True)
+    _validate.real("iris_focal_length", iris_focal_length, positive=True)
+    _validate.number("wavelength", wavelength)
+    return float(iris_radius / (wavelength * iris_focal_length))
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -495,7 +512,8 @@ def shift_w_double_phase(
 
     Neighbouring pixels add up to the field only behind an iris in the Fourier plane that stops the checkerboard's own
     orders, half of the band of the pixels at most; without one the image is lost in them. The displays and
-    :func:`stochastic_gradient_descent` take one as `iris_radius` and `iris_focal_length`.
+    :func:`stochastic_gradient_descent` take one as `iris_radius` and `iris_focal_length`;
+    :func:`double_phase_hologram` simulates one by default.
 
     Examples
     --------
@@ -516,6 +534,105 @@ def shift_w_double_phase(
     if kernel_length > 0 and sigma > 0:
         field = _blur(field, kernel_length, sigma)
     return encode_double_phase(field)
+
+
+@torch.no_grad()
+def double_phase_hologram(
+    target: torch.Tensor,
+    wavelength: float,
+    distance: float,
+    pixel_pitch: float,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    *,
+    image_phase: torch.Tensor | None = None,
+    iris: bool = True,
+    iris_radius: float | None = None,
+    iris_focal_length: float | None = None,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the double-phase hologram of an image, and what it shows behind the iris that it needs.
+
+    The field of the image is propagated back to the modulator and encoded by two phases in a checkerboard, without
+    iterations. Neighbouring pixels add up to the field where an iris stops the orders of the checkerboard.
+
+    Parameters
+    ----------
+    target : torch.Tensor
+        Intensity ``[..., rows, columns]``, 0 … 1.
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from hologram to image in metres.
+    pixel_pitch : float
+        Pixel pitch in metres.
+    propagation_type : str
+        Propagation type with a transfer function, see :func:`odak.learn.wave.propagate_beam`, or "auto".
+    image_phase : torch.Tensor, optional
+        Phase of the image in radians, of the target's shape; zero by default.
+    iris : bool
+        Simulate an iris, which also limits the field that is encoded. False shows the image on a display without one,
+        where most of it is lost, and issues an AccuracyWarning.
+    iris_radius : float, optional
+        Radius in metres of a round iris in the focal plane of a lens. By default the iris passes frequencies up to
+        1/(4·pixel_pitch), half of the band of the pixels.
+    iris_focal_length : float, optional
+        Focal length in metres of that lens.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Hologram (amplitude one) and reconstruction, complex ``[..., rows, columns]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    AccuracyWarning
+        If there is no iris, or one that passes the orders of the checkerboard.
+
+    Notes
+    -----
+    Hsueh and Sawchuk, Appl. Opt. 17, 3874 (1978); Maimone, Georgiou and Kollin, ACM Trans. Graph. 36, 85 (2017).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import double_phase_hologram
+    >>> target = torch.zeros(32, 32)
+    >>> target[8:24, 8:24] = 1.0
+    >>> hologram, image = double_phase_hologram(target, 532e-9, 5e-3, 8e-6)
+    >>> bool((hologram.abs() - 1).abs().max() < 1e-6)
+    True
+    """
+    target = _checked_target(target)
+    _validate.real("wavelength", wavelength, positive=True)
+    _validate.real("distance", distance)
+    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    check_has_kernel(propagation_type)
+    cutoff = _cutoff(wavelength, iris_radius, iris_focal_length)
+    if not _validate.flag("iris", iris):
+        if cutoff is not None:
+            raise ValueError("iris_radius excludes iris=False")
+        passes = "there is no iris"
+    else:
+        cutoff = 0.25 / pixel_pitch if cutoff is None else cutoff
+        # The orders of the checkerboard lie at (±1, ±1)/(2·pitch), and the image about them is as wide as the iris.
+        passes = "the iris passes more than that" if cutoff > math.sqrt(0.125) / pixel_pitch else ""
+    if passes:
+        warn(
+            "double phase needs an iris that passes frequencies up to about 1/(4·pixel_pitch), or the orders of its "
+            f"checkerboard lie over the image; {passes}",
+            AccuracyWarning,
+        )
+    lengths = {"dx": pixel_pitch, "wavelength": wavelength, "propagation_type": propagation_type, "cutoff": cutoff}
+    phase = torch.zeros_like(target)
+    if image_phase is not None:
+        phase = _starting_phase(target, tuple(target.shape), image_phase, None)
+    there = propagate_within_window(target.sqrt() * unit_phasor(phase), distance=-distance, **lengths)
+    hologram = unit_phasor(encode_double_phase(there))
+    return hologram, propagate_within_window(hologram, distance=distance, **lengths)
 
 
 def encode_double_phase(field: torch.Tensor) -> torch.Tensor:

@@ -61,6 +61,11 @@ def check_shape(name: str, values: torch.Tensor, axes: str, shape: tuple[int, ..
         raise ValueError(f"{name} must be {axes} = {shape}, got {tuple(values.shape)}")
 
 
+def one_source_each(frames: int, sources: int) -> torch.Tensor:
+    """Return powers ``[frames, sources]`` of one in source f mod sources of frame f, zero in the others."""
+    return torch.eye(sources).repeat(-(-frames // sources), 1)[:frames]
+
+
 def is_diagonal(power: torch.Tensor) -> bool:
     """Return whether frame f is lit by source f alone, powers being ``[frames, wavelengths]``."""
     return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())
@@ -141,7 +146,7 @@ class propagator(display_volume):
     back_and_forth_distance : float
         Distance of the relay in metres.
     laser_channel_power : torch.Tensor, optional
-        ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default.
+        ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default, in turn where there are more frames.
     aperture : torch.Tensor, optional
         Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`; open by
         default.
@@ -247,6 +252,8 @@ class propagator(display_volume):
             _validate.real(name, length)
         device = checked_device("device", device)
         _validate.function_or_none("slm", slm)
+        if getattr(slm, "time_samples", 1) != 1:
+            raise ValueError(f"slm must show one field for each frame here, got {slm.time_samples} instants per frame")  # type: ignore[union-attr]
         samples_per_pixel = int(getattr(slm, "samples_per_pixel", 1))
         if pixel_fill is not None:
             pixel_fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
@@ -297,12 +304,12 @@ class propagator(display_volume):
         self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
 
     def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
-        """Set the channel powers ``[F, C]``: those given, or one source per frame."""
+        """Set the channel powers ``[F, C]``: those given, or one source per frame in turn."""
         self._hold_powers(channel_power, "channel_power")
 
     def _hold_powers(self, power, name):
         if power is None:
-            power = torch.eye(self.number_of_frames, self.number_of_channels)
+            power = one_source_each(self.number_of_frames, self.number_of_channels)
         self.register_buffer("channel_power", None)
         self._set_powers(power, name)
 

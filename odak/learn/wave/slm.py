@@ -224,7 +224,24 @@ class spatial_light_modulator(torch.nn.Module):
         torch.Tensor
             complex64 or complex128, ``[..., m·s, n·s]`` with s samples per pixel.
         """
-        shown = self.displayed_phase(phase)
+        return self.light(self.displayed_phase(phase), scale)
+
+    def light(self, shown: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
+        """Return the field behind the modulator of a phase that it shows, as :meth:`displayed_phase` gives it.
+
+        Parameters
+        ----------
+        shown : torch.Tensor
+            Phase in radians, ``[..., m·s, n·s]``.
+        scale : float or torch.Tensor
+            As in :meth:`forward`.
+
+        Returns
+        -------
+        torch.Tensor
+            complex64 or complex128, of its shape.
+        """
+        shown = _checked_phase(shown)
         scale = scale.to(shown) if isinstance(scale, torch.Tensor) else _validate.real("scale", scale)
         light = unit_phasor(_times(shown, scale))
         if isinstance(self.fill_factor, torch.Tensor) or self.fill_factor != 1:
@@ -345,6 +362,130 @@ class spatial_light_modulator(torch.nn.Module):
             raise ValueError(f"crosstalk must be at least 0, got {crosstalk!r}")
         kernel = None if crosstalk == 0 else gaussian_kernel(crosstalk * self.samples_per_pixel)
         self._hold("crosstalk", kernel, False)
+
+
+class temporal_modulator(torch.nn.Module):
+    """Modulator that settles exponentially while it shows frames one after another, again and again.
+
+    When a frame is asked for, the phase moves from where it is towards the one asked for as exp(−t/response_time). The
+    light of a frame is the mean over the instants at which it is lit. Each frame becomes several fields, at the middles
+    of equal parts of that time; :func:`odak.learn.wave.stochastic_gradient_descent` takes the mean of their
+    intensities, as eye and camera do.
+
+    The phase in the steady state is a mean of the phases asked for, weighted by the time since. It is therefore a
+    matrix product over frames.
+
+    Parameters
+    ----------
+    frame_time : float
+        Time between two frames in seconds.
+    response_time : float
+        Time in seconds in which the difference to the phase asked for falls to 1/e; it falls from 90 % to 10 % in 2.2
+        times that. Liquid crystals take milliseconds, ferroelectric ones some tens of microseconds.
+    slm : spatial_light_modulator, optional
+        Levels, crosstalk and gaps; the ideal modulator without levels by default. Its phases are rounded before they
+        settle.
+    lit : sequence of float
+        Start and end of the light within each frame, as shares of the frame time. A source that is switched on late
+        leaves the modulator time to settle.
+    time_samples : int
+        Instants per frame.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    The law of first order is that of a linearised nematic cell (Yang and Wu, Fundamentals of Liquid Crystal Devices,
+    2014, section 5.4). Rise and fall of real cells differ; take the slower one.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import temporal_modulator
+    >>> modulator = temporal_modulator(1e-3, 2e-4, time_samples=2)
+    >>> modulator(torch.zeros(3, 4, 4)).shape
+    torch.Size([6, 4, 4])
+    """
+
+    def __init__(
+        self,
+        frame_time: float,
+        response_time: float,
+        slm: "spatial_light_modulator | None" = None,
+        *,
+        lit: Sequence[float] = (0.0, 1.0),
+        time_samples: int = 4,
+    ):
+        super().__init__()
+        self.frame_time = float(_validate.real("frame_time", frame_time, positive=True))
+        self.response_time = float(_validate.real("response_time", response_time))
+        if self.response_time < 0:
+            raise ValueError(f"response_time must be at least 0, got {response_time!r}")
+        if slm is not None and not isinstance(slm, spatial_light_modulator):
+            raise TypeError(f"slm must be a spatial_light_modulator or None, got {type(slm).__name__}")
+        self.slm = spatial_light_modulator(bits=None) if slm is None else slm
+        start, end = _validate.numbers(_validate.several("lit", lit, 2))
+        if not 0 <= start < end <= 1:
+            raise ValueError(f"lit must be the start and the end of the light, 0 ≤ start < end ≤ 1; got {lit!r}")
+        self.lit = (start, end)
+        self.time_samples = _validate.integer("time_samples", time_samples, minimum=1)
+        self.samples_per_pixel = self.slm.samples_per_pixel
+
+    def forward(self, phase: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
+        """Return the fields behind the modulator at the instants at which it is lit.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases asked for in radians, ``[frames, ..., m, n]``, float32 or float64.
+        scale : float or torch.Tensor
+            As in :class:`spatial_light_modulator`.
+
+        Returns
+        -------
+        torch.Tensor
+            complex64 or complex128, ``[frames·time_samples, ..., m·s, n·s]``, those of the first frame first.
+        """
+        return self.slm.light(self.displayed_phase(phase), scale)
+
+    def displayed_phase(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the phase at the instants at which the modulator is lit, ``[frames·time_samples, ..., m·s, n·s]``."""
+        if not isinstance(phase, torch.Tensor) or phase.ndim < 3:
+            got = list(phase.shape) if isinstance(phase, torch.Tensor) else type(phase).__name__
+            raise ValueError(f"phase must be [frames, ..., rows, columns], got {got}")
+        shown = self.slm.displayed_phase(phase)
+        return torch.tensordot(self.weights(len(shown)).to(shown), shown, 1)
+
+    def weights(self, frames: int) -> torch.Tensor:
+        """Return the share of each frame's phase in what is shown at each instant, ``[frames·time_samples, frames]``.
+
+        Parameters
+        ----------
+        frames : int
+            Number of frames that are repeated.
+
+        Returns
+        -------
+        torch.Tensor
+            float64, each row of sum 1.
+        """
+        frames, count = _validate.integer("frames", frames, minimum=1), self.time_samples
+        start, end = self.lit
+        middles = start + (end - start) * (torch.arange(count, dtype=torch.float64) + 0.5) / count
+        rate = self.frame_time / self.response_time if self.response_time else math.inf
+        left, kept = torch.exp(-rate * middles), math.exp(-rate)
+        # At the start of a frame there is (1 − kept)·kept^k of the frame k + 1 before, over all repetitions.
+        ages = torch.arange(frames, dtype=torch.float64)
+        before = (1 - kept) * (kept**ages if kept else (ages == 0).double()) / (1 - kept**frames)
+        place = torch.arange(frames)
+        past = before[(place[:, None] - place - 1) % frames]
+        shares = (
+            left[:, None] * past[:, None, :] + (1 - left[:, None]) * torch.eye(frames, dtype=torch.float64)[:, None]
+        )
+        return shares.reshape(frames * count, frames)
 
 
 def temporal_average(intensity: torch.Tensor, dim: int = -3) -> torch.Tensor:
@@ -470,6 +611,7 @@ def pixel_fill_of(slm, has_iris: bool) -> float | None:
     Its field has the spectrum of pixels of finite size. Their orders beyond 1/(2·pitch) are not sampled, which an
     AccuracyWarning says where no iris stops them.
     """
+    slm = slm.slm if isinstance(slm, temporal_modulator) else slm
     if not isinstance(slm, spatial_light_modulator) or slm.samples_per_pixel > 1 or not 0 < float(slm.fill_factor) < 1:  # type: ignore[arg-type]
         return None
     if not has_iris:

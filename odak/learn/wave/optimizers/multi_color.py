@@ -27,7 +27,7 @@ from odak.learn.wave.optimizers.terms import (
     roughness,
     zero_mean,
 )
-from odak.learn.wave.propagators import power_method
+from odak.learn.wave.propagators import one_source_each, power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import Options, cosine, fingerprint, generator_from, minimise
@@ -228,7 +228,7 @@ class multi_color_hologram_optimizer:
         """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
         shape = (self.number_of_frames, len(self.wavelengths))
         learned = self.method.endswith("multi-color")
-        powers = torch.ones(shape) if learned else torch.eye(*shape)
+        powers = torch.ones(shape) if learned else one_source_each(*shape)
         if self.channel_power_filename:
             powers = powers_from(self.channel_power_filename, shape)
         self.propagator.method = self.method.replace("_", " ")
