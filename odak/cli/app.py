@@ -95,6 +95,7 @@ def hologram(
     seed: options.Seed = Job.seed,
     grating: options.Grating = Job.grating,
     bits: options.Bits = Job.bits,
+    fill_factor: options.FillFactor = Job.fill_factor,
     preset: options.Preset = Job.preset,
     device: options.Device = Job.device,
     quiet: options.Quiet = Job.quiet,

@@ -14,14 +14,16 @@ import torch
 from tqdm import tqdm
 
 from odak.cli import files, pictures, report
-from odak.cli.job import NOISE, VOLUME_METHODS, InputError, Job, pattern_name
+from odak.cli.job import COMPUTED_PHASES, NOISE, VOLUME_METHODS, InputError, Job, pattern_name
 from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.learn import wave
+from odak.learn.wave import holograms
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
 
 FILTER = 0.5
-LIGHT_WEIGHT = 0.1
+# Of noise that tells apart frames which start from the same phase, in radians.
+FRAME_NOISE = 0.5
 UNFIT = tuple(
     method.name for method in METHODS if method.of_intensities or method.sets_own_pitch or method.takes_kernel
 )
@@ -55,7 +57,7 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         target = load_target(job)
         folder = files.writable_folder(job.output)
         volume = job.method in VOLUME_METHODS
-        names = _frame_files(job, target) if volume else [pattern_name(value) for value in target.wavelengths]
+        names = _frame_files(job, target) if volume else [name for own in _channel_files(job, target) for name in own]
         others = ["reconstruction.png", "comparison.png", files.REPORT, *["focal_stack.png"] * (job.planes > 1)]
         existing = files.files_in_the_way(folder, [*names, *others])
         if existing and replaces is not None:
@@ -110,10 +112,13 @@ def _comparison(job: Job, target: Target, images, phases, names: list[str], qual
 
 def _verification(job: Job, target: Target) -> dict:
     filtered = "Fourier filter passing |f| <= 1/(4*pitch) along each axis, as double phase needs (a 4f relay)"
+    points = "points: intensities at the middles of pixels that emit as points"
+    squares = "squares: means over the areas of pixels, which emit as squares of the fill factor; their gaps are dark"
     return {
         "propagation_type": [_verification_type(job, wavelength) for wavelength in target.wavelengths],
         "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
         "aperture": filtered if job.method == "double-phase" else None,
+        "pixel": {"fill_factor": job.fill_factor, "model": points if job.fill_factor is None else squares},
     }
 
 
@@ -127,37 +132,50 @@ def _verification_type(job: Job, wavelength: float) -> str:
 
 def _compute_plane(job: Job, target: Target, folder: Path, names: list[str], device: torch.device) -> dict:
     """Compute, save, read back and measure one hologram for each wavelength, all on one plane."""
-    results = [_channel(job, target, channel, folder / name, device) for channel, name in enumerate(names)]
+    results = [
+        _channel(job, target, channel, [folder / name for name in own], device)
+        for channel, own in enumerate(_channel_files(job, target))
+    ]
     seconds = [result["seconds_per_iteration"] for result in results if result["seconds_per_iteration"] is not None]
     return {
         "images": torch.stack([result.pop("image") for result in results]),
-        "phases": torch.stack([result.pop("phase") for result in results]),
+        "phases": torch.cat([result.pop("phases") for result in results]),
         "channels": results,
         "seconds_per_iteration": sum(seconds) / len(seconds) if seconds else None,
     }
 
 
-def _channel(job: Job, target: Target, channel: int, path: Path, device: torch.device) -> dict:
-    """Return one channel's part of the report, with its brightness-matched image and its phase as tensors."""
+def _channel_files(job: Job, target: Target) -> list[list[str]]:
+    """Return the names of the pattern files of each channel, one for each of its frames."""
+    frames = [None] if job.frames in (None, 1) else [index + 1 for index in range(job.frames)]
+    return [[pattern_name(value, frame) for frame in frames] for value in target.wavelengths]
+
+
+def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: torch.device) -> dict:
+    """Return one channel's part of the report, with its brightness-matched image and its phases as tensors."""
     intensity, wavelength = target.intensity[channel].to(device), target.wavelengths[channel]
     ideal, seconds, loss = _hologram(job, intensity, wavelength)
+    ideal = ideal.reshape(-1, *job.resolution)
     method = _verification_type(job, wavelength)
-    unquantised = _reconstruct(job, ideal, wavelength, method).abs() ** 2
     grating = grating_phase(job.resolution, device) if job.grating else 0.0
     modulated = ideal * wave.generate_complex_field(1.0, grating).to(ideal) if job.grating else ideal
-    files.save_pattern(path, files.quantise(modulated, job.bits), job.bits)
-    phase = files.load_pattern(path, job.bits)
-    saved = wave.generate_complex_field(1.0, phase.to(device) - grating).to(ideal.dtype)
-    image = _reconstruct(job, saved, wavelength, method).abs() ** 2
+    for path, pattern in zip(paths, modulated, strict=True):
+        files.save_pattern(path, files.quantise(pattern, job.bits), job.bits)
+    phases = torch.stack([files.load_pattern(path, job.bits) for path in paths])
+    saved = wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
+    unquantised, image = (_light(job, field, wavelength, job.distance, method).mean(0) for field in (ideal, saved))
     numbers = report.measure(intensity, target.window, image, unquantised)
+    areas = image if job.fill_factor is not None else _light(job, saved, wavelength, job.distance, method, 1.0).mean(0)
     return {
         "wavelength": wavelength,
-        "file": path.name,
+        "file": paths[0].name,
+        **({"files": [path.name for path in paths]} if len(paths) > 1 else {}),
         **numbers,
+        "psnr_area_db": report.scaled_psnr(areas[target.window], intensity[target.window]),
         "seconds_per_iteration": seconds,
         "final_loss": loss,
         "image": (image * numbers["scale"]).cpu(),
-        "phase": phase,
+        "phases": phases,
     }
 
 
@@ -187,36 +205,80 @@ def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[tor
     return hologram, clock.seconds_per_tick(), clock.loss
 
 
-def _reconstruct(job: Job, hologram: torch.Tensor, wavelength: float, propagation_type: str) -> torch.Tensor:
-    """Return the field at the picture's plane, over the modulator's window.
+def _light(
+    job: Job, fields: torch.Tensor, wavelength: float, distance: float, propagation_type: str, fill: float | None = None
+) -> torch.Tensor:
+    """Return the intensity at a distance over the modulator's window.
 
     Parameters
     ----------
     job : Job
-        Parameters of the run.
-    hologram : torch.Tensor
-        Complex ``[rows, columns]``.
-    wavelength : float
-        Wavelength in metres.
+        Parameters of the run. Double-phase holograms pass the Fourier filter that they need.
+    fields : torch.Tensor
+        Fields of the modulator, complex ``[frames, rows, columns]``.
+    wavelength, distance : float
+        In metres.
     propagation_type : str
         How to propagate.
+    fill : float, optional
+        Share of the area of square pixels that emits, that of the job by default. With one the intensity is the mean
+        over the areas of pixels, without it is that at their middles.
 
     Returns
     -------
     torch.Tensor
-        Complex ``[rows, columns]``. Double-phase holograms pass the Fourier filter that they need.
+        Real ``[frames, rows, columns]``.
     """
-    aperture = half_band(hologram.shape, hologram.device) if job.method == "double-phase" else 1.0
-    return wave.propagate_beam(
-        hologram,
-        None,
-        job.distance,
-        job.pixel_pitch,
-        wavelength,
-        propagation_type,
-        zero_padding=[True, False, True],
-        aperture=aperture,
-    )
+    fill = job.fill_factor if fill is None else fill
+    aperture = half_band(job.resolution, fields.device) if job.method == "double-phase" else 1.0
+    lights = []
+    # Frame by frame, for the memory that a full-size field takes.
+    for field in fields:
+        shown = wave.propagate_beam(
+            field,
+            None,
+            distance,
+            job.pixel_pitch,
+            wavelength,
+            propagation_type,
+            zero_padding=[True, False, fill is None],
+            aperture=aperture,
+        )
+        lights.append(wave.intensity(shown) if fill is None else _mean_over_areas(shown, job.resolution, fill))
+    return torch.stack(lights)
+
+
+def _mean_over_areas(field: torch.Tensor, shape: Sequence[int], fill: float) -> torch.Tensor:
+    """Return the mean intensity over the area of each pixel of the window, of the light that square pixels send there.
+
+    Square pixels multiply the spectrum of the field by a product of sinc functions. The intensity has twice the band of
+    the field, so that it is sampled twice as finely, and its mean over squares is another such product: exact but for
+    what the padded grid wraps around.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Field of pixels that emit as points, complex ``[2·rows, 2·columns]``, on the padded grid.
+    shape : sequence of int
+        Rows and columns of the window.
+    fill : float
+        Share of the area of a pixel that emits.
+    """
+    wide = [2 * n for n in field.shape]
+    down, across = (torch.sinc(math.sqrt(fill) * torch.fft.fftfreq(n, device=field.device)) for n in field.shape)
+    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field)) * (down[:, None] * across))
+    # The stop ends below 1/(2·pitch), where a frequency and its alias are one.
+    spectrum[0], spectrum[:, 0] = 0, 0
+    finer = spectrum.new_zeros(wide)
+    first = [(large - n) // 2 for large, n in zip(wide, field.shape, strict=True)]
+    finer[first[0] : first[0] + field.shape[0], first[1] : first[1] + field.shape[1]] = spectrum
+    light = wave.intensity(torch.fft.ifft2(torch.fft.ifftshift(finer))) * 16
+    # In the order of the transform: sample 0 is the optical axis, a pixel is two samples.
+    down, across = (torch.sinc(2 * torch.fft.fftfreq(n, device=field.device)) for n in wide)
+    mean = torch.fft.ifft2(torch.fft.fft2(light) * (down[:, None] * across)).real
+    mean = torch.fft.fftshift(mean)[::2, ::2]
+    top, left = (n - n // 2 for n in shape)
+    return mean[top : top + shape[0], left : left + shape[1]]
 
 
 def half_band(shape: Sequence[int], device: torch.device) -> torch.Tensor:
@@ -256,12 +318,30 @@ def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Cal
         job.propagation_type,
         job.iterations,
         learning_rate=job.learning_rate,
-        initial_phase=starting_phase(job, intensity, wavelength),
+        initial_phase=_phases_of_frames(job, intensity, wavelength),
         scale=job.scale,
+        frames=job.frames or 1,
+        pixel_fill=job.fill_factor,
         progress=False,
         callback=callback,
     )
     return hologram
+
+
+def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> torch.Tensor:
+    """Return the phase that gradient descent starts from, ``[frames, rows, columns]`` with several frames."""
+    frames, computed = job.frames or 1, COMPUTED_PHASES.get(str(job.initial_phase))
+    if computed is not None:
+        return holograms.starting_phase(
+            computed, intensity, wavelength, job.distance, job.pixel_pitch, job.propagation_type, job.seed, frames
+        )
+    if frames == 1:
+        return starting_phase(job, intensity, wavelength)
+    phases = starting_phase(job, intensity.expand(frames, -1, -1), wavelength)
+    if job.initial_phase in (*NOISE, "uniform"):
+        return phases
+    noise = torch.randn(phases.shape, generator=torch.Generator().manual_seed(job.seed))
+    return phases + FRAME_NOISE * noise.to(phases)
 
 
 def _retrieve(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
@@ -399,7 +479,8 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
     saved = Frames(stored.to(device) - grating, ideal.powers)
     images = _reconstruct_volume(job, target, volume, saved)
     before = _reconstruct_volume(job, target, volume, ideal)
-    channels, scales = _channels(target, volume, images, before)
+    areas = images if job.fill_factor is not None else _reconstruct_volume(job, target, volume, saved, 1.0)
+    channels, scales, brightness = _channels(target, volume, ideal.powers, images, before, areas)
     planes = _planes(target, volume, images * scales)
     if job.planes > 1:
         width = job.resolution[1] * job.pixel_pitch
@@ -412,6 +493,7 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
             {"wavelength": wavelength, **channel}
             for wavelength, channel in zip(target.wavelengths, channels, strict=True)
         ],
+        "brightness": brightness,
         "planes": planes,
         "frames": [
             {"file": name, "source_amplitudes": power} for name, power in zip(names, ideal.powers.tolist(), strict=True)
@@ -439,9 +521,9 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
         distances=volume.distances,
         propagation_type=job.propagation_type,
         propagator_type="forward",
-        aperture=torch.ones(2 * job.resolution[0], 2 * job.resolution[1]),
         method=method,
         device=device,
+        pixel_fill=job.fill_factor,
     )
     start = torch.zeros(count, *job.resolution, device=device)
     with _progress(job, f"{job.planes} planes" if job.planes > 1 else f"{count} frames") as clock:
@@ -465,13 +547,18 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
             seed=job.seed,
             callback=clock.tick,
         )
-        weights = {"eyebox": 0.0, "light": LIGHT_WEIGHT}
-        _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, weights, bits=None)
+        # The light loss would drive all sources to full power, and with them colours that the picture does not have.
+        _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None)
         _finish(device)
+    if job.scale:
+        # The brightness is free: the brightest source runs at full power.
+        powers = powers / powers.amax().clamp_min(1e-6)
     return Frames(phases, powers), clock.seconds_per_tick(), clock.loss
 
 
-def _reconstruct_volume(job: Job, target: Target, volume: Volume, frames: Frames) -> torch.Tensor:
+def _reconstruct_volume(
+    job: Job, target: Target, volume: Volume, frames: Frames, fill: float | None = None
+) -> torch.Tensor:
     """Return the intensity on each plane over that of each colour's source, ``[planes, channels, rows, columns]``.
 
     Plane by plane with the method that its distance asks for, and not with the display of the optimizer.
@@ -483,20 +570,44 @@ def _reconstruct_volume(job: Job, target: Target, volume: Volume, frames: Frames
             method = sampling_report(
                 job.resolution, job.pixel_pitch, wavelength, distance, zero_padding=True
             ).recommended
-            intensity = wave.propagate_beam(fields, None, distance, job.pixel_pitch, wavelength, method).abs().square()
-            images.append((intensity * power.square()[:, None, None]).sum(0) / power.square().sum().clamp_min(1e-12))
+            lit = power > 0
+            light = _light(job, fields[lit], wavelength, distance, method, fill) if bool(lit.any()) else fields.real * 0
+            share = power[lit].square() if bool(lit.any()) else torch.ones_like(power)
+            images.append((light * share[:, None, None]).sum(0) / share.sum())
     return torch.stack(images).reshape(volume.images.shape)
 
 
-def _channels(target: Target, volume: Volume, images, before) -> tuple[list[dict], torch.Tensor]:
-    """Return the quality of each colour with each pixel from its own plane, and the brightness ``[channels, 1, 1]``."""
-    sharp, ideal = ((part * volume.masks).sum(0) for part in (images, before))
-    intensity = target.intensity.to(images.device)
+def _channels(target: Target, volume: Volume, powers, *stacks) -> tuple[list[dict], torch.Tensor, float]:
+    """Return the quality of each colour with each pixel from its own plane, their scales, and the common brightness.
+
+    Parameters
+    ----------
+    target, volume : Target, Volume
+        The picture, whole and by planes.
+    powers : torch.Tensor
+        Amplitudes of the sources ``[frames, channels]``.
+    *stacks : torch.Tensor
+        Intensities of the saved patterns, of the patterns as computed, and of the saved patterns over areas.
+    """
+    light = powers.double().square().sum(0)[:, None, None]
+    wanted = target.intensity.to(light.device).double()
+    window = (slice(None), *target.window)
+    sharp = [(part * volume.masks).sum(0).double() for part in stacks]
+    # One brightness for all colours: the powers of the sources are part of the hologram.
+    bright = [float(report.common_scale((light * part)[window], wanted[window])) for part in sharp]
+    scales = [brightness * light for brightness in bright]
     channels = [
-        report.measure(*parts[:1], target.window, *parts[1:]) for parts in zip(intensity, sharp, ideal, strict=True)
+        {
+            **report.measure(
+                wanted[c], target.window, sharp[0][c], sharp[1][c], tuple(float(s[c]) for s in scales[:2])
+            ),
+            "psnr_area_db": report.finite(
+                report.psnr((scales[2] * sharp[2])[c][target.window], wanted[c][target.window])
+            ),
+        }
+        for c in range(len(wanted))
     ]
-    scales = torch.tensor([channel["scale"] for channel in channels], device=images.device)
-    return channels, scales[:, None, None].to(images.dtype)
+    return channels, scales[0].to(stacks[0].dtype), bright[0]
 
 
 def _planes(target: Target, volume: Volume, scaled) -> list[dict]:

@@ -16,9 +16,11 @@ NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
 RANDOM_PHASES = (*NOISE, "uniform")
 VOLUME_METHODS = ("multiplane", "multi-color")
 METHODS = ("sgd", "gs", "double-phase", *VOLUME_METHODS)
-INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform")
+# Starts of gradient descent that are computed from the picture.
+COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
+INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
 DEFAULT_INITIAL_PHASE = {
-    "sgd": "flat",
+    "sgd": "gs",
     "gs": "uniform",
     "double-phase": "flat",
     "multiplane": "slight",
@@ -88,7 +90,8 @@ class Job:
     volume_depth : float
         Distance from the first plane to the last, about `distance`.
     frames : int, optional
-        Patterns shown one after another with the method "multi-color"; as many as colours by default.
+        Patterns shown one after another: for each colour with "sgd", 1 by default; for all colours with the method
+        "multi-color", as many as colours by default.
     method : str, optional
         One of `METHODS`; by default "sgd", or "multiplane" for more than one plane.
     propagation_type : str
@@ -107,6 +110,9 @@ class Job:
         Add a binary grating of π to the pattern.
     bits : int
         Bits per pixel of the modulator, 1 to 16.
+    fill_factor : float, optional
+        Share of the area of a square pixel that emits; the holograms are computed for such pixels, and pictures are
+        means over the areas of pixels. None computes and reports the middles of pixels.
     device : str
         "auto", "cpu", "cuda", "cuda:1", …
     quiet : bool
@@ -135,6 +141,7 @@ class Job:
     seed: int = 0
     grating: bool = False
     bits: int = 8
+    fill_factor: float | None = None
     device: str = "auto"
     quiet: bool = False
     preset: str | None = None
@@ -154,6 +161,8 @@ class Job:
             self._set_initial_phase()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
+        if self.fill_factor is not None and not 0 < self.fill_factor <= 1:
+            raise InputError(f"--fill-factor must be above 0 and at most 1, got {self.fill_factor}")
         if not 1 <= self.bits <= 16:
             raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
         self._check_wavelengths()
@@ -171,8 +180,8 @@ class Job:
         _validate.real("--volume-depth", self.volume_depth, positive=True)
         if self.frames is not None:
             _validate.integer("--frames", self.frames, minimum=1)
-            if self.method != "multi-color":
-                raise InputError("--frames needs --method multi-color: other methods show one frame for each colour")
+            if self.method not in ("sgd", "multi-color"):
+                raise InputError("--frames needs --method sgd or multi-color: others show one frame for each colour")
         if self.planes == 1:
             if self.depth_map is not None:
                 raise InputError("--depth-map needs --planes of at least 2")
@@ -196,6 +205,8 @@ class Job:
         if chosen is None:
             chosen = DEFAULT_INITIAL_PHASE[str(self.method)]
         self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
+        if chosen in COMPUTED_PHASES and self.method != "sgd":
+            raise InputError(f"--initial-phase {chosen} needs --method sgd, got {self.method!r}")
 
     def _check_wavelengths(self) -> None:
         count = len(self.wavelengths)
@@ -215,7 +226,7 @@ class Job:
 
     def check_effect(self, given: Collection[str]) -> None:
         """Raise InputError if a parameter that was asked for by name has no effect on this run."""
-        random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS
+        random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS or (self.frames or 1) > 1
         effects = {
             "iterations": (self.iterates, "which does not iterate"),
             "learning_rate": (self.method not in ("gs", "double-phase"), "which has no step size"),
@@ -309,9 +320,17 @@ def find_preset(name: str) -> Modulator:
     return PRESETS[name.casefold()]
 
 
-def pattern_name(wavelength: float) -> str:
-    """Return the file name of the pattern for a wavelength in metres, such as ``hologram_532nm.png``."""
-    return f"hologram_{wavelength * 1e9:.6g}nm.png"
+def pattern_name(wavelength: float, frame: int | None = None) -> str:
+    """Return the file name of the pattern for a wavelength in metres, such as ``hologram_532nm.png``.
+
+    Parameters
+    ----------
+    wavelength : float
+        In metres.
+    frame : int, optional
+        Number of the frame, counted from one, where there are several: ``hologram_532nm_frame1.png``.
+    """
+    return f"hologram_{wavelength * 1e9:.6g}nm{'' if frame is None else f'_frame{frame}'}.png"
 
 
 def image_path(image: str) -> Path:

@@ -122,8 +122,8 @@ Frames = Annotated[
     int | None,
     typer.Option(
         metavar="COUNT",
-        help="Patterns shown one after another (multi-color).",
-        show_default="one for each colour",
+        help="Patterns shown one after another, faster than the eye: for each colour (sgd), for all (multi-color).",
+        show_default="sgd: 1; multi-color: one for each colour",
     ),
 ]
 Method = Annotated[
@@ -162,8 +162,9 @@ InitialPhase = Annotated[
         metavar="|".join(INITIAL_PHASES),
         autocompletion=_complete(INITIAL_PHASES),
         help="Phase to start from: zero, normal noise of 0.3 rad, a lens of twice the distance, normal noise of 1 rad, "
-        "noise uniform over 2 pi. Of the hologram; with double-phase, of the picture.",
-        show_default="flat with sgd and double-phase, uniform with gs, otherwise slight",
+        "noise uniform over 2 pi. Of the hologram; with the method double-phase, of the picture. With sgd also the "
+        "double phase of the picture, or 20 iterations of Gerchberg-Saxton (gs).",
+        show_default="gs with sgd, flat with the method double-phase, uniform with the method gs, otherwise slight",
     ),
 ]
 Seed = Annotated[int, typer.Option(help="Seed of the random initial phases.")]
@@ -171,6 +172,15 @@ Grating = Annotated[
     bool, typer.Option(help="Add a binary grating (pi on every second column) to the pattern that is saved.")
 ]
 Bits = Annotated[int, typer.Option(help="Bits per pixel of the modulator, 1 to 16; above 8 the file is a 16-bit PNG.")]
+FillFactor = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        help="Share of the area of a square pixel that emits. The holograms are computed for such pixels behind a stop "
+        "that passes one order, and pictures and report are means over the areas of pixels.",
+        show_default="pixels are points, and pictures their middles",
+    ),
+]
 Device = Annotated[str, typer.Option(help="auto (the GPU where there is one), cpu, cuda, cuda:1, ...")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show no progress and no summary; warnings and errors still go to stderr.")

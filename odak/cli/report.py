@@ -23,7 +23,12 @@ DEFINITIONS = {
     "reconstruction": "Intensity I = |u|^2 of the light that the saved pattern, quantised and read back from its file, "
     "sends to the distance: unit amplitude on the modulator, padded to twice its size, propagated by the method in "
     "verification.propagation_type.",
-    "scale": "s = <I, T>/<I, I> over the picture's window, per channel: the brightness at which I is closest to T.",
+    "scale": "s = <I, T>/<I, I> over the picture's window, per channel: the brightness at which I is closest to T. "
+    "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
+    "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
+    "sources give them, at which the picture is closest to T over its window; no colour is rescaled by itself.",
+    "psnr_area_db": "As psnr_db, for square pixels of verification.pixel.fill_factor (1 if none is given) behind a "
+    "stop that passes |f| < 1/(2*pitch) along each axis, with I averaged over the area of each pixel.",
     "psnr_db": "10*log10(1/mean((s*I - T)^2)) over the picture's window, without the black borders; overall, the mean "
     "is over all channels.",
     "psnr_frame_db": "The same over the whole frame, black borders included, with the same s.",
@@ -43,7 +48,13 @@ DEFINITIONS = {
 }
 
 
-def measure(target: torch.Tensor, window: tuple, image: torch.Tensor, unquantised: torch.Tensor) -> dict:
+def measure(
+    target: torch.Tensor,
+    window: tuple,
+    image: torch.Tensor,
+    unquantised: torch.Tensor,
+    scales: tuple[float, float] | None = None,
+) -> dict:
     """Return the quality of one channel's reconstruction.
 
     Parameters
@@ -56,6 +67,8 @@ def measure(target: torch.Tensor, window: tuple, image: torch.Tensor, unquantise
         Intensity from the saved pattern.
     unquantised : torch.Tensor
         Intensity from the hologram as computed.
+    scales : tuple of float, optional
+        Brightness of the two images; by default those that are closest to the target.
 
     Returns
     -------
@@ -63,8 +76,8 @@ def measure(target: torch.Tensor, window: tuple, image: torch.Tensor, unquantise
         Numbers as `DEFINITIONS` has them.
     """
     target, image, unquantised = (value.double() for value in (target, image, unquantised))
-    scale = best_scale(image[window], target[window])
-    ideal = best_scale(unquantised[window], target[window])
+    images = (image, unquantised)
+    scale, ideal = scales or (float(best_scale(part[window], target[window])) for part in images)
     lit = (target >= LIT * target.max()) & (target > 0)
     return {
         "psnr_db": finite(psnr(scale * image[window], target[window])),
@@ -265,6 +278,16 @@ def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     axes = (-2, -1)
     energy = (image * image).sum(axes, keepdim=True)
     return (image * target).sum(axes, keepdim=True) / energy.clamp_min(torch.finfo(image.dtype).tiny)
+
+
+def common_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+    """Return the one brightness s = ⟨I, T⟩/⟨I, I⟩ over all colours and pixels, without axes."""
+    return best_scale(image.reshape(1, -1), target.reshape(1, -1)).reshape(())
+
+
+def scaled_psnr(image: torch.Tensor, target: torch.Tensor) -> float | None:
+    """Return the PSNR in dB of an image ``[rows, columns]`` at the brightness closest to its target."""
+    return finite(psnr(best_scale(image, target) * image, target))
 
 
 def psnr(image: torch.Tensor, target: torch.Tensor, peak: float = 1.0) -> float:

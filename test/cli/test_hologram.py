@@ -64,6 +64,58 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     assert np.abs(shown - scaled).max() < 0.51 / 255 + 1e-4
 
 
+@pytest.mark.parametrize("method", ["sgd", "multi-color"])
+def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file, tmp_path):
+    """A panel drawn with eight by eight samples per pixel, six by six of them lit, behind a stop for one order."""
+    run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL[:-4], "--fill-factor", 9 / 16,
+        "--iterations", 40, "--device", "cpu")  # fmt: skip
+    report = read_report(tmp_path)
+    assert report["verification"]["pixel"]["fill_factor"] == 9 / 16
+    phase = pixels(tmp_path / report["pattern"]["files"][0]) * (2 * np.pi / 256)
+    line = np.tile([0, 1, 1, 1, 1, 1, 1, 0], max(ROWS, COLUMNS))
+    drawn = np.exp(1j * np.kron(phase, np.ones((8, 8)))) * line[: 8 * ROWS, None] * line[: 8 * COLUMNS]
+    rows, columns = 16 * ROWS, 16 * COLUMNS
+    fy, fx = np.fft.fftfreq(rows, 1e-6)[:, None], np.fft.fftfreq(columns, 1e-6)
+    kernel = np.exp(2j * np.pi * 3e-3 * np.sqrt(1 / 532e-9**2 - fx**2 - fy**2))
+    kernel = kernel * ((abs(fy) < 0.999 / 16e-6) & (abs(fx) < 0.999 / 16e-6))
+    light = np.abs(np.fft.ifft2(np.fft.fft2(drawn, (rows, columns)) * kernel)[: 8 * ROWS, : 8 * COLUMNS]) ** 2
+    areas = light.reshape(ROWS, 8, COLUMNS, 8).mean((1, 3))
+    assert report["psnr_db"] == pytest.approx(psnr_of(areas, picture / 255), abs=0.1)
+    assert report["channels"][0]["psnr_area_db"] == pytest.approx(report["psnr_db"], abs=0.01)
+
+
+def test_areas_are_part_of_every_report(grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
+    report = read_report(tmp_path)
+    assert report["verification"]["pixel"]["model"].startswith("points")
+    # The envelope of the pixels and the mean over them blur what was computed for points.
+    assert report["channels"][0]["psnr_area_db"] < report["psnr_db"] - 0.5
+
+
+def test_frames_average(grey_file, picture, tmp_path):
+    quality = []
+    for frames in (1, 4):
+        run(grey_file, "--output", tmp_path, *SMALL[:-4], "--iterations", 25, "--device", "cpu", "--frames", frames,
+            "--initial-phase", "uniform", "--quiet", "--again")  # fmt: skip
+        report = read_report(tmp_path)
+        names = report["pattern"]["files"]
+        assert names == (
+            [f"hologram_532nm_frame{k}.png" for k in range(1, 5)] if frames > 1 else ["hologram_532nm.png"]
+        )
+        phases = [pixels(tmp_path / name) * (2 * np.pi / 256) for name in names]
+        light = np.mean([angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3) for phase in phases], axis=0)
+        assert report["psnr_db"] == pytest.approx(psnr_of(light, picture / 255), abs=1e-3)
+        quality.append(report["psnr_db"])
+    assert quality[1] > quality[0] + 4
+
+
+@pytest.mark.parametrize("start", ["flat", "double-phase", "gs"])
+def test_starts_by_name(start, grey_file, tmp_path):
+    run(grey_file, "--output", tmp_path, *SMALL, "--initial-phase", start, "--quiet")
+    assert read_report(tmp_path)["parameters"]["initial_phase"] == start
+    run(grey_file, "--output", tmp_path / "more", *SMALL, "--initial-phase", start, "--frames", 2, "--quiet")
+
+
 def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
     options = ["--learning-rate", "0.05", "--pixel-pitch", "6.4e-6", "--seed", "7", "--initial-phase", "normal"]
     run(grey_file, "--output", tmp_path, *SMALL, *options, "--quiet")
@@ -79,6 +131,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "planes": 1,
         "depth_map": None,
         "volume_depth": 4e-3,
+        "fill_factor": None,
         "frames": None,
         "method": "sgd",
         "propagation_type": "Bandlimited Angular Spectrum",
@@ -376,8 +429,10 @@ BAD = {
         "--iterations has no effect with",
     ),
     "step size of gs": (["--method", "gs", "--learning-rate", "0.1"], "--learning-rate has no effect with --method gs"),
+    "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be above 0 and at most 1"),
+    "start of gs": (["--method", "gs", "--initial-phase", "gs"], "--initial-phase gs needs --method sgd"),
     "brightness of gs": (["--method", "gs", "--no-scale"], "--scale has no effect with --method gs"),
-    "seed without noise": (["--seed", "3"], "--seed has no effect with --initial-phase flat"),
+    "seed without noise": (["--seed", "3"], "--seed has no effect with --initial-phase gs"),
     "volume without planes": (["--volume-depth", "2mm"], "--volume-depth has no effect without --planes"),
     "timeout without cluster": (["--timeout", "3"], "--timeout has no effect without --cluster"),
     "not an integer": (["--bits", "few"], "--bits"),

@@ -43,6 +43,8 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
     powers = np.array([frame["source_amplitudes"] for frame in report["frames"]])
     assert powers.shape == (3, 3)
     assert [plane["distance"] for plane in report["planes"]] == pytest.approx([4e-3, 6e-3])
+    assert powers.max() == pytest.approx(1)
+    light = []
     for c, wavelength in enumerate(WAVELENGTHS):
         stack = [
             sum(
@@ -53,7 +55,8 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
             for plane in report["planes"]
         ]
         sharp = np.where(near, *stack)
-        scale = np.sum(sharp * target[..., c]) / np.sum(sharp**2)
+        light.append(np.sum(powers[:, c] ** 2) * sharp)
+        scale = report["brightness"] * np.sum(powers[:, c] ** 2)
         channel = report["channels"][c]
         assert channel["scale"] == pytest.approx(scale, rel=2e-3)
         assert channel["psnr_db"] == pytest.approx(psnr(scale * sharp, target[..., c]), abs=0.02)
@@ -63,6 +66,13 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
             in_focus = psnr(scale * image, target[..., c], mask)
             assert plane["channels"][c]["psnr_in_focus_db"] == pytest.approx(in_focus, abs=0.02)
             assert in_focus > 13
+    # One brightness for all colours.
+    light = np.stack(light, -1)
+    scale = np.sum(light * target) / np.sum(light**2)
+    assert report["brightness"] == pytest.approx(scale, rel=2e-3)
+    assert report["psnr_db"] == pytest.approx(psnr(scale * light, target), abs=0.02)
+    shown = pixels(tmp_path / "reconstruction.png") / 255
+    assert np.abs(shown - np.clip(scale * light, 0, 1)).max() < 3e-3
     assert report["psnr_db"] > 14
     assert {path.name for path in tmp_path.iterdir()} == {
         *report["pattern"]["files"], "reconstruction.png", "comparison.png", "focal_stack.png", "report.json",
@@ -98,6 +108,19 @@ def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
     assert np.array_equal(first, pixels(tmp_path / "b" / "hologram_frame1.png"))
 
 
+def test_saturated_colours_keep_their_sources_low(files, tmp_path):
+    """A red picture needs no blue light: the sources are not driven to full power."""
+    with Image.open(files[0]) as picture:
+        red = np.asarray(picture) * np.array([1.0, 0.2, 0.05])
+    Image.fromarray(np.round(red).astype(np.uint8)).save(tmp_path / "red.png")
+    volume = [part for part in VOLUME if part not in ("--volume-depth", "2e-3")]
+    run(tmp_path / "red.png", "--method", "multi-color", "--iterations", 60, "--output", tmp_path / "out", *volume)
+    report = read_report(tmp_path / "out")
+    amplitudes = np.array([frame["source_amplitudes"] for frame in report["frames"]])
+    assert (amplitudes[:, 2] ** 2).sum() < 0.2 * (amplitudes[:, 0] ** 2).sum()
+    assert report["psnr_db"] > 20
+
+
 def test_a_grey_picture_and_a_larger_depth_map(files, tmp_path):
     with Image.open(files[1]) as depth:
         depth.resize((COLUMNS * 3, ROWS * 3)).save(tmp_path / "large.png")
@@ -121,7 +144,7 @@ def test_a_grey_picture_and_a_larger_depth_map(files, tmp_path):
         (["--planes", "2", "--depth-map", "{depth}", "--volume-depth", "1"], "--volume-depth must be below"),
         (["--volume-depth", "0"], "--volume-depth must be positive"),
         (["--frames", "0"], "--frames must be at least 1"),
-        (["--frames", "2"], "--frames needs --method multi-color"),
+        (["--frames", "2", "--method", "gs"], "--frames needs --method sgd or multi-color"),
     ],
 )
 def test_bad_input_is_one_line_and_code_2(options, message, files, tmp_path, capsys):
