@@ -66,9 +66,9 @@ def _start(
 @app.command(
     help="Compute phase-only holograms of a picture, save them as PNG, and report how well the saved files reproduce "
     "it.\n\n"
-    "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files) or, with "
-    "multi-color, hologram_frame<k>.png; reconstruction.png, comparison.png and report.json; with planes also "
-    "focal_stack.png.\n\n"
+    "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files), with "
+    "--frames hologram_<nm>nm_frame<k>.png or, with multi-color, hologram_frame<k>.png; reconstruction.png, "
+    "comparison.png and report.json; with planes also focal_stack.png.\n\n"
     "Several pictures, or folders of them, are computed one after another or, with --cluster, side by side. Each gets "
     "a folder of its name in the output folder. What is there already from the same options is skipped; what is there "
     "from others is named before it is replaced."

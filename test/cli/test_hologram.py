@@ -85,7 +85,7 @@ def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file,
 
 
 def test_areas_are_part_of_every_report(grey_file, tmp_path):
-    run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
+    run(grey_file, "--output", tmp_path, *SMALL, "--iterations", 60, "--quiet")
     report = read_report(tmp_path)
     assert report["verification"]["pixel"]["model"].startswith("points")
     # The envelope of the pixels and the mean over them blur what was computed for points.

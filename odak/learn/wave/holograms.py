@@ -567,7 +567,7 @@ def double_phase_hologram(
     propagation_type : str
         Propagation type with a transfer function, see :func:`odak.learn.wave.propagate_beam`, or "auto".
     image_phase : torch.Tensor, optional
-        Phase of the image in radians, of the target's shape; zero by default.
+        Phase of the image in radians, which broadcasts against the target; zero by default.
     iris : bool
         Simulate an iris, which also limits the field that is encoded. False shows the image on a display without one,
         where most of it is lost, and issues an AccuracyWarning.
@@ -629,7 +629,10 @@ def double_phase_hologram(
     lengths = {"dx": pixel_pitch, "wavelength": wavelength, "propagation_type": propagation_type, "cutoff": cutoff}
     phase = torch.zeros_like(target)
     if image_phase is not None:
-        phase = _starting_phase(target, tuple(target.shape), image_phase, None)
+        phase = _validate.image("image_phase", floating("image_phase", image_phase)).to(target)
+        _validate.real("image_phase", phase)
+        if _validate.fitting(target=target, image_phase=phase) != tuple(target.shape):
+            raise ValueError(f"image_phase must fit the target {list(target.shape)}, got {list(phase.shape)}")
     there = propagate_within_window(target.sqrt() * unit_phasor(phase), distance=-distance, **lengths)
     hologram = unit_phasor(encode_double_phase(there))
     return hologram, propagate_within_window(hologram, distance=distance, **lengths)

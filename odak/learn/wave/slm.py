@@ -453,7 +453,7 @@ class temporal_modulator(torch.nn.Module):
 
     def displayed_phase(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the phase at the instants at which the modulator is lit, ``[frames·time_samples, ..., m·s, n·s]``."""
-        if not isinstance(phase, torch.Tensor) or phase.ndim < 3:
+        if not isinstance(phase, torch.Tensor) or phase.ndim < 3 or not len(phase):
             got = list(phase.shape) if isinstance(phase, torch.Tensor) else type(phase).__name__
             raise ValueError(f"phase must be [frames, ..., rows, columns], got {got}")
         shown = self.slm.displayed_phase(phase)

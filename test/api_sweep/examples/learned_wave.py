@@ -197,6 +197,14 @@ BY_NAME = {
     },
     "odak.learn.wave.simulated_camera": {"bits": 8},
     "odak.learn.wave.spatial_light_modulator": {"phase_range": 2 * math.pi},
+    "odak.learn.wave.temporal_modulator": {
+        "frame_time": 1e-3,
+        "response_time": 2e-4,
+        "slm": None,
+        "lit": [0.0, 1.0],
+        "phase": tensor(2, 4, 4),
+        "frames": 2,
+    },
     "odak.learn.wave.speckle_contrast": {"kernel_size": 3},
     "odak.learn.wave.multiplane_loss": {
         "target_blur_size": 3,
@@ -273,6 +281,7 @@ BY_CALL = {
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.simulated_camera": {"distance": 5e-3},
     "odak.learn.wave.spatial_light_modulator.forward": {"scale": 1.0},
+    "odak.learn.wave.spatial_light_modulator.light": {"shown": tensor(16, 16), "scale": 1.0},
     "odak.learn.wave.temporal_average": {"intensity": tensor(3, 8, 8)},
     "odak.learn.wave.zernike_basis": {"radius": 8.0},
     "odak.learn.wave.zernike_phase": {"radius": 8.0},
