@@ -224,24 +224,10 @@ class spatial_light_modulator(torch.nn.Module):
         torch.Tensor
             complex64 or complex128, ``[..., m·s, n·s]`` with s samples per pixel.
         """
-        return self.light(self.displayed_phase(phase), scale)
+        return self._light(self.displayed_phase(phase), scale)
 
-    def light(self, shown: torch.Tensor, scale: float | torch.Tensor = 1.0) -> torch.Tensor:
-        """Return the field behind the modulator of a phase that it shows, as :meth:`displayed_phase` gives it.
-
-        Parameters
-        ----------
-        shown : torch.Tensor
-            Phase in radians, ``[..., m·s, n·s]``.
-        scale : float or torch.Tensor
-            As in :meth:`forward`.
-
-        Returns
-        -------
-        torch.Tensor
-            complex64 or complex128, of its shape.
-        """
-        shown = _checked_phase(shown)
+    def _light(self, shown, scale):
+        """Return the field behind the modulator of a phase that it shows, as :meth:`displayed_phase` gives it."""
         scale = scale.to(shown) if isinstance(scale, torch.Tensor) else _validate.real("scale", scale)
         light = unit_phasor(_times(shown, scale))
         if isinstance(self.fill_factor, torch.Tensor) or self.fill_factor != 1:
@@ -449,7 +435,7 @@ class temporal_modulator(torch.nn.Module):
         torch.Tensor
             complex64 or complex128, ``[frames·time_samples, ..., m·s, n·s]``, those of the first frame first.
         """
-        return self.slm.light(self.displayed_phase(phase), scale)
+        return self.slm._light(self.displayed_phase(phase), scale)
 
     def displayed_phase(self, phase: torch.Tensor) -> torch.Tensor:
         """Return the phase at the instants at which the modulator is lit, ``[frames·time_samples, ..., m·s, n·s]``."""

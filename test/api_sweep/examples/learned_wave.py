@@ -281,7 +281,6 @@ BY_CALL = {
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.simulated_camera": {"distance": 5e-3},
     "odak.learn.wave.spatial_light_modulator.forward": {"scale": 1.0},
-    "odak.learn.wave.spatial_light_modulator.light": {"shown": tensor(16, 16), "scale": 1.0},
     "odak.learn.wave.temporal_average": {"intensity": tensor(3, 8, 8)},
     "odak.learn.wave.zernike_basis": {"radius": 8.0},
     "odak.learn.wave.zernike_phase": {"radius": 8.0},
