@@ -9,13 +9,13 @@ import torch
 
 from odak.learn.raytracing import planar_mesh
 
-torch.manual_seed(0)
 count = 22
-grid = torch.linspace(-0.9, 0.9, count)
+grid = torch.linspace(-0.9, 0.9, count, dtype=torch.float64)
 x, y = torch.meshgrid(grid, grid, indexing="ij")
 starts = torch.stack((x, y, torch.full_like(x, 10.0)), -1).reshape(-1, 3)
-rays = torch.stack((starts, torch.tensor([0.0, 0.0, -1.0]).expand_as(starts)), dim=1)
-mesh = planar_mesh(size=[2.0, 2.0], number_of_meshes=[25, 25])
+rays = torch.stack((starts, torch.tensor([0.0, 0.0, -1.0], dtype=starts.dtype).expand_as(starts)), dim=1)
+flat = torch.zeros(25, 25, 1, dtype=starts.dtype)
+mesh = planar_mesh(size=[2.0, 2.0], number_of_meshes=[25, 25], heights=flat)
 optimizer = torch.optim.Adam([mesh.heights], lr=4e-3)
 
 
@@ -27,17 +27,19 @@ def landing():
 
 
 before = landing().detach()
+schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 300)
 for _ in range(300):
     loss = landing().square().mean()
     optimizer.zero_grad()
     loss.backward()
     optimizer.step()
+    schedule.step()
 after = landing().detach()
 heights = mesh.heights.detach()[..., 0]
 parabola = ((mesh.X**2 + mesh.Y**2) / 40).detach()[..., 0]
 parabola = parabola + (heights - parabola).mean()
 sizes = [points.square().sum(-1).mean().sqrt() for points in (after, before)]
-print(f"RMS distance from the focus: {sizes[0]:.3f}, flat {sizes[1]:.3f}")
+print(f"RMS distance from the focus: {sizes[0]:.2f}, flat {sizes[1]:.3f}")
 
 # %%
 figure = plt.figure(figsize=(12, 3.8))
