@@ -137,6 +137,11 @@ def is_torch(value) -> "TypeGuard[torch.Tensor]":
     return isinstance(value, getattr(sys.modules.get("torch"), "Tensor", ()))
 
 
+def is_chunked(value) -> bool:
+    """Say whether `value` is a Dask array, without importing Dask."""
+    return isinstance(value, getattr(sys.modules.get("dask.array"), "Array", ()))
+
+
 def is_readable(value) -> bool:
     """Say whether the numbers in `value` are there to be read: without a host sync, torch.func and torch.compile."""
     return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_symbolic(value))

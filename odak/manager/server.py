@@ -39,7 +39,7 @@ LOOPBACK = "127.0.0.1"
 GPU = "GPU"
 _ENCRYPTED = ("tls", "wss")
 _CERTIFICATES = ("ca.pem", "cert.pem", "key.pem")
-_PATIENCE, _START = 5.0, 30.0
+_PATIENCE, _START = 30.0, 30.0
 # Results leave as soon as they are there: a worker that paused at 80 % of its memory would wait for ever.
 # Dask's profiler, which looks at every task a hundred times a second, takes up to a fifth of a core.
 _TURNED_OFF = (
@@ -243,14 +243,18 @@ class _Workers:
         if stdin.closed:
             return
         stdin.close()
+        killed = False
         try:
             self._program.wait(_PATIENCE)
         except subprocess.TimeoutExpired:
-            warn(f"Workers of {self.address} did not end within {_PATIENCE:g} s and are killed", OdakWarning)
+            killed = True
             self._program.kill()
             self._program.wait()
         self._errors.close()
         self._folder.cleanup()
+        # Last, because a warning may be an error.
+        if killed:
+            warn(f"Workers of {self.address} did not end within {_PATIENCE:g} s and were killed", OdakWarning)
 
 
 def require_dask(what: str) -> None:

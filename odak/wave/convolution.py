@@ -4,6 +4,8 @@ import functools
 import importlib
 from collections.abc import Callable
 
+import numpy as np
+
 from odak import _array
 from odak.tools.matrix import zero_pad
 
@@ -32,7 +34,9 @@ def convolve(field, kernel):
     array
         Complex ``[..., m, n]``, in the field's dtype.
     """
-    return _torch_operator()(field, kernel) if _array.is_torch(field) else convolve_plainly(field, kernel)
+    if _array.is_torch(field):
+        return _torch_operator()(field, kernel)
+    return (convolve_in_chunks if _array.is_chunked(field) else convolve_plainly)(field, kernel)
 
 
 @functools.cache
@@ -45,6 +49,40 @@ def convolve_plainly(field, kernel):
     """Return :func:`convolve` by the array library's own transforms."""
     spectrum = spectrum_of(field, kernel.shape[-2:]) * kernel
     return window_of(spectrum, field.shape[-2:], field.dtype)
+
+
+def convolve_in_chunks(field, kernel):
+    """Return :func:`convolve` of Dask arrays in chunks of any shape, in chunks of whole rows; nothing is computed yet.
+
+    The transform along an axis needs whole lines of that axis: the field is laid out in chunks of whole rows, then of
+    whole columns, where it meets the kernel, and of whole rows again.
+    """
+    from dask.array import fft
+
+    size, (rows, columns) = kernel.shape[-2:], field.shape[-2:]
+    spectrum = fft.fft(whole_lines(field, -1, size[1]), n=size[1], axis=-1)
+    spectrum = fft.fft(whole_lines(spectrum, -2, size[0]), n=size[0], axis=-2)
+    spectrum = spectrum * kernel.rechunk({-1: spectrum.chunks[-1], -2: -1})
+    window = fft.ifft(spectrum, axis=-2)[..., :rows, :]
+    window = fft.ifft(whole_lines(window, -1, size[1]), axis=-1)
+    return window[..., :columns].astype(field.dtype)
+
+
+def whole_lines(field, axis: int, length: int, dtype=None):
+    """Return a Dask array in chunks of whole lines along `axis`: as many as fill a chunk at this length and dtype."""
+    other = -3 - axis
+    lines = lines_per_chunk(length, field.dtype if dtype is None else dtype)
+    # Fields of a batch are in chunks of their own.
+    layout = dict.fromkeys(range(field.ndim - 2), 1)
+    return field.rechunk({**layout, axis: -1, other: min(lines, field.shape[other])})
+
+
+def lines_per_chunk(length: int, dtype) -> int:
+    """Return how many lines of `length` samples fill a chunk of Dask's setting "array.chunk-size"."""
+    from dask import config
+    from dask.utils import parse_bytes
+
+    return max(1, parse_bytes(config.get("array.chunk-size")) // (length * np.dtype(dtype).itemsize))
 
 
 def spectrum_of(field, size: tuple[int, int]):

@@ -9,6 +9,7 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
+from odak.wave import chunked
 from odak.wave import transfer_functions as tf
 from odak.wave.convolution import convolve
 from odak.wave.fourier import chirp, convolve_with_chirp
@@ -48,6 +49,8 @@ class Method:
         True if the method takes and returns intensities.
     takes_kernel : bool
         True if the transfer function is the caller's.
+    chunked : bool
+        True if `apply` takes a field in chunks, a Dask array, and computes its transfer function a chunk at a time.
     differentiable : tuple of str
         Arguments in which the result is differentiable.
     """
@@ -63,6 +66,7 @@ class Method:
     sets_own_pitch: bool = False
     of_intensities: bool = False
     takes_kernel: bool = False
+    chunked: bool = False
     differentiable: tuple[str, ...] = _LENGTHS
 
 
@@ -75,9 +79,16 @@ def _filter(build: Callable) -> Callable:
     def apply(field, request: Request):
         field = spread(field, request.scale)
         size = tuple((2 if request.window else 1) * n for n in field.shape[-2:])
-        return convolve(field, _times_aperture(request.kernel_for(field, build, size), request.aperture, field))
+        return convolve(field, _times_aperture(_kernel_for(field, request, build, size), request.aperture, field))
 
     return apply
+
+
+def _kernel_for(field, request: Request, build: Callable, size: tuple[int, int]):
+    """Return the transfer function `build` for a field, in chunks for a field in chunks."""
+    if _array.is_chunked(field):
+        return chunked.transfer_function(request, build, size, field.dtype)
+    return request.kernel_for(field, build, size)
 
 
 def spread(field, scale: int):
@@ -138,7 +149,7 @@ def _filter_intensity(field, request: Request):
 def _convolve_rayleigh_sommerfeld(field, request: Request):
     """Return the linear convolution with the sampled kernel, on twice the field's grid."""
     size = tuple(2 * n for n in field.shape[-2:])
-    kernel = request.kernel_for(field, tf.rayleigh_sommerfeld, size)
+    kernel = _kernel_for(field, request, tf.rayleigh_sommerfeld, size)
     return convolve(field, _times_aperture(kernel, request.aperture, field))
 
 
@@ -268,6 +279,7 @@ METHODS = (
         _filter(tf.band_limited_angular_spectrum),
         _band_is_lost,
         kernel=tf.band_limited_angular_spectrum,
+        chunked=True,
     ),
     Method(
         "Angular Spectrum",
@@ -275,6 +287,7 @@ METHODS = (
         _filter(tf.angular_spectrum),
         _kernel_aliases,
         kernel=tf.angular_spectrum,
+        chunked=True,
     ),
     Method(
         "Transfer Function Fresnel",
@@ -282,6 +295,7 @@ METHODS = (
         _filter(tf.transfer_function_fresnel),
         _first(_kernel_aliases, _not_paraxial),
         kernel=tf.transfer_function_fresnel,
+        chunked=True,
     ),
     Method(
         "Impulse Response Fresnel",
@@ -291,6 +305,7 @@ METHODS = (
         kernel=tf.impulse_response_fresnel,
         scalable=True,
         needs_distance=True,
+        chunked=True,
     ),
     Method(
         "Seperable Impulse Response Fresnel",
@@ -300,6 +315,7 @@ METHODS = (
         kernel=tf.impulse_response_fresnel,
         scalable=True,
         needs_distance=True,
+        chunked=True,
     ),
     Method(
         "Incoherent Angular Spectrum",
@@ -327,7 +343,13 @@ METHODS = (
         needs_distance=True,
         sets_own_pitch=True,
     ),
-    Method("Rayleigh-Sommerfeld", ("Rayleigh Sommerfeld", "RS"), _convolve_rayleigh_sommerfeld, _sum_aliases),
+    Method(
+        "Rayleigh-Sommerfeld",
+        ("Rayleigh Sommerfeld", "RS"),
+        _convolve_rayleigh_sommerfeld,
+        _sum_aliases,
+        chunked=True,
+    ),
     Method(
         "Bandextended Angular Spectrum",
         ("Band-extended Angular Spectrum", "Band Extended Angular Spectrum", "BEAS"),
@@ -342,7 +364,15 @@ METHODS = (
         _never,
         windowed=False,
     ),
-    Method("custom", (), _filter_by_given_kernel, _never, takes_kernel=True, differentiable=("field", "kernel")),
+    Method(
+        "custom",
+        (),
+        _filter_by_given_kernel,
+        _never,
+        takes_kernel=True,
+        chunked=True,
+        differentiable=("field", "kernel"),
+    ),
 )
 _BY_NAME = {spelling.casefold(): method for method in METHODS for spelling in (method.name, *method.aliases)}
 PROPAGATION_TYPES = (*(method.name for method in METHODS), "auto")

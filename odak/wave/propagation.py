@@ -46,7 +46,8 @@ def propagate_beam(
     Parameters
     ----------
     field : array
-        Complex field ``[..., rows, columns]`` (a real one is taken as a field of phase zero).
+        Complex field ``[..., rows, columns]`` (a real one is taken as a field of phase zero). A Dask array may be
+        larger than memory: it is propagated in chunks, by the methods that have a transfer function.
     k : float or None
         Wave number 2π/wavelength; kept for older callers, it must agree with `wavelength` to 1e-6.
     distance : float or array
@@ -109,6 +110,9 @@ def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zer
     arguments = (tuple(field.shape), *geometry, _plain_pair(zero_padding), _plain_pair(samples))
     plain = kernel is None and all(type(value) in _PLAIN for value in arguments[1:])
     method, request, (pad, fine, crop), warnings = _cached_plan(*arguments) if plain else _plan(*arguments, kernel)
+    if _array.is_chunked(field) and not method.chunked:
+        names = ", ".join(repr(one.name) for one in METHODS if one.chunked)
+        raise ValueError(f"propagation_type must be one of {names} for a Dask array, got {method.name!r}")
     for message in warnings:
         warn(message, SamplingWarning)
     if pad and not request.window:

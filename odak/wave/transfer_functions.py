@@ -239,11 +239,17 @@ def _points(grid: Grid, count: int):
 
 def impulse_response_fresnel(grid: Grid):
     """Return the discrete Fourier transform of the sampled Fresnel impulse response times the pixel's area."""
+    spectrum_y, spectrum_x = impulse_response_spectra(grid)
+    return spectrum_y * spectrum_x
+
+
+def impulse_response_spectra(grid: Grid):
+    """Return the two factors of :func:`impulse_response_fresnel`: ``[..., rows, 1]`` and ``[..., 1, columns]``."""
     xp = grid.xp
     constant, h_y, h_x = impulse_response_factors(grid)
     spectrum_y = xp.fft.fft(h_y, axis=-2) * xp.astype(constant * grid.pixel_area, xp.complex128)
     spectrum_x = xp.fft.fft(h_x, axis=-1)
-    return xp.astype(spectrum_y, grid.dtype) * xp.astype(spectrum_x, grid.dtype)
+    return xp.astype(spectrum_y, grid.dtype), xp.astype(spectrum_x, grid.dtype)
 
 
 def rayleigh_sommerfeld(grid: Grid):
@@ -253,11 +259,18 @@ def rayleigh_sommerfeld(grid: Grid):
     z < 0 it is the conjugate of the one of |z|; at z = 0 every frequency passes.
     """
     xp = grid.xp
+    transfer = xp.fft.fftn(rayleigh_sommerfeld_samples(grid), axes=(-2, -1))
+    return xp.astype(xp.where(grid.distance == 0, xp.ones_like(transfer), transfer), grid.dtype, copy=False)
+
+
+def rayleigh_sommerfeld_samples(grid: Grid):
+    """Return the sampled first Rayleigh–Sommerfeld kernel times the pixel's area, in FFT order; complex128."""
+    xp = grid.xp
     y, x = grid.positions()
-    here = grid.distance == 0
-    response = rayleigh_sommerfeld_response(xp.where(here, grid.pitch[0], grid.distance), x**2 + y**2, grid.wavelength)
-    transfer = xp.fft.fftn(grid.unfold(response * xp.astype(grid.pixel_area, xp.complex128)), axes=(-2, -1))
-    return xp.astype(xp.where(here, xp.ones_like(transfer), transfer), grid.dtype, copy=False)
+    # At no distance the kernel is singular, and what stands in its place is not used.
+    distance = xp.where(grid.distance == 0, grid.pitch[0], grid.distance)
+    response = rayleigh_sommerfeld_response(distance, x**2 + y**2, grid.wavelength)
+    return grid.unfold(response * xp.astype(grid.pixel_area, xp.complex128))
 
 
 def rayleigh_sommerfeld_response(distance, squared, wavelength):

@@ -13,6 +13,7 @@ import pytest
 from manager_tasks import divide, nap, search_path
 from running_cluster import TEST, program, start_scheduler, start_workers, stop, tls_options, wait_for
 
+from odak import OdakWarning
 from odak.manager import agent, make_certificates, start_server
 from odak.manager.server import check_transport
 
@@ -342,3 +343,14 @@ def test_workers_that_cannot_join():
         said, wrong = worker.communicate(timeout=120)
     assert worker.returncode == 1 and not said
     assert "Workers cannot join tcp://127.0.0.1:1: Timed out" in wrong and len(wrong.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_workers_that_do_not_end_are_killed_and_nothing_is_left(monkeypatch):
+    monkeypatch.setattr("odak.manager.server._PATIENCE", 0.5)
+    server = start_server(port=0, workers=1)
+    workers = server._workers
+    os.kill(workers._program.pid, signal.SIGSTOP)
+    with pytest.warns(OdakWarning, match=r"did not end within 0.5 s and were killed"):
+        server.close()
+    assert not workers.alive() and workers._errors.closed and not os.path.exists(workers._folder.name)

@@ -249,6 +249,11 @@ BY_CALL = {
         "apertures": numbers(32, 32),
     },
     "odak.wave.gerchberg_saxton_3d": {"target_type": "double constraint", "coefficients": [1.0, 0.5, 1.0]},
+    "odak.wave.hologram_in_chunks": {
+        "target": numbers(16, 16),
+        "folder": Build(lambda folder: folder / "hologram"),
+        "initial_phase": numbers(16, 16),
+    },
     "odak.wave.produce_phase_only_slm_pattern": {
         "hologram": field(16, 16),
         "filename": Build(lambda folder: folder / "pattern.png"),

@@ -1,0 +1,262 @@
+"""Phase-only holograms larger than memory: gradient descent and Gerchberg–Saxton on arrays stored in chunks on disk."""
+
+import json
+import math
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+from odak import _array, _validate
+from odak.tools.paths import validate_path
+from odak.wave.convolution import whole_lines
+from odak.wave.propagation import propagate_beam
+from odak.wave.transfer_functions import pitches
+
+METHODS = ("gradient descent", "Gerchberg-Saxton")
+_DECAYS = (0.9, 0.999)
+
+
+def hologram_in_chunks(
+    target: Any,
+    folder: str | os.PathLike,
+    n_iterations: int,
+    distance: float,
+    dx: float | tuple[float, float],
+    wavelength: float,
+    propagation_type: str = "Bandlimited Angular Spectrum",
+    method: str = "gradient descent",
+    learning_rate: float = 0.1,
+    initial_phase: Any = None,
+    progress: bool = True,
+) -> Any:
+    """Compute a phase-only hologram of an image that may be larger than memory, its state being kept on disk.
+
+    After each iteration the state is stored in `folder`, in Zarr's format; what the one before had stored is removed
+    then. A run that was interrupted goes on from the last whole iteration when it is called again, and so does a
+    finished one that is called with more iterations.
+
+    Parameters
+    ----------
+    target : dask.array.Array or array
+        Intensity of the image ``[rows, columns]``, not negative. It is read once in each iteration.
+    folder : path
+        Folder of the state, made if it does not exist. It holds one float32 array of the target's size with
+        "Gerchberg-Saxton", three with "gradient descent", and twice as much while an iteration is stored.
+    n_iterations : int
+        Number of iterations, those of earlier calls included.
+    distance : float
+        Distance from the hologram to the image in metres.
+    dx : float or pair of float
+        Pixel pitch in metres, one number or (rows, columns).
+    wavelength : float
+        Wavelength in metres.
+    propagation_type : str
+        A method of :func:`odak.wave.propagate_beam` that takes Dask arrays. Fields are padded to twice their size.
+    method : {"gradient descent", "Gerchberg-Saxton"}
+        Adam on the phase against the mean square of the difference of amplitudes, or alternating projections.
+    learning_rate : float
+        Step of gradient descent in radians.
+    initial_phase : array, optional
+        Phase ``[rows, columns]`` in radians to start from; by default that of a weak lens, which moves the light by up
+        to an eighth of the sampling frequency at the edges.
+    progress : bool
+        Show a progress bar with the loss.
+
+    Returns
+    -------
+    dask.array.Array
+        Phase of the hologram ``[rows, columns]`` in radians, float32, read from `folder` where it is used.
+
+    Raises
+    ------
+    ValueError
+        If an argument is outside its range, or `folder` holds the state of another problem.
+    TypeError
+        If an argument is of a wrong kind.
+    ImportError
+        If Dask or Zarr is not installed.
+
+    Warns
+    -----
+    SamplingWarning
+        If the propagation is outside the method's range.
+
+    Notes
+    -----
+    With the propagation A, the field u = A·exp(iφ) and the target amplitude a, both methods take the correction
+    g = Aᴴ[(|u| − s·a)·u/|u|], two propagations: Gerchberg–Saxton goes to the phase of exp(iφ) − g, gradient descent
+    along 2·Im(g·exp(−iφ)), the gradient of the loss Σ(|u| − s·a)² in φ. Aᴴ is the propagation over −z. The scale s is
+    the one that fits the image of the iteration before best; the first one gives the image the hologram's energy.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import dask.array
+    >>> from odak.wave import hologram_in_chunks, propagate_beam
+    >>> target = dask.array.zeros((64, 64), chunks=32)
+    >>> target[16:48, 16:48] = 1.0
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     phase = hologram_in_chunks(target, folder, 10, 2e-3, 8e-6, 532e-9, progress=False).compute()
+    >>> phase.shape, str(phase.dtype)
+    ((64, 64), 'float32')
+    """
+    da = _require_dask()
+    folder, progress = Path(validate_path(folder, name="folder")), _validate.flag("progress", progress)
+    target = da.asarray(_validate.image("target", target))
+    if target.ndim != 2 or np.issubdtype(target.dtype, np.complexfloating):
+        raise ValueError(
+            f"target must be a real image [rows, columns], got {target.dtype} of shape {tuple(target.shape)}"
+        )
+    count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    method = _validate.one_of("method", method, METHODS)
+    step = float(_validate.number("learning_rate", learning_rate, positive=True))
+    # In the layout of the propagated field, so that all arrays are stored in the same chunks.
+    amplitude = whole_lines(da.sqrt(da.maximum(target.astype(np.float32), 0)), -1, 2 * target.shape[1], np.complex64)
+    problem = {
+        "shape": list(target.shape),
+        "distance": float(_validate.number("distance", distance)),
+        "dx": [float(_validate.number("dx", value, positive=True)) for value in pitches(dx)],
+        "wavelength": float(_validate.number("wavelength", wavelength, positive=True)),
+        "propagation_type": propagation_type,
+        "method": method,
+        "learning_rate": step,
+    }
+    state = _State(folder, problem)
+
+    def propagate(field, sign):
+        z, pitch = sign * problem["distance"], tuple(problem["dx"])
+        return propagate_beam(field, None, z, pitch, wavelength, propagation_type, zero_padding=(True, False, True))
+
+    bar = tqdm(total=count, initial=min(state.done, count), desc="hologram", unit="iteration", disable=not progress)
+    with bar:
+        if state.done == 0:
+            energy = float(da.sum(amplitude.astype(np.float64) ** 2).compute())
+            if not energy > 0 or not math.isfinite(energy):
+                raise ValueError("target must be finite and hold some light, got an image whose sum is 0 or not finite")
+            state.scale, state.energy = math.sqrt(math.prod(target.shape) / energy), energy
+        while state.done < count:
+            phase = state.read("phase") if state.done else _starting_phase(da, amplitude, initial_phase)
+            hologram = _array.phasor(phase)
+            field = propagate(hologram, +1)
+            magnitude = da.absolute(field)
+            error = magnitude - state.scale * amplitude
+            unit = da.where(magnitude > 0, field / da.where(magnitude > 0, magnitude, 1), 1)
+            correction = propagate((error * unit).astype(np.complex64), -1)
+            sums = {
+                "loss": da.sum(error.astype(np.float64) ** 2) / target.size,
+                "overlap": da.sum((magnitude * amplitude).astype(np.float64)),
+            }
+            if method == "Gerchberg-Saxton":
+                arrays = {"phase": da.angle(hologram - correction)}
+            else:
+                gradient = 2 * da.imag(correction * da.conj(hologram))
+                arrays = _adam_step(da, state, phase, gradient, step)
+            sums = state.store(arrays, sums)
+            if not math.isfinite(sums["loss"]):
+                raise ValueError("target and initial_phase must be finite, the loss is not")
+            state.scale = sums["overlap"] / state.energy
+            state.finish(sums["loss"])
+            bar.set_postfix(loss=f"{sums['loss']:.3g}", refresh=False)
+            bar.update()
+    return state.read("phase")
+
+
+def _adam_step(da, state, phase, gradient, step: float) -> dict[str, Any]:
+    """Return phase, first and second moments after a step of Adam (Kingma and Ba, arXiv:1412.6980, algorithm 1)."""
+    first, second = (state.read(name) if state.done else 0 * gradient for name in ("first", "second"))
+    first = _DECAYS[0] * first + (1 - _DECAYS[0]) * gradient
+    second = _DECAYS[1] * second + (1 - _DECAYS[1]) * gradient**2
+    corrections = [1 - decay ** (state.done + 1) for decay in _DECAYS]
+    moved = phase - step * (first / corrections[0]) / (da.sqrt(second / corrections[1]) + 1e-8)
+    return {"phase": moved, "first": first, "second": second}
+
+
+def _starting_phase(da, amplitude, initial_phase):
+    if initial_phase is not None:
+        initial_phase = _validate.image("initial_phase", initial_phase)
+        if tuple(initial_phase.shape) != tuple(amplitude.shape):
+            raise ValueError(
+                f"initial_phase must have the target's shape {tuple(amplitude.shape)}, got {tuple(initial_phase.shape)}"
+            )
+        return da.asarray(initial_phase).astype(np.float32).rechunk(amplitude.chunks)
+    bends = []
+    for n, chunks in zip(amplitude.shape, amplitude.chunks, strict=True):
+        place = da.arange(n, chunks=(chunks,), dtype=np.float64) - n // 2
+        # The whole cycles go before the cast: at the edge of a large image they are thousands.
+        bends.append(place**2 / (8 * n))
+    cycles = bends[0][:, None] + bends[1]
+    return (2 * math.pi * (cycles - da.round(cycles))).astype(np.float32)
+
+
+def _require_dask():
+    try:
+        import dask.array as da
+        import zarr  # noqa: F401
+    except ImportError as error:
+        raise ImportError(f"Holograms in chunks need Dask and Zarr: pip install 'odak[large]' ({error})") from None
+    return da
+
+
+class _State:
+    """The arrays and numbers of the last whole iteration, in a folder.
+
+    An iteration is written under another name and renamed when it is whole; the one before is removed after that.
+    """
+
+    def __init__(self, folder: Path, problem: dict[str, Any]):
+        self.folder = folder
+        self.problem = problem
+        self.done, self.scale, self.energy = 0, 1.0, 0.0
+        folder.mkdir(parents=True, exist_ok=True)
+        stored = sorted(path for path in folder.glob("iteration_*") if path.suffix != ".part")
+        if not stored:
+            return
+        about = json.loads((stored[-1] / "about.json").read_text(encoding="utf-8"))
+        if about["problem"] != problem:
+            different = [key for key, value in problem.items() if about["problem"].get(key) != value]
+            raise ValueError(f"folder {str(folder)!r} holds the state of another problem: other {', '.join(different)}")
+        self.done, self.scale, self.energy = about["done"], about["scale"], about["energy"]
+
+    def _place(self, number: int) -> Path:
+        return self.folder / f"iteration_{number:06d}"
+
+    def read(self, name: str):
+        import dask.array as da
+
+        return da.from_zarr(str(self._place(self.done) / f"{name}.zarr"))
+
+    def store(self, arrays: dict[str, Any], sums: dict[str, Any]) -> dict[str, float]:
+        """Compute arrays and sums in one pass and write the arrays of the next iteration; return the sums."""
+        import dask
+
+        part = self._part()
+        shutil.rmtree(part, ignore_errors=True)
+        part.mkdir()
+        writing = {
+            name: array.astype(np.float32).to_zarr(str(part / f"{name}.zarr"), compute=False)
+            for name, array in arrays.items()
+        }
+        _, computed = dask.compute(writing, sums)
+        return {name: float(value) for name, value in computed.items()}
+
+    def _part(self) -> Path:
+        return self._place(self.done + 1).with_suffix(".part")
+
+    def finish(self, loss: float) -> None:
+        """Make what was stored the state, and remove the one before."""
+        part, former = self._part(), self._place(self.done)
+        self.done += 1
+        about = {
+            "problem": self.problem,
+            "done": self.done,
+            "scale": self.scale,
+            "energy": self.energy,
+            "loss": loss,
+        }
+        (part / "about.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        os.replace(part, self._place(self.done))
+        shutil.rmtree(former, ignore_errors=True)

@@ -1,0 +1,146 @@
+"""Fields in chunks, as Dask arrays: equal to those in memory, adjoint, larger holograms that go on after a stop."""
+
+import numpy as np
+import pytest
+
+import odak.wave
+from odak.wave import chunked, hologram_in_chunks, propagate_beam
+
+da = pytest.importorskip("dask.array")
+dask = pytest.importorskip("dask")
+METHODS = ("Angular Spectrum", "Bandlimited Angular Spectrum", "TF Fresnel", "IR Fresnel", "Rayleigh-Sommerfeld")
+WINDOW = (True, False, True)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks():
+    with dask.config.set({"array.chunk-size": "16 kiB", "scheduler": "synchronous"}):
+        yield
+
+
+def field(shape, dtype=np.complex128, seed=0):
+    generator = np.random.default_rng(seed)
+    return (generator.normal(size=shape) + 1j * generator.normal(size=shape)).astype(dtype)
+
+
+@pytest.mark.parametrize("dtype", [np.complex64, np.complex128])
+@pytest.mark.parametrize("method", METHODS)
+def test_as_in_memory(method, dtype):
+    whole = field((2, 63, 50), dtype)
+    lazy = da.from_array(whole, chunks=(2, 20, 17))
+    for distance in (5e-3, -2e-3, np.array([2e-3, 3e-3])):
+        expected = propagate_beam(whole, None, distance, (8e-6, 7e-6), 532e-9, method, zero_padding=WINDOW)
+        result = propagate_beam(lazy, None, distance, (8e-6, 7e-6), 532e-9, method, zero_padding=WINDOW)
+        assert isinstance(result, da.Array) and result.dtype == expected.dtype and result.shape == expected.shape
+        assert result.npartitions > 2
+        precision = np.finfo(dtype).eps
+        np.testing.assert_allclose(result.compute(), expected, rtol=0, atol=50 * precision * np.abs(expected).max())
+
+
+def test_kernel_and_aperture_of_ones_own():
+    whole = field((24, 20))
+    lazy = da.from_array(whole, chunks=(7, 9))
+    kernel = field((48, 40), seed=1)
+    expected = propagate_beam(whole, None, 0.0, 1.0, 1.0, "custom", kernel=kernel, zero_padding=WINDOW)
+    for given in (kernel, da.from_array(kernel, chunks=13)):
+        result = propagate_beam(lazy, None, 0.0, 1.0, 1.0, "custom", kernel=given, zero_padding=WINDOW)
+        np.testing.assert_allclose(result.compute(), expected, atol=1e-12)
+    mask = np.abs(kernel)
+    geometry = (None, 2e-3, 8e-6, 532e-9, "Angular Spectrum")
+    expected = propagate_beam(whole, *geometry, zero_padding=WINDOW, aperture=mask)
+    result = propagate_beam(lazy, *geometry, zero_padding=WINDOW, aperture=mask)
+    np.testing.assert_allclose(result.compute(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_propagation_back_is_the_adjoint(method):
+    there, back = field((30, 22)), field((30, 22), seed=1)
+    a = propagate_beam(da.from_array(there), None, 3e-3, 8e-6, 532e-9, method, zero_padding=WINDOW).compute()
+    b = propagate_beam(da.from_array(back), None, -3e-3, 8e-6, 532e-9, method, zero_padding=WINDOW).compute()
+    assert np.vdot(back, a) == pytest.approx(np.vdot(b, there), rel=1e-12)
+
+
+def test_kernels_are_computed_in_parts(monkeypatch):
+    made, column_grid = [], chunked.ColumnGrid
+    monkeypatch.setattr(chunked, "ColumnGrid", lambda **values: made.append(column_grid(**values)) or made[-1])
+    propagate_beam(da.zeros((100, 120), chunks=50, dtype="complex64"), None, 1e-3, 8e-6, 532e-9, "AS").compute()
+    assert sum(grid.stop - grid.start for grid in made) >= 120
+    assert max((grid.stop - grid.start) * 100 * 8 for grid in made) <= 16 * 1024
+
+
+@pytest.mark.parametrize("method", ["Fraunhofer", "Adaptive Sampling Angular Spectrum", "Incoherent Angular Spectrum"])
+def test_other_methods_are_refused(method):
+    with pytest.raises(ValueError, match=f"for a Dask array, got '{method}'"):
+        propagate_beam(da.ones((8, 8)), None, 1e-3, 8e-6, 532e-9, method)
+
+
+def picture():
+    y, x = np.mgrid[-1:1:48j, -1:1:40j]
+    return 0.3 + np.exp(-4 * (x**2 + 2 * y**2)) * (1 + 0.5 * np.sin(6 * x))
+
+
+PROBLEM = {"distance": 2e-3, "dx": (8e-6, 7e-6), "wavelength": 532e-9, "progress": False}
+
+
+def compare(phase, target):
+    """Return the part of the target that the hologram's exact image, scaled to fit best, leaves unexplained."""
+    wide = np.zeros((256, 256), complex)
+    inside = np.s_[104:152, 108:148]
+    wide[inside] = np.exp(1j * phase)
+    image = np.abs(propagate_beam(wide, None, 2e-3, (8e-6, 7e-6), 532e-9, "Angular Spectrum")[inside]) ** 2
+    return 1 - np.sum(image * target) ** 2 / np.sum(image**2) / np.sum(target**2)
+
+
+@pytest.mark.parametrize("method", ["gradient descent", "Gerchberg-Saxton"])
+def test_hologram(tmp_path, method):
+    pytest.importorskip("zarr")
+    target = da.from_array(picture(), chunks=15)
+    phase = hologram_in_chunks(target, tmp_path / "a", 20, **PROBLEM, method=method)
+    first = hologram_in_chunks(target, tmp_path / "b", 1, **PROBLEM, method=method).compute()
+    assert phase.npartitions > 1
+    assert compare(phase.compute(), picture()) < 0.5 * compare(first, picture())
+
+
+def test_gerchberg_saxton_takes_the_steps_of_the_one_in_memory(tmp_path):
+    pytest.importorskip("zarr")
+    start = np.random.default_rng(0).uniform(0, 3, (48, 40)).astype(np.float32)
+    # The one in memory does not scale its target: one scaled to the hologram's energy takes the same first step.
+    target = picture() / picture().mean()
+    phase = hologram_in_chunks(
+        target, tmp_path / "a", 1, **PROBLEM, method="Gerchberg-Saxton", initial_phase=start, propagation_type="AS"
+    )
+    # Its phases end at 2π.
+    expected, _ = odak.wave.gerchberg_saxton(
+        np.sqrt(target), 1, 2e-3, (8e-6, 7e-6), 532e-9, 2 * np.pi, "AS", initial_phase=start
+    )
+    np.testing.assert_allclose(np.exp(1j * phase.compute()), expected, atol=2e-5)
+
+
+def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
+    pytest.importorskip("zarr")
+    from odak.wave import large_holograms
+
+    unbroken = hologram_in_chunks(picture(), tmp_path / "a", 4, **PROBLEM).compute()
+    whole, calls = large_holograms._State.finish, []
+
+    def killed(state, loss):
+        calls.append(loss)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        whole(state, loss)
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr(large_holograms._State, "finish", killed)
+        hologram_in_chunks(picture(), tmp_path / "b", 4, **PROBLEM)
+    assert sorted(path.name for path in (tmp_path / "b").iterdir()) == ["iteration_000002", "iteration_000003.part"]
+    resumed = hologram_in_chunks(picture(), tmp_path / "b", 4, **PROBLEM).compute()
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["iteration_000004"]
+    np.testing.assert_array_equal(resumed, unbroken)
+    with pytest.raises(ValueError, match="state of another problem: other distance"):
+        hologram_in_chunks(picture(), tmp_path / "b", 4, **{**PROBLEM, "distance": 3e-3})
+
+
+def test_a_dark_target_is_refused(tmp_path):
+    pytest.importorskip("zarr")
+    with pytest.raises(ValueError, match="target must be finite and hold some light"):
+        hologram_in_chunks(np.zeros((8, 8)), tmp_path, 1, **PROBLEM)
