@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from manager_tasks import divide, nap, search_path
-from running_cluster import TEST, program, start_scheduler, start_workers, stop, tls_options, wait_for
+from running_cluster import ROOT, program, start_scheduler, start_workers, stop, tls_options, wait_for
 
 from odak import OdakWarning
 from odak.manager import agent, make_certificates, start_server
@@ -30,7 +30,7 @@ def alive(process):
 
 
 def script(text, **options):
-    environment = {**os.environ, "PYTHONPATH": str(TEST.parent)}
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
         [sys.executable, "-W", "error", "-c", textwrap.dedent(text)],
         env=environment,

@@ -9,12 +9,9 @@ import sys
 import warnings
 from pathlib import Path
 
+import faults
 import pytest
 import torch
-
-sys.path.insert(0, str(Path(__file__).parent))
-
-import faults
 from faults import STAGES, WRITERS
 
 from odak import ConvergenceWarning, tools

@@ -1,4 +1,4 @@
-"""What test_faults.py runs in a process of its own, forking a child for each that is to be killed."""
+"""Tasks that test_faults.py runs in a process of its own, forking a child for each that is to be killed."""
 
 import contextlib
 import os

@@ -10,7 +10,8 @@ import tempfile
 import time
 from pathlib import Path
 
-TEST = Path(__file__).resolve().parent
+HELPERS = Path(__file__).resolve().parent
+ROOT = HELPERS.parents[1]
 LIMIT = 60
 
 
@@ -27,9 +28,7 @@ def program(*arguments, watched=True, **options):
     """Start a Python program that can import odak and the functions of the tests."""
     environment = {
         **os.environ,
-        "PYTHONPATH": os.pathsep.join(
-            [str(TEST.parent), str(TEST), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]
-        ),
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(HELPERS), *os.environ.get("PYTHONPATH", "").split(os.pathsep)]),
     }
     start = ["-c", WATCHED] if watched else ["-m"]
     options = {"stdin": subprocess.PIPE, **options} if watched else options
