@@ -13,7 +13,7 @@ MEDIA = ("air", "vacuum")
 
 @dataclass(frozen=True)
 class Material:
-    """A material whose refractive index is known.
+    """A material with its dispersion formula.
 
     Parameters
     ----------
@@ -33,6 +33,13 @@ class Material:
         Published index at the helium d line (587.6 nm).
     vd : float, optional
         Published Abbe number (n_d − 1)/(n_F − n_C).
+
+    Examples
+    --------
+    >>> from odak.catalog import Material
+    >>> glass = Material("own", "cauchy", {"A": [1.5, 0.004]}, (0.4, 0.8), "air", "measured")
+    >>> glass.range
+    (0.4, 0.8)
     """
 
     name: str

@@ -12,7 +12,7 @@ _CHUNK = 256
 def perceptron(
     x: Array, y: Array, learning_rate: float = 0.1, iteration_number: int = 100, *, progress: bool = False
 ) -> np.ndarray:
-    """Return the weights by which a perceptron tells two classes apart.
+    """Return the weights by which a perceptron separates two classes.
 
     Parameters
     ----------
@@ -41,6 +41,15 @@ def perceptron(
     -----
     F. Rosenblatt, Psychological Review 65, 386 (1958). Points are taken in the order given, starting from zero
     weights: w ← w + rate·(y − ŷ)·x at each error. Points up to the next error are scored in one product.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.fit import perceptron, threshold_linear_model
+    >>> x = np.asarray([[-2.0], [-1.0], [1.0], [2.0]])
+    >>> weights = perceptron(x, np.asarray([0, 0, 1, 1]))
+    >>> threshold_linear_model(np.asarray([[1.0, 1.0], [-3.0, 3.0]]), weights).tolist()
+    [0, 1]
     """
     points, labels = (np.asarray(_validate.array(n, v), dtype=np.float64) for n, v in (("x", x), ("y", y)))
     _validate.real("x", points)
@@ -75,6 +84,12 @@ def threshold_linear_model(x: Array, w: Array, threshold: float = 0) -> int | np
     -------
     int or numpy.ndarray
         One int for one point, ``[m]`` integers for several.
+
+    Examples
+    --------
+    >>> from odak.fit import threshold_linear_model
+    >>> threshold_linear_model([1.0, 2.0], [-1.0, 1.0])
+    1
     """
     x, w = (np.asarray(_validate.real(n, _validate.array(n, v))) for n, v in (("x", x), ("w", w)))
     _validate.real("threshold", threshold)

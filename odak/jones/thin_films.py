@@ -14,10 +14,25 @@ class StackResponse(NamedTuple):
 
     Attributes
     ----------
-    r, t : array
-        Complex amplitude coefficients of reflection and transmission of the electric field.
-    reflectance, transmittance, absorptance : array
-        Fractions of the incident power; they add up to 1.
+    r : array
+        Complex amplitude coefficient of reflection of the electric field.
+    t : array
+        Complex amplitude coefficient of transmission of the electric field.
+    reflectance : array
+        Fraction of the incident power that is reflected.
+    transmittance : array
+        Fraction of the incident power that is transmitted.
+    absorptance : array
+        Fraction of the incident power that is absorbed; the three add up to 1.
+
+    Examples
+    --------
+    A quarter-wave film of index √1.5 on glass does not reflect:
+
+    >>> from odak.jones import thin_film_stack
+    >>> film = thin_film_stack(550e-9, [1.0, 1.5**0.5, 1.5], [550e-9 / (4 * 1.5**0.5)])
+    >>> round(abs(float(film.reflectance)), 9)
+    0.0
     """
 
     r: Any

@@ -46,6 +46,13 @@ def fourier_transform_1d(line: ArrayT) -> ArrayT:
     array
         Complex ``[n // 2]``: the first half of the discrete Fourier transform over its zeroth element; its magnitude
         is the modulation transfer function. Zeros for a line without area.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.measurement import fourier_transform_1d
+    >>> abs(fourier_transform_1d(np.asarray([0.0, 2.0, 0.0, 0.0]))).tolist()
+    [1.0, 1.0]
     """
     line = _line("line", line)
     xp = _array.namespace(line)
@@ -78,6 +85,14 @@ def polynomial_fit(line_x: Array, line_y: Array, fit_degree: int = 3) -> np.poly
     ------
     ValueError
         If there are too few points or not as many y as x.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.measurement import polynomial_fit
+    >>> x = np.linspace(-1, 1, 9)
+    >>> abs(polynomial_fit(x, 2 * x**2 + 1, fit_degree=2).coefficients).round(9).tolist()
+    [2.0, 0.0, 1.0]
     """
     degree = _validate.integer("fit_degree", fit_degree)
     x, y = (np.asarray(_validate.array(n, v)) for n, v in (("line_x", line_x), ("line_y", line_y)))
@@ -118,6 +133,15 @@ def roi(
     Notes
     -----
     A flat line comes back as zeros.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.measurement import roi
+    >>> image = np.outer(np.ones(8), np.arange(8.0))
+    >>> line_x, line_y, region = roi(image, [0, 8, 0, 8])
+    >>> region.shape, float(line_y.min()), float(line_y.max())
+    ((8, 8), 0.0, 1.0)
     """
     image = _validate.array("image", image)
     if image.ndim not in (2, 3):
@@ -161,6 +185,17 @@ def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence
     -----
     P. D. Burns, Slanted-edge MTF for digital camera and scanner analysis, PICS 2000. Simple and without sub-pixel
     sampling; :func:`odak.measurement.slanted_edge_mtf` has both.
+
+    Examples
+    --------
+    The difference of neighbours spreads a step over two samples, of which the modulation is cos(π·f·px_size):
+
+    >>> import numpy as np
+    >>> from odak.measurement import modulation_transfer_function
+    >>> step = np.repeat([0.0, 1.0], 8)
+    >>> mtf, frequencies = modulation_transfer_function(step, step, [0.1, 0.1])
+    >>> bool(np.allclose(mtf[0], np.cos(np.pi * frequencies[0] * 0.1)))
+    True
     """
     sizes = _validate.several("px_size", px_size, 2, positive=True)
     mtf, frequencies = [], []

@@ -47,6 +47,15 @@ class SamplingReport:
         Propagation type whose criteria hold.
     reason : str
         Why, in one line.
+
+    Examples
+    --------
+    The critical distance is N·dx²/λ:
+
+    >>> from odak.wave import sampling_report
+    >>> report = sampling_report([100, 100], 1e-5, 5e-7, 0.1)
+    >>> [round(value, 9) for value in report.critical_distance]
+    [0.02, 0.02]
     """
 
     shape: tuple[int, int]

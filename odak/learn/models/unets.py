@@ -150,6 +150,16 @@ class spatially_varying_kernel_generation_model(nn.Module):
         Normalize over the batch.
     activation : torch.nn.Module or None
         Follows each convolution.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import spatially_adaptive_unet, spatially_varying_kernel_generation_model
+    >>> kernels = spatially_varying_kernel_generation_model(depth=2, dimensions=4, input_channels=3)
+    >>> network = spatially_adaptive_unet(depth=2, dimensions=4, input_channels=2, out_channels=2)
+    >>> field = torch.rand(1, 2, 32, 32)
+    >>> tuple(network(kernels(torch.rand(1, 1, 32, 32), field), field).shape)
+    (1, 2, 32, 32)
     """
 
     def __init__(
@@ -279,6 +289,16 @@ class spatially_adaptive_unet(nn.Module):
         Normalize over the batch.
     activation : torch.nn.Module or None
         Follows each convolution except the last.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import spatially_adaptive_unet, spatially_varying_kernel_generation_model
+    >>> kernels = spatially_varying_kernel_generation_model(depth=2, dimensions=4, input_channels=3)
+    >>> network = spatially_adaptive_unet(depth=2, dimensions=4, input_channels=2, out_channels=2)
+    >>> field = torch.rand(1, 2, 32, 32)
+    >>> tuple(network(kernels(torch.rand(1, 1, 32, 32), field), field).shape)
+    (1, 2, 32, 32)
     """
 
     def __init__(

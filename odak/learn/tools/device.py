@@ -34,6 +34,13 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
         If `device` is neither a device nor a string.
     ValueError
         If there is no device of that name.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import get_device
+    >>> get_device("cpu")
+    device(type='cpu')
     """
     if device is None or (isinstance(device, str) and device.strip().lower() == "auto"):
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

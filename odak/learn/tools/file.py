@@ -40,6 +40,13 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
         If the image is not a real tensor.
     ValueError
         If the mode, the multiplier or the number of axes is not acceptable, or nothing would be left of the image.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import resize
+    >>> resize(torch.tensor([[0.0, 1.0], [2.0, 5.0]]), 0.5, "area").tolist()
+    [[2.0]]
     """
     mode = _validate.one_of("mode", mode, _MODES)
     multiplier = float(_validate.real("multiplier", multiplier, positive=True))
@@ -78,6 +85,18 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
     ------
     ValueError
         If the path is not acceptable, or the file is missing, broken, not an image, or has more than 89 megapixels.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.tools import load_image, save_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "grey.png")
+    ...     saved = save_image(name, torch.tensor([[0.0, 0.2, 1.0]]))
+    ...     image = load_image(name)
+    >>> [round(value, 6) for value in image[0].tolist()]
+    [0.0, 0.2, 1.0]
     """
     levels = images.read_levels(fn, torch_style)
     divisor = images.white_level(levels) if normalizeby is None else float(_validate.real("normalizeby", normalizeby))
@@ -120,6 +139,18 @@ def save_image(
         If the image does not hold real numbers.
     ValueError
         If the shape, the limits, the depth or the path is not acceptable, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.tools import load_image, save_image
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "grey.png")
+    ...     saved = save_image(name, torch.tensor([[0.0, 0.2, 1.0]]))
+    ...     image = load_image(name)
+    >>> [round(value, 6) for value in image[0].tolist()]
+    [0.0, 0.2, 1.0]
     """
     image = _as_array(img)
     if image.ndim == 4:
@@ -146,6 +177,17 @@ def save_torch_tensor(fn: str | os.PathLike, tensor: Any) -> None:
     ------
     ValueError
         If the path is not acceptable or its folder does not exist.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.tools import save_torch_tensor, torch_load
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "tensor.pt")
+    ...     save_torch_tensor(name, torch.tensor([1.0, 2.0]))
+    ...     torch_load(name).tolist()
+    [1.0, 2.0]
     """
     path = validate_path(fn, _TENSOR_EXTENSIONS)
     with replacing(path) as stream:
@@ -176,6 +218,17 @@ def torch_load(fn: str | os.PathLike, weights_only: bool = True, map_location: t
     ValueError
         If the path is not acceptable, or the file would run code, is broken, not one of torch's, or would take far more
         memory than its size; the message names the file. What is wrong with the file is a pickle.UnpicklingError too.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import torch
+    >>> from odak.learn.tools import save_torch_tensor, torch_load
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "tensor.pt")
+    ...     save_torch_tensor(name, torch.tensor([1.0, 2.0]))
+    ...     torch_load(name).tolist()
+    [1.0, 2.0]
     """
     path = validate_path(fn, _TENSOR_EXTENSIONS)
     if isinstance(map_location, (str, int)):

@@ -87,7 +87,7 @@ def evaluate_3d_gaussians(
 
 
 class SeparableBasis:
-    """A basis of products of splines: two small factors in place of the matrix, which it becomes where one is needed.
+    """Basis of products of splines, stored as two small factors instead of the matrix.
 
     Any function of torch and any attribute of a tensor sees the matrix ``[c_x·c_y, H·W]``.
 
@@ -97,6 +97,14 @@ class SeparableBasis:
         Splines along the index of the rows, ``[c_y, H]``.
     columns : torch.Tensor
         Splines along the index of the columns, ``[c_x, W]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import SeparableBasis
+    >>> basis = SeparableBasis(torch.ones(2, 16), torch.ones(3, 12))
+    >>> tuple(basis.shape)
+    (6, 192)
     """
 
     def __init__(self, rows: torch.Tensor, columns: torch.Tensor):
@@ -264,6 +272,17 @@ def compose_bspline_2d(
         If one of them is not a tensor.
     ValueError
         If the shapes do not fit each other.
+
+    Examples
+    --------
+    Equal coefficients give a constant, for B-splines add up to 1:
+
+    >>> import torch
+    >>> from odak.learn.tools import compose_bspline_2d, generate_bspline_basis_2d
+    >>> basis, centers = generate_bspline_basis_2d([5, 4], [16, 12])
+    >>> image = compose_bspline_2d(torch.full((20,), 2.0), basis, [16, 12])
+    >>> tuple(image.shape), round(image.min().item(), 4), round(image.max().item(), 4)
+    ((16, 12), 2.0, 2.0)
     """
     rows, columns = _validate.size("resolution", resolution)
     separable = isinstance(basis_matrix, SeparableBasis)
@@ -310,6 +329,18 @@ def decompose_wavelet_like(
     See Also
     --------
     reconstruct_wavelet_like : The inverse, exact to rounding.
+
+    Examples
+    --------
+    The decomposition is exact to rounding:
+
+    >>> import torch
+    >>> from odak.learn.tools import decompose_wavelet_like, reconstruct_wavelet_like
+    >>> image = torch.linspace(0, 1, 256).reshape(16, 16) ** 2
+    >>> coefficients, residuals, base = decompose_wavelet_like(image, n_scales=2)
+    >>> again = reconstruct_wavelet_like(coefficients, residuals, base)
+    >>> bool((again - image).abs().max() < 1e-5)
+    True
     """
     current = _picture(image)
     shortest = min(current.shape)
@@ -344,6 +375,18 @@ def reconstruct_wavelet_like(
     -------
     torch.Tensor
         ``[H, W]``.
+
+    Examples
+    --------
+    The decomposition is exact to rounding:
+
+    >>> import torch
+    >>> from odak.learn.tools import decompose_wavelet_like, reconstruct_wavelet_like
+    >>> image = torch.linspace(0, 1, 256).reshape(16, 16) ** 2
+    >>> coefficients, residuals, base = decompose_wavelet_like(image, n_scales=2)
+    >>> again = reconstruct_wavelet_like(coefficients, residuals, base)
+    >>> bool((again - image).abs().max() < 1e-5)
+    True
     """
     for name, layers in (("coefficients", coefficients), ("residuals", residuals), ("base", [base])):
         listed = isinstance(layers, Sequence) and not isinstance(layers, str)

@@ -57,6 +57,13 @@ def multi_scale_total_variation_loss(frame: torch.Tensor, levels: int = 3) -> to
     ------
     ValueError, TypeError
         If the frame has other axes, is not real or is too small for so many levels.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import multi_scale_total_variation_loss
+    >>> multi_scale_total_variation_loss(torch.ones(16, 16)).item()
+    0.0
     """
     frame = _as_batch("frame", frame)
     levels = _validate.integer("levels", levels, minimum=1)
@@ -87,6 +94,14 @@ def spatial_gradient(frame: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     ------
     ValueError, TypeError
         If the frame has other axes or is not real.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import spatial_gradient
+    >>> along_x, along_y = spatial_gradient(torch.tensor([[0.0, 1.0], [2.0, 5.0]]))
+    >>> along_x.flatten().tolist(), along_y.flatten().tolist()
+    ([1.0, 3.0], [2.0, 4.0])
     """
     return _differences(_as_batch("frame", frame))
 
@@ -105,6 +120,15 @@ def radial_basis_function(value: torch.Tensor, epsilon: float = 0.5) -> torch.Te
     -------
     torch.Tensor
         1 at x = 0, of the shape of `value`.
+
+    Examples
+    --------
+    exp(−1):
+
+    >>> import torch
+    >>> from odak.learn.tools import radial_basis_function
+    >>> round(radial_basis_function(torch.tensor(2.0), epsilon=0.5).item(), 4)
+    0.3679
     """
     if not isinstance(epsilon, torch.Tensor):
         _validate.real("epsilon", epsilon)
@@ -144,6 +168,16 @@ def histogram_loss(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    The positions of the values do not matter:
+
+    >>> import torch
+    >>> from odak.learn.tools import histogram_loss
+    >>> image = torch.linspace(0, 1, 64).reshape(8, 8)
+    >>> histogram_loss(image, image.flip(0)).item()
+    0.0
     """
     bins = _validate.integer("bins", bins, minimum=1)
     low, high = _checked_limits(limits)
@@ -179,6 +213,13 @@ def weber_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Sequen
     ------
     ValueError, TypeError
         If a region is empty or leaves the image, or the image has other axes.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import weber_contrast
+    >>> weber_contrast(torch.tensor([[3.0, 1.0]]), [0, 1, 0, 1], [0, 1, 1, 2]).item()
+    2.0
     """
     high, low = region_means(image, roi_high, roi_low)
     return (high - low) / low
@@ -205,6 +246,13 @@ def michelson_contrast(image: torch.Tensor, roi_high: Sequence[int], roi_low: Se
     ------
     ValueError, TypeError
         If a region is empty or leaves the image, or the image has other axes.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import michelson_contrast
+    >>> michelson_contrast(torch.tensor([[3.0, 1.0]]), [0, 1, 0, 1], [0, 1, 1, 2]).item()
+    0.5
     """
     high, low = region_means(image, roi_high, roi_low)
     return (high - low) / (high + low)
@@ -233,6 +281,16 @@ def wrapped_mean_squared_error(
     ------
     ValueError, TypeError
         If the shapes differ, the angles are not real tensors, or the reduction is not known.
+
+    Examples
+    --------
+    Angles that differ by 2π are the same:
+
+    >>> import torch
+    >>> from odak.learn.tools import wrapped_mean_squared_error
+    >>> angles = torch.tensor([0.0, 1.0])
+    >>> round(wrapped_mean_squared_error(angles, angles + 2 * torch.pi).item(), 6)
+    0.0
     """
     reduction = _validate.one_of("reduction", reduction, ("mean", "sum"))
     _same_shape("image", image, "ground_truth", ground_truth)
@@ -262,6 +320,16 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
     ------
     ValueError, TypeError
         If the shapes differ or the peak is not positive.
+
+    Examples
+    --------
+    An error of 0.1 everywhere is 20 dB below the peak:
+
+    >>> import torch
+    >>> from odak.learn.tools import psnr
+    >>> target = torch.zeros(8, 8)
+    >>> round(psnr(target + 0.1, target).item(), 3)
+    20.0
     """
     _same_shape("image", image, "ground_truth", ground_truth)
     _validate.real("peak_value", peak_value, positive=True)

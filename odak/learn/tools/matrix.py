@@ -86,6 +86,13 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
         If `image_field` is not a real tensor.
     ValueError
         If `bits` or `limits` is not acceptable.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import quantize
+    >>> quantize(torch.tensor([0.0, 0.3, 0.5, 1.0]), bits=2).tolist()
+    [0, 1, 2, 3]
     """
     if not isinstance(image_field, torch.Tensor) or image_field.is_complex():
         kind = getattr(image_field, "dtype", type(image_field).__name__)
@@ -140,6 +147,16 @@ def generate_2d_gaussian(
     See Also
     --------
     odak.tools.generate_2d_gaussian : Takes its size in intervals and sums to one.
+
+    Examples
+    --------
+    The samples lie at −1.5, 0 and 1.5, where exp(−x²/2) is 0.3247, 1 and 0.3247:
+
+    >>> import torch
+    >>> from odak.learn.tools import generate_2d_gaussian
+    >>> kernel = generate_2d_gaussian((3, 3), (1.0, 1.0), normalize=True)
+    >>> [round(value, 4) for value in kernel[1].tolist()]
+    [0.3247, 1.0, 0.3247]
     """
     lengths = _validate.size("kernel_length", kernel_length)
     scale = "peak" if _validate.flag("normalize", normalize) else "density"
@@ -181,6 +198,17 @@ def blur_gaussian(
     ------
     ValueError, TypeError
         If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    With `keep_sum` the sum of a picture is kept:
+
+    >>> import torch
+    >>> from odak.learn.tools import blur_gaussian
+    >>> image = torch.zeros(16, 16)
+    >>> image[8, 8] = 3
+    >>> round(blur_gaussian(image, (5, 5), (1, 1), keep_sum=True).sum().item(), 4)
+    3.0
     """
     if not isinstance(field, torch.Tensor) or not field.is_floating_point():
         raise TypeError(f"field must be a real floating tensor, got {getattr(field, 'dtype', type(field).__name__)}")

@@ -15,23 +15,45 @@ __all__ = ["multi_layer_perceptron"]
 
 
 def freeze(model: torch.nn.Module) -> None:
-    """Leave all parameters of a model out of the gradients.
+    """Exclude all parameters of a model from the computation of gradients.
 
     Parameters
     ----------
     model : torch.nn.Module
         Model to change.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import freeze, unfreeze
+    >>> model = torch.nn.Linear(2, 1)
+    >>> freeze(model)
+    >>> frozen = model.weight.requires_grad
+    >>> unfreeze(model)
+    >>> frozen, model.weight.requires_grad
+    (False, True)
     """
     _module(model).requires_grad_(False)
 
 
 def unfreeze(model: torch.nn.Module) -> None:
-    """Take all parameters of a model into the gradients again.
+    """Include all parameters of a model in the computation of gradients again.
 
     Parameters
     ----------
     model : torch.nn.Module
         Model to change.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import freeze, unfreeze
+    >>> model = torch.nn.Linear(2, 1)
+    >>> freeze(model)
+    >>> frozen = model.weight.requires_grad
+    >>> unfreeze(model)
+    >>> frozen, model.weight.requires_grad
+    (False, True)
     """
     _module(model).requires_grad_(True)
 

@@ -248,6 +248,18 @@ def load_voxelized_PLY(
         If there is no such file.
     ValueError
         If it is not a PLY file of a mesh, or the mesh is a single point.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.tools import load_voxelized_PLY
+    >>> from odak.tools import write_PLY
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "triangle.ply")
+    ...     write_PLY([[[0, 0, 0], [1, 0, 0], [0, 1, 0]]], name)
+    ...     centers, filled = load_voxelized_PLY(name, voxel_size=[0.5, 0.5, 0.5])
+    >>> int(filled.sum())
+    1
     """
     validate_path(ply_filename, [".ply"], name="ply_filename")
     centres = torch.from_numpy(read_PLY(ply_filename).mean(axis=1)).to(checked_device("device", device))
