@@ -9,6 +9,7 @@ from odak.learn.raytracing.system import (
     launch,
     optical_system,
     point_spread_function,
+    point_spread_map,
     save_system,
     spot_diagram,
     surface,
@@ -32,6 +33,10 @@ def _lens():
 
 def _wave_lens():
     return optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.1)
+
+
+def _spread():
+    return point_spread_map(_lens(), (9, 9), 0.05, grid=(2, 2), kernel=5, count=2)
 
 
 def _cylinder():
@@ -152,6 +157,11 @@ BY_CALL = {
     f"{HERE}.system.point_spread_function": {"samples": 16},
     f"{HERE}.system.polarized_point_spread_function": {"samples": 16, "size": 32, "polarization": [1.0, 0.5]},
     f"{HERE}.system.Coating": {"media": (1.38,), "thicknesses": [1e-4], "substrate": None},
+    f"{HERE}.system.point_spread_map": {"shape": [9, 9], "pitch": 0.05, "grid": [2, 2], "kernel": 5, "count": 2}
+    | {"response": [[1.0, 2.0]]},
+    f"{HERE}.system.simulate_image": {"picture": tensor(1, 9, 9), "spread": Build(lambda _: _spread())},
+    f"{HERE}.system.expose_sensor": {"irradiance": tensor(3, 4, 6), "pattern": "RGGB"},
+    f"{HERE}.system.demosaic": {"raw": tensor(1, 4, 6)},
     f"{HERE}.system.tolerance": {
         "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
         "samples": 3,

@@ -10,7 +10,7 @@ from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, layout_of
-from odak.learn.raytracing.system.tracing import Rays, Traced, finished, spread_rays
+from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, pupil_image
 from odak.raytracing.geometry import safe_sqrt
 
@@ -158,7 +158,7 @@ def polarized_trace(
     numbers = system.prescription() if prescription is None else prescription
     if numbers.gradients is not None:
         raise ValueError("system must be without graded indices, which turn the polarisation on the way")
-    rays = Rays.from_tensor(rays) if isinstance(rays, torch.Tensor) else rays
+    rays = checked_rays(rays)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     flat, shape = spread_rays(rays, numbers)
     flat = [value.double() for value in flat]
@@ -260,7 +260,10 @@ def _turn(k, out, reflects: bool):
 
 def _jones_vector(values) -> tuple[complex, complex]:
     """Return a Jones vector as two complex numbers."""
-    found = torch.as_tensor(values, dtype=torch.complex128).reshape(-1).tolist()
+    try:
+        found = torch.as_tensor(values, dtype=torch.complex128).reshape(-1).tolist()
+    except (TypeError, ValueError) as error:
+        raise TypeError(f"polarization must be two numbers, got {values!r:.80}") from error
     if len(found) != 2 or not 0 < abs(found[0]) + abs(found[1]) < math.inf:
         raise ValueError(f"polarization must be two finite numbers, not both 0, got {values!r}")
     return found[0], found[1]

@@ -166,12 +166,7 @@ def trace(
 def _trace(system, rays, prescription, until, vignetting):
     checked_system(system), checked_prescription(prescription)
     vignetting = _validate.flag("vignetting", vignetting)
-    if isinstance(rays, torch.Tensor):
-        rays = Rays.from_tensor(rays)
-    if not isinstance(rays, Rays):
-        raise TypeError(f"rays must be Rays or a tensor [..., 2, 3], got {type(rays).__name__}")
-    if len({value.dtype for value in rays}) > 1 or rays.x.dtype not in (torch.float32, torch.float64):
-        raise TypeError(f"rays must all be float32 or all float64, got {[str(value.dtype) for value in rays]}")
+    rays = checked_rays(rays)
     numbers = system.prescription() if prescription is None else prescription
     if len({value.device for value in (*rays, numbers.curvature)}) > 1:
         raise ValueError("rays and system must be on one device")
@@ -188,6 +183,17 @@ def _trace(system, rays, prescription, until, vignetting):
         state = in_pieces(partial(plain_trace, layout), (0,) * 6 + tuple(ranks), *flat, *given, size=BLOCK)
         return finished(state, shape)
     return Traced(*(value.reshape(shape) for value in found))
+
+
+def checked_rays(rays) -> Rays:
+    """Return rays after checking that they are, those of a tensor ``[..., 2, 3]`` as components."""
+    if isinstance(rays, torch.Tensor):
+        rays = Rays.from_tensor(rays)
+    if not isinstance(rays, Rays):
+        raise TypeError(f"rays must be Rays or a tensor [..., 2, 3], got {type(rays).__name__}")
+    if len({value.dtype for value in rays}) > 1 or rays.x.dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"rays must all be float32 or all float64, got {[str(value.dtype) for value in rays]}")
+    return rays
 
 
 def spread_rays(rays: Rays, numbers: Prescription) -> tuple[list[torch.Tensor], tuple[int, ...]]:

@@ -1,0 +1,464 @@
+"""Pictures through a lens: a map of point spread functions, distortion, illumination, and the sensor with its noise."""
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak._array import is_readable
+from odak._warnings import AccuracyWarning, warn
+from odak.learn._tensors import floating
+from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
+from odak.learn.raytracing.system.polarisation import polarized_trace
+from odak.learn.raytracing.system.pupils import launch, trace_fields
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.tracing import trace
+from odak.learn.raytracing.system.waves import point_spread_function
+
+KINDS = ("rays", "waves")
+PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
+# Chief rays along each side of the sensor, and the degree of the polynomials through them.
+LINE, DEGREE = 13, 7
+
+
+class PointSpreadMap(NamedTuple):
+    """Point spread functions of a lens over a sensor; C counts channels, rows are along y and columns along x.
+
+    Attributes
+    ----------
+    kernels : torch.Tensor
+        Shares of the light of a point in the pixels about its image, ``[C, rows, columns, K, K]``. The middle pixel,
+        K // 2, lies on the chief ray of the reference wavelength. Each adds up to the illumination, less what falls
+        beside the K × K pixels.
+    illumination : torch.Tensor
+        Irradiance of an even object over that on the axis, ``[C, rows, columns]``.
+    ideal, real : torch.Tensor
+        Points (x, y) of the grid, ``[rows, columns, 2]``: those of paraxial chief rays, evenly spaced over the sensor,
+        and those of real ones.
+    undistort : torch.Tensor
+        Coefficients of the polynomials that give the ideal point of a real one, ``[2, terms]``.
+    pitch : float
+        Of the pixels.
+    shape : tuple of int
+        Rows and columns of the sensor.
+    """
+
+    kernels: torch.Tensor
+    illumination: torch.Tensor
+    ideal: torch.Tensor
+    real: torch.Tensor
+    undistort: torch.Tensor
+    pitch: float
+    shape: tuple[int, int]
+
+
+def point_spread_map(
+    system: Any,
+    shape: Sequence[int],
+    pitch: float,
+    *,
+    grid: Sequence[int] = (5, 5),
+    kernel: int = 25,
+    kind: str = "rays",
+    count: int = 10,
+    response: Any = None,
+    losses: bool = False,
+    prescription: Prescription | None = None,
+) -> PointSpreadMap:
+    """Return the point spread functions of a lens over a sensor, with distortion and relative illumination.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    shape : sequence of int
+        Rows and columns of the sensor, whose middle is on the axis.
+    pitch : float
+        Of its pixels, in the system's unit.
+    grid : sequence of int
+        Points along y and x at which the functions are computed, from rim to rim.
+    kernel : int
+        Pixels along each side of a function, odd.
+    kind : str
+        "rays": where the rays land. "waves": :func:`point_spread_function`, with diffraction.
+    count : int
+        Rings of rays in the pupil; of "waves", the samples across the pupil are eight times as many.
+    response : array, optional
+        Weights of the system's wavelengths in each channel, ``[C, W]``, of any scale. By default three channels, red,
+        green and blue, for a system of three wavelengths, otherwise a single one of even weights.
+    losses : bool
+        Let the surfaces and glasses take their share, as in :func:`polarized_trace`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, of one system.
+
+    Returns
+    -------
+    PointSpreadMap
+        float64, differentiable in the system's numbers.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it, or no ray arrives at a point of the grid.
+
+    Notes
+    -----
+    A bundle of rays evenly spread over the entrance pupil holds the power ∝ cos⁴θ of a Lambertian object per area of
+    the ideal image, θ being the angle of the ray in front; distortion changes the area, vignetting the number of rays.
+    Each ray, or sample of a diffraction image, is shared among four pixels by bilinear weights, which is what makes the
+    functions differentiable.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, point_spread_map
+    >>> found = point_spread_map(load_system("cooke_triplet"), (64, 96), 0.3, grid=(3, 3), count=4)
+    >>> tuple(found.kernels.shape)
+    (3, 3, 3, 25, 25)
+    """
+    checked_system(system), checked_prescription(prescription)
+    rows, columns = _validate.size("shape", shape)
+    pitch = float(_validate.number("pitch", pitch, positive=True))
+    grid = _validate.size("grid", grid)
+    kernel = _validate.integer("kernel", kernel, minimum=3)
+    if kernel % 2 == 0:
+        raise ValueError(f"kernel must be odd, got {kernel}")
+    if min(grid) < 2:
+        raise ValueError(f"grid must have at least 2 points along each side, got {tuple(grid)}")
+    kind, losses = _validate.one_of("kind", kind, KINDS), _validate.flag("losses", losses)
+    count = _validate.integer("count", count, minimum=2)
+    weights = _response(system, response)
+    half = [(n - 1) / 2 * pitch for n in (rows, columns)]
+    ideal = _lattice(half, grid).to(weights)
+    options = {"prescription": prescription, "fields": _fields_of(system, ideal.reshape(-1, 2), prescription)}
+    real = _chief(system, options)[system.reference]
+    undistort = _inverse_map(system, prescription, half, pitch)
+    points, shares = (_by_rays if kind == "rays" else _by_waves)(system, count, options)
+    power = _power(system, count, options, losses) * _area(undistort, real)[:, None, :]
+    axis = {**options, "fields": torch.zeros(1, 2, dtype=torch.float64)}
+    middle = _power(system, count, axis, losses) * _area(undistort, torch.zeros_like(real[:1]))[:, None, :]
+    # Each channel is white where the object is, whatever its wavelengths have lost on the axis.
+    lit = torch.einsum("cw,wf->cf", weights, power[0]) / torch.einsum("cw,wf->cf", weights, middle[0])
+    offsets = points - real[:, None, :]
+    total = shares.sum(-1, keepdim=True)
+    if is_readable(total) and bool((total == 0).any()):
+        raise ValueError("grid has points where no ray arrives: the sensor is larger than the image of the lens")
+    shares = shares / total
+    images = _splat(offsets / pitch, shares, kernel)
+    spread = weights[:, :, None] * power[0] / torch.einsum("cw,wf->cf", weights, middle[0])[:, None, :]
+    kernels = torch.einsum("cwf,wfij->cfij", spread, images)
+    parts = (kernels.reshape(-1, *grid, kernel, kernel), lit.reshape(-1, *grid), ideal, real.reshape(*grid, 2))
+    return PointSpreadMap(*parts, undistort, pitch, (rows, columns))
+
+
+def _response(system, response) -> torch.Tensor:
+    """Return the weights of the wavelengths in each channel, ``[C, W]``, each adding up to 1."""
+    number = len(system.wavelengths)
+    device = system.surfaces[0].thickness.device
+    if response is None:
+        if number == 3:
+            order = torch.tensor(system.wavelengths).argsort(descending=True)
+            return torch.eye(3, dtype=torch.float64, device=device)[order]
+        return torch.full((1, number), 1 / number, dtype=torch.float64, device=device)
+    given = response if isinstance(response, torch.Tensor) else _validate.array("response", response)
+    found = torch.as_tensor(_validate.real("response", given), dtype=torch.float64, device=device)
+    if found.ndim != 2 or found.shape[1] != number or bool((found < 0).any()) or bool((found.sum(-1) <= 0).any()):
+        raise ValueError(f"response must be weights [channels, {number}], none negative and no row of zeros")
+    return found / found.sum(-1, keepdim=True)
+
+
+def _lattice(half, grid) -> torch.Tensor:
+    lines = [torch.linspace(-size, size, n, dtype=torch.float64) for size, n in zip(half, grid, strict=True)]
+    y, x = torch.meshgrid(*lines, indexing="ij")
+    return torch.stack([x, y], -1)
+
+
+def _fields_of(system, ideal: torch.Tensor, prescription) -> torch.Tensor:
+    """Return the field points ``[F, 2]`` of ideal image points."""
+    with torch.no_grad():
+        unit = torch.tensor([[0.0, 1.0]], dtype=torch.float64)
+        place = paraxial_points(system, prescription, unit)[0, 1]
+        if not system.at_infinity:
+            return ideal / place
+        return torch.rad2deg(torch.atan(ideal / (place / math.tan(math.radians(1.0)))))
+
+
+def _chief(system, options) -> torch.Tensor:
+    """Return where chief rays land, ``[W, F, 2]``."""
+    found = trace_fields(system, CENTRE, **options, vignetting=False)
+    if is_readable(found.status) and not bool(found.arrived.all()):
+        raise ValueError("shape is larger than the image of the lens: chief rays do not arrive")
+    return torch.stack([found.x[..., 0], found.y[..., 0]], -1)
+
+
+def _inverse_map(system, prescription, half, pitch: float) -> torch.Tensor:
+    """Return polynomials through chief rays that give the ideal point of a real one, in half sides of the sensor."""
+    ideal = (
+        _lattice([1.02 * size for size in half], (LINE, LINE)).reshape(-1, 2).to(system.surfaces[0].thickness.device)
+    )
+    options = {"prescription": prescription, "fields": _fields_of(system, ideal, prescription)}
+    real, size = _chief(system, options)[system.reference], max(half)
+    basis = _terms(real / size)
+    found = torch.linalg.lstsq(basis, ideal / size).solution
+    left = (basis @ found - ideal / size).detach().abs().max() * size / pitch
+    if is_readable(left) and float(left) > 0.1:
+        warn(f"the distortion over the sensor is fitted to {float(left):.2g} pixels only", AccuracyWarning)
+    # The scale is part of the coefficients: powers of the length.
+    powers = torch.tensor([i + j for i, j in _POWERS], dtype=torch.float64, device=found.device)
+    return (found * size / size ** powers[:, None]).mT
+
+
+_POWERS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+
+
+def _terms(points: torch.Tensor) -> torch.Tensor:
+    """Return all products xⁱyʲ up to the degree, ``[..., terms]``."""
+    x, y = points.unbind(-1)
+    return torch.stack([x**i * y**j for i, j in _POWERS], -1)
+
+
+def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
+    """Return the ideal points ``[..., 2]`` of real ones."""
+    return _terms(real) @ undistort.mT.to(real)
+
+
+def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
+    """Return the area of the ideal image per area of the real one at points ``[F, 2]``, as ``[1, F]``."""
+    x, y = real.unbind(-1)
+    along_x = torch.stack([i * x ** max(i - 1, 0) * y**j for i, j in _POWERS], -1) @ undistort.mT
+    along_y = torch.stack([j * x**i * y ** max(j - 1, 0) for i, j in _POWERS], -1) @ undistort.mT
+    return (along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]).abs()[None]
+
+
+def _by_rays(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return where rays land, ``[W, F, P, 2]``, and their shares of the light, ``[W, F, P]``."""
+    rays = launch(system, "rings", count, **options)
+    found = trace(system, rays, prescription=options["prescription"])
+    place = torch.stack([torch.where(found.arrived, value, 0.0) for value in (found.x, found.y)], -1)
+    share = torch.where(found.arrived, (rays.w**4).expand_as(found.x), 0.0) * _ring_weights(count).to(found.x)
+    return place, share
+
+
+def _ring_weights(count: int) -> torch.Tensor:
+    """Return the areas of the pupil that points of rings stand for: those of the rim count half."""
+    weights = torch.ones(1 + 3 * count * (count + 1), dtype=torch.float64)
+    weights[-6 * count :] = 0.5 - 0.125 / count
+    weights[0] = 0.75
+    return weights
+
+
+def _by_waves(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the samples of diffraction images: their places and shares of the light."""
+    spread = point_spread_function(system, 8 * count, 16 * count, **options)
+    n = spread.intensity.shape[-1]
+    line = torch.arange(n, dtype=torch.float64, device=spread.pitch.device) - n // 2
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    place = torch.stack([x.flatten(), y.flatten()], -1) * spread.pitch.flip(-1)[..., None, :]
+    return place + _chief(system, options)[:, :, None, :], spread.intensity.flatten(-2)
+
+
+def _power(system, count: int, options, losses: bool) -> torch.Tensor:
+    """Return the light that arrives from each field point, but for the area it falls on, ``[1, W, F]``."""
+    rays = launch(system, "rings", count, **options)
+    if losses:
+        through = polarized_trace(system, rays, prescription=options["prescription"]).transmittance
+    else:
+        through = trace(system, rays, prescription=options["prescription"]).arrived.to(torch.float64)
+    weights = _ring_weights(count).to(through)
+    return ((rays.w**4) * through * weights).sum(-1)[None] / weights.sum()
+
+
+def _splat(offsets: torch.Tensor, shares: torch.Tensor, kernel: int) -> torch.Tensor:
+    """Return images ``[W, F, K, K]`` of points ``[W, F, P, 2]``, each shared among four pixels."""
+    place = offsets + kernel // 2
+    cell = torch.floor(place.detach())
+    part = place - cell
+    image = torch.zeros(*shares.shape[:-1], kernel * kernel, dtype=shares.dtype, device=shares.device)
+    for i in range(2):
+        for j in range(2):
+            column, row = cell[..., 0] + j, cell[..., 1] + i
+            weight = (part[..., 0] if j else 1 - part[..., 0]) * (part[..., 1] if i else 1 - part[..., 1])
+            inside = (column >= 0) & (column < kernel) & (row >= 0) & (row < kernel)
+            index = torch.where(inside, row * kernel + column, 0).long()
+            image = image.scatter_add(-1, index, torch.where(inside, weight * shares, 0.0))
+    return image.reshape(*image.shape[:-1], kernel, kernel)
+
+
+def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tensor:
+    """Return the irradiance on a sensor: a picture, distorted, blurred and lit as the lens does it.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        Radiance, ``[..., C, rows, columns]``, as an ideal lens would put it on the sensor.
+    spread : PointSpreadMap
+        From :func:`point_spread_map`, of as many channels, or of one.
+
+    Returns
+    -------
+    torch.Tensor
+        Of the shape and dtype of the picture; differentiable in both.
+
+    Raises
+    ------
+    ValueError
+        If picture and sensor differ in size.
+
+    Notes
+    -----
+    Between the points of the grid the functions are interpolated bilinearly at the source: the picture times each
+    point's weights is convolved with its function, in Fourier space. Beyond its rim the picture goes on with the
+    values there.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import load_system, point_spread_map, simulate_image
+    >>> found = point_spread_map(load_system("cooke_triplet"), (48, 64), 0.4, grid=(3, 3), count=3)
+    >>> tuple(simulate_image(torch.rand(3, 48, 64), found).shape)
+    (3, 48, 64)
+    """
+    picture = floating("picture", picture)
+    if not isinstance(spread, PointSpreadMap):
+        raise TypeError(f"spread must be a PointSpreadMap, got {type(spread).__name__}")
+    channels = spread.kernels.shape[0]
+    if picture.ndim < 3 or tuple(picture.shape[-2:]) != spread.shape or picture.shape[-3] not in (channels, 1):
+        raise ValueError(
+            f"picture must be [..., {channels}, {spread.shape[0]}, {spread.shape[1]}], got {tuple(picture.shape)}"
+        )
+    rows, columns = spread.shape
+    kernel = spread.kernels.shape[-1]
+    margin = kernel // 2
+    real = _lattice(
+        [((n - 1) / 2 + margin) * spread.pitch for n in spread.shape], (rows + 2 * margin, columns + 2 * margin)
+    )
+    inside = [(n - 1) / 2 * spread.pitch for n in (columns, rows)]
+    limits = torch.tensor(inside, dtype=torch.float64, device=real.device)
+    real = real.clamp(-limits, limits).to(spread.kernels.device)
+    ideal = ideal_points(spread.undistort, real) / limits.to(spread.kernels.device)
+    distorted = torch.nn.functional.grid_sample(
+        picture.reshape(1, -1, rows, columns).double(), ideal[None], "bilinear", "border", align_corners=True
+    ).reshape(*picture.shape[:-2], *real.shape[:2])
+    size = [n + 2 * (kernel - 1) for n in (rows, columns)]
+    total: Any = 0.0
+    hats = [_hats(ideal[..., axis], spread.kernels.shape[2 - axis]) for axis in (1, 0)]
+    for i, up in enumerate(hats[0]):
+        for j, along in enumerate(hats[1]):
+            part = torch.fft.rfft2(distorted * (up * along), s=size)
+            total = total + part * torch.fft.rfft2(spread.kernels[:, i, j], s=size)
+    found = torch.fft.irfft2(total, s=size)
+    return found[..., kernel - 1 : kernel - 1 + rows, kernel - 1 : kernel - 1 + columns].to(picture.dtype)
+
+
+def _hats(place: torch.Tensor, count: int) -> list[torch.Tensor]:
+    """Return the weights of points at −1 … 1 by linear interpolation."""
+    scaled = (place.clamp(-1, 1) + 1) / 2 * (count - 1)
+    return [(1 - (scaled - i).abs()).clamp(min=0) for i in range(count)]
+
+
+def expose_sensor(
+    irradiance: torch.Tensor,
+    *,
+    full_well: float = 10000.0,
+    read_noise: float = 3.0,
+    bits: int | None = 10,
+    pattern: str | None = None,
+    seed: int | None = 0,
+) -> torch.Tensor:
+    """Return what a sensor reads: photon and read noise, saturation, steps of the converter, a mosaic of colours.
+
+    Parameters
+    ----------
+    irradiance : torch.Tensor
+        ``[..., C, rows, columns]``, 1 for a full well.
+    full_well : float
+        Electrons of a full pixel.
+    read_noise : float
+        Its standard deviation in electrons.
+    bits : int, optional
+        Of the converter; none by None.
+    pattern : str, optional
+        "RGGB", "BGGR", "GRBG" or "GBRG": each pixel reads one of three channels. By default each reads all.
+    seed : int, optional
+        Of the noise; None for a sensor without noise.
+
+    Returns
+    -------
+    torch.Tensor
+        Values from 0 to 1, ``[..., C, rows, columns]``, with a pattern ``[..., 1, rows, columns]``. Differentiable:
+        noise moves with the signal, and rounding passes gradients on as they are.
+
+    Notes
+    -----
+    The noise of N electrons is normal, of variance N + read_noise²; for fewer than ten electrons Poisson's law differs.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import expose_sensor
+    >>> tuple(expose_sensor(torch.full((3, 4, 6), 0.5), pattern="RGGB").shape)
+    (1, 4, 6)
+    """
+    irradiance = floating("irradiance", irradiance)
+    full_well = float(_validate.number("full_well", full_well, positive=True))
+    read_noise = float(_validate.number("read_noise", read_noise))
+    if read_noise < 0:
+        raise ValueError(f"read_noise must not be negative, got {read_noise}")
+    if pattern is not None:
+        if irradiance.ndim < 3 or irradiance.shape[-3] != 3:
+            raise ValueError(f"irradiance must be [..., 3, rows, columns] for a pattern, got {tuple(irradiance.shape)}")
+        masks = _masks(irradiance, pattern)
+        irradiance = (irradiance * masks).sum(-3, keepdim=True)
+    electrons = irradiance * full_well
+    if seed is not None:
+        generator = torch.Generator(irradiance.device).manual_seed(_validate.integer("seed", seed))
+        normal = torch.randn(irradiance.shape, generator=generator, dtype=torch.float64, device=irradiance.device)
+        electrons = electrons + normal.to(irradiance) * (electrons.clamp(min=0) + read_noise**2 + 1e-12).sqrt()
+    found = (electrons / full_well).clamp(0, 1)
+    if bits is None:
+        return found
+    steps = 2 ** _validate.integer("bits", bits, minimum=1) - 1
+    return found + (torch.round(found.detach() * steps) / steps - found.detach())
+
+
+def _masks(image: torch.Tensor, pattern: str) -> torch.Tensor:
+    """Return which channel each pixel of a mosaic reads, ``[3, rows, columns]``."""
+    pattern = _validate.one_of("pattern", pattern, PATTERNS)
+    rows, columns = image.shape[-2:]
+    y, x = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+    channel = torch.tensor(["RGB".index(letter) for letter in pattern])[(y % 2) * 2 + x % 2]
+    return torch.stack([channel == i for i in range(3)]).to(image)
+
+
+def demosaic(raw: torch.Tensor, pattern: str = "RGGB") -> torch.Tensor:
+    """Return the colours of a mosaic by bilinear interpolation.
+
+    Parameters
+    ----------
+    raw : torch.Tensor
+        ``[..., 1, rows, columns]``, at least 2 × 2 pixels.
+    pattern : str
+        "RGGB", "BGGR", "GRBG" or "GBRG".
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, rows, columns]``; differentiable.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import demosaic
+    >>> demosaic(torch.full((1, 4, 4), 0.25)).unique()
+    tensor([0.2500])
+    """
+    raw = floating("raw", raw)
+    if raw.ndim < 3 or raw.shape[-3] != 1 or min(raw.shape[-2:]) < 2:
+        raise ValueError(f"raw must be [..., 1, rows, columns] of at least 2 × 2 pixels, got {tuple(raw.shape)}")
+    masks = _masks(raw, pattern)
+    weights = torch.tensor([[1.0, 2.0, 1.0], [2.0, 4.0, 2.0], [1.0, 2.0, 1.0]]).to(raw)[None, None].expand(3, 1, 3, 3)
+    values = (raw * masks).reshape(-1, 3, *raw.shape[-2:])
+    found = torch.nn.functional.conv2d(values, weights, padding=1, groups=3)
+    share = torch.nn.functional.conv2d(masks[None], weights, padding=1, groups=3)
+    return (found / share).reshape(*raw.shape[:-3], 3, *raw.shape[-2:])
