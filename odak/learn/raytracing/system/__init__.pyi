@@ -21,11 +21,11 @@ from .drawing import lens_report as lens_report
 from .drawing import report_figures as report_figures
 from .drawing import spots_figure as spots_figure
 from .drawing import transfer_figure as transfer_figure
-from .imaging import PointSpreadMap as PointSpreadMap
-from .imaging import demosaic as demosaic
-from .imaging import expose_sensor as expose_sensor
-from .imaging import point_spread_map as point_spread_map
-from .imaging import simulate_image as simulate_image
+from .pictures import PointSpreadMap as PointSpreadMap
+from .pictures import demosaic as demosaic
+from .pictures import expose_sensor as expose_sensor
+from .pictures import point_spread_map as point_spread_map
+from .pictures import simulate_image as simulate_image
 from .lens_files import ZmxReport as ZmxReport
 from .lens_files import load_system as load_system
 from .lens_files import read_zmx as read_zmx
