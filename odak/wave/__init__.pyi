@@ -49,6 +49,11 @@ from .fields import rayleigh_resolution as rayleigh_resolution
 from .fields import rotationspeed as rotationspeed
 from .fields import set_amplitude as set_amplitude
 from .fields import wavenumber as wavenumber
+from .imaging import incoherent_focal_stack_rgbd as incoherent_focal_stack_rgbd
+from .imaging import modulation_transfer_function as modulation_transfer_function
+from .imaging import optical_transfer_function as optical_transfer_function
+from .imaging import point_spread_function as point_spread_function
+from .imaging import pupil_function as pupil_function
 from .large_holograms import hologram_in_chunks as hologram_in_chunks
 from .media import propagate_through_medium as propagate_through_medium
 from .media import scattered_field as scattered_field
@@ -58,11 +63,6 @@ from .phase_retrieval import gerchberg_saxton_3d as gerchberg_saxton_3d
 from .phase_retrieval import spot_hologram as spot_hologram
 from .phase_retrieval import uniformity as uniformity
 from .phase_retrieval import weighted_gerchberg_saxton as weighted_gerchberg_saxton
-from .pictures import incoherent_focal_stack_rgbd as incoherent_focal_stack_rgbd
-from .pictures import modulation_transfer_function as modulation_transfer_function
-from .pictures import optical_transfer_function as optical_transfer_function
-from .pictures import point_spread_function as point_spread_function
-from .pictures import pupil_function as pupil_function
 from .polarized import apply_jones as apply_jones
 from .polarized import birefringent_plate as birefringent_plate
 from .polarized import filter_polarized as filter_polarized

@@ -21,6 +21,11 @@ from .drawing import lens_report as lens_report
 from .drawing import report_figures as report_figures
 from .drawing import spots_figure as spots_figure
 from .drawing import transfer_figure as transfer_figure
+from .image_simulation import PointSpreadMap as PointSpreadMap
+from .image_simulation import demosaic as demosaic
+from .image_simulation import expose_sensor as expose_sensor
+from .image_simulation import point_spread_map as point_spread_map
+from .image_simulation import simulate_image as simulate_image
 from .lens_files import ZmxReport as ZmxReport
 from .lens_files import load_system as load_system
 from .lens_files import read_zmx as read_zmx
@@ -39,11 +44,6 @@ from .paraxial import ThirdOrder as ThirdOrder
 from .paraxial import first_order as first_order
 from .paraxial import ghost_system as ghost_system
 from .paraxial import seidel_sums as seidel_sums
-from .pictures import PointSpreadMap as PointSpreadMap
-from .pictures import demosaic as demosaic
-from .pictures import expose_sensor as expose_sensor
-from .pictures import point_spread_map as point_spread_map
-from .pictures import simulate_image as simulate_image
 from .polarisation import PolarizedRays as PolarizedRays
 from .polarisation import polarized_point_spread_function as polarized_point_spread_function
 from .polarisation import polarized_trace as polarized_trace

@@ -20,7 +20,7 @@ from odak.learn.raytracing.system import (
     surface,
     trace_fields,
 )
-from odak.learn.raytracing.system.pictures import ideal_points
+from odak.learn.raytracing.system.image_simulation import ideal_points
 from odak.raytracing.phases import IdealLens
 
 F64 = torch.float64
@@ -129,7 +129,7 @@ def test_vignetting_and_losses_dim_the_picture():
     plain, lossy = (
         point_spread_map(glass, (3, 85), 0.2, grid=(2, 2), kernel=5, count=3, losses=losses) for losses in (False, True)
     )
-    from odak.learn.raytracing.system.pictures import _fields_of
+    from odak.learn.raytracing.system.image_simulation import _fields_of
 
     fields = _fields_of(glass, torch.tensor([[0.0, 0.0], *plain.ideal[0, :1].tolist()], dtype=F64), None)
     power = polarized_trace(glass, launch(glass, torch.zeros(1, 2, dtype=F64), fields=fields)).transmittance[0, :, 0]
