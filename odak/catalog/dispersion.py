@@ -9,6 +9,7 @@ from odak import _array, _validate
 
 LINE_D, LINE_F, LINE_C, LINE_G = 0.5875618, 0.4861327, 0.6562725, 0.4358343
 MEDIA = ("air", "vacuum")
+HERZBERGER_POLE = 0.1673**2
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Material:
     name : str
         Name in the catalogue.
     formula : str
-        "sellmeier", "cauchy", "gas", "polynomial", "conrady" or "handbook"; see :data:`FORMULAS`.
+        "sellmeier", "cauchy", "gas", "polynomial", "conrady", "handbook" or "herzberger"; see :data:`FORMULAS`.
     coefficients : mapping
         What the formula takes, for wavelengths in micrometres.
     range : tuple of float
@@ -105,6 +106,12 @@ def handbook(squared, coefficients):
     return _array.namespace(total).sqrt(total) if _array.is_array(total) else total**0.5
 
 
+def herzberger(squared, coefficients):
+    """Return Σ A·λ^P + B₀·L + B₁·L² and so on, L = 1/(λ² − 0.028): M. Herzberger, Opt. Acta 6, 197 (1959)."""
+    pole = 1 / (squared - HERZBERGER_POLE)
+    return conrady(squared, coefficients) + sum(b * pole ** (k + 1) for k, b in enumerate(coefficients["B"]))
+
+
 def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     """Return a glass that has no name, from its index and dispersion: what patents and lens files state.
 
@@ -160,3 +167,4 @@ FORMULAS = {
 }
 # Read from glass catalogues, not from JSON.
 FORMULAS["handbook"] = Formula(handbook, ("A", "P", "B", "C"))
+FORMULAS["herzberger"] = Formula(herzberger, ("A", "P", "B"))

@@ -46,6 +46,16 @@ from .display_color import cone_fundamentals as cone_fundamentals
 from .display_color import illuminant_d65 as illuminant_d65
 from .display_color import read_spectra as read_spectra
 from .display_color import spectrum_to_xyz as spectrum_to_xyz
+from .eye import AccommodationResponse as AccommodationResponse
+from .eye import RetinalField as RetinalField
+from .eye import accommodation_response as accommodation_response
+from .eye import eye_refraction as eye_refraction
+from .eye import eye_transfer_function as eye_transfer_function
+from .eye import eye_wavefront as eye_wavefront
+from .eye import navarro_eye as navarro_eye
+from .eye import retinal_field as retinal_field
+from .eye import retinal_image as retinal_image
+from .eye import unified_pupil_diameter as unified_pupil_diameter
 from .foveation import BlurLoss as BlurLoss
 from .foveation import RadiallyVaryingBlur as RadiallyVaryingBlur
 from .foveation import make_3d_location_map as make_3d_location_map

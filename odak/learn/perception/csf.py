@@ -59,7 +59,7 @@ def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float =
     >>> [round(pupil_diameter(luminance).item(), 1) for luminance in (1e-4, 10.0, 1e4)]
     [7.7, 3.5, 2.2]
     """
-    luminance, size = _numbers(luminance=luminance, size=size)
+    luminance, size = positive_numbers(luminance=luminance, size=size)
     return 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
 
 
@@ -100,7 +100,7 @@ def contrast_sensitivity(
     >>> [round(contrast_sensitivity(u).item()) for u in (0.5, 4.0, 30.0)]
     [335, 657, 30]
     """
-    frequency, luminance, size = _numbers(frequency=frequency, luminance=luminance, size=size)
+    frequency, luminance, size = positive_numbers(frequency=frequency, luminance=luminance, size=size)
     return _sensitivity(frequency, luminance, size)
 
 
@@ -244,7 +244,7 @@ def _sensitivity(frequency, luminance, size):
     return transfer / SIGNAL_TO_NOISE / (2 / INTEGRATION_TIME * area * (photon_noise + neural_noise)).sqrt()
 
 
-def _numbers(**values):
+def positive_numbers(**values: torch.Tensor | float) -> list[torch.Tensor]:
     """Return positive numbers and tensors as tensors that broadcast."""
     tensors = [v for v in values.values() if isinstance(v, torch.Tensor)]
     kind = {"dtype": torch.float64} if not tensors else {"dtype": tensors[0].dtype, "device": tensors[0].device}
@@ -321,7 +321,7 @@ def castle_contrast_sensitivity(
         raise ValueError(
             f"temporal_frequency must be 0, or 5 for the achromatic channel, got {temporal_frequency!r} for {channel!r}"
         )
-    frequency, luminance = _numbers(frequency=frequency, luminance=luminance)
+    frequency, luminance = positive_numbers(frequency=frequency, luminance=luminance)
     frequency, luminance = torch.broadcast_tensors(frequency, luminance)
     tables = _tables()
     values = tables[f"o{temporal_frequency}_c{CHANNELS.index(channel) + 1}"].to(frequency)

@@ -1,0 +1,690 @@
+"""The optics of the eye: a schematic eye, its wavefront, retinal images of pictures and fields, accommodation."""
+
+import functools
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.catalog.dispersion import Material
+from odak.learn._tensors import tensor
+from odak.learn.perception.csf import positive_numbers
+from odak.learn.raytracing.system import optical_system, surface, wavefront
+from odak.wave.transfer_functions import phasor_of_cycles
+
+# Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm; Navarro et al. 1985, table 3.
+NAVARRO_INDICES = {
+    "cornea": (1.3975, 1.3807, 1.37405, 1.3668),
+    "aqueous": (1.3593, 1.3422, 1.3354, 1.3278),
+    "lens": (1.4492, 1.42625, 1.4175, 1.4097),
+    "vitreous": (1.3565, 1.3407, 1.3341, 1.3273),
+}
+# Herzberger's a₁ … a₄, one for each of these wavelengths, over 1, λ², L and L².
+HERZBERGER = (
+    (0.66147196, -0.40352796, -0.28046790, 0.03385979),
+    (-4.20146383, 2.73508956, 1.50543784, -0.11593235),
+    (6.29834237, -4.69409935, -1.57508650, 0.10293038),
+    (-1.75835059, 2.36253794, 0.35011657, -0.02085782),
+)
+RANGE = (0.365, 1.014)
+VITREOUS, RETINA = 16.3203, -12.0
+REFERENCE = 589.3e-9
+WAVELENGTHS = (630e-9, 532e-9, 450e-9)
+# Terms of the wavefront in squared radii, and rays by which they are found.
+TERMS, RAYS = 6, 24
+# Band of frequencies, in cycles per degree, whose contrast drives accommodation.
+DRIVE = (4.0, 8.0)
+# Samples across the pupil, and for each wave of path from its middle to its rim.
+LEAST_SAMPLES, MOST_SAMPLES, SAMPLES_PER_WAVE = 256, 2048, 8
+# Pixels beyond the blur that pictures are continued by.
+MARGIN = 8
+
+
+def navarro_eye(
+    accommodation: float = 0.0,
+    pupil_diameter: float = 4.0,
+    wavelengths: float | Sequence[float] = REFERENCE,
+    fields: Sequence = (0.0,),
+    object_distance: float = math.inf,
+) -> optical_system:
+    """Return the schematic eye of Navarro as a lens system.
+
+    Parameters
+    ----------
+    accommodation : float
+        Parameter A of the model in dioptres, 0 to 10.
+    pupil_diameter : float
+        Diameter of the entrance pupil in millimetres.
+    wavelengths : float or sequence of float
+        In metres, 365 to 1014 nm.
+    fields : sequence
+        Field points: angles in degrees for an object at infinity, heights in millimetres otherwise.
+    object_distance : float
+        From the object to the cornea, in millimetres.
+
+    Returns
+    -------
+    optical_system
+        Lengths in millimetres; the image surface is the retina, a sphere of 12 mm radius.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985), tables 1 to 4; the depth of the vitreous,
+    16.3203 mm, and the retina are those of Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999). Dispersion
+    after Herzberger, as there. Power 60.4 dioptres. The lens has one index; the parameter A is not exactly the vergence
+    that is in focus: :func:`eye_refraction` gives that.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import navarro_eye
+    >>> from odak.learn.raytracing.system import first_order
+    >>> round(1000 / float(first_order(navarro_eye()).focal_length), 1)
+    60.4
+    """
+    accommodation = _accommodation(accommodation)
+    _validate.number("pupil_diameter", pupil_diameter, positive=True)
+    waves = _wavelengths(wavelengths)
+    growth = math.log(accommodation + 1)
+    lens = _medium("lens", 9e-5 * (10 * accommodation + accommodation**2))
+    return optical_system(
+        [
+            surface(7.72, conic=-0.26, thickness=0.55, material=_medium("cornea")),
+            surface(6.5, thickness=3.05 - 0.05 * growth, material=_medium("aqueous")),
+            surface(thickness=0.0, material=_medium("aqueous"), stop=True),
+            surface(10.2 - 1.75 * growth, conic=-3.1316 - 0.34 * growth, thickness=4 + 0.1 * growth, material=lens),
+            surface(-6 + 0.2294 * growth, conic=-1 - 0.125 * growth, thickness=VITREOUS, material=_medium("vitreous")),
+        ],
+        aperture=float(pupil_diameter),
+        wavelengths=[wave * 1e3 for wave in waves],
+        fields=fields,
+        object_distance=object_distance,
+        image=surface(RETINA),
+        name="Navarro's eye",
+        source="Navarro et al., J. Opt. Soc. Am. A 2, 1273 (1985); Escudero-Sanz and Navarro, ibid. 16, 1881 (1999)",
+    )
+
+
+def _accommodation(value, name="accommodation"):
+    value = float(_validate.number(name, value))
+    if not 0 <= value <= 10:
+        raise ValueError(f"{name} must be 0 to 10 dioptres, got {value}")
+    return value
+
+
+def _pupil_width(value):
+    """Return the diameter of a pupil in millimetres as a float."""
+    value = float(_validate.number("pupil_diameter", value))
+    if not 0.5 <= value <= 9:
+        raise ValueError(f"pupil_diameter must be 0.5 to 9 millimetres, got {value}")
+    return value
+
+
+def _numbers(name, values):
+    """Return a sequence of numbers as floats."""
+    try:
+        given = [float(_validate.number(name, one)) for one in values]
+    except TypeError as error:
+        raise TypeError(f"{name} must be a number or a sequence of numbers, got {values!r:.80}") from error
+    if not given:
+        raise ValueError(f"{name} must hold one or more numbers, got none")
+    return given
+
+
+def _wavelengths(values):
+    values = [values] if isinstance(values, (int, float)) else values
+    try:
+        given = [float(_validate.number("wavelengths", value, positive=True)) for value in values]
+    except TypeError as error:
+        raise TypeError(f"wavelengths must be numbers in metres, got {values!r:.80}") from error
+    if not given or any(not RANGE[0] * 1e-6 <= value <= RANGE[1] * 1e-6 for value in given):
+        raise ValueError(f"wavelengths must be 365e-9 to 1014e-9 metres, got {given}")
+    return given
+
+
+@functools.lru_cache(maxsize=256)
+def _medium(name, added=0.0):
+    indices = [index + added for index in NAVARRO_INDICES[name]]
+    constant, square, *poles = (
+        sum(index * row[term] for index, row in zip(indices, HERZBERGER, strict=True)) for term in range(4)
+    )
+    formula = {"A": (constant, square), "P": (0.0, 2.0), "B": tuple(poles)}
+    return Material(f"{name} of the eye", "herzberger", formula, RANGE, "air", "Navarro et al. (1985), table 3")
+
+
+@functools.lru_cache(maxsize=512)
+def _terms(accommodation, diameter, waves):
+    """Return the lag of the wavefront in metres as coefficients of (r/R)², (r/R)⁴, … ``[W, terms]``, R = diameter/2."""
+    with torch.inference_mode(False), torch.no_grad():
+        system = navarro_eye(accommodation, diameter, waves)
+        radius = torch.sqrt((torch.arange(RAYS, dtype=torch.float64) + 0.5) / RAYS)
+        found = wavefront(system, torch.stack([torch.zeros_like(radius), radius], -1), vignetting=False)
+        lag = found.path[:, 0] * torch.tensor(waves, dtype=torch.float64)[:, None]
+        powers = radius[:, None] ** (2 * torch.arange(1, TERMS + 1))
+        return torch.linalg.lstsq(powers, lag.T).solution.T
+
+
+def eye_wavefront(
+    radius: torch.Tensor | float,
+    wavelengths: float | Sequence[float] = WAVELENGTHS,
+    pupil_diameter: float = 4.0,
+    accommodation: float = 0.0,
+    vergence: float = 0.0,
+) -> torch.Tensor:
+    """Return how much the light of a point on the axis lags behind a sphere about its place on the retina.
+
+    Parameters
+    ----------
+    radius : torch.Tensor or float
+        Distance from the middle of the entrance pupil in metres, any shape; at most half of the pupil's diameter.
+    wavelengths : float or sequence of float
+        In metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres.
+    accommodation : float
+        Of the eye, in dioptres.
+    vergence : float
+        One over the point's distance from the entrance pupil, in dioptres: 0 for a point at infinity.
+
+    Returns
+    -------
+    torch.Tensor
+        In metres, ``[W, *radius.shape]``, float64; 0 in the middle.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Rays through :func:`navarro_eye`, and a polynomial in the squared radius through what they give: the axis is one of
+    symmetry. A point at a finite distance adds the difference between its sphere and a plane.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import eye_wavefront
+    >>> lag = eye_wavefront(0.002, [450e-9, 650e-9])
+    >>> bool(lag[0] < 0 < lag[1])  # blue light is focused in front of the retina, and red light behind
+    True
+    """
+    waves, diameter = tuple(_wavelengths(wavelengths)), _pupil_width(pupil_diameter)
+    vergence = float(_validate.number("vergence", vergence))
+    radius = tensor("radius", radius, torch.float64)
+    coefficients = _terms(_accommodation(accommodation), diameter, waves).to(radius.device)
+    squared = (radius / (diameter / 2e3)) ** 2
+    total = torch.zeros((len(waves), *radius.shape), dtype=torch.float64, device=radius.device)
+    for term in coefficients.T.flip(0):
+        total = (total + term.reshape(-1, *[1] * radius.ndim)) * squared
+    # √(d² + r²) − d without the difference of large numbers.
+    return total + radius**2 * vergence / (1 + (1 + (radius * vergence) ** 2).sqrt())
+
+
+def eye_refraction(
+    wavelengths: float | Sequence[float] = WAVELENGTHS, pupil_diameter: float = 4.0, accommodation: float = 0.0
+) -> torch.Tensor:
+    """Return the vergence of the points that the eye has in focus.
+
+    Parameters
+    ----------
+    wavelengths : float or sequence of float
+        In metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres: spherical aberration shifts the focus of wide pupils.
+    accommodation : float
+        Of the eye, in dioptres.
+
+    Returns
+    -------
+    torch.Tensor
+        One over the distance from the entrance pupil, in dioptres, ``[W]``, float64: where the variance of the
+        wavefront over the pupil is least. Negative for light that would have to converge.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import eye_refraction
+    >>> near_blue, near_red = eye_refraction([450e-9, 650e-9])
+    >>> bool(1.1 < near_blue - near_red < 1.5)
+    True
+    """
+    # Uniform in the squared radius: equal areas.
+    share = (torch.arange(RAYS, dtype=torch.float64) + 0.5) / RAYS
+    radius = share.sqrt() * _pupil_width(pupil_diameter) / 2e3
+    lag = eye_wavefront(radius, wavelengths, pupil_diameter, accommodation)
+    square = radius**2 - (radius**2).mean()
+    return -2 * (lag * square).sum(-1) / (square**2).sum()
+
+
+def eye_transfer_function(
+    size: Sequence[int],
+    pitch: float,
+    wavelengths: float | Sequence[float] = WAVELENGTHS,
+    pupil_diameter: float = 4.0,
+    accommodation: float = 0.0,
+    vergence: float = 0.0,
+) -> torch.Tensor:
+    """Return the optical transfer function of the eye at the frequencies of a picture.
+
+    Parameters
+    ----------
+    size : sequence of int
+        Rows and columns of the picture.
+    pitch : float
+        Angle between its pixels, in radians.
+    wavelengths : float or sequence of float
+        In metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres.
+    accommodation : float
+        Of the eye, in dioptres.
+    vergence : float
+        One over the picture's distance, in dioptres.
+
+    Returns
+    -------
+    torch.Tensor
+        float64 ``[W, rows, columns // 2 + 1]`` in the order of :func:`torch.fft.rfft2`, 1 at zero. Real: the pupil is
+        symmetric.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Autocorrelation of the pupil function (Goodman, Introduction to Fourier Optics, 2005, section 6.3). The eye is taken
+    to be the same over the picture, as it is around its axis.
+    """
+    rows, columns = _validate.size("size", size)
+    pitch = float(_validate.number("pitch", pitch, positive=True))
+    waves, pupil_diameter = _wavelengths(wavelengths), _pupil_width(pupil_diameter)
+    y = torch.fft.fftfreq(rows, pitch, dtype=torch.float64)
+    x = torch.fft.rfftfreq(columns, pitch, dtype=torch.float64)
+    frequency = torch.hypot(y[:, None], x)
+    return torch.stack([_radial_transfer(frequency, wave, pupil_diameter, accommodation, vergence) for wave in waves])
+
+
+def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
+    """Return the transfer at frequencies in cycles per radian, from that along one axis."""
+    width = diameter * 1e-3
+    rim = torch.linspace(0, width / 2, RAYS, dtype=torch.float64)
+    lag = eye_wavefront(rim, wave, diameter, accommodation, vergence)[0]
+    # Waves per radius at the steepest place, which is also how often the transfer function goes up and down.
+    steepest = float(lag.diff().abs().max()) * (RAYS - 1) / wave
+    count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
+    line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
+    pupil = _pupil(line, line, [wave], diameter, accommodation, vergence)[0]
+    transfer = torch.fft.fft(torch.fft.fft2(pupil).abs().square().sum(0)).real[: count + 1]
+    place = (frequency * (wave / width * count)).clamp(max=count)
+    # Cubic interpolation between four samples; the function is even, and zero beyond the last.
+    table = torch.cat([transfer[1:2], transfer, transfer.new_zeros(2)]) / transfer[0]
+    index = place.floor().long().clamp(max=count - 1)
+    share = place - index
+    before, here, after, beyond = (table[index + step] for step in range(4))
+    return (place < count) * (
+        here * (share + 1) * (1 - share) * (2 - share) / 2
+        + after * (share + 1) * share * (2 - share) / 2
+        - before * share * (1 - share) * (2 - share) / 6
+        - beyond * (share + 1) * share * (1 - share) / 6
+    )
+
+
+def _pupil(y, x, waves, diameter, accommodation, vergence):
+    """Return the pupil function over places y and x in metres, complex128 ``[W, y, x]``."""
+    radius = torch.hypot(y[:, None], x)
+    edge = diameter / 2e3
+    step = max(abs(float(axis[1] - axis[0])) if len(axis) > 1 else edge for axis in (y, x))
+    # Samples on the rim count by the share of them that lies inside.
+    share = ((edge - radius) / step + 0.5).clamp(0, 1)
+    lag = eye_wavefront(radius.clamp(max=edge), waves, diameter, accommodation, vergence)
+    cycles = lag / torch.tensor(waves, dtype=torch.float64, device=lag.device)[:, None, None]
+    return phasor_of_cycles(cycles, torch.complex128) * share
+
+
+def retinal_image(
+    picture: torch.Tensor,
+    vergences: float | Sequence[float],
+    pitch: float,
+    wavelengths: float | Sequence[float] = WAVELENGTHS,
+    pupil_diameter: float = 4.0,
+    accommodation: float = 0.0,
+) -> torch.Tensor:
+    """Return the image on the retina of pictures that shine at one or several distances.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        Linear light ``[..., W, H, width]``, a channel for each wavelength; with P vergences ``[..., P, W, H, width]``,
+        the planes of a transparent stack, which add up.
+    vergences : float or sequence of float
+        One over the distance of each plane from the eye, in dioptres.
+    pitch : float
+        Angle between pixels, in radians, the same for all planes.
+    wavelengths : float or sequence of float
+        Of the channels, in metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres.
+    accommodation : float
+        Of the eye, in dioptres.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., W, H, width]`` in the precision of the picture, differentiable in it. Beyond its border the picture is
+        taken to go on as at the border.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If shapes do not fit or an argument is out of range.
+
+    Notes
+    -----
+    Each plane and wavelength is convolved with the intensity of the point spread function of :func:`navarro_eye` on its
+    axis: depth of focus, chromatic and spherical aberration and diffraction. Occlusion is not part of it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import retinal_image
+    >>> line = torch.zeros(1, 33, 33)
+    >>> line[..., 16] = 1
+    >>> sharp, blurred = (retinal_image(line, v, 3e-4, [550e-9])[0, 16, 16].item() for v in (0.0, 3.0))
+    >>> bool(blurred < sharp / 3)
+    True
+    """
+    waves, pupil_diameter = _wavelengths(wavelengths), _pupil_width(pupil_diameter)
+    stacked = not isinstance(vergences, (int, float))
+    planes = _numbers("vergences", vergences if stacked else [vergences])
+    if not isinstance(picture, torch.Tensor) or picture.dtype not in (torch.float32, torch.float64):
+        kind = getattr(picture, "dtype", type(picture).__name__)
+        raise TypeError(f"picture must be a tensor of float32 or float64, got {kind}")
+    _validate.image("picture", picture, axes=4 if stacked else 3)
+    stack = picture if stacked else picture[..., None, :, :, :]
+    if stack.shape[-4:-2] != (len(planes), len(waves)):
+        raise ValueError(
+            f"picture must have {len(planes)} planes of {len(waves)} wavelengths, got {tuple(picture.shape)}"
+        )
+    pitch = float(_validate.number("pitch", pitch, positive=True))
+    rows, columns = picture.shape[-2:]
+    total = 0.0
+    for index, vergence in enumerate(planes):
+        blur = (eye_refraction(waves, pupil_diameter, accommodation) - vergence).abs().max()
+        margin = math.ceil(float(blur) * pupil_diameter * 1e-3 / pitch) + MARGIN
+        light = stack[..., index, :, :, :]
+        padded = torch.nn.functional.pad(light.reshape(1, -1, rows, columns), (margin,) * 4, mode="replicate")
+        size = tuple(padded.shape[-2:])
+        transfer = _kept_transfer(size, pitch, tuple(waves), pupil_diameter, float(accommodation), vergence)
+        padded = padded.reshape(*light.shape[:-2], *size)
+        seen = torch.fft.irfft2(torch.fft.rfft2(padded) * transfer.to(padded), size)
+        total = total + seen[..., margin : margin + rows, margin : margin + columns]
+    return total
+
+
+@functools.lru_cache(maxsize=32)
+def _kept_transfer(*arguments):
+    with torch.inference_mode(False), torch.no_grad():
+        return eye_transfer_function(*arguments)
+
+
+class RetinalField(NamedTuple):
+    """Light on the retina of a field that enters the eye.
+
+    Attributes
+    ----------
+    field : torch.Tensor
+        Complex ``[..., rows, columns]`` over visual angle, sample n // 2 of each axis on the axis; upright, as seen.
+        The sum of its squared modulus is the power that passes the pupil.
+    pitch : tuple of float
+        Angle between samples along rows and columns, in radians.
+    """
+
+    field: torch.Tensor
+    pitch: tuple[float, float]
+
+
+def retinal_field(
+    field: torch.Tensor,
+    pitch: float,
+    wavelength: float,
+    pupil_diameter: float = 4.0,
+    accommodation: float = 0.0,
+    pupil_position: Sequence[float] = (0.0, 0.0),
+) -> RetinalField:
+    """Return the light on the retina of a coherent field in the entrance pupil: of a hologram, say.
+
+    Parameters
+    ----------
+    field : torch.Tensor
+        Complex ``[..., rows, columns]`` in the plane of the entrance pupil, travelling towards the eye.
+    pitch : float
+        Its pixel pitch, in metres.
+    wavelength : float
+        In metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres.
+    accommodation : float
+        Of the eye, in dioptres.
+    pupil_position : sequence of float
+        Of the pupil's middle in the field (x to the right, y downwards), in metres: the eye moves in the eyebox, its
+        axis parallel to the field's.
+
+    Returns
+    -------
+    RetinalField
+        Differentiable in the field.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the field is not complex or an argument is out of range.
+
+    Notes
+    -----
+    The field times the pupil function, whose phase is :func:`eye_wavefront`, is transformed to angles. A field in a
+    plane further away is first brought to the pupil by :func:`odak.learn.wave.propagate_beam`. The
+    pitch of the retinal image is the wavelength over the side of the field.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import retinal_field
+    >>> plane_wave = torch.ones(128, 128, dtype=torch.complex128)
+    >>> seen = retinal_field(plane_wave, 5e-5, 550e-9, pupil_diameter=2.0)
+    >>> divmod(int(seen.field.abs().argmax()), 128)
+    (64, 64)
+    """
+    if not isinstance(field, torch.Tensor) or not field.is_complex():
+        raise TypeError(
+            f"field must be a complex tensor [..., rows, columns], got {getattr(field, 'dtype', field)!r:.60}"
+        )
+    rows, columns = _validate.image("field", field).shape[-2:]
+    pitch = float(_validate.number("pitch", pitch, positive=True))
+    wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]
+    right, down = (float(value) for value in _validate.several("pupil_position", pupil_position, 2))
+    y, x = (
+        (torch.arange(n, dtype=torch.float64, device=field.device) - n // 2) * pitch - shift
+        for n, shift in ((rows, down), (columns, right))
+    )
+    pupil = _pupil(y, x, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0)[0].to(field.dtype)
+    axes = (-2, -1)
+    # Light that travels towards positive x comes from negative angles: the transform turns it upright.
+    spectrum = torch.fft.ifft2(torch.fft.ifftshift(field * pupil, axes), norm="ortho")
+    return RetinalField(
+        torch.fft.fftshift(spectrum, axes), (wavelength / (rows * pitch), wavelength / (columns * pitch))
+    )
+
+
+class AccommodationResponse(NamedTuple):
+    """How an eye would focus.
+
+    Attributes
+    ----------
+    vergence : float
+        That the eye focuses to, in dioptres, at the mean of the wavelengths' weights.
+    accommodation : float
+        Parameter of :func:`navarro_eye` at the largest contrast.
+    accommodations : torch.Tensor
+        Those that were tried ``[A]``.
+    contrast : torch.Tensor
+        Contrast of the retinal image at each ``[A]``.
+    """
+
+    vergence: float
+    accommodation: float
+    accommodations: torch.Tensor
+    contrast: torch.Tensor
+
+
+def accommodation_response(
+    picture: torch.Tensor,
+    vergences: float | Sequence[float],
+    pitch: float,
+    wavelengths: float | Sequence[float] = WAVELENGTHS,
+    pupil_diameter: float = 4.0,
+    accommodations: Sequence[float] = tuple(step / 4 for step in range(25)),
+    weights: Sequence[float] | None = None,
+) -> AccommodationResponse:
+    """Return the accommodation at which the retinal image of a picture or a focal stack has the most contrast.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        Linear light ``[W, H, width]``, or a stack ``[P, W, H, width]``.
+    vergences : float or sequence of float
+        One over the distance of each plane, in dioptres.
+    pitch : float
+        Angle between pixels, in radians.
+    wavelengths : float or sequence of float
+        Of the channels, in metres.
+    pupil_diameter : float
+        Of the entrance pupil, in millimetres.
+    accommodations : sequence of float
+        At least three that rise in equal steps, in dioptres.
+    weights : sequence of float, optional
+        Luminance of each channel's unit; equal by default.
+
+    Returns
+    -------
+    AccommodationResponse
+        The peak of a parabola through the largest contrast and its neighbours.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If shapes do not fit, an argument is out of range, or the accommodations do not rise in equal steps.
+
+    Notes
+    -----
+    Contrast counts at 4 to 8 cycles per degree, which is what accommodation follows in the stacks of MacKenzie, Hoffman
+    and Watt, J. Vis. 10(8), 22 (2010).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import accommodation_response
+    >>> noise = torch.rand(1, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    >>> found = accommodation_response(noise, 2.0, 6e-4, [550e-9], accommodations=(1.0, 1.5, 2.0, 2.5, 3.0))
+    >>> bool(abs(found.vergence - 2.0) < 0.2)
+    True
+    """
+    tried = [_accommodation(one, "accommodations") for one in _numbers("accommodations", accommodations)]
+    steps = [b - a for a, b in itertools.pairwise(tried)]
+    if len(tried) < 3 or min(steps) <= 0 or max(steps) - min(steps) > 1e-6 * max(steps):
+        raise ValueError(f"accommodations must be three or more in equal rising steps, got {accommodations!r:.80}")
+    waves = _wavelengths(wavelengths)
+    counts = (
+        [1.0] * len(waves)
+        if weights is None
+        else [float(one) for one in _validate.several("weights", weights, len(waves))]
+    )
+    shares = torch.tensor(counts, dtype=torch.float64) / sum(counts)
+    contrast = []
+    with torch.no_grad():
+        for one in tried:
+            seen = retinal_image(picture, vergences, pitch, waves, pupil_diameter, one).double()
+            light = torch.einsum("w,w...->...", shares.to(seen.device), seen.movedim(-3, 0))
+            contrast.append(_band_contrast(light, pitch))
+    found = torch.stack(contrast)
+    best = min(max(int(found.argmax()), 1), len(tried) - 2)
+    below, here, above = (float(value) for value in found[best - 1 : best + 2])
+    curve = below - 2 * here + above
+    shift = 0.0 if curve >= 0 else max(-1.0, min(1.0, 0.5 * (below - above) / curve))
+    accommodation = tried[best] + shift * steps[0]
+    vergence = float((eye_refraction(waves, pupil_diameter, accommodation) * shares).sum())
+    return AccommodationResponse(vergence, accommodation, torch.tensor(tried, dtype=torch.float64), found)
+
+
+def _band_contrast(light, pitch):
+    """Return the root mean square of what a picture holds within the band that drives accommodation, over its mean."""
+    rows, columns = light.shape[-2:]
+    degrees = math.degrees(pitch)
+    y = torch.fft.fftfreq(rows, degrees, dtype=torch.float64, device=light.device)
+    x = torch.fft.fftfreq(columns, degrees, dtype=torch.float64, device=light.device)
+    frequency = torch.hypot(y[:, None], x)
+    inside = (frequency >= DRIVE[0]) & (frequency <= DRIVE[1])
+    spectrum = torch.fft.fft2(light, norm="forward")
+    power = (spectrum.abs().square() * inside).sum((-2, -1))
+    return (power.sqrt() / light.mean((-2, -1)).clamp_min(1e-12)).mean()
+
+
+def unified_pupil_diameter(
+    luminance: torch.Tensor | float,
+    area: torch.Tensor | float = 3600.0,
+    age: torch.Tensor | float = 28.58,
+    eyes: int = 2,
+) -> torch.Tensor:
+    """Return the diameter of the pupil of an eye adapted to light, in millimetres.
+
+    Parameters
+    ----------
+    luminance : torch.Tensor or float
+        Of the field, in cd/m².
+    area : torch.Tensor or float
+        Of the field, in square degrees.
+    age : torch.Tensor or float
+        In years, 20 to 83; 28.58 is the mean of the observers behind the formula.
+    eyes : int
+        Eyes that see the field, 1 or 2.
+
+    Returns
+    -------
+    torch.Tensor
+        Of the broadcast shape, float64 of plain numbers; differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Watson and Yellott, J. Vis. 12(10), 12 (2012), equation 21: the formula of Stanley and Davies for the flux density
+    at the cornea, a tenth of it for one eye, with the effect of age after Winn and others.
+    :func:`odak.learn.perception.pupil_diameter` is Barten's.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import unified_pupil_diameter
+    >>> [round(unified_pupil_diameter(light).item(), 1) for light in (0.01, 100.0, 10000.0)]
+    [6.6, 2.5, 2.1]
+    """
+    if eyes not in (1, 2) or isinstance(eyes, bool):
+        raise ValueError(f"eyes must be 1 or 2, got {eyes!r}")
+    luminance, area, age = positive_numbers(luminance=luminance, area=area, age=age)
+    flux = (luminance * area * (1.0 if eyes == 2 else 0.1) / 846) ** 0.41
+    young = 7.75 - 5.75 * flux / (flux + 2)
+    return young + (age - 28.58) * (0.02132 - 0.009562 * young)
