@@ -63,6 +63,55 @@ def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float =
     return 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
 
 
+def unified_pupil_diameter(
+    luminance: torch.Tensor | float,
+    area: torch.Tensor | float = 3600.0,
+    age: torch.Tensor | float = 28.58,
+    eyes: int = 2,
+) -> torch.Tensor:
+    """Return the diameter of the pupil of an eye adapted to light, in millimetres.
+
+    Parameters
+    ----------
+    luminance : torch.Tensor or float
+        Of the field, in cd/m².
+    area : torch.Tensor or float
+        Of the field, in square degrees.
+    age : torch.Tensor or float
+        In years, 20 to 83; 28.58 is the mean of the observers behind the formula.
+    eyes : int
+        Eyes that see the field, 1 or 2.
+
+    Returns
+    -------
+    torch.Tensor
+        Of the broadcast shape, float64 of plain numbers; differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Watson and Yellott, J. Vis. 12(10), 12 (2012), equation 21: the formula of Stanley and Davies for the flux density
+    at the cornea, a tenth of it for one eye, with the effect of age after Winn and others.
+    :func:`odak.learn.perception.pupil_diameter` is Barten's.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import unified_pupil_diameter
+    >>> [round(unified_pupil_diameter(light).item(), 1) for light in (0.01, 100.0, 10000.0)]
+    [7.1, 2.8, 2.1]
+    """
+    if eyes not in (1, 2) or isinstance(eyes, bool):
+        raise ValueError(f"eyes must be 1 or 2, got {eyes!r}")
+    luminance, area, age = positive_numbers(luminance=luminance, area=area, age=age)
+    flux = (luminance * area * (1.0 if eyes == 2 else 0.1) / 846) ** 0.41
+    young = 7.75 - 5.75 * flux / (flux + 2)
+    return young + (age - 28.58) * (0.02132 - 0.009562 * young)
+
+
 def contrast_sensitivity(
     frequency: torch.Tensor | float, luminance: torch.Tensor | float = 100.0, size: torch.Tensor | float = 60.0
 ) -> torch.Tensor:

@@ -21,6 +21,16 @@ from .drawing import lens_report as lens_report
 from .drawing import report_figures as report_figures
 from .drawing import spots_figure as spots_figure
 from .drawing import transfer_figure as transfer_figure
+from .eye import AccommodationResponse as AccommodationResponse
+from .eye import RetinalField as RetinalField
+from .eye import accommodation_response as accommodation_response
+from .eye import eye_refraction as eye_refraction
+from .eye import eye_transfer_function as eye_transfer_function
+from .eye import eye_wavefront as eye_wavefront
+from .eye import liou_brennan_eye as liou_brennan_eye
+from .eye import navarro_eye as navarro_eye
+from .eye import retinal_field as retinal_field
+from .eye import retinal_image as retinal_image
 from .image_simulation import PointSpreadMap as PointSpreadMap
 from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor

@@ -6,18 +6,20 @@ import numpy as np
 import pytest
 import torch
 
-from odak.learn.perception import (
+from odak.learn.perception import unified_pupil_diameter
+from odak.learn.raytracing.system import (
     accommodation_response,
     eye_refraction,
     eye_transfer_function,
     eye_wavefront,
+    first_order,
+    liou_brennan_eye,
     navarro_eye,
+    point_spread_function,
     retinal_field,
     retinal_image,
-    unified_pupil_diameter,
 )
-from odak.learn.perception.eye import NAVARRO_INDICES, REFERENCE, _medium
-from odak.learn.raytracing.system import first_order, point_spread_function
+from odak.learn.raytracing.system.eye import NAVARRO_INDICES, REFERENCE, _medium
 
 GREEN = 550e-9
 
@@ -37,6 +39,17 @@ def test_published_indices_power_and_length():
     assert length == pytest.approx(24.0, abs=0.02)
     accommodated = first_order(navarro_eye(8.0))
     assert 1000 / float(accommodated.focal_length) > 66
+
+
+def test_liou_and_brennan():
+    # Their table 4: equivalent power 60.35 dioptres, axial length 23.95 mm; its focus lies on the retina.
+    found = first_order(liou_brennan_eye())
+    assert 1000 / float(found.focal_length) == pytest.approx(60.35, abs=0.05)
+    assert pytest.approx(23.95) == 0.50 + 3.16 + 1.59 + 2.43 + 16.27
+    assert float(found.back_focal_distance) == pytest.approx(16.27, abs=0.1)
+    # The halves of the lens meet with one index, and the second ends with that of the surface.
+    middle = 1.368 + 0.049057 * 1.59 - 0.015427 * 1.59**2
+    assert middle == pytest.approx(1.407, abs=1e-4)
 
 
 def test_chromatic_difference_of_refraction():

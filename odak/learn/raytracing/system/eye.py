@@ -3,16 +3,19 @@
 import functools
 import itertools
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
 import torch
 
 from odak import _validate
 from odak.catalog.dispersion import Material
 from odak.learn._tensors import tensor
-from odak.learn.perception.csf import positive_numbers
-from odak.learn.raytracing.system import optical_system, surface, wavefront
+from odak.learn.raytracing.system.analysis import wavefront
+from odak.learn.raytracing.system.surfaces import optical_system, surface
+from odak.raytracing import components as vec
+from odak.raytracing.gradients import Gradient
 from odak.wave.transfer_functions import phasor_of_cycles
 
 # Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm; Navarro et al. 1985, table 3.
@@ -29,7 +32,7 @@ HERZBERGER = (
     (6.29834237, -4.69409935, -1.57508650, 0.10293038),
     (-1.75835059, 2.36253794, 0.35011657, -0.02085782),
 )
-RANGE = (0.365, 1.014)
+RANGE, LIOU_BRENNAN_RANGE = (0.365, 1.014), (0.38, 0.75)
 VITREOUS, RETINA = 16.3203, -12.0
 REFERENCE = 589.3e-9
 WAVELENGTHS = (630e-9, 532e-9, 450e-9)
@@ -84,14 +87,13 @@ def navarro_eye(
 
     Examples
     --------
-    >>> from odak.learn.perception import navarro_eye
+    >>> from odak.learn.raytracing.system import navarro_eye
     >>> from odak.learn.raytracing.system import first_order
     >>> round(1000 / float(first_order(navarro_eye()).focal_length), 1)
     60.4
     """
     accommodation = _accommodation(accommodation)
-    _validate.number("pupil_diameter", pupil_diameter, positive=True)
-    waves = _wavelengths(wavelengths)
+    waves, pupil_diameter = _wavelengths(wavelengths), _pupil_width(pupil_diameter)
     growth = math.log(accommodation + 1)
     lens = _medium("lens", 9e-5 * (10 * accommodation + accommodation**2))
     return optical_system(
@@ -102,7 +104,7 @@ def navarro_eye(
             surface(10.2 - 1.75 * growth, conic=-3.1316 - 0.34 * growth, thickness=4 + 0.1 * growth, material=lens),
             surface(-6 + 0.2294 * growth, conic=-1 - 0.125 * growth, thickness=VITREOUS, material=_medium("vitreous")),
         ],
-        aperture=float(pupil_diameter),
+        aperture=pupil_diameter,
         wavelengths=[wave * 1e3 for wave in waves],
         fields=fields,
         object_distance=object_distance,
@@ -117,6 +119,101 @@ def _accommodation(value, name="accommodation"):
     if not 0 <= value <= 10:
         raise ValueError(f"{name} must be 0 to 10 dioptres, got {value}")
     return value
+
+
+@dataclass(frozen=True)
+class LensGradient(Gradient):
+    """The index of a half of Liou and Brennan's lens: n = n₀ + a·z + b·z² + c·r².
+
+    Parameters
+    ----------
+    axial : sequence or array
+        a and b, in 1/mm and 1/mm².
+    radial : float or array
+        c, in 1/mm².
+    """
+
+    ranks: ClassVar[Mapping[str, int]] = {"axial": 1}
+    axial: Any = (0.0, 0.0)
+    radial: Any = 0.0
+
+    def squared(self, x, y, z, base) -> tuple:
+        """Return the square of the index and its derivatives by x, y and z."""
+        a, b = vec.terms(self.axial)
+        index = base + (a + b * z) * z + self.radial * (x * x + y * y)
+        slope = 4 * self.radial * index
+        return index * index, slope * x, slope * y, 2 * index * (a + 2 * b * z)
+
+
+def liou_brennan_eye(
+    pupil_diameter: float = 4.0,
+    wavelengths: float | Sequence[float] = 555e-9,
+    fields: Sequence = (0.0,),
+    object_distance: float = math.inf,
+) -> optical_system:
+    """Return the schematic eye of Liou and Brennan, whose lens has a graded index, as a lens system.
+
+    Parameters
+    ----------
+    pupil_diameter : float
+        Diameter of the entrance pupil in millimetres.
+    wavelengths : float or sequence of float
+        In metres, 380 to 750 nm.
+    fields : sequence
+        Field points: angles in degrees for an object at infinity, heights in millimetres otherwise.
+    object_distance : float
+        From the object to the cornea, in millimetres.
+
+    Returns
+    -------
+    optical_system
+        Lengths in millimetres; relaxed, all surfaces centred (the publication has the pupil 0.5 mm off the axis).
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is out of range.
+
+    Notes
+    -----
+    Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997), tables 2 and 3: power 60.35 dioptres, length 23.95 mm. The
+    lens is two media of graded index with a plane between them; rays in it are those of the ray equation.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import liou_brennan_eye
+    >>> len(liou_brennan_eye().surfaces)
+    6
+    """
+    waves = _wavelengths(wavelengths)
+    if not all(LIOU_BRENNAN_RANGE[0] * 1e-6 <= wave <= LIOU_BRENNAN_RANGE[1] * 1e-6 for wave in waves):
+        raise ValueError(f"wavelengths must be 380e-9 to 750e-9 metres, got {waves}")
+    front, back = LensGradient((0.049057, -0.015427), -0.001978), LensGradient((0.0, -0.006605), -0.001978)
+    return optical_system(
+        [
+            surface(7.77, conic=-0.18, thickness=0.50, material=_shifted_medium(1.376)),
+            surface(6.40, conic=-0.60, thickness=3.16, material=_shifted_medium(1.336)),
+            surface(thickness=0.0, material=_shifted_medium(1.336), stop=True),
+            surface(12.40, conic=-0.94, thickness=1.59, material=_shifted_medium(1.368), gradient=front),
+            surface(thickness=2.43, material=_shifted_medium(1.407), gradient=back),
+            surface(-8.10, conic=0.96, thickness=16.27, material=_shifted_medium(1.336)),
+        ],
+        aperture=_pupil_width(pupil_diameter),
+        wavelengths=[wave * 1e3 for wave in waves],
+        fields=fields,
+        object_distance=object_distance,
+        image=surface(RETINA),
+        name="Liou and Brennan's eye",
+        source="Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997)",
+    )
+
+
+@functools.lru_cache(maxsize=64)
+def _shifted_medium(index):
+    """Return a medium of this index at 555 nm, with the dispersion that Liou and Brennan give all media."""
+    formula = {"A": (index + 0.0512, -0.1455, 0.0961), "P": (0.0, 1.0, 2.0)}
+    source = "Liou and Brennan (1997)"
+    return Material(f"medium of {index} of the eye", "conrady", formula, LIOU_BRENNAN_RANGE, "air", source)
 
 
 def _pupil_width(value):
@@ -210,7 +307,7 @@ def eye_wavefront(
 
     Examples
     --------
-    >>> from odak.learn.perception import eye_wavefront
+    >>> from odak.learn.raytracing.system import eye_wavefront
     >>> lag = eye_wavefront(0.002, [450e-9, 650e-9])
     >>> bool(lag[0] < 0 < lag[1])  # blue light is focused in front of the retina, and red light behind
     True
@@ -254,7 +351,7 @@ def eye_refraction(
 
     Examples
     --------
-    >>> from odak.learn.perception import eye_refraction
+    >>> from odak.learn.raytracing.system import eye_refraction
     >>> near_blue, near_red = eye_refraction([450e-9, 650e-9])
     >>> bool(1.1 < near_blue - near_red < 1.5)
     True
@@ -399,7 +496,7 @@ def retinal_image(
     Examples
     --------
     >>> import torch
-    >>> from odak.learn.perception import retinal_image
+    >>> from odak.learn.raytracing.system import retinal_image
     >>> line = torch.zeros(1, 33, 33)
     >>> line[..., 16] = 1
     >>> sharp, blurred = (retinal_image(line, v, 3e-4, [550e-9])[0, 16, 16].item() for v in (0.0, 3.0))
@@ -501,7 +598,7 @@ def retinal_field(
     Examples
     --------
     >>> import torch
-    >>> from odak.learn.perception import retinal_field
+    >>> from odak.learn.raytracing.system import retinal_field
     >>> plane_wave = torch.ones(128, 128, dtype=torch.complex128)
     >>> seen = retinal_field(plane_wave, 5e-5, 550e-9, pupil_diameter=2.0)
     >>> divmod(int(seen.field.abs().argmax()), 128)
@@ -595,7 +692,7 @@ def accommodation_response(
     Examples
     --------
     >>> import torch
-    >>> from odak.learn.perception import accommodation_response
+    >>> from odak.learn.raytracing.system import accommodation_response
     >>> noise = torch.rand(1, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     >>> found = accommodation_response(noise, 2.0, 6e-4, [550e-9], accommodations=(1.0, 1.5, 2.0, 2.5, 3.0))
     >>> bool(abs(found.vergence - 2.0) < 0.2)
@@ -639,52 +736,3 @@ def _band_contrast(light, pitch):
     spectrum = torch.fft.fft2(light, norm="forward")
     power = (spectrum.abs().square() * inside).sum((-2, -1))
     return (power.sqrt() / light.mean((-2, -1)).clamp_min(1e-12)).mean()
-
-
-def unified_pupil_diameter(
-    luminance: torch.Tensor | float,
-    area: torch.Tensor | float = 3600.0,
-    age: torch.Tensor | float = 28.58,
-    eyes: int = 2,
-) -> torch.Tensor:
-    """Return the diameter of the pupil of an eye adapted to light, in millimetres.
-
-    Parameters
-    ----------
-    luminance : torch.Tensor or float
-        Of the field, in cd/m².
-    area : torch.Tensor or float
-        Of the field, in square degrees.
-    age : torch.Tensor or float
-        In years, 20 to 83; 28.58 is the mean of the observers behind the formula.
-    eyes : int
-        Eyes that see the field, 1 or 2.
-
-    Returns
-    -------
-    torch.Tensor
-        Of the broadcast shape, float64 of plain numbers; differentiable.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If an argument is out of range.
-
-    Notes
-    -----
-    Watson and Yellott, J. Vis. 12(10), 12 (2012), equation 21: the formula of Stanley and Davies for the flux density
-    at the cornea, a tenth of it for one eye, with the effect of age after Winn and others.
-    :func:`odak.learn.perception.pupil_diameter` is Barten's.
-
-    Examples
-    --------
-    >>> from odak.learn.perception import unified_pupil_diameter
-    >>> [round(unified_pupil_diameter(light).item(), 1) for light in (0.01, 100.0, 10000.0)]
-    [6.6, 2.5, 2.1]
-    """
-    if eyes not in (1, 2) or isinstance(eyes, bool):
-        raise ValueError(f"eyes must be 1 or 2, got {eyes!r}")
-    luminance, area, age = positive_numbers(luminance=luminance, area=area, age=age)
-    flux = (luminance * area * (1.0 if eyes == 2 else 0.1) / 846) ** 0.41
-    young = 7.75 - 5.75 * flux / (flux + 2)
-    return young + (age - 28.58) * (0.02132 - 0.009562 * young)
