@@ -5,6 +5,7 @@ from .dispersion import model_glass as model_glass
 from .lenses import plano_convex_lens as plano_convex_lens
 from .materials import abbe_number as abbe_number
 from .materials import glass_makers as glass_makers
+from .materials import internal_transmittance as internal_transmittance
 from .materials import load_materials as load_materials
 from .materials import material as material
 from .materials import material_names as material_names

@@ -51,6 +51,7 @@ class Material:
     source: str
     nd: float | None = None
     vd: float | None = None
+    extinction: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def index(self, wavelength: Any) -> Any:
         """Return the index as published at `wavelength` micrometres (an array in double precision or a number)."""

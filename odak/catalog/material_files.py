@@ -169,11 +169,12 @@ def read_agf(path) -> list[Material]:
     head: list[str] = []
     numbers: list[float] = []
     limits: list[float] = []
+    passed: list[list[float]] = []
 
     def finish() -> None:
         if not head:
             return
-        made = _from_agf(path, head, numbers, limits)
+        made = _from_agf(path, head, numbers, limits, passed)
         found.append(made) if made is not None else unknown.append(head[0])
 
     for line, text in enumerate(_catalogue_text(path).splitlines(), start=1):
@@ -182,12 +183,14 @@ def read_agf(path) -> list[Material]:
             continue
         if words[0] == "NM":
             finish()
-            head, numbers, limits = words[1:], [], []
+            head, numbers, limits, passed = words[1:], [], [], []
         try:
             if words[0] == "CD":
                 numbers = [float(word) for word in words[1:]]
             elif words[0] == "LD":
                 limits = [float(word) for word in words[1:3]]
+            elif words[0] == "IT" and len(words) > 3:
+                passed.append([float(word) for word in words[1:4]])
         except ValueError as error:
             raise ValueError(f"{path.name}, line {line}: {error}") from None
     finish()
@@ -210,8 +213,11 @@ def _catalogue_text(path: Path) -> str:
     raise ValueError(f"{path.name}: not a text file")
 
 
-def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float]) -> Material | None:
-    """Return a glass of an AGF file: words of its line NM, coefficients, range; None for an unknown formula."""
+def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float], passed: list) -> Material | None:
+    """Return a glass of an AGF file, None for an unknown formula.
+
+    `head` are the words of its line NM, then come coefficients, range, and the lines of internal transmission.
+    """
     if len(head) < 5 or len(limits) < 2 or not 0 < limits[0] < limits[1] or not all(map(math.isfinite, c)):
         raise ValueError(f"{path.name}: glass {head[0] if head else ''!r} lacks numbers or its range of wavelengths")
     name, kind, nd, vd = head[0], int(float(head[1])), float(head[3]), float(head[4])
@@ -241,7 +247,17 @@ def _from_agf(path: Path, head: list[str], c: list[float], limits: list[float]) 
     index = _value(glass.index, LINE_D)
     if nd > 1 and limits[0] <= LINE_D <= limits[1] and not abs(index - nd) < 2e-3:
         raise ValueError(f"{path.name}: {name} states nd = {nd} but its formula gives {index:.6g}")
-    return Material(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None)
+    extinction = _extinction(passed)
+    return Material(name, formula, made, glass.range, "air", glass.source, nd or None, vd or None, extinction)
+
+
+def _extinction(passed: list) -> tuple | None:
+    """Return wavelengths and κ = −λ·ln τ/(4πd) of internal transmittances τ through thicknesses d in millimetres."""
+    rows = {w: (max(t, 1e-10), d) for w, t, d in passed if w > 0 and d > 0 and 0 <= t <= 1}
+    if len(rows) < 2:
+        return None
+    places = tuple(sorted(rows))
+    return places, tuple(-math.log(rows[w][0]) * w * 1e-3 / (4 * math.pi * rows[w][1]) for w in places)
 
 
 def read_entry(path) -> Material:
@@ -291,4 +307,18 @@ def read_entry(path) -> Material:
         made = {"A": (first, *rest[::2]), "P": (0.0, *rest[1::2])}
     medium = "air" if "catalog" in source.lower() else "vacuum"
     source = source or "refractiveindex.info"
-    return Material(path.stem, formula, made, (limits[0], limits[1]), medium, source)
+    extinction = _tabulated(lines)
+    return Material(path.stem, formula, made, (limits[0], limits[1]), medium, source, extinction=extinction)
+
+
+def _tabulated(lines: list[str]) -> tuple | None:
+    """Return wavelengths and values of the table of κ in an entry."""
+    rows, inside = [], False
+    for text in lines:
+        words = text.replace("- ", "").split()
+        if words[:1] == ["type:"]:
+            inside = words[1:] == ["tabulated", "k"]
+        elif inside and len(words) == 2 and words[0][0].isdigit():
+            rows.append((float(words[0]), float(words[1])))
+    rows.sort()
+    return (tuple(w for w, _ in rows), tuple(k for _, k in rows)) if len(rows) > 1 else None

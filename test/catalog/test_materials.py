@@ -258,6 +258,60 @@ def test_makers_catalogues():
     assert "L-BAL35" in near
 
 
+# Schott, data sheet of N-BK7 (2017-01-20): internal transmittance of 10 mm and 25 mm.
+TRANSMITTANCE = {
+    ("N-BK7", 0.320): (0.770, 0.520),
+    ("N-BK7", 0.334): (0.905, 0.780),
+    ("N-BK7", 0.365): (0.988, 0.971),
+    ("N-BK7", 0.400): (0.997, 0.992),
+    ("N-BK7", 2.325): (0.793, 0.560),
+}
+
+
+@pytest.mark.parametrize("name, line", TRANSMITTANCE)
+def test_internal_transmittance_of_data_sheets(name, line):
+    for thickness, expected in zip((10e-3, 25e-3), TRANSMITTANCE[name, line], strict=True):
+        assert catalog.internal_transmittance(name, line * 1e-6, thickness) == pytest.approx(expected, abs=2e-3)
+
+
+def test_nearly_all_glasses_know_their_absorption():
+    """Beer's law between thicknesses, numbers and arrays alike, and the gradient by the wavelength."""
+    known = [
+        materials.extinction_of(catalog.material(f"{maker}:{name.rpartition(':')[2]}"))
+        for maker in catalog.glass_makers()
+        for name in catalog.material_names(maker)
+    ]
+    assert sum(found is not None for found in known) > 1600
+    waves = torch.tensor([0.41e-3, 0.7e-3], dtype=torch.float64, requires_grad=True)
+    found = catalog.internal_transmittance("N-SF5", waves, 10.0, "mm")
+    assert torch.allclose(catalog.internal_transmittance("N-SF5", waves, 30.0, "mm"), found**3)
+    one = catalog.internal_transmittance("N-SF5", 0.41e-3, 10.0, "mm")
+    assert one == pytest.approx(found[0].item(), abs=1e-14)
+    (slope,) = torch.autograd.grad(found.sum(), waves)
+    step = 1e-9
+    ends = [catalog.internal_transmittance("N-SF5", 0.41e-3 + side * step, 10.0, "mm") for side in (1, -1)]
+    assert slope[0].item() == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-5)
+    with pytest.raises(ValueError, match="'water' is a material whose absorption is not known"):
+        catalog.internal_transmittance("water", 500e-9, 1.0)
+
+
+def test_absorption_from_files(tmp_path, own_catalogue):
+    """Lines IT of a glass catalogue are transmittances, tables of an entry are κ itself."""
+    text = "NM OWNGLASS 2 517642 1.5168 64.17 0 1\n"
+    text += "CD 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.56\n"
+    text += "LD 0.3 2.5\nIT 0.4 0.9 10\nIT 0.5 0.99 10\nIT 0.6 0.5 5\n"
+    (tmp_path / "own.agf").write_text(text)
+    catalog.load_materials(tmp_path / "own.agf")
+    for wavelength, thickness, expected in ((0.4e-3, 10.0, 0.9), (0.5e-3, 20.0, 0.99**2), (0.6e-3, 10.0, 0.25)):
+        assert catalog.internal_transmittance("OWNGLASS", wavelength, thickness, "mm") == pytest.approx(expected)
+    entry = "DATA:\n  - type: formula 2\n    wavelength_range: 0.3 2.5\n    coefficients: 0 1.0 0.01\n"
+    entry += "  - type: tabulated k\n    data: |\n        0.4 2E-8\n        0.6 4E-8\nSPECS:\n"
+    (tmp_path / "entry.yml").write_text(entry)
+    catalog.load_materials(tmp_path / "entry.yml")
+    expected = math.exp(-4 * math.pi * 3e-8 * 1.0 / 0.5e-6)
+    assert catalog.internal_transmittance("entry", 0.5e-6, 1.0) == pytest.approx(expected, rel=1e-12)
+
+
 def test_a_model_glass_reproduces_its_statements_and_comes_near_the_real_one():
     lines = {"g": 0.4358343, "F": 0.4861327, "d": 0.5875618, "C": 0.6562725}
     real = catalog.material("N-BK7")

@@ -6,6 +6,8 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
+from odak.catalog.dispersion import Material
+from odak.catalog.materials import absorption_coefficient
 from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
@@ -229,10 +231,9 @@ class _Record:
 
     def _passed(self, length):
         """Return the share of the power that the medium in front of a surface lets pass."""
-        absorption = getattr(self.medium, "absorption", None)
-        if absorption is None:
+        if not isinstance(self.medium, Material):
             return 1.0
-        return torch.exp(-absorption(self.wavelength, self.system.unit) * length.abs())
+        return torch.exp(-absorption_coefficient(self.medium, self.wavelength, self.system.unit) * length.abs())
 
 
 def _across(k, normal):

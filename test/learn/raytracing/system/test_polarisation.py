@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 
+from odak.catalog import internal_transmittance
 from odak.jones import thin_film_stack
 from odak.learn.raytracing.system import (
     Rays,
@@ -174,6 +175,10 @@ def test_losses_of_a_lens_are_those_of_its_surfaces():
     expected = (4 * index[:, 1:] * index[:, :-1] / (index[:, 1:] + index[:, :-1]) ** 2).prod(-1)
     bare = found.transmittance[:, 0, 0] / found.absorption[:, 0, 0]
     assert torch.allclose(bare, expected, rtol=0, atol=1e-12)
+    for i, wavelength in enumerate(lens.wavelengths):
+        expected = internal_transmittance("N-BK7", wavelength, 4.0, "mm")
+        expected *= internal_transmittance("N-SF5", wavelength, 2.0, "mm")
+        assert 0.9 < expected < 1 and abs(float(found.absorption[i, 0, 0]) - expected) < 1e-14
     plain = trace(lens, launch(lens, "rings", 1))
     assert torch.allclose(found.traced.y, plain.y, rtol=0, atol=1e-12)
 
