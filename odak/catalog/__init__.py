@@ -1,4 +1,4 @@
-"""Things to buy: lenses, detectors and diffusers as ray-traced objects, and the refractive indices of materials."""
+"""Catalogue parts: lenses, detectors and diffusers for ray tracing, and the refractive indices of materials."""
 
 from odak._lazy import attach
 

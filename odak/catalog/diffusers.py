@@ -1,4 +1,4 @@
-"""Diffusers that turn each ray into a cone of rays."""
+"""Diffusers that scatter each ray into a cone of rays."""
 
 from collections.abc import Sequence
 from typing import Any

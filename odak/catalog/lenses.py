@@ -118,7 +118,7 @@ class plano_convex_lens:
         return glass / around
 
     def intersect(self, ray: Array) -> tuple[np.ndarray, np.ndarray]:
-        """Meet the nearer face.
+        """Intersect rays with the nearer face.
 
         Parameters
         ----------

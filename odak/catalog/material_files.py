@@ -1,4 +1,4 @@
-"""Reads materials from JSON, glass catalogues (AGF) and entries of refractiveindex.info, every entry checked."""
+"""Materials in files: JSON, glass catalogues (AGF) and entries of refractiveindex.info, with their checks."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Flat things in space: checks of their sizes, grids over them, and which hits lie ahead."""
+"""Placement of flat objects: checks of their sizes, grids over them, and hits ahead of rays."""
 
 from collections.abc import Sequence
 

@@ -1,4 +1,4 @@
-"""The command line: ``odak hologram`` and ``odak info``, also as ``python -m odak``.
+"""Command line of the package, ``odak`` or ``python -m odak``.
 
 Importing this package costs no torch: commands load what they need when they run.
 """

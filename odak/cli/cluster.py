@@ -1,4 +1,4 @@
-"""Many pictures on a cluster, for `odak hologram --cluster`, and machines that join one, for `odak worker`.
+"""Computation of many pictures on a cluster (`odak hologram --cluster`), and workers of one (`odak worker`).
 
 Each picture is a task that carries the picture there and the files back: no folder in common is needed. The folder of a
 picture holds its report only once all else is there, so that a run that was cut short goes on where it ended.
@@ -131,7 +131,7 @@ def run(
 
 
 def _compute(frames, failed, values, cluster, **options) -> set[str]:
-    """Compute frames, write what comes back, note what failed, and return which workers took part."""
+    """Compute frames, write the results, collect the failures, and return the workers that took part."""
     gpu = cluster is not None and str(values.get("device")).startswith("cuda")
     try:
         work = agent(hologram, cluster or False, gpu=gpu, verbose=not values.get("quiet"), **options)
@@ -257,7 +257,7 @@ def _depth_map(given: str | None, name: str) -> str | None:
 
 
 class Carried:
-    """A file that is read when it is sent, so that a long list of pictures takes no memory here.
+    """A file that is read when it is sent, so that many pictures take no memory.
 
     Parameters
     ----------
@@ -308,7 +308,7 @@ class Arrived:
 
 
 def parameters(job: Job) -> dict[str, Any]:
-    """Return the parameters that travel; those that name files of this machine stay."""
+    """Return the parameters that are sent, without those that name files of this machine."""
     return {name: value for name, value in vars(job).items() if name not in ("image", "depth_map", "output", "quiet")}
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
-# Where a picture is computed, and how much is printed about it, changes nothing about it.
+# Parameters without effect on the result: the device and the printed output.
 _IRRELEVANT = ("image", "depth_map", "output", "device", "quiet", "preset")
 
 
@@ -84,7 +84,7 @@ def write_png(path: Path, image: "Image.Image") -> None:
 
 
 def fingerprint(job: Job) -> str:
-    """Return a digest of all that a result depends on: the parameters, the picture and its depth map."""
+    """Return a digest of the parameters, the picture and its depth map, on which a result depends."""
     digest = hashlib.sha256()
     values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
     digest.update(json.dumps(values, sort_keys=True).encode())
@@ -181,7 +181,7 @@ def save_pattern(path: Path, levels: "torch.Tensor", bits: int) -> None:
     try:
         save_image(str(path), grey, cmin=0, cmax=2 ** file_depth(bits) - 1, color_depth=file_depth(bits))
     except ValueError as error:
-        # A full disk is not a wrong option: it must not look like one.
+        # A full disk is reported as such, not as a wrong option.
         raise OSError(str(error)) from error
 
 

@@ -22,7 +22,7 @@ from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
 
 FILTER = 0.5
-# Of noise that tells apart frames which start from the same phase, in radians.
+# Standard deviation in radians of the noise that distinguishes frames with the same starting phase.
 FRAME_NOISE = 0.5
 UNFIT = tuple(
     method.name for method in METHODS if method.of_intensities or method.sets_own_pitch or method.takes_kernel
@@ -438,12 +438,12 @@ def _progress(job: Job, description: str):
         yield clock
         clock.end()
     if clock.ticks < job.iterations:
-        # The optimizers return their best so far after Ctrl-C: files of that would pass for the whole run's.
+        # After Ctrl-C the optimizers return their best result so far, which must not be saved as that of the whole run.
         raise KeyboardInterrupt
 
 
 def _finish(device: torch.device) -> None:
-    """Wait for the device, whose work runs behind the program, so that times are true."""
+    """Wait for the device, which works asynchronously, so that times are correct."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
@@ -538,7 +538,7 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
             min_learning_rate=job.learning_rate / 2,
             method=method,
             loss_function=volume.loss,
-            # All sources at full power, when they share the frames.
+            # All sources at full power where they share the frames.
             peak_amplitude=float(count) if shared and job.scale else 1.0,
             optimize_peak_amplitude=job.scale,
             reduction="mean",
@@ -551,7 +551,7 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
         _, phases, _, powers, _, _ = optimizer.optimize(job.iterations, {"eyebox": 0.0, "light": 0.0}, bits=None)
         _finish(device)
     if job.scale:
-        # The brightness is free: the brightest source runs at full power.
+        # The scale is free: the brightest source is at full power.
         powers = powers / powers.amax().clamp_min(1e-6)
     return Frames(phases, powers), clock.seconds_per_tick(), clock.loss
 

@@ -43,7 +43,7 @@ class InputError(Exception):
 
 
 class Modulator(NamedTuple):
-    """Nominal data of a spatial light modulator that is sold; its data sheet has the last word."""
+    """Nominal data of a commercial spatial light modulator; its data sheet is authoritative."""
 
     name: str
     pixel_pitch: float
@@ -171,7 +171,7 @@ class Job:
         object.__setattr__(self, name, value)
 
     def _set_volume(self) -> None:
-        """Check what planes and frames ask for; lengths and counts first, then what goes with what."""
+        """Check the options of planes and frames: lengths and counts first, then their combinations."""
         _validate.integer("--planes", self.planes, minimum=1)
         if max(self.planes, self.frames or 1) > MOST_PLANES:
             raise InputError(

@@ -158,7 +158,7 @@ def parameters_of(job: Job, target: Target, names: list[str], device: torch.devi
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of Python, odak and what it computes with."""
+    """Return the versions of Python, odak and the libraries that it uses."""
     from odak import __version__
 
     packages = {name: metadata.version(name) for name in ("numpy", "scipy", "torch", "pillow", "plotly")}
@@ -171,7 +171,7 @@ def device_name(device: torch.device) -> str:
 
 
 def finite(value: float) -> float | None:
-    """Return a number, None where it is infinite: JSON has no word for it."""
+    """Return a number, None where it is infinite, which JSON cannot represent."""
     return value if math.isfinite(value) else None
 
 
@@ -263,7 +263,7 @@ def fft_backends() -> str:
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the brightness s = ⟨I, T⟩/⟨I, I⟩ that brings an image closest to its target.
+    """Return the scale s = ⟨I, T⟩/⟨I, I⟩ that brings an image closest to its target.
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
 
 
 def common_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the one brightness s = ⟨I, T⟩/⟨I, I⟩ over all colours and pixels, without axes."""
+    """Return the scale s = ⟨I, T⟩/⟨I, I⟩ over all colours and pixels, without axes."""
     return best_scale(image.reshape(1, -1), target.reshape(1, -1)).reshape(())
 
 

@@ -332,7 +332,7 @@ def _value(kind: str, value: Any, folder: Path) -> Any:
     return value
 
 
-# --- Sources: fields; all else: what becomes of a field
+# --- Sources, which return fields, and elements, which change them
 
 
 def _grid(bench: dict, offset: Any = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:

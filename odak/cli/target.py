@@ -233,6 +233,6 @@ def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
             f"--depth-map must have the picture's shape, got {depth.shape[-2]} x {depth.shape[-1]} for a picture of "
             f"{rows} x {columns}"
         )
-    # Depths are not mixed across an edge: half-way between near and far there is nothing.
+    # Depths are not averaged across an edge: there is no surface half-way between near and far.
     fitted, _ = fit(depth - 1, job.resolution, mode="nearest-exact", size=(rows, columns))
     return fitted[0] + 1

@@ -1,4 +1,4 @@
-"""Traces rays through a lens for `odak trace`: figures, and reports as HTML and JSON."""
+"""Ray tracing of a lens for `odak trace`: figures, and reports as HTML and JSON."""
 
 import json
 from collections.abc import Sequence
@@ -124,7 +124,7 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
 
 
 def describe(system, rings: int, aim: str) -> dict:
-    """Return what the report says of a system."""
+    """Return the entries of the report on a system."""
     from odak.cli.report import versions
 
     spots = spot_diagram(system, "rings", rings, aim=aim)
@@ -160,6 +160,6 @@ def describe(system, rings: int, aim: str) -> dict:
 
 
 def _number(value) -> float | None:
-    """Return a float, None for what JSON has no word for."""
+    """Return a float, None for infinity and NaN, which JSON cannot represent."""
     value = float(value)
     return value if abs(value) < float("inf") else None

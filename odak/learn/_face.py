@@ -1,4 +1,4 @@
-"""Makes the PyTorch function of a function of the NumPy core: its conversions, signature and documentation."""
+"""PyTorch functions made of functions of the NumPy core: conversions, signature and documentation."""
 
 import inspect
 import re

@@ -1,4 +1,4 @@
-"""Work spread over processes, GPUs and machines.
+"""Distribution of work over processes, GPUs and machines.
 
 Nothing of Dask is imported before it is needed; without Dask, tasks run one after another in this process.
 """

@@ -1,4 +1,4 @@
-"""The agent: one function, many arguments, computed by as many processes, GPUs and machines as there are."""
+"""Computation of a function for many arguments by several processes, GPUs and machines."""
 
 import functools
 import math

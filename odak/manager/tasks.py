@@ -1,4 +1,4 @@
-"""Tasks on a worker: packed as bytes, and computed in a process of their own, which they may end without other harm.
+"""Tasks on a worker: serialised as bytes, and computed in a process of their own, whose end affects no other task.
 
 A function, its arguments and its results travel as bytes that are opened where a task runs: whatever cannot be opened
 fails that task alone, with a traceback. Each thread of a Dask worker keeps one process in which tasks run. A task that

@@ -1,4 +1,4 @@
-"""Scalar wave optics: propagation, lenses, gratings, phase retrieval and fields of point sources (NumPy face)."""
+"""Scalar wave optics: propagation, lenses, gratings, phase retrieval and point sources, for arrays of any library."""
 
 from odak._lazy import attach
 

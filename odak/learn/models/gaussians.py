@@ -546,7 +546,7 @@ def volume_loss(model, estimate, ground_truth, epoch_id: int, epoch_count: int, 
         low, high = weights[name]["threshold"]
         terms.append((weights[name]["smaller"], lambda v=values, at=low: v.abs().where(v < at, 0).sum()))
         terms.append((weights[name]["larger"], lambda v=values, at=high: v.where(v > at, 0).sum()))
-    # A function of the parameters, so that a loss without terms has a gradient: zero.
+    # A function of the parameters, so that a loss without terms has the gradient zero.
     loss = 0 * model.alphas.sum()
     for weight, term in terms:
         if weight != 0:

@@ -283,7 +283,7 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     span = value - torch.minimum(torch.minimum(red, green), blue)
     chroma = _nonzero(span)
     below_red, below_green, below_blue = value - red, value - green, value - blue
-    # Signs, 0 or 1 here, choose several times faster than comparisons. The first of equal channels counts as largest.
+    # Signs, 0 or 1 here, select several times faster than comparisons. The first of equal channels is the largest.
     others = torch.lerp(below_red - below_blue + 2 * chroma, below_green - below_red + 4 * chroma, below_green.sign())
     sixths = torch.lerp(below_blue - below_green, others, below_red.sign()) / chroma
     # A tiny negative angle rounds to 2π first.
@@ -563,7 +563,7 @@ def _piecewise(values, edge, curve, middle, factor, offset=0.0):
 
 
 def _power(base, exponent):
-    # Twice as fast as a general power, which must heed signs.
+    # Twice as fast as a general power, which treats signs.
     return torch.exp2(base.log2().mul_(exponent))
 
 
@@ -686,7 +686,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     h1, h2 = _hue(stretch * a1, b1), _hue(stretch * a2, b2)
     coloured = c1 * c2 != 0
     apart = torch.where(coloured, h2 - h1, 0.0)
-    # A hair of tolerance: exactly opposite hues are to be read alike on every machine.
+    # A small tolerance, so that exactly opposite hues are treated alike on every machine.
     wide = apart.abs() > math.pi * (1 + 4 * torch.finfo(apart.dtype).eps)
     turn = torch.where(wide, 2 * math.pi * torch.sign(apart), 0.0)
     hue_step = 2 * _root(c1 * c2) * torch.sin((apart - turn) / 2)
@@ -746,6 +746,6 @@ def _norm(a, b):
 
 def _root(value):
     """Return √value with a gradient of 0 at 0."""
-    # What is not a number stays so.
+    # NaN stays NaN.
     none = value <= 0
     return torch.where(none, 0.0, torch.where(none, 1.0, value).sqrt())

@@ -210,10 +210,10 @@ def by_values(
 
 
 def is_plain(image: torch.Tensor) -> bool:
-    """Return whether a tensor is on a CPU and no transform, forward-mode derivative or compiler follows it."""
+    """Return whether a tensor is on a CPU, without a transform, forward-mode derivative or compiler."""
     if image.device.type != "cpu" or _torch_private.is_transformed():
         return False
-    # Not the image alone: what stands beside one that is vmapped goes through the same operations.
+    # Not the image alone: tensors beside one that is vmapped take part in the same operations.
     return not _torch_private.in_functional_transform()
 
 

@@ -198,7 +198,7 @@ def _machado_tables():
 def _machado_matrix(deficiency, severity):
     tables = _array.outside_graphs(_machado_tables)
     matrices = severity.new_tensor(tables[deficiency])
-    # Each table weighs as a hat over its own severity, which is linear between them.
+    # Linear interpolation between the tables of the severities.
     steps = severity.new_tensor(tables["severities"])
     weights = (1 - 10 * (severity - steps).abs()).clamp_min(0)
     return torch.tensordot(weights / weights.sum(), matrices, 1)
@@ -223,7 +223,7 @@ def _vienot(deficiency, light):
 def _brettel(deficiency, light):
     short, long = (_JUDD_VOS_TO_LMS @ np.array(_ANCHORS[wavelength]) for wavelength in _ANCHORS_OF[deficiency])
     row = DEFICIENCIES.index(deficiency)
-    # The half planes part where the colour lies on the plane of white and the missing cone's axis.
+    # The half planes meet in the plane of white and the missing cone's axis.
     edge = np.cross(_RGB_TO_LMS.sum(1), np.eye(3)[row])
     edge = edge if edge @ short > 0 else -edge
     side = mix(rows((edge @ _RGB_TO_LMS)[None]), light)

@@ -242,7 +242,7 @@ class CSFLoss(nn.Module):
         mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.black_luminance)
         spectrum = torch.fft.rfft2((shown - wanted) / mean, norm="forward")
         sensitivity = _sensitivity(self._frequencies(image), mean, self._size(image))
-        # Half a spectrum: every column but the first, and the last of an even width, stands for two.
+        # Half a spectrum: every column but the first, and the last of an even width, counts twice.
         columns = image.shape[-1]
         weights = sensitivity.new_full((spectrum.shape[-1],), 4.0)
         weights[0] = 2.0
@@ -261,7 +261,7 @@ class CSFLoss(nn.Module):
         return self.black_luminance + (self.peak_luminance - self.black_luminance) * light
 
     def _size(self, picture):
-        """Return the side in degrees of a square that looks as large as the picture."""
+        """Return the side in degrees of a square of the picture's area."""
         width = _angle(self.real_image_width, self.real_viewing_distance)
         height = _angle(self.real_image_width * picture.shape[-2] / picture.shape[-1], self.real_viewing_distance)
         return math.sqrt(width * height)
@@ -381,14 +381,14 @@ def castle_contrast_sensitivity(
 
 
 def _place(value, knots):
-    """Return between which knots values lie, and how far from the lower one, 0 to 1."""
+    """Return the intervals of knots that hold values, and the positions within them, 0 to 1."""
     value = value.clamp(knots[0], knots[-1])
     index = (torch.searchsorted(knots, value.detach().contiguous(), right=True) - 1).clamp(0, len(knots) - 2)
     return index, (value - knots[index]) / (knots[index + 1] - knots[index])
 
 
 def _tables():
-    # Found without importing the package, which takes seconds and needs much else.
+    # Found without importing the package, which takes seconds.
     spec = importlib.util.find_spec(MODULE)
     if spec is None or not spec.submodule_search_locations:
         raise ImportError(

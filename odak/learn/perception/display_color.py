@@ -27,7 +27,7 @@ _TABLES = {
 
 
 def cone_fundamentals(wavelengths: torch.Tensor | Sequence[float], source: str = "CIE 170") -> torch.Tensor:
-    """Return how strongly the L, M and S cones respond to light of equal power.
+    """Return the sensitivities of the L, M and S cones to light of equal power.
 
     Parameters
     ----------
@@ -298,7 +298,7 @@ def fitted_spectrum(dataset) -> torch.Tensor:
     inside = (table[:, 0] >= FIRST) & (table[:, 0] <= LAST)
     places, measured = table[inside, 0], table[inside, 1] / largest
     share = np.sqrt(len(axis) / max(1, len(places)))
-    # Between what was measured the broken line counts little: it cuts the peaks of narrow lines.
+    # Interpolated samples have a small weight: linear interpolation cuts the peaks of narrow lines.
     weight = np.where((axis >= table[0, 0]) & (axis <= table[-1, 0]), _BETWEEN, 1.0)
 
     def apart(parameters):
@@ -589,7 +589,7 @@ class display_color_hvs(nn.Module):
         return mix(self.lms_tensor.T, as_pictures("primaries", primaries, len(self.lms_tensor)))
 
     def lms_to_primaries(self, lms_color_tensor: torch.Tensor) -> torch.Tensor:
-        """Return the intensities of the primaries that excite the cones as given.
+        """Return the intensities of the primaries that cause given cone responses.
 
         Parameters
         ----------
@@ -642,7 +642,7 @@ class display_color_hvs(nn.Module):
         return mix(OPPONENT, as_pictures("lms_image", lms_image))
 
     def _keep(self, name, value):
-        # Derived from the constructor's arguments, so no part of a stored state.
+        # Derived from the constructor's arguments, hence not part of a stored state.
         self.register_buffer(name, value, persistent=False)
 
     def _axis(self):

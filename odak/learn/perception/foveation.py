@@ -18,7 +18,7 @@ from odak.learn.perception.pooling import MipSampler
 from odak.learn.perception.util import check_loss_inputs, check_values
 
 MODES = ("quadratic", "linear")
-# Cones that graze the screen, or look behind it, are cut short here.
+# Limit of the angle for cones that graze the screen or point behind it.
 STEEPEST = math.pi / 2 - 1e-3
 
 
@@ -442,7 +442,7 @@ def _angle(places, direction):
 
 
 def _length(vectors):
-    # By components: a norm along the first axis walks through memory in large steps.
+    # By components: a norm along the first axis has large strides in memory.
     x, y, z = vectors
     return (x * x + y * y).addcmul_(z, z).sqrt_()
 

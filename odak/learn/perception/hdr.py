@@ -16,7 +16,7 @@ from odak.learn.perception.color_matrices import in_float64
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
 _C1, _C2, _C3 = 3424 / 4096, 2413 / 4096 * 32, 2392 / 4096 * 32
-# Below this luminance over the peak, the gradient stays what it is here.
+# Below this luminance over the peak, the gradient is that at this luminance.
 _PQ_FLOOR = 1e-9
 _PQ_POWER = _PQ_FLOOR**_M1
 _PQ_RATIO = (_C1 + _C2 * _PQ_POWER) / (1 + _C3 * _PQ_POWER)

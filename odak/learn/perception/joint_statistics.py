@@ -321,7 +321,7 @@ def descended(
     iterations: int,
     progress: Callable[[], object] | None,
 ) -> torch.Tensor:
-    """Return a picture of the form `held(free)` that L-BFGS has brought closer to the target of a distance.
+    """Return a picture of the form `held(free)` that lowers a distance, by L-BFGS.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def descended(
 
         def evaluate():
             inside = held(free)
-            # What lies outside is drawn back, so that it does not stay at the bound for ever.
+            # A penalty outside the bounds keeps the gradient from vanishing there.
             value = (distance(inside) + (free - inside).square().mean()) / unit
             # L-BFGS takes contiguous gradients only.
             free.grad = torch.autograd.grad(value, free)[0].contiguous()

@@ -74,7 +74,7 @@ class _StatisticsLoss(nn.Module):
         self.loss_map = torch.stack(enlarged).sum(0)[:, 0]
 
     def _parts(self, picture, where):
-        """Return groups of bands, what pools each, its mask or None, and the maps that are compared as they are.
+        """Return groups of bands, the pooling of each, its mask or None, and the maps that are compared directly.
 
         The first of these is the last low-pass; statistics of pairs follow if the loss asks for them.
         """
@@ -170,7 +170,7 @@ class _StatisticsLoss(nn.Module):
 
 
 class MetamericLoss(_StatisticsLoss):
-    """Distance between two pictures as an eye with one gaze sees them.
+    """Difference of two pictures seen with a fixed gaze, by their pooled statistics.
 
     Away from the gaze only means and standard deviations of steerable bands count, over regions that grow with
     eccentricity. Around it pixels count.
@@ -425,7 +425,7 @@ class MetamericLoss(_StatisticsLoss):
         return groups, [samplers[0], *samplers], groups_masks, others
 
     def _level_masks(self, image, geometry, sizes):
-        """Return, for each size, how much each pixel's statistics count; None where all of it does."""
+        """Return, for each size, the weight of each pixel's statistics; None where all weights are 1."""
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
             return [None] * len(sizes)
         key = (tuple(image.shape), geometry, self._options(), image.dtype, image.device)
@@ -578,7 +578,7 @@ class MetamericLossUniform(_StatisticsLoss):
         return mean_distance(*checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b))
 
     def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
-        """Keep how far the first picture's statistics are from the target's as `loss_map` ``[H, W]``."""
+        """Keep the difference of the first picture's statistics from the target's as `loss_map` ``[H, W]``."""
         super().visualise_loss_map(image_stats)
         self.loss_map = None if self.loss_map is None else self.loss_map[0]
 
@@ -803,7 +803,7 @@ class MetamerMSELoss(nn.Module):
         iterations: int | None = None,
         progress: Callable[[], object] | None = None,
     ) -> torch.Tensor:
-        """Return a picture that looks like another to an eye with one gaze, because its pooled statistics are the same.
+        """Return a metamer of a picture for a fixed gaze: a picture with the same pooled statistics.
 
         Parameters
         ----------
@@ -865,7 +865,7 @@ class MetamerMSELoss(nn.Module):
         """
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, target, inner.n_pyramid_levels)
-        # Descent magnifies the rounding of a compiled graph: the metamer is the same with and without one.
+        # Not compiled: gradient descent would amplify the rounding differences of a compiled graph.
         self.target_metamer = _array.outside_graphs(self._metamer_of, target, gaze)
         return self.loss_func(image, self.target_metamer)
 
@@ -1035,7 +1035,7 @@ def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tens
         for level, weight in enumerate(weights[1:]):
             step = (1 << level) - reach
             reach += step
-            # The largest of three shifted copies: the reach doubles from level to level.
+            # The largest of three shifted copies: the region doubles from level to level.
             for axis in (-1, -2):
                 pad = (step, step, 0, 0) if axis == -1 else (0, 0, step, step)
                 padded, length = functional.pad(extreme, pad, value=-torch.inf), extreme.shape[axis]
@@ -1073,13 +1073,13 @@ class TargetCache:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Drop the stored result."""
         self._target: Any = None
         self._key: Any = None
         self._value: Any = None
 
     def get(self, target: torch.Tensor, parameters: Hashable, compute: Callable):
-        """Return `compute()`, from memory if it was computed for this target and these parameters.
+        """Return `compute()`, or the stored result of this target and these parameters.
 
         Parameters
         ----------
@@ -1102,7 +1102,7 @@ class TargetCache:
             # Tensors made in inference mode could not be used with autograd later.
             with torch.inference_mode(False), torch.no_grad():
                 value = compute()
-                # A trusted target is held, so that its memory cannot become another's.
+                # A trusted target is referenced, so that its memory cannot be reused.
                 self._target = target.detach() if self.trusting else target.detach().clone()
             self._key, self._value = key, value
         return self._value

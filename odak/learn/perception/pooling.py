@@ -89,7 +89,7 @@ class Banded:
 
 
 def is_blocked(picture: torch.Tensor) -> bool:
-    """Return whether statistics may be computed in strips: float32 or float64 on a CPU, followed by no transform."""
+    """Return whether statistics may be computed in strips: float32 or float64 on a CPU, without a transform."""
     return is_plain(picture) and picture.dtype in (torch.float32, torch.float64)
 
 
@@ -127,7 +127,7 @@ class Sampler:
         return _Sampled.apply(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the same from torch's own operations."""
+        """Return the same by operations of torch that are differentiable."""
         raise NotImplementedError
 
     def coarse(self, first: torch.Tensor) -> list[torch.Tensor]:
@@ -471,7 +471,7 @@ class _Distance(torch.autograd.Function):
     def backward(context, outer):
         bands, gradient = context.saved_tensors
         if torch.is_grad_enabled():
-            # Somebody wants derivatives of the gradient: made anew, from parts that have them.
+            # Derivatives of the gradient are wanted: computed again by differentiable operations.
             (gradient,) = torch.autograd.grad(_plain_distance(bands, *context.rest), bands, create_graph=True)
         return outer * gradient, None, None, None
 
@@ -554,13 +554,13 @@ def _to_moments(error, found, weight, varies):
         error.mul_(weight)
     by_mean, by_power = error.unbind(1)
     mean, deviation = found.unbind(1)
-    # d(e²) = 2e·dσ and dσ = d(power)/2σ − mean·d(mean)/σ; where the variance is cut off, nothing.
+    # d(e²) = 2e·dσ and dσ = d(power)/2σ − mean·d(mean)/σ; 0 where the variance is clipped.
     by_power.div_(deviation).mul_(varies)
     by_mean.addcmul_(mean, by_power, value=-1).mul_(2)
 
 
 def _add_coarse(gradient, planes, sampler, totals):
-    """Add to the gradient what comes back from the coarse levels."""
+    """Add the contributions of the coarse levels to the gradient."""
     halved, first = sampler.coarse_adjoint(totals), sampler.levels[0]
     if first.rows is not None:
         by_mean, by_power = first.rows.on_rows_adjoint(halved).unbind(1)

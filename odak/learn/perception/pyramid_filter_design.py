@@ -17,7 +17,7 @@ KEPT = ("data", "steerable_pyramid_taps.json")
 # Points per axis of the grid of frequencies on which the responses are asked for.
 GRID = 24
 FOOT = 0.55
-# How much an ideal response counts beside one of flatness. Less: flatter, but less like the ideal; see the notes.
+# Weight of the distance from the ideal response relative to flatness; see the notes.
 PULL, BAND_PULL = 0.05, 0.15
 ALIASING, SUMS, FLOOR, SPLIT = 3.0, 100.0, 0.01, 1.0
 STEPS, TOLERANCE, DAMPING = 100, 1e-6, 1e-9
@@ -221,7 +221,7 @@ class _Problem:
         """Return taps ``[n, k, k]``, gains ``[points, n]`` and ideal gains of l, l0, h0 and half of the products."""
         radius, angle = np.hypot(self.x, self.y), np.arctan2(self.y, self.x)
         high0, low0, band, _ = ideal_gains(radius)
-        # A foot below the octave, so that small filters keep their sign down to slow ramps.
+        # A tail below the octave, so that small filters keep their sign down to low frequencies.
         band = np.maximum(band, np.minimum(FOOT * radius * 4 / math.pi, FOOT))
         if self.bilinear:
             band = np.sqrt(1 - self._bilinear_gain(1.0))
@@ -267,7 +267,7 @@ class _Problem:
         return np.array(gains), sources
 
     def relevance(self, part):
-        """Return weights of the frequencies: the bands and the low-pass see only what the first low-pass leaves."""
+        """Return weights of the frequencies: the bands and the low-pass follow the first low-pass."""
         ideal_low0 = self.parts[1][2]
         return np.ones_like(ideal_low0) if part in (1, 2) else np.maximum(ideal_low0**2, FLOOR)
 
@@ -286,12 +286,12 @@ class _Problem:
         jacobian = low0[:, None] ** 2 * inner_jacobian
         for gain, index in ((2 * low0 * inner, 1), (2 * high0, 2)):
             jacobian[:, self.slices[index]] += gain[:, None] * self.parts[index][1]
-        # A coarser level sees what the low-pass leaves at half the frequency.
+        # A coarser level gets what the low-pass transmits at half the frequency.
         passed, passed_jacobian = self._passed(taps, self.halved, 0.5)
         deep = passed * (inner - 1)
         deep_jacobian = passed[:, None] * inner_jacobian
         deep_jacobian[:, self.slices[0]] += (inner - 1)[:, None] * passed_jacobian
-        # Where small bands hold nothing, at one-pixel stripes, the first low-pass would be free to let them through.
+        # Small bands do not respond to one-pixel stripes: there the first low-pass would be undetermined.
         split = high0**2 + low0**2 - 1
         split_jacobian = np.zeros_like(jacobian)
         for gain, index in ((2 * low0, 1), (2 * high0, 2)):
@@ -329,7 +329,7 @@ class _Problem:
         return np.cos(scale * self.x / 2) ** 4 * np.cos(scale * self.y / 2) ** 4
 
     def _aliasing(self, taps):
-        """Return what folds back onto a frequency from half the sampling rate away, along one axis or both."""
+        """Return the aliases of a frequency from half the sampling rate away, along one axis or both."""
         grid, where = self.parts[0][1].reshape(GRID, GRID, -1), self.slices[0]
         residuals, jacobians = [], []
         # π − ω is on the grid too, and L is even.

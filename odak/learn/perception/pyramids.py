@@ -336,7 +336,7 @@ class SpatialSteerablePyramid(nn.Module):
         return [*pyramid, {"l": low[-1]}]
 
     def stacked_bands(self, image: torch.Tensor, n_levels: int) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
-        """Return what :meth:`construct_pyramid` does, with the bands of each level in one tensor.
+        """Return the pyramid of :meth:`construct_pyramid` with the bands of each level in one tensor.
 
         Parameters
         ----------
@@ -423,7 +423,7 @@ class SpatialSteerablePyramid(nn.Module):
         options: dict[str, Any] = {"dtype": dtype, "device": device}
         arguments = self._bank()[:3]
         filters = get_steerable_pyramid_filters(*arguments, bilinear=self.use_bilinear_downup, **options)
-        # Whatever mode the caller is in, the filters must serve gradients later.
+        # Outside inference mode, so that the filters can be used with autograd later.
         with torch.inference_mode(False):
             for name in ("h0", "l0") if self.use_bilinear_downup else ("h0", "l0", "l"):
                 self._set(f"filt_{name}", filters[name].repeat(self.n_channels, 1, 1, 1))
@@ -672,7 +672,7 @@ def _masks(size, n_levels, count, dtype, device):
     for level in range(n_levels - 1):
         radius, angle = _polar(here, size)
         _, _, band, low = ideal_gains(radius * 2**level)
-        # What came before has cut the low-pass of the finer level already; the first one is cut here.
+        # The low-pass of a finer level has been applied already; the first one is applied here.
         before = ideal_gains(radius)[1] if level == 0 else 1.0
         toward = np.cos(angle - orientations(count)[:, None, None]) ** (count - 1)
         bands = real(before * band * band_amplitude(count) * toward)
@@ -775,7 +775,7 @@ class _Correlation(torch.autograd.Function):
         reach = taps.shape[-1] // 2
         rows, columns = (-(-length // stride) for length in image.shape[-2:])
         planes = functional.pad(image, (reach,) * 4, mode="reflect").flatten(0, 1)
-        # Whole steps of the lanes; what they compute of zeros is dropped.
+        # Whole steps of the lanes; results from the zeros added are dropped.
         beyond = (-(-columns // LANES) * LANES - 1) * stride + taps.shape[-1] - planes.shape[-1]
         planes = _as_channels_last(functional.pad(planes, (0, beyond)) if beyond > 0 else planes)
         result = image.new_empty(rows, len(planes), len(taps), columns)
@@ -795,7 +795,7 @@ class _Correlation(torch.autograd.Function):
 
 
 class _Adjoint(torch.autograd.Function):
-    """The adjoint: each pixel gets what every correlation took of it."""
+    """The adjoint of the correlations with all filters."""
 
     @staticmethod
     def forward(gradient, taps, stride, size):
@@ -846,7 +846,7 @@ def _phases(filt, stride):
 
 
 def _folded(planes, axis, reach):
-    """Return the adjoint of mirroring an axis at both ends: what was mirrored goes back to where it came from."""
+    """Return the adjoint of mirroring an axis at both ends: mirrored samples are added to their sources."""
     length = planes.shape[axis] - 2 * reach
     middle = planes.narrow(axis, reach, length)
     if reach:

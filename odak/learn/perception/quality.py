@@ -463,7 +463,7 @@ def _similarities(one, two, data_range):
     2ab/(a² + b²) = 1 − (a − b)²/(a² + b²), likewise with variances: four windowed means instead of five, and no
     digits lost where pictures are close.
     """
-    # Products: a power of a large number would be an error, where infinity is right.
+    # Products, which overflow to infinity where a power would raise an error.
     c1, c2 = (k * data_range * k * data_range for k in (K1, K2))
     difference = one - two
     maps = torch.cat([one, difference, one**2 + two**2, difference**2])
@@ -490,7 +490,7 @@ def _windowed(planes):
 
 def _positive_power(value, exponent):
     """Return value^exponent, 0 with a gradient of 0 where the value is not positive."""
-    # What is not a number stays so.
+    # NaN stays NaN.
     none = value <= 0
     return torch.where(none, 0.0, torch.where(none, 1.0, value) ** exponent)
 
@@ -869,7 +869,7 @@ def _lightness(image, channel) -> torch.Tensor:
 
 
 def _in_strips(windows, eps, max_iter) -> dict[str, torch.Tensor]:
-    """Return :func:`_split` of windows ``[rows, columns, side, side]``, so many at once as memory should hold."""
+    """Return :func:`_split` of windows ``[rows, columns, side, side]``, as many at once as fit in memory."""
     rows = max(1, _PIXELS_AT_ONCE // windows[0].numel())
     parts = [_split(strip.flatten(-2), eps, max_iter) for strip in windows.split(rows)]
     return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}

@@ -10,7 +10,7 @@ from odak.learn.tools.matrix import blur_gaussian
 
 __all__ = ["blur_gaussian", "check_loss_inputs", "check_values", "checked_pair", "slice_rgbd_targets"]
 
-# Values are meant to be in 0 … 1; an optimizer may stray, and so may speckle; 8-bit values may not.
+# Values should lie in 0 … 1; optimizers and speckle may exceed it slightly, 8-bit values are an error.
 FARTHEST = 100.0
 
 

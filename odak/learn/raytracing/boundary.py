@@ -390,7 +390,7 @@ def _before(triangle: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
 
 
 def _planes(triangle):
-    """Return the centres of triangles, which rounding harms least, and their normals."""
+    """Return the centres of triangles, which are least affected by rounding, and their normals."""
     return triangle.mean(dim=-2), geometry.triangle_normal(triangle)
 
 
@@ -458,7 +458,7 @@ def intersect_w_cylinder(
 
 def _cylinder_hits(ray, center, radius, axis):
     hit = closed_forms.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
-    # Of rays that miss, no NaN must meet the radius.
+    # NaN of rays that miss must not reach the gradient of the radius.
     outward = tuple(torch.where(hit.hit, value, 0.0) for value in hit.normal)
     foot = vec.along(hit.point, -radius, outward)
     return vec.join(hit.point, vec.split(ray[..., 1, :])), vec.join(foot, hit.normal), hit.distance, hit.hit

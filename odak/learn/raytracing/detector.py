@@ -130,7 +130,7 @@ class detector:
             rays=rays, size=self.size, center=self.surface_center, tilt=self.surface_tilt
         )
         rays = arguments.rays("rays", rays).reshape(-1, 2, 3)
-        # Not self.plane: a stored graph could go backward once only.
+        # Not self.plane: a stored graph has one backward pass only.
         normal, distance = intersect_w_surface(rays, define_plane(center, tilt))
         points, met = normal[:, 0], distance[:, 0].isfinite()
         safe = torch.where(met[:, None], points, center)
@@ -171,5 +171,5 @@ class detector:
         return image.index_add(0, pixel, counted.to(size.dtype))
 
 
-# The class hides the module of its name in the package; it answers for it.
+# The class replaces the module of its name in the package; `detector.detector` stays valid.
 detector.detector = detector  # type: ignore[attr-defined]

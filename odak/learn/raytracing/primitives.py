@@ -31,7 +31,7 @@ _ORIGIN = (0.0, 0.0, 0.0)
 
 
 def batched(axes: int) -> Callable:
-    """Return what calls a function of the core and puts a batch axis in front of the last axes of its results."""
+    """Return a function that calls one of the core and puts a batch axis in front of the last axes of its results."""
 
     def call(core, **options):
         result = core(**options)

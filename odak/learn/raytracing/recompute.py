@@ -40,7 +40,7 @@ class _Recomputed(torch.autograd.Function):
     @staticmethod
     def forward(ctx, function, ranks, kinds, size, *tensors):
         ctx.function, ctx.ranks, ctx.size = function, ranks, size
-        # Results that nobody uses then cost nothing on the way back.
+        # Unused results then cost nothing in the backward pass.
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(*tensors)
         result = batches.in_pieces(function, ranks, *tensors, size=size)
@@ -63,7 +63,7 @@ class _Recomputed(torch.autograd.Function):
 def _gradients(function, tensors, needed, gradients, create_graph: bool) -> list:
     """Return the gradients of the arguments needed, None for the others."""
     with torch.enable_grad():
-        # Views of their own: an argument made from another must not pass its gradient on to it here.
+        # Separate views, so that an argument computed from another does not pass its gradient on to it here.
         inputs = [t.view_as(t) if create_graph else t.detach() for t in tensors]
         inputs = [t if create_graph or not need else t.requires_grad_() for t, need in zip(inputs, needed, strict=True)]
         result = function(*inputs)

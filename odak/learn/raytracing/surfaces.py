@@ -144,7 +144,7 @@ def intersect_parametric(
     hit = torch.isfinite(found)
     if not bool(hit.any()):
         return found.reshape(batch), torch.full_like(rays, torch.nan).reshape(*batch, 2, 3)
-    # In place of a ray that misses, one that hits: the functions may not even be differentiable elsewhere.
+    # A ray that misses is replaced by one that hits: elsewhere the functions may not be differentiable.
     first = hit.nonzero()[0, 0]
     rays = torch.where(hit[:, None, None], rays, rays[first].detach())
     distance = torch.where(hit, found, found[first])
@@ -180,7 +180,7 @@ def _search(rays, surface, function: Callable, target_error: float, limit: int) 
 
 
 def _gradient(rays, distance, surface, function: Callable):
-    """Return the function where the rays are, and its gradient by the place; with a graph if there is one to follow."""
+    """Return the function where the rays are, and its gradient by the place; with a graph if one is recorded."""
     point = rays[:, 0] + distance[:, None] * rays[:, 1]
     differentiable = point.requires_grad or (torch.is_grad_enabled() and function(point, surface).requires_grad)
     with torch.enable_grad():

@@ -18,7 +18,7 @@ from odak.raytracing.intersections import RayStatus
 
 BRANCHES = 8
 LEAF = 4
-# Boxes are single precision in units of the mesh's radius: what a ray and a box lose to rounding stays below this.
+# Boxes are in single precision in units of the mesh's radius: the rounding errors of rays and boxes stay below this.
 MARGIN = 8 * torch.finfo(torch.float32).eps
 
 
@@ -174,7 +174,7 @@ def nearest_faces(
     """
     cap = pairs_at_a_time(tree, memory_budget)
     found = torch.full((len(start),), -1, dtype=torch.int64, device=start.device)
-    # A ray outside the unit sphere at its nearest point meets nothing.
+    # A ray outside the unit sphere at its nearest point misses all boxes.
     close = ((start * start).sum(dim=1) <= 1 + 1e-5).nonzero().flatten()
     for part in close.split(cap):
         chosen = None if leaving is None else leaving[part]
@@ -398,7 +398,7 @@ def evaluate(
 
 
 def misses(rays: torch.Tensor) -> MeshHit:
-    """Return the hits of rays ``[m, 2, 3]`` that meet nothing."""
+    """Return the hits of rays ``[m, 2, 3]`` without an intersection."""
     none = torch.full_like(rays[:, 0], torch.nan)
     face = torch.full((len(rays),), -1, dtype=torch.int64, device=rays.device)
     return MeshHit(none[:, 0], none, none, face, none, intersections.status_array(face >= 0))

@@ -13,7 +13,7 @@ from odak.wave.methods import check_has_kernel
 
 
 def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
-    """Return what a camera captures of a phase.
+    """Return the intensity that a camera captures of a phase.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def seen(image: torch.Tensor, captured: torch.Tensor) -> torch.Tensor:
     return image + (captured.to(image) - image).detach()
 
 
-# Shares of the full well that fill it for certain; torch draws no electrons at all from infinitely bright light.
+# Fractions of the full well above which it is saturated; torch draws no electrons at all at an infinite rate.
 _FULL = 1e4
 
 
 class simulated_camera(torch.nn.Module):
-    """Shows a phase on a display with faults that a model does not know of, and returns the intensity it captures.
+    """Simulated display with deviations from its model, and the camera that captures its intensity.
 
     The light of the modulator, times illumination and aberration, is propagated; each pixel of the sensor collects
     the light of one pixel of the hologram. An intensity I becomes I·exposure·full_well electrons on average, drawn by
@@ -200,7 +200,7 @@ class simulated_camera(torch.nn.Module):
 
     @torch.no_grad()
     def captured(self, light: torch.Tensor) -> torch.Tensor:
-        """Return what the sensor makes of an intensity: noise, saturation and levels.
+        """Return the levels that the sensor captures of an intensity, with noise and saturation.
 
         Parameters
         ----------

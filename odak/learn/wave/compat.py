@@ -1,4 +1,4 @@
-"""Older call forms, translated in one place so that the physics never sees them."""
+"""Conversion of older call forms of hologram functions to the present ones."""
 
 import functools
 import inspect

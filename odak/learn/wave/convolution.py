@@ -1,4 +1,4 @@
-"""The propagation operator in PyTorch: two transforms and a product, with a hand-written adjoint.
+"""Filtering of tensors by a transfer function: two transforms and a product, with an explicit adjoint.
 
 A = C·F⁻¹·H·F·P with P the continuation by zeros and C the cut, so A^H = C·F⁻¹·conj(H)·F·P: the adjoint is the same
 operator with the conjugate kernel. Nothing but the kernel is saved for the backward pass.
@@ -16,7 +16,7 @@ from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
 
 # Fields are filtered in blocks if the spectra of a batch have this many samples together, and one of them BLOCKED_FROM.
 _BLOCKED_BATCH_FROM = 1 << 20
-# Small parts stay in the cache; but each is a meeting of all threads, which costs milliseconds on a busy machine.
+# Small parts stay in the cache, but each synchronises all threads, which costs milliseconds on a busy machine.
 # 4 MB is as quick as 1 MB on an idle one and several times quicker when something else runs.
 _BLOCK_BYTES = 1 << 22
 _CACHE_LINE = 64
@@ -27,7 +27,7 @@ _scratch = threading.local()
 
 
 class Workspace:
-    """Memory for results that are made again and again: each takes the place of the one before of its name.
+    """Memory for results that are computed repeatedly: each replaces the earlier one of its name.
 
     Fresh memory is cleared page by page by the system, which takes as long as a transform.
     """
@@ -36,10 +36,10 @@ class Workspace:
         self._memory = {}
 
     def take(self, name: str, shape: Sequence[int], dtype: torch.dtype, device: torch.device) -> torch.Tensor:
-        """Return a tensor of that shape; what it holds is left over."""
+        """Return a tensor of that shape with undefined content."""
         held, count = self._memory.get(name), math.prod(shape)
         if held is None or held.dtype != dtype or held.device != device or held.numel() < count:
-            # The old one goes first, or both would be there at once.
+            # The old one is released first, so that memory never holds both.
             held = self._memory[name] = None
             held = self._memory[name] = torch.empty(count, dtype=dtype, device=device)
         return held[:count].view(shape)

@@ -1,4 +1,4 @@
-"""Amplitude, phase, intensity and exposure of fields as tensors, with backward passes that touch each array once."""
+"""Amplitude, phase, intensity and exposure of fields as tensors, with memory-efficient gradients."""
 
 import itertools
 from typing import Any
@@ -38,7 +38,7 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     """
     if not isinstance(phase, torch.Tensor) or phase.is_complex():
         raise TypeError(f"phase must be a real tensor, got {getattr(phase, 'dtype', type(phase).__name__)}")
-    # There are no complex numbers to match the half precisions.
+    # There are no complex dtypes of half precision.
     return _UnitPhasor.apply(phase.float() if phase.dtype in _HALVES else phase)
 
 
@@ -283,14 +283,14 @@ class _SquaredError(torch.autograd.Function):
 
 
 class _Exposure(torch.autograd.Function):
-    """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the slope is as large as the field."""
+    """d Σ p²|u|² = Σ 2p²·Re(conj(u)·du) + Σ 2p·|u|²·dp, frame by frame: only the gradient is as large as the field."""
 
     @staticmethod
     def forward(field, power, one_each, workspace):
         frames, planes, colours, *shape = field.shape
         total = allocate_like(workspace, "exposure", (planes, frames if one_each else colours, *shape), field.real)
         weights = power.square()
-        # Plane by plane: what is between then stays in the cache, and is never large enough to be fresh memory.
+        # Plane by plane, so that intermediate results stay in the cache.
         for frame, plane in itertools.product(range(frames), range(planes)):
             own, weight = field[frame, plane], weights[frame, :, None, None]
             place = total[plane, frame : frame + 1] if one_each else total[plane]

@@ -122,7 +122,7 @@ class holographic_display(display_volume):
         """Compute the transfer functions of all planes and colours now rather than on first use."""
         self.transfer(slice(None))
 
-    # Without the padding that the volume takes, and with the colour by another name, as callers have it.
+    # Older signature: no padding, and another name of the colour.
     def forward(  # type: ignore[override]
         self, input_field: torch.Tensor, wavelength_id: int, depth_id: int
     ) -> torch.Tensor:
@@ -154,7 +154,7 @@ class holographic_display(display_volume):
         return convolve(field if self.pad[1] else zero_pad(field, self.padded_shape), kernels)
 
     def reconstruct(self, hologram_phases: torch.Tensor, laser_powers: torch.Tensor) -> torch.Tensor:
-        """Return what each frame shows on each plane in each colour; differentiable.
+        """Return the intensity of each frame on each plane in each colour; differentiable.
 
         Parameters
         ----------

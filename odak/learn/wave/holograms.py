@@ -229,14 +229,14 @@ def _cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return s = ⟨I, T⟩/⟨I, I⟩, the brightness at which an image is closest to its target, ``[..., 1, 1]``."""
+    """Return s = ⟨I, T⟩/⟨I, I⟩, the scale at which an image is closest to its target, ``[..., 1, 1]``."""
     axes = (-2, -1)
     norm = (image * image).sum(axes, keepdim=True).clamp_min(torch.finfo(image.dtype).tiny)
     return (image * target).sum(axes, keepdim=True) / norm
 
 
 def _problem(target, wavelength, distance, pixel_pitch) -> dict:
-    """Return what a checkpoint must be of."""
+    """Return the parameters by which a checkpoint is recognised."""
     lengths = {"wavelength": wavelength, "distance": distance, "pixel_pitch": pixel_pitch}
     return {"target": fingerprint(target), **{name: _validate.numbers(length) for name, length in lengths.items()}}
 
@@ -655,7 +655,7 @@ def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
     amplitude = amplitude / amplitude.amax(dim=(-2, -1), keepdim=True).clamp_min(torch.finfo(amplitude.dtype).tiny)
     phase = field.angle()
     phase = phase - phase.mean(dim=(-2, -1), keepdim=True)
-    # The slope of arccos is infinite at one, where the brightest pixel is: it takes none, and spoils no other's.
+    # The derivative of arccos is infinite at one, the amplitude of the brightest pixel, which gets no gradient.
     dimmer = amplitude < 1
     offset = torch.where(dimmer, torch.arccos(torch.where(dimmer, amplitude, 0)), 0)
     rows, columns = (torch.arange(n, device=field.device) for n in field.shape[-2:])

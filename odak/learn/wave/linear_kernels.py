@@ -21,10 +21,10 @@ from odak.wave.methods import METHODS, check_has_kernel, find_method, method_nam
 from odak.wave.sampling import PARAXIAL_TOLERANCE, sampling_report
 from odak.wave.transfer_functions import Grid, Request
 
-# The wrap-around that is left falls with the square of the fine grid and the root of the window.
+# The residual wrap-around falls with the square of the fine grid and the root of the window.
 _REFINEMENTS = ((256, 8), (1024, 4), (math.inf, 2))
 _SLAB = 1 << 21
-# A band-limited kernel is one way to keep a kernel from wrapping around. Without the wrap there is no need to.
+# Band limitation avoids wrap-around, which linear convolution does not have.
 _UNLIMITED = {"Bandlimited Angular Spectrum": "Angular Spectrum"}
 WITH_TRANSFER_FUNCTION = tuple(m.name for m in METHODS if m.kernel and m.windowed and not m.of_intensities)
 
@@ -57,7 +57,7 @@ class LinearGrid(Grid):
         for start in range(0, fy.shape[-2], step):
             part = fy[..., start : start + step, :]
             squared = part**2 + fx**2
-            # Waves that decay have no phase to alias.
+            # Evanescent waves have no phase that could alias.
             kept = ((part <= limit_y) & (fx <= limit_x)) | (squared * self.wavelength**2 >= 1)
             if self.cutoff is not None:
                 kept = kept & (squared <= self.cutoff**2)

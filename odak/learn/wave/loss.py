@@ -58,7 +58,7 @@ def plane_masks(indices: torch.Tensor, number_of_planes: int) -> torch.Tensor:
 def defocused_targets(
     image: torch.Tensor, indices: torch.Tensor, number_of_planes: int, blur_ratio: float, blur_size: int
 ) -> torch.Tensor:
-    """Return what each plane shows when the pixels of other planes are out of focus.
+    """Return the targets of planes on which the pixels of other planes are out of focus.
 
     A pixel j planes away is taken from the picture blurred by a Gaussian of σ = int(j·blur_ratio); σ = 0 leaves it
     sharp. The picture is blurred once for each σ.
@@ -105,7 +105,7 @@ def geometric_targets(
     pixel_pitch: float,
     numerical_aperture: float | None = None,
 ) -> torch.Tensor:
-    """Return what each plane shows when the pixels of other planes are out of focus, from the geometry of the light.
+    """Return the targets of planes on which the pixels of other planes are out of focus, from their geometry.
 
     A pixel a distance z away from the plane in focus is taken from the picture blurred by a uniform disc of radius
     z·tan θ, sin θ being the numerical aperture: every point emits a cone.
@@ -159,7 +159,7 @@ def _blurred(image, sigma, side):
 
 
 class FocalTargets(nn.Module):
-    """Targets and masks of the planes of a picture with depth; the part that losses of several planes share.
+    """Targets and masks of the planes of a picture with depth; base of the losses of several planes.
 
     Arguments are those of :class:`odak.learn.wave.loss.multiplane_loss`.
     """
@@ -351,7 +351,7 @@ _LAPLACIAN = ((-1.0, -1.0, -1.0), (-1.0, 8.0, -1.0), (-1.0, -1.0, -1.0))
 
 
 class phase_gradient(nn.Module):
-    """How much a phase differs from its surroundings: a loss of its Laplacian against zero.
+    """Loss of the Laplacian of a phase against zero, which asks for a smooth phase.
 
     Parameters
     ----------
@@ -406,7 +406,7 @@ class phase_gradient(nn.Module):
 
 
 class speckle_contrast(nn.Module):
-    """How grainy an intensity is: a loss of its local contrast, deviation over mean, against zero.
+    """Loss of the local speckle contrast of an intensity, standard deviation over mean, against zero.
 
     Parameters
     ----------
@@ -460,7 +460,7 @@ class speckle_contrast(nn.Module):
     def functional_conv2d(self, intensity: torch.Tensor) -> torch.Tensor:
         """Return the contrast of each square ``[B, 1, m', n']``; 0 where the light is even, or there is none."""
         given = _planes("intensity", intensity)
-        # In single precision the variance of what is dark beside bright light would be rounding alone.
+        # In single precision the variance of dark pixels beside bright ones would be rounding alone.
         planes = given.double()
         if min(planes.shape[-2:]) < self.kernel_size:
             raise ValueError(
@@ -474,7 +474,7 @@ class speckle_contrast(nn.Module):
             for values in (planes - level, (planes - level) ** 2)
         )
         variance, mean = square - mean**2, mean + level
-        # What is not a number is uneven, so that it is seen.
+        # NaN counts as uneven, so that it shows in the loss.
         uneven = ~((variance <= 0) | (mean == 0))
         # Both branches must be finite, else the gradient of the one not taken is not a number.
         contrast = torch.where(uneven, variance.where(uneven, 1.0).sqrt() / mean.where(uneven, 1.0), 0.0)

@@ -300,7 +300,7 @@ class propagator(display_volume):
         self.init_kernels()
 
     def init_phase_scale(self) -> None:
-        """Let every colour see the phase of the pattern as it is."""
+        """Set the phase scale of every colour to one."""
         self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
 
     def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
@@ -397,7 +397,7 @@ class propagator(display_volume):
         return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
 
     def _lit(self, holograms, frames: slice):
-        """Return the frames that are lit, of those asked for, and what each shows in its one colour."""
+        """Return the frames that are lit, of those asked for, and the pattern of each in its one colour."""
         lit = range(self._lit_frames())[frames]
         if holograms.shape[2] > 1:
             holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
@@ -416,7 +416,7 @@ class propagator(display_volume):
             holograms = holograms[frames]
         if not method_named(self.propagation_type).of_intensities:
             return self._propagated_without_kernels(holograms, planes, wavelengths)
-        # What spreads is the intensity: its root stands for a field that has it.
+        # The intensity is propagated: its root represents a field of that intensity.
         spread = self._propagated_without_kernels(intensity(holograms), planes, wavelengths).abs()
         return _array.to_complex(spread.clamp_min(torch.finfo(spread.dtype).tiny).sqrt())
 
@@ -469,7 +469,7 @@ class propagator(display_volume):
         no_grad: bool = True,
         get_complex: bool = False,
     ) -> torch.Tensor:
-        """Return what each frame shows on each plane in each colour.
+        """Return the intensity of each frame on each plane in each colour.
 
         Parameters
         ----------

@@ -16,7 +16,7 @@ TURN = 2 * math.pi
 
 
 def even_levels(phase: torch.Tensor, count: int) -> torch.Tensor:
-    """Return the nearest of `count` levels spread evenly over a turn, as whole numbers in the phase's own dtype.
+    """Return the nearest of `count` levels spread evenly over 2π, as whole numbers in the phase's own dtype.
 
     The search of :func:`nearest_levels`, which finds the same, takes ten times as long.
     """
@@ -44,7 +44,7 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
     period = TURN * torch.ceil((lut.max() - low) / TURN).clamp_min(1)
     rising, order = torch.sort(torch.remainder(lut - low, period))
     offset = torch.remainder(phase - low.to(phase.dtype), period.to(phase.dtype))
-    # Half a step beyond the last level there is a better one a turn below, if the table reaches that far.
+    # Half a step beyond the last level a level 2π below is nearer, if the table reaches that far.
     top = torch.where(period > 1.5 * TURN, 1.5 * rising[-1] - 0.5 * rising[-2], period)
     offset = torch.where(offset > top.to(phase.dtype), offset - TURN, offset)
     # Behind the last boundary the first level comes again, a period later.
@@ -53,7 +53,7 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
 
 
 def within_range(phase: torch.Tensor, phase_range: float) -> torch.Tensor:
-    """Return a phase as a modulator without levels shows it: 0 … range, the nearer end for what lies beyond."""
+    """Return a phase limited to a modulator's range 0 … range, beyond which it takes the nearer end."""
     period = TURN * max(1, math.ceil(phase_range / TURN))
     turned = torch.remainder(phase, period)
     if phase_range > TURN:
@@ -270,7 +270,7 @@ class spatial_light_modulator(torch.nn.Module):
         if self.lut is None:
             raise ValueError("bits must be given for a modulator to have levels, got None")
         phase = _checked_phase(phase).detach()
-        # Whole numbers cannot say that there was none to round.
+        # Integers cannot represent NaN.
         _validate.real("phase", phase)
         if self._even:
             return even_levels(phase, 2 ** (self.bits or 0)).to(torch.int32)
@@ -287,7 +287,7 @@ class spatial_light_modulator(torch.nn.Module):
                 target = even_levels(phase.detach(), 2**self.bits) * (TURN / 2**self.bits)
             else:
                 target = lut.to(phase.dtype)[nearest_levels(phase, lut)]
-        # The difference is exactly zero: it adds the gradient and no rounding.
+        # The difference is exactly zero: it contributes the gradient and no rounding error.
         return target + (phase - phase.detach())
 
     def _with_gaps(self, light):
@@ -584,7 +584,7 @@ def _checked_phase(phase):
 
 def _covered(fill, s):
     """Return the share of each of the `s` samples across a pixel that its active part of area `fill` covers."""
-    # The root has no slope at zero; where edges meet, the slope is that of the active part's.
+    # The derivative of the root is infinite at zero; where edges coincide it is that of the active part.
     side = torch.where(fill > 0, fill.where(fill > 0, 1).sqrt(), fill) * s / 2
     start = torch.arange(s, dtype=fill.dtype, device=fill.device)
     low, high = s / 2 - side, s / 2 + side

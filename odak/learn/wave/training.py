@@ -29,7 +29,7 @@ _PARTS = ("done", "parameters", "best", "best_loss", "solver", "randomness")
 
 @dataclass(frozen=True)
 class Options:
-    """How an optimization is run, whatever it optimizes.
+    """Options of an optimization.
 
     Attributes
     ----------
@@ -117,7 +117,7 @@ def minimise(
 
 
 class _Run:
-    """One optimization: the parameters, where it is, and the best it has seen."""
+    """State of an optimization: the parameters, the iteration and the best state so far."""
 
     def __init__(self, parameters, solver, iterations, options, about, generators):
         self.parameters, self.solver, self.options = parameters, solver, options
@@ -250,7 +250,7 @@ def generator_from(seed: int | None, device: torch.device | str = "cpu") -> torc
 
 
 def fingerprint(*tensors: torch.Tensor) -> str:
-    """Return a short text that other tensors do not have, for what a checkpoint is of."""
+    """Return a short text that identifies tensors, by which a checkpoint is recognised."""
     digest = hashlib.sha256()
     for tensor in tensors:
         array = tensor.detach().resolve_conj().resolve_neg().cpu().contiguous().numpy()
@@ -259,7 +259,7 @@ def fingerprint(*tensors: torch.Tensor) -> str:
 
 
 def constant(rate: float) -> Callable[[int], float]:
-    """Return a learning rate that stays."""
+    """Return a constant learning rate."""
     return lambda iteration: rate
 
 
@@ -269,7 +269,7 @@ def cosine(rate: float, lowest: float, iterations: int) -> Callable[[int], float
 
 
 def linear(rate: float, lowest: float, iterations: int) -> Callable[[int], float]:
-    """Return a learning rate that falls evenly from `rate` to `lowest`."""
+    """Return a learning rate that falls linearly from `rate` to `lowest`."""
     return lambda iteration: rate + (lowest - rate) * iteration / iterations
 
 
@@ -316,7 +316,7 @@ class Adam:
                 continue
             mean.lerp_(slope, 1 - self.betas[0])
             square.mul_(self.betas[1]).addcmul_(slope, slope, value=1 - self.betas[1])
-            # The gradient's memory is done with, so the denominator takes its place.
+            # The gradient is no longer needed, so that the denominator takes its memory.
             denominator = torch.sqrt(square, out=slope).div_(square_bias**0.5).add_(self.epsilon)
             parameter.addcdiv_(mean, denominator, value=-learning_rate / mean_bias)
         self.count = count

@@ -213,7 +213,7 @@ class display_volume(torch.nn.Module):
         self.vaccination = _validate.flag("vaccination", vaccination)
         self.vaccination_scale = _validate.real("vaccination_scale", vaccination_scale)
         self._generator = None if seed is None else generator_from(seed)
-        # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad hang on.
+        # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad depend on.
         self._distances, self._relay = distances, relay
         shape, pitch = tuple(n * samples_per_pixel for n in self.resolution), self.pixel_pitch / samples_per_pixel
         self.propagation_type = linear_method(
@@ -242,7 +242,7 @@ class display_volume(torch.nn.Module):
         self.init_kernels()
 
     def init_kernels(self) -> None:
-        """Forget the transfer functions; they are built again when they are needed."""
+        """Drop the transfer functions; they are built again when they are needed."""
         self._transfer = self._kernels = None
 
     def __setattr__(self, name, value):
@@ -354,7 +354,7 @@ class display_volume(torch.nn.Module):
 
     @property
     def generated_kernels(self) -> torch.Tensor:
-        """Whether the transfer function of each plane and colour is at hand, ``[D, C]``."""
+        """Whether the transfer function of each plane and colour has been built, ``[D, C]``."""
         built = [False] * self.number_of_depth_layers if self._transfer is None else self._transfer.built
         return torch.tensor(built, device=self.device)[:, None].repeat(1, self.number_of_channels)
 
@@ -448,7 +448,7 @@ class display_volume(torch.nn.Module):
             kept = self._transfer = _Kept(self.aperture, self._empty(count, dtype), [False] * count)
         for plane in range(self.number_of_depth_layers)[planes]:
             if not kept.built[plane]:
-                # Whole, as another thread may be about the same plane.
+                # Complete, for another thread may build the same plane.
                 kept.kernels[plane] = self._fill(self._empty(1, dtype), distances[plane : plane + 1])[0]
                 kept.built[plane] = True
         return kept.kernels[planes]

@@ -24,7 +24,7 @@ from odak.visualize.blender.shapes import pixels
 
 
 class Session:
-    """What :func:`odak.visualize.blender.init` returns: a handle as of a process that is running.
+    """Handle returned by :func:`odak.visualize.blender.init`, with the interface of a process.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Session:
         return None if _open.get("session") is self else 0
 
     def kill(self) -> None:
-        """Let the scene go."""
+        """Release the scene."""
         if self.poll() is None:
             stop()
 
@@ -66,7 +66,7 @@ def current() -> Session:
 
 
 def stop() -> None:
-    """Let the scene go."""
+    """Release the scene."""
     _open.pop("session", None)
 
 
@@ -217,7 +217,7 @@ def set_render_type(render_type: str = "rgb") -> None:
 
 
 def quit() -> None:
-    """Let the scene go; what is drawn next goes into a new one."""
+    """Release the scene; later drawing commands begin a new one."""
     stop()
 
 
@@ -228,7 +228,7 @@ def delete_object(label: str) -> None:
 
 
 def set_rotation(input_obj: Item, angle: Sequence[float]) -> None:
-    """Turn an object: degrees about X, then Y, then Z."""
+    """Rotate an object: degrees about X, then Y, then Z."""
     input_obj.rotation = three("angle", angle)
 
 
@@ -243,7 +243,7 @@ def clear_material(material: Item) -> None:
 
 
 def assign_color(fn: str, obj: Item, color: Sequence[float] = ORIGIN, label: str = "color") -> None:
-    """Let an object shine in a colour.
+    """Make an object emit light of a colour.
 
     Parameters
     ----------
@@ -262,7 +262,7 @@ def assign_color(fn: str, obj: Item, color: Sequence[float] = ORIGIN, label: str
 
 
 def assign_texture(fn: str, obj: Item, label: str) -> None:
-    """Let an object show a picture.
+    """Give an object a picture as its texture.
 
     Parameters
     ----------
@@ -300,7 +300,7 @@ def create_circle(objname: str, location: Sequence[float], radius: float = 1.0) 
 
 
 def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item):
-    """Meet an object with the ray from one point towards another, and beyond it.
+    """Intersect an object with the ray from one point towards another, and beyond it.
 
     Parameters
     ----------
@@ -410,7 +410,7 @@ def delete_the_cube() -> None:
 
 
 def send_msg(cmds: Iterable[str]) -> bool:
-    """Carry out commands given as texts.
+    """Execute commands given as texts.
 
     Parameters
     ----------
@@ -445,7 +445,7 @@ _waiting: queue.Queue = queue.Queue(maxsize=100)
 
 
 def parse_function_call_safely(cmd_str: str, expected_func_name: str) -> tuple[str | None, list, dict]:
-    """Take the text of a call apart.
+    """Parse the text of a call.
 
     Parameters
     ----------
@@ -519,7 +519,7 @@ def run_in_main_thread(function_tuple) -> bool:
 
 
 def execute_queued_functions() -> float:
-    """Carry out what waits, in order; return 0.1, the seconds after which to call again.
+    """Execute the queued calls in order; return 0.1, the seconds after which to call again.
 
     Raises
     ------
@@ -535,7 +535,7 @@ def execute_queued_functions() -> float:
 
 
 class whisper2blender(threading.Thread):
-    """A thread that carries out what waits, once. No port is opened.
+    """A thread that executes the queued calls once. No port is opened.
 
     Parameters
     ----------
@@ -548,10 +548,10 @@ class whisper2blender(threading.Thread):
         self.port, self.host, self.path_max = port, host, path_max
 
     def run(self) -> None:
-        """Carry out what waits."""
+        """Execute the queued calls."""
         execute_queued_functions()
 
 
 def main() -> None:
-    """Carry out what waits."""
+    """Execute the queued calls."""
     execute_queued_functions()

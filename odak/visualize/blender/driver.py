@@ -31,16 +31,16 @@ CODES = {"<f4": "f", "<i4": "i", "|u1": "B"}
 UNITS = {"m": "METERS", "mm": "MILLIMETERS", "um": "MICROMETERS", "nm": "MICROMETERS"}
 # Since then curves can be made from Python.
 CURVES = (4, 2, 0)
-# Faces that shine are sampled one by one up to this number: a list of millions takes minutes to prepare.
+# Number of emitting faces up to which they are sampled directly: lists of millions take minutes to prepare.
 MOST_SAMPLED = 5000
 GPUS = ("CUDA", "OPTIX", "HIP", "ONEAPI", "METAL")
 
 
 def main(arguments):
-    """Make what the command line asks for."""
+    """Write the file that the command line asks for."""
     if len(arguments) != 2:
         raise SystemExit(__doc__)
-    # Blender 5 announces what version 6 will do without; older ones need it.
+    # Blender 5 warns of settings that version 6 removes; older versions need them.
     warnings.filterwarnings("ignore", category=DeprecationWarning)
     path, output = (os.path.abspath(argument) for argument in arguments)
     with open(path, encoding="utf-8") as stream:
@@ -81,7 +81,7 @@ class Arrays:
 
 
 def build(document, arrays):
-    """Return Blender's scene with everything in it."""
+    """Return Blender's scene with all objects, lights and cameras."""
     if document["start_from"]:
         bpy.ops.wm.open_mainfile(filepath=document["start_from"], load_ui=False, use_scripts=False)
     else:
@@ -163,7 +163,7 @@ def make_mesh(entry, arrays):
 
 
 def make_rods(scene, entry, arrays):
-    """Return rods as curves, which Cycles meets in closed form and finds in boxes that lie along them."""
+    """Return rods as curves, which Cycles intersects in closed form, within boxes that lie along them."""
     numbers, (count, _, _) = arrays.read(entry["rods"])
     points, radii = array.array("f", [0.0]) * (6 * count), numbers[3::4]
     for axis in range(3):
@@ -184,7 +184,7 @@ def make_rods(scene, entry, arrays):
 
 
 def do_not_sample(material):
-    """Leave it to chance which light paths meet something that shines, rather than to look for each of its faces."""
+    """Exclude an emitting object from the direct sampling of light sources."""
     if hasattr(material.cycles, "emission_sampling"):
         material.cycles.emission_sampling = "NONE"
     else:
@@ -293,7 +293,7 @@ def add_light(scene, name, entry, metres):
     if entry["kind"] == "area":
         light.size = entry["size"]
         if bpy.app.version < (4, 0, 0):
-            # It then took an area as if it shone alike in all directions: radiance P/(4A), not P/(πA).
+            # Older versions took an area light as isotropic: radiance P/(4A), not P/(πA).
             light.energy *= 4 / math.pi
     elif entry["kind"] == "point":
         light.shadow_soft_size = entry["size"] / 2
@@ -335,7 +335,7 @@ def set_background(scene, entry):
 
 
 def set_quality(scene, job):
-    """Set renderer, resolution and how light is turned into numbers."""
+    """Set renderer, resolution and the encoding of light as pixel values."""
     if "cycles" not in bpy.context.preferences.addons:
         import addon_utils
 
@@ -365,7 +365,7 @@ def set_quality(scene, job):
 
 
 def choose_device(cycles, wanted):
-    """Let Cycles run where it is asked to, and say so where it cannot."""
+    """Select the device of Cycles, with a message where it is not available."""
     cycles.device = "CPU"
     if wanted == "cpu":
         return
@@ -403,7 +403,7 @@ def produce(scene, job, output):
     settings.color_depth = "8" if extension == ".png" else "32"
     scene.render.filepath = target
     if bpy.app.version >= (5, 0, 0):
-        # It no longer says by itself how far it is.
+        # It no longer reports its progress by itself.
         bpy.app.handlers.render_stats.append(lambda words, *_: say(words))
     bpy.ops.render.render(write_still=True)
     if extension == ".raw":
@@ -415,7 +415,7 @@ def produce(scene, job, output):
 
 
 def measure_depth(scene):
-    """Let every surface shine as brightly as it is far away, along the camera's axis, in the middle of each pixel."""
+    """Make every surface emit its distance along the camera's axis, sampled in the middle of each pixel."""
     material = bpy.data.materials.new("depth")
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
@@ -433,7 +433,7 @@ def measure_depth(scene):
 
 
 def run():
-    """Do what the command line asks for and leave at once: some Blenders crash while they clean up after themselves."""
+    """Run the command and exit at once: some versions of Blender crash during their clean-up."""
     code = 0
     try:
         main(sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else sys.argv[1:])

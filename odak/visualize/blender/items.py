@@ -87,7 +87,7 @@ class Item:
 
 @dataclass
 class Camera:
-    """A camera with a pinhole, or one that sees by parallel rays.
+    """A perspective or an orthographic camera.
 
     Attributes
     ----------
@@ -226,7 +226,7 @@ def positive(name: str, value) -> float:
 
 
 def pair(name: str, value) -> list:
-    """Return two things as a list."""
+    """Return a pair as a list."""
     if isinstance(value, (str, bytes)) or not isinstance(value, Iterable) or len(found := list(value)) != 2:
         raise ValueError(f"{name} must be two numbers, got {value!r:.80}")
     return found

@@ -22,7 +22,7 @@ GAP = 1e-4
 class Lenses:
     """The part of a scene that draws lenses."""
 
-    # What the scene has that this is a part of.
+    # Attributes of the scene that this class is a part of.
     metres: float
     _add: Any
     add_lines: Any
@@ -249,7 +249,7 @@ def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:
 
 
 def _profiles(surfaces, paths) -> list[Profile]:
-    """Return the faces, as wide as they are or as rays reach; the two of a lens alike where both are free."""
+    """Return the faces up to their semi-diameters or the rays' heights; the two of a lens alike where both are free."""
     reach = np.nanmax(np.hypot(paths[:, 1:-1, 0], paths[:, 1:-1, 1]), axis=0, initial=0.0)
     semi = [item.semi_diameter or 1.05 * float(r) or 1.0 for item, r in zip(surfaces, reach, strict=True)]
     for i in range(len(surfaces) - 1):

@@ -265,7 +265,7 @@ FORMAT = "odak scene"
 VERSION = 1
 MAXIMUM_BYTES = 256 << 20
 ARRAYS = {"vertices": "f4", "faces": "i4", "normals": "f4", "colors": "f4", "uv": "f4", "image": "u1", "rods": "f4"}
-# What NumPy lets through from the archive and from the header of an array.
+# Errors that NumPy raises on broken archives and headers of arrays.
 _BROKEN_ARRAYS = (
     zipfile.BadZipFile,
     zlib.error,
@@ -301,7 +301,7 @@ def write_scene(path: str, document: dict) -> str:
     np.savez(packed, **arrays)
     with replacing(store) as stream:
         stream.write(packed.getbuffer())
-    # Two files cannot be replaced at one instant: by this a text and the arrays of another are told apart.
+    # Identifies the pair of files, which cannot be replaced at one instant.
     digest = hashlib.sha256(packed.getbuffer()).hexdigest()
     text = {"format": FORMAT, "version": VERSION, "arrays": os.path.basename(store), "arrays_sha256": digest}
     text |= document | {"objects": entries}

@@ -49,7 +49,7 @@ class Material:
 
 
 def diffuse(color: str | Sequence[float] = "white") -> Material:
-    """Return a matt surface that scatters light alike in all directions (Lambert).
+    """Return a matt surface that scatters light by Lambert's law.
 
     Parameters
     ----------

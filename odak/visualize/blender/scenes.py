@@ -20,7 +20,7 @@ from odak.visualize.blender.shapes import Lines, Shapes
 
 __all__ = ["scene"]
 
-# Where a camera stands that was not told: in front, to the right and above, with the optical axis (z) in view.
+# Default direction of the camera: in front, to the right and above, with the optical axis (z) in view.
 DEFAULT_LOOK = (0.75, 0.4, -0.65)
 # Pixel value that a light of default power adds to a white matt surface; the default background adds the rest.
 LIT = 0.75
@@ -34,7 +34,7 @@ STUDIO_LIGHTS = (((-0.7, 0.8, 1.0), 5.0, 3.0, 0.55), ((1.0, 0.35, -0.9), 5.0, 2.
 class Views:
     """The part of a scene that adds cameras and lights."""
 
-    # What the scene has that this is a part of.
+    # Attributes of the scene that this class is a part of.
     metres: float
     resolution: tuple[int, int]
     camera: Camera | None
@@ -147,7 +147,7 @@ class Views:
         return self.lights[-1]
 
     def set_background(self, color="white", strength: float = 1.0) -> None:
-        """Set what surrounds everything and shines from all sides.
+        """Set the environment, which illuminates the scene from all directions.
 
         Parameters
         ----------
@@ -239,7 +239,7 @@ class Views:
 
 
 def _fit(points: np.ndarray, axes, fov: float, size) -> tuple[float, float]:
-    """Return how far away a perspective camera sees all points, and how wide an orthographic one must be.
+    """Return the distance at which a perspective camera sees all points, and the width of an orthographic one.
 
     Points are counted from what the camera looks at; both leave a margin of a twentieth.
     """
@@ -257,7 +257,7 @@ def _clip(clip) -> list[float]:
     return [near, far]
 
 
-# Blender makes no smaller pictures.
+# Smallest picture that Blender renders.
 SMALLEST = 4
 DEVICES = ("auto", "cpu", "gpu", "cuda", "optix", "hip", "oneapi", "metal")
 
@@ -440,7 +440,7 @@ class scene(Lines, Shapes, Lenses, Views):
         timeout: float | None = 3600.0,
         verbose: bool = True,
     ) -> np.ndarray:
-        """Return how far away from the camera's plane the first surface is in the middle of each pixel.
+        """Return the distance of the first surface from the camera's plane in the middle of each pixel.
 
         Parameters
         ----------

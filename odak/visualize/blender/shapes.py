@@ -16,20 +16,20 @@ from odak.visualize.blender.items import Item, pair, positive, three
 from odak.visualize.blender.meshes import Mesh, disc_mesh, grid_mesh, sphere_mesh, tube_mesh
 from odak.visualize.blender.render_materials import diffuse, emission
 
-# Share of the extent of what is drawn that a line is thick when nothing else is said.
+# Default thickness of a line as a fraction of the extent of the drawing.
 THIN = 1 / 400
 
 
 class Lines:
     """The part of a scene that draws rays, lines and points."""
 
-    # What the scene has that this is a part of.
+    # Attributes of the scene that this class is a part of.
     _add: Any
 
     def add_rays(
         self, rays, distance=1.0, *, radius: float | None = None, color="red", material=None, name: str = "rays"
     ) -> Item:
-        """Draw rays as thin rods that shine, all of them as one object.
+        """Draw rays as thin emitting rods, all of them as one object.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Lines:
             corners = np.concatenate((starts, ends))
             radius = float(np.linalg.norm(np.ptp(corners, axis=0))) * THIN
         radius, sides = positive("radius", radius), 8
-        # What shines looks the same without normals, which are most of the work for many rays.
+        # Emitting surfaces need no normals, which take most of the time for many rays.
         mesh = tube_mesh(starts, ends, radius, sides, shaded=material is not None)
         one, many = _colors(color, len(paths))
         item = self._add(name, mesh, material, one, emission(), smooth=material is not None)
@@ -232,7 +232,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 class Shapes:
     """The part of a scene that draws meshes, surfaces and balls."""
 
-    # What the scene has that this is a part of.
+    # Attributes of the scene that this class is a part of.
     _add: Any
 
     def add_mesh(
@@ -461,7 +461,7 @@ class Shapes:
         shines: bool = True,
         name: str = "image",
     ) -> Item:
-        """Hang a picture into the scene, before its rotation in the plane z = 0, upright (y) and seen from +z.
+        """Add a picture, before its rotation in the plane z = 0, upright (y) and seen from +z.
 
         Parameters
         ----------
@@ -511,7 +511,7 @@ def pixels(name: str, image) -> np.ndarray:
 
 
 def _mesh(mesh, faces) -> tuple[str, Mesh]:
-    """Return a name and a mesh of whatever a user calls a mesh."""
+    """Return the name and the mesh of a file, an object or arrays."""
     if isinstance(mesh, Mesh):
         return "mesh", mesh
     if isinstance(mesh, (str, os.PathLike)):

@@ -1,4 +1,4 @@
-"""The browser that turns figures into images: found wherever it is, started once, shared by all figures."""
+"""Rendering of figures as images by a browser that is started once and shared by all figures."""
 
 import asyncio
 import atexit
@@ -172,7 +172,7 @@ async def _open(kaleido, path: str):
 
 @contextmanager
 def _without_goodbyes():
-    """Keep quiet what choreographer reads when its browser ends: a word that is no message, reported as an error."""
+    """Suppress the error that choreographer reports when its browser ends."""
     reader = logging.getLogger("choreographer.channels.pipe")
     before, reader.disabled = reader.disabled, True
     try:
@@ -185,7 +185,7 @@ def _stop(loop, thread) -> None:
     def cancel_and_stop():
         for task in asyncio.all_tasks(loop):
             task.cancel()
-        # One more turn of the loop, in which the tasks end.
+        # One more iteration of the event loop, in which the tasks end.
         loop.call_soon(loop.stop)
 
     loop.call_soon_threadsafe(cancel_and_stop)

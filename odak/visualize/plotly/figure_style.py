@@ -54,7 +54,7 @@ TEMPLATE: dict[str, Any] = {
     }
 }
 
-# Vertical angle of the perspective of Plotly's scenes, and the share of a scene that what is drawn may fill beside the
+# Vertical angle of the perspective of Plotly's scenes, and the fraction of a scene that the drawing may fill beside the
 # names and numbers of the axes.
 _SCENE_VIEW, _FILLED = math.pi / 4, 0.95
 

@@ -95,7 +95,7 @@ class SceneFigure(Figure):
         self._scene(row, column).camera.update(camera)
 
     def show(self, aspect_ratio: Sequence[float] | str | None = None) -> str | None:
-        """Show the figure, in the notebook or in a browser; never wait for a window.
+        """Show the figure in the notebook or in a browser, without waiting for a window.
 
         Parameters
         ----------

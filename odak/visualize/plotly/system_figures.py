@@ -146,7 +146,7 @@ def _draw_surfaces(figure, system, frames, paths) -> None:
 
 
 def _heights(system, frames, paths) -> list[float]:
-    """Return how far from the axis each surface is drawn: its semi-diameter, or what the rays need."""
+    """Return the height to which each surface is drawn: its semi-diameter, or that of the rays."""
     heights = []
     for i, item in enumerate(system.surfaces):
         matrix, origin = frames[i]
@@ -162,7 +162,7 @@ def _heights(system, frames, paths) -> list[float]:
 
 
 def _sheet(item, frame, height: float) -> _Sheet:
-    """Return a surface in space, as far out as it exists."""
+    """Return a surface in space, up to where it exists."""
     radius = np.linspace(0, height, RADII + 1)[:, None]
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle), radius * np.sin(angle)

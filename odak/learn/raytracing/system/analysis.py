@@ -103,7 +103,7 @@ def spot_diagram(
     around = [torch.where(kept, value - c[..., None, :, None], 0.0) for value, c in ((x, cx), (y, cy))]
     squared = around[0].square() + around[1].square()
     mean = squared.sum((-3, -1)) / number
-    # NaN where nothing arrived: 0/0 above, which the root must not hide.
+    # NaN where no ray arrived: 0/0 above, which the safe root would hide.
     rms = torch.where(number > 0, safe_sqrt(mean), torch.nan)
     largest = torch.where(number > 0, safe_sqrt(squared.amax((-3, -1))), torch.nan)
     x, y = (torch.where(kept, value, torch.nan) for value in around)
@@ -224,7 +224,7 @@ def path_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> t
 
 
 def lateral_color(system: Any, **options: Any) -> torch.Tensor:
-    """Return how far the chief rays of all wavelengths land from that of the reference wavelength.
+    """Return the distances in the image of the chief rays of all wavelengths from that of the reference wavelength.
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def encircled_energy(found: Any, radii: Any = None) -> tuple[torch.Tensor, torch
 
 
 def distortion(system: Any, prescription: Prescription | None = None, **options: Any) -> torch.Tensor:
-    """Return how far the chief ray lands from where the paraxial one does, over the paraxial image height.
+    """Return the deviation of the chief ray from the paraxial one in the image, over the paraxial image height.
 
     Parameters
     ----------
@@ -577,7 +577,7 @@ def wavefront(
         traced = type(traced)(*(torch.cat([a, b[..., 1:]], -1) for a, b in zip(alone, traced, strict=True)))
     status = traced.status[..., 1:]
     kept = status == 0
-    # Lost rays stand where the chief ray is, so that nothing that is no number enters a gradient.
+    # Lost rays are replaced by the chief ray, so that no NaN enters a gradient.
     lost = torch.cat([torch.zeros_like(kept[..., :1]), ~kept], -1)
     held = [torch.where(lost, value[..., :1].detach(), value) for value in traced[:-1]]
     traced = type(traced)._make([*held, traced.status])
@@ -598,7 +598,7 @@ def wavefront(
 
 
 def path_at_start(system, rays, numbers: Prescription):
-    """Return the path that rays have behind them where they start: they left a plane wavefront, or one point."""
+    """Return the optical path of rays up to their starts, from a plane wavefront or from one point."""
     if not system.at_infinity:
         return 0.0
     return numbers.index[..., :1][..., None] * (rays.x * rays.u + rays.y * rays.v)
@@ -616,7 +616,7 @@ def _to_sphere(system, traced, prescription):
     away = [value - middle for value, middle in zip(traced[:3], center, strict=True)]
     along = sum(cosine * value for cosine, value in zip(traced[3:6], away, strict=True))
     rest = along * along - sum(value * value for value in away)
-    # s + R with s = −b ∓ √(b² − q + R²), written so that the large radius does not swallow the difference.
+    # s + R with s = −b ∓ √(b² − q + R²), written without the cancellation of large numbers.
     return -along - side * rest / ((rest + radius * radius).sqrt() + radius)
 
 

@@ -90,7 +90,7 @@ class Coating:
         return replace(found, thicknesses=[float(wavelength / 4 / complex(index).real) for index in indices])
 
     def reversed(self) -> "Coating":
-        """Return the stack as light from the other side meets it."""
+        """Return the stack for light from the other side."""
         if self.substrate is not None:
             raise ValueError("substrate is the end of the stack, which light does not come from")
         return Coating(self.media[::-1], list(terms(self.thicknesses))[::-1])

@@ -1,4 +1,4 @@
-"""Rays between two surfaces through a medium of graded index, with an adjoint whose memory no step adds to.
+"""Rays between two surfaces through a medium of graded index, with an adjoint of constant memory.
 
 Forward, rays are integrated to the next surface and only their ends are kept. Backward, the ray is integrated from its
 end to its start together with the derivatives of the result by its state, da/dt = −(∂f/∂y)ᵀa; the derivatives by the
@@ -162,12 +162,12 @@ def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list:
             total, slopes = product(state, place, numbers)
             found = torch.autograd.grad(total.sum(), place, allow_unused=True)
         change = [torch.zeros_like(p) if f is None else f for p, f in zip(place, found, strict=True)]
-        # Backwards in t: the ray returns the way it came.
+        # Backwards in t: the ray retraces its path.
         back = [-value for value in state[3:6]] + [-slope.detach() / 2 for slope in slopes]
         return torch.stack([*torch.broadcast_tensors(*back, *change, *state[6:9])])
 
     def collect(state, stages, lengths):
-        """Add what a step contributes to the derivatives by the numbers."""
+        """Add the contribution of a step to the derivatives by the numbers."""
         for row, share in enumerate(tableau().B):
             if share:
                 here = stage(state, lengths, stages, row)

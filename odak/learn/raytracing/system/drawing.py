@@ -392,7 +392,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     with torch.no_grad():
-        # More than a wave of aberration: rays tell the image, whose diffraction the samples would not resolve.
+        # More than a wave of aberration: geometric, for the samples would not resolve the diffraction.
         large = wavefront(system, "rings", 8, aim=aim).rms.nan_to_num().max() > 1
         if large:
             spots = spot_diagram(system, "grid", 2 * samples, aim=aim, prescription=numbers)

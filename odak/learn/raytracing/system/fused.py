@@ -195,7 +195,7 @@ def _gradients(layout, tensors, status, gradients):
             target[rows, columns] = value
         return rows, changes
 
-    # Summed in order, whichever thread was first: the same call gives the same digits.
+    # Summed in a fixed order, so that the same call gives the same digits.
     for rows, changes in each(work, whole):
         for i, change in enumerate(changes):
             _accumulate(totals, rows, i, change)
@@ -272,7 +272,7 @@ def _on_sheet(z, e: Element) -> bool:
     factor = e.c * (1 + e.k)
     if isinstance(factor, float):
         return bool((z.amax() if factor > 0 else z.amin()) * factor < 1)
-    # Where systems differ, cases that this bound leaves open go to the plain trace.
+    # Where systems differ, rays that this bound does not decide go to the plain trace.
     return bool(z.abs().amax() * factor.abs().amax() < 1)
 
 
@@ -334,7 +334,7 @@ def _deflected(old, normal, gamma, e: Element):
 
 
 def _add(out, value, factor):
-    """Add factor·value to `out`, whatever the factor is."""
+    """Add factor·value to `out`, the factor being a number or a tensor."""
     return out.add_(value, alpha=factor) if isinstance(factor, float) else out.addcmul_(value, factor)
 
 
@@ -412,7 +412,7 @@ def _backward(e: Element, p, g, path):
         shape, (x, y, z) = _normal_backward(e, p, normal, x, y, z)
     else:
         shape = [0.0, 0.0, [0.0] * len(e.a)]
-    # Along the ray: T carries what moves the point along it, and the path.
+    # T is the derivative by the distance along the ray, through the point and through the path.
     along = _dot((x, y, z), (p.u, p.v, p.w)).add_(path * e.n1)
     weight = along.div_(p.cosine).neg_()
     nx, ny, nz = p.normal
@@ -549,7 +549,7 @@ def _threads(count: int) -> ThreadPoolExecutor:
             for _ in range(count):
                 pool.submit(bool)
             ready.wait()
-            # The workers' setting holds for them; what torch shows to everyone else is put back.
+            # The setting holds for the workers; that of the process is restored.
             torch.set_num_threads(count)
             _pool = ((os.getpid(), count), pool)
         return _pool[1]

@@ -424,14 +424,14 @@ TYPES = (
     "BINARY_2",
     "PARAXIAL",
 )
-# Keys whose meaning is taken up, of the whole system and of surfaces.
+# Keys that are understood, of the whole system and of surfaces.
 _GENERAL = "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL PWAV FTYP XFLN YFLN ENPD FNUM OBNA FLOA AUTH IWDP STUD LANG"
 _GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL))
 _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
 _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
-# What stands in files for an index and an Abbe number that nobody entered.
+# Values in files for an index and an Abbe number that were not entered.
 _PLACEHOLDER = (1.5, 40.0)
 
 
@@ -463,7 +463,7 @@ class ZmxReport(NamedTuple):
 
 
 class _Context(NamedTuple):
-    """What all surfaces of a file share."""
+    """Properties that all surfaces of a file share."""
 
     scale: float
     glasses: dict
@@ -557,7 +557,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
 
 
 def _has_effect(line: Line) -> bool:
-    """Return whether a line is to be named: vignetting factors and the like of zeros alone say nothing."""
+    """Return whether a line belongs in the report: vignetting factors and the like of zeros alone have no effect."""
     if line.key not in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"):
         return True
     return any(line.value(i) for i in range(len(line.words)))
@@ -587,7 +587,7 @@ def _parameters(lines, key: str, scale_of=None) -> dict[int, float]:
 
 
 def _surface(number: int, surfaces, context: _Context) -> surface:
-    """Return one surface; what has no effect goes to the report."""
+    """Return one surface; entries without effect go to the report."""
     lines, scale = surfaces[number], context.scale
     kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
     if kind not in TYPES:

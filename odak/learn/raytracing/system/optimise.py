@@ -123,7 +123,7 @@ def levenberg_marquardt(
 
 
 def _step(residuals, parameters, normal, slope, scale, loss, damping):
-    """Take the first step that helps, damping it more and more; return it (None if none does), the loss and damping."""
+    """Take the first step that lowers the loss, with rising damping; return it (or None), loss and damping."""
     before = [p.detach().clone() for p in parameters]
     for _ in range(24):
         step = -torch.linalg.solve(normal + torch.diag(damping * scale), slope)
@@ -245,7 +245,7 @@ def tolerance(
     *,
     merit: Callable | None = None,
 ) -> ToleranceResult:
-    """Trace many systems whose numbers are off at random, in one batch.
+    """Trace many systems with random deviations of their numbers, in one batch.
 
     Parameters
     ----------
@@ -326,12 +326,12 @@ def _draw(item: Perturbation, samples: int, places: int, axes: int, generator) -
 
 
 def _changed(name: str, value, change, relative: bool):
-    """Return the numbers with the change added, in the way of each."""
+    """Return the numbers with the deviation added, to the radius for curvatures."""
     if name in ("shift", "tilt"):
         return value + (value * change if relative else change)
     change = change[..., 0]
     if name == "radius":
-        # c/(1 + cδ) for a radius off by δ: a plane stays one.
+        # c/(1 + cδ) for a radius that deviates by δ: a plane stays one.
         return value / (1 + (change if relative else value * change))
     if name == "index":
         # The first index belongs to the space in front.

@@ -1,4 +1,4 @@
-"""Computes first-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
+"""First-order properties by ABCD matrices, in float64, differentiable and for batches of systems."""
 
 import math
 from typing import Any, NamedTuple
@@ -157,7 +157,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
 
 
 class EntrancePupil(NamedTuple):
-    """Where rays are aimed at, such that a pupil at infinity is no special case; each ``[...]``.
+    """Entrance pupil in a form that includes one at infinity; each ``[...]``.
 
     Attributes
     ----------

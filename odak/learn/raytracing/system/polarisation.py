@@ -175,7 +175,7 @@ def polarized_trace(
 
 
 class _Record:
-    """Product of the matrices of the surfaces, in the frame of the axis as far as one has come."""
+    """Product of the matrices of the surfaces, in the frame of the axis at the present surface."""
 
     def __init__(self, system, numbers, rays):
         self.system, self.wavelength = system, numbers.wavelength[:, None]
@@ -241,7 +241,7 @@ def _across(k, normal):
     across = torch.linalg.cross(k, normal)
     size = across.square().sum(-1, keepdim=True)
     oblique = size > 1e-20
-    # At normal incidence all directions are alike: that of the axis which the ray is farthest from.
+    # At normal incidence the direction is arbitrary: that of the axis farthest from the ray.
     axis = torch.eye(3, dtype=k.dtype, device=k.device)[k.abs().argmin(-1)]
     other = torch.linalg.cross(k, axis)
     other = other / other.square().sum(-1, keepdim=True).sqrt()

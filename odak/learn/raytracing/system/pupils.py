@@ -174,7 +174,7 @@ def places_of(pupil, points: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 def through_places(system, fields: torch.Tensor, pupil, px, py) -> Rays:
     """Return rays from field points ``[F, 1, 2]`` through coordinates of the entrance pupil."""
     distance, bend = (value[..., None, None, None] for value in (pupil.distance, pupil.bend))
-    # Rays without a place in the pupil are computed with as if they went through its centre.
+    # Rays without coordinates in the pupil are computed as if they passed its centre.
     lost = torch.isinf(px)
     px, py = (torch.where(lost, 0.0, value) for value in (px, py))
     rays = _far(fields, distance, px, py) if system.at_infinity else _near(system, fields, bend, px, py)
@@ -265,7 +265,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
 
 
 def _shrunk(system, fields: torch.Tensor, share):
-    """Return field points a share of the way from the axis, per ray."""
+    """Return field points at a fraction of the way from the axis, per ray."""
     if isinstance(share, float):
         return fields
     return fields * share[..., None]
@@ -322,7 +322,7 @@ def _march(errors, x, y, idle, step, radius, way):
         if not bool(active.any()):
             break
         target = torch.where(active, (s + length).clamp(max=1.0), s)
-        # The way so far, extended in a straight line.
+        # Linear extrapolation of the previous steps.
         ahead = torch.where(s > sb, (target - s) / torch.where(s > sb, s - sb, 1.0), 0.0)
         tx, ty = (a + ahead * (a - b) for a, b in zip((x, y), before, strict=True))
         tx, ty, met = _solve(errors, tx, ty, step, radius, *way(target), rounds=6)
@@ -336,7 +336,7 @@ def _march(errors, x, y, idle, step, radius, way):
 
 
 def at_stop(system, numbers: Prescription, rays):
-    """Return where rays meet the stop in its own frame, and whether they do, for numbers at one wavelength."""
+    """Return the intersections of rays with the stop in its own frame, and whether they exist, at one wavelength."""
     hit = trace(system, rays, prescription=numbers, until=system.stop, vignetting=False)
     x, y, _ = in_surface_frame(system, numbers, system.stop, hit)
     return x[..., 0:1, :, :], y[..., 0:1, :, :], hit.arrived

@@ -61,7 +61,7 @@ class Layout(NamedTuple):
         )
 
     def first(self, count: int) -> "Layout":
-        """Return the layout of the first surfaces, the last of which is met but does not act."""
+        """Return the layout of the first surfaces, the last of which is intersected but does not act."""
         parts: Any = [value[:count] for value in self[:-1]]
         last = parts[1][-1]
         parts[1] = (*parts[1][:-1], last if last == "break" else "pass")
@@ -158,7 +158,7 @@ def initial_status(rays) -> torch.Tensor:
 
 
 class Passage(NamedTuple):
-    """What rays do at a surface, or at a coordinate break; directions are in the frame of the axis.
+    """Record of rays at a surface or at a coordinate break; directions are in the frame of the axis.
 
     Attributes
     ----------
@@ -320,7 +320,7 @@ def _passes(limit, x, y):
 
 
 def _marked(status, good, otherwise):
-    """Return statuses after an event: the first that befalls a ray stays."""
+    """Return statuses after an event: the first event of a ray is kept."""
     event = otherwise if isinstance(otherwise, torch.Tensor) else int(otherwise)
     return torch.where((status == HIT) & ~good, event, status).to(torch.int8)
 

@@ -62,7 +62,7 @@ class _Films(torch.nn.Module):
 
 
 class surface(torch.nn.Module):
-    """A surface, and what lies between it and the next one; lengths in the system's unit.
+    """A surface and the medium behind it; lengths in the system's unit.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ class surface(torch.nn.Module):
             value = float(number_or_infinity("radius", radius))
             if value == 0:
                 raise ValueError(f"radius must not be 0, got {value}")
-            # As it was given, to the last digit.
+            # The number as given, without rounding.
             _hold(self, *(("curvature_value", 0.0) if math.isinf(value) else ("radius_value", value)))
         else:
             _hold(self, "curvature_value", _validate.real("curvature", curvature))
@@ -240,7 +240,7 @@ class surface(torch.nn.Module):
 
     @property
     def is_off_axis(self) -> bool:
-        """Whether it is shifted or tilted, or may come to be."""
+        """Whether it is shifted or tilted, or has parameters for that."""
         return any(value.requires_grad or bool(value.any()) for value in (self.shift, self.tilt))
 
     def vary(self, name: str) -> torch.nn.Parameter:
@@ -284,7 +284,7 @@ class surface(torch.nn.Module):
 
 
 class coordinate_break(surface):
-    """A change of the axis: all that follows stands in the new frame.
+    """A change of the axis: all following surfaces stand in the new frame.
 
     Parameters
     ----------
@@ -665,7 +665,7 @@ def _kind(curvature: torch.Tensor, coefficients: torch.Tensor) -> type[Shape]:
 
 
 def _any(value: torch.Tensor) -> bool:
-    """Return whether any number is not zero; numbers that a transform hides may be anything."""
+    """Return whether any number is not zero; True for numbers under a transform, which cannot be read."""
     if not is_readable(value) and not value.is_cuda:
         return value.numel() > 0
     return bool(value.detach().any())

@@ -159,7 +159,7 @@ def trace(
     >>> bool((traced.status == 0).all())
     True
     """
-    # What is read of the system, and the threads, have no place in a graph of torch.compile.
+    # Reading the system and the threads cannot be part of a graph of torch.compile.
     return _array.outside_graphs(_trace, system, rays, prescription, until, vignetting)
 
 

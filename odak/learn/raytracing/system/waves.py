@@ -32,14 +32,14 @@ PLANES = ("axis", "chief")
 MARGIN = 1.1
 # Samples at a time: some ten rays each.
 PIECE = 1 << 18
-# Rays that the map is first guessed from, and the degree of the polynomials that guess it.
+# Rays of the first estimate of the map, and the degree of its polynomials.
 RINGS, DEGREE = 10, 7
-# Along which differences are taken, in radii of the pupil: their error is its square, rounding's its inverse.
+# Step of differences in radii of the pupil: their error grows with its square, rounding with its inverse.
 STEP = 3e-4
 
 
 class PlaneRays(NamedTuple):
-    """Rays where they meet the plane, each ``[..., P]``.
+    """Rays at their intersections with the plane, each ``[..., P]``.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class RayMap:
         self._place(chief, height, across)
 
     def _place(self, chief, height, across: bool) -> None:
-        """Lay the plane: its origin on the chief ray, its axes next to x and y."""
+        """Set the plane: its origin on the chief ray, its axes nearest to x and y."""
         point, direction = torch.stack(chief[:3], -1), torch.stack(chief[3:6], -1)
         along = (height[..., None] - point[..., 2]) / direction[..., 2]
         self.origin = point + along[..., None] * direction
@@ -130,7 +130,7 @@ class RayMap:
             Let semi-diameters block rays.
         """
         found = self._traced(places, vignetting)
-        # Lost rays are computed with as if they were on the axis, so that nothing that is no number enters a gradient.
+        # Lost rays are computed as if they were on the axis, so that no NaN enters a gradient.
         lost = found.status != RayStatus.HIT
         alike = (0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
         held = [torch.where(lost, dummy, value) for dummy, value in zip(alike, found, strict=False)]
@@ -195,7 +195,7 @@ class RayMap:
         return torch.stack(solve_pairs(missed, guess[..., 0], guess[..., 1], torch.full_like(guess[..., 0], STEP)), -1)
 
     def guess(self, places: torch.Tensor, met: PlaneRays, target: torch.Tensor) -> torch.Tensor:
-        """Return about where the rays through `target` start, by polynomials through the samples."""
+        """Return estimated starts of the rays through `target`, by polynomials through the samples."""
         size = torch.maximum(met.x.abs(), met.y.abs()).nan_to_num().amax(-1, keepdim=True)
         kept = (met.status == RayStatus.HIT)[..., None]
         basis = torch.where(kept, _powers(met.x / size, met.y / size), 0.0)
@@ -693,7 +693,7 @@ def _length(system) -> float:
 
 @torch.no_grad()
 def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
-    """Return the samples that light may reach, and about where in the pupil it starts."""
+    """Return the samples that light may reach, and estimates of its coordinates in the pupil."""
     places = rays.samples(aim)
     met = rays(places)
     lost = met.status != RayStatus.HIT
@@ -762,5 +762,5 @@ def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: st
     growth = safe_sqrt((ra * yb - rb * ya).square() + (rb * xa - ra * xb).square())
     growth = growth / torch.where(area == 0, 1.0, area).abs()
     share = ((1 - radius) / (growth * grid.pitch).clamp(min=1e-12) + 0.5).clamp(0, 1)
-    # Beyond the rim the map may fold over; what lies there is no light of this pupil.
+    # Beyond the rim the map may fold over; samples there do not belong to the pupil.
     return torch.where(whole & (area * grid.sign > 0), share, 0.0), area.abs()

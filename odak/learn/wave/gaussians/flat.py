@@ -1,4 +1,4 @@
-"""Complex-valued Gaussians in the plane of a picture, and the field that they add up to."""
+"""Complex-valued Gaussians in the plane of a picture, and the field of their sum."""
 
 import math
 import os
@@ -115,7 +115,7 @@ class complex_2d_gaussians(nn.Module):
         return len(self.means_2d)
 
     def apply_activations(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return what the parameters stand for.
+        """Return the parameters after their activations.
 
         Returns
         -------
@@ -215,7 +215,7 @@ class complex_2d_gaussians(nn.Module):
 
 
 class Scene2D:
-    """The complex field that flat Gaussians add up to.
+    """The complex field of a sum of Gaussians in a plane.
 
     Parameters
     ----------

@@ -53,7 +53,7 @@ def load(path: str | os.PathLike, names: Iterable[str], device: torch.device, na
 def wrapped(phase: torch.Tensor) -> torch.Tensor:
     """Return a phase modulo 2π, from 0 up to but not 2π."""
     turned = torch.remainder(phase, 2 * math.pi)
-    # A tiny negative phase is rounded up to a whole turn.
+    # A tiny negative phase is rounded up to 2π.
     return turned.where(turned < 2 * math.pi, turned - turned.detach())
 
 
@@ -67,7 +67,7 @@ def picture_size(name: str, size) -> tuple[int, int]:
 
 
 def lengths(values) -> torch.Tensor:
-    """Return lengths in metres as a flat float64 tensor: phases of 10⁵ rad hang on them."""
+    """Return lengths in metres as a flat float64 tensor: phases of 10⁵ rad depend on them."""
     return torch.as_tensor(values, dtype=torch.float64).reshape(-1)
 
 

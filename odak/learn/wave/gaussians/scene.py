@@ -21,7 +21,7 @@ _TILE = 64
 
 
 class Scene:
-    """Complex Gaussians as a camera sees them: a field on each of their planes, and the hologram that shows all.
+    """Complex Gaussians seen by a camera: a field on each of their planes, and the hologram of all.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Scene:
         return f"<Scene with {len(self.gaussians)} Gaussians>"
 
     def compute_transmittance(self, alphas: torch.Tensor) -> torch.Tensor:
-        """Return what gets to each of some layers, the product of 1 − α of those before; zero where below 1e-4.
+        """Return the transmittance in front of each layer, the product of 1 − α of those before; zero where below 1e-4.
 
         Parameters
         ----------
@@ -111,7 +111,7 @@ class Scene:
         """Return the numbers of depths from 0 on, in ascending order of depth."""
         z_vals = shaped("z_vals", z_vals, "N")
         order = z_vals.argsort(stable=True)
-        # What is not a number comes last and is kept, so that it is seen.
+        # NaN comes last and is kept, so that it shows in the result.
         return order[~(z_vals[order] < 0)]
 
     def splat(
@@ -360,7 +360,7 @@ def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs,
     on_plane = torch.ones_like(choices, dtype=torch.bool) if plane_probs.requires_grad else choices != 0
     who, layer = on_plane.nonzero(as_tuple=True)
     who = order[who]
-    # A Gaussian that has no place in the order is not left out.
+    # A Gaussian whose depth is NaN is not left out.
     opacities = opacities.where(~z_vals.isnan(), torch.nan)
     weights = (torch.polar(torch.ones_like(phase), phase) * colours)[who]
     rows = conics[:, [0, 0, 1], [0, 1, 1]][who]
@@ -400,7 +400,7 @@ def chosen(gaussian_indices, count, device) -> torch.Tensor:
 def gaussians_to_draw(
     name: str, means, z_vals, quats, scales, colours, phase, opacities, plane_probs
 ) -> list[torch.Tensor]:
-    """Return what Gaussians are drawn from, in one precision, after checking that there is a row for each.
+    """Return the parameters of Gaussians in one precision, after checking that there is a row for each.
 
     Parameters
     ----------

@@ -251,7 +251,7 @@ class complex_3d_gaussians(nn.Module):
         return torch.stack([px - fx * x / z, py - fy * y / z], dim=-1).where(inside[:, None], _AWAY)
 
     def _in_range(self, z):
-        # What is not a number is not left out, so that it is seen.
+        # NaN is not left out, so that it shows in the result.
         return ~((z <= self.NEAR_PLANE) | (z >= self.FAR_PLANE))
 
     @staticmethod
@@ -302,7 +302,7 @@ class complex_3d_gaussians(nn.Module):
         step: int | None = None,
         max_step: int | None = None,
     ) -> tuple[torch.Tensor | None, ...]:
-        """Return what parameters stand for; None for those that are None.
+        """Return parameters after their activations; None for those that are None.
 
         Parameters
         ----------
@@ -351,7 +351,7 @@ def _rotation(R) -> torch.Tensor:
 
 
 def _held(slope, bound):
-    """Return a slope held between −bound and bound, numbers or tensors."""
+    """Return a slope clipped to −bound … bound, numbers or tensors."""
     bound = torch.as_tensor(bound, dtype=slope.dtype, device=slope.device)
     return slope.maximum(-bound).minimum(bound)
 
@@ -501,7 +501,7 @@ class STEFunction(torch.autograd.Function):
         ctx.save_for_backward(input)
         ctx.temperature = temperature
         choice = torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
-        # What was no number to compare is none; −∞ masks a choice.
+        # NaN gives no choice; −∞ excludes an entry.
         return choice.masked_fill_(input.isnan() | input.isposinf(), torch.nan)
 
     @staticmethod

@@ -27,10 +27,10 @@ __all__ = [
     "view_colours",
 ]
 
-# What plyfile and NumPy let through from a broken file.
+# Errors that plyfile and NumPy raise on broken files.
 _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
 _MOST = 50_000_000
-# Amplitude of the constant harmonic, and the brightness that it is added to in files of splatting.
+# Amplitude of the constant harmonic, and the grey level that it is added to in files of splatting.
 _CONSTANT, _MIDDLE = 0.5 / math.sqrt(math.pi), 0.5
 # Camera models of COLMAP without distortion: number in binary files, parameters, and (fx, fy, cx, cy) among them.
 _MODELS = {"SIMPLE_PINHOLE": (0, 3, (0, 0, 1, 2)), "PINHOLE": (1, 4, (0, 1, 2, 3))}

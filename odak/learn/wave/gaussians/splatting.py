@@ -268,7 +268,7 @@ class TiledGaussians:
         sums.index_add_(0, self.lists.slots[blocks].flatten(), values.mT.flatten(0, 1))
 
 
-# Light that less than this share of gets through to counts as blocked.
+# A transmittance below this counts as zero.
 FAINTEST = 1e-4
 
 
@@ -307,7 +307,7 @@ def composite_gaussians(
     layers: torch.Tensor,
     tiling: Tiling,
 ) -> torch.Tensor:
-    """Return Σ weight·α·T on pixels at whole coordinates, α = opacity·exp(−½ dᵀAd), T what those before let through.
+    """Return Σ weight·α·T on pixels at whole coordinates, α = opacity·exp(−½ dᵀAd), T the transmittance in front.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ class _Sum(torch.autograd.Function):
 
 
 def _parts(tiled, like, count):
-    """Yield some blocks at a time, and that many arrays for what is computed on their pixels."""
+    """Yield some blocks at a time, and as many arrays for results on their pixels."""
     total, step = len(tiled.lists.tiles), part_size(like.device, tiled.tiling.pixels * BLOCK)
     memory = like.new_empty(count, min(step, total), tiled.tiling.pixels, BLOCK)
     numbers = torch.arange(total, device=like.device)
@@ -390,7 +390,7 @@ def _parts(tiled, like, count):
 
 
 class _Composite(torch.autograd.Function):
-    """The sum with occlusion, front to back; slopes are summed from back to front."""
+    """The sum with occlusion, front to back; gradients are summed from back to front."""
 
     @staticmethod
     def forward(ctx, means, conics, opacities, weights, layers, tiling):
@@ -459,7 +459,7 @@ def _alphas(tiled, blocks, opaque):
 
 
 def _transmit(light, alpha):
-    """Return the light before each Gaussian of a block, and after the last ``[blocks, pixels, BLOCK + 1]``."""
+    """Return the transmittance before each Gaussian of a block, and after the last, ``[blocks, pixels, BLOCK + 1]``."""
     return torch.cat([light[..., None], 1 - alpha], dim=-1).cumprod(-1)
 
 
@@ -469,7 +469,7 @@ def _visible(passed):
 
 
 def _lights(tiled, rounds, opaque):
-    """Return the light that gets to each round."""
+    """Return the transmittance in front of each round."""
     lights = [opaque.new_ones(len(rounds[0]), tiled.tiling.pixels)]
     for blocks, following in itertools.pairwise(rounds):
         _, alpha = _alphas(tiled, blocks, opaque)
@@ -478,5 +478,5 @@ def _lights(tiled, rounds, opaque):
 
 
 def _sum_behind(behind, seen):
-    """Return what is seen behind each Gaussian of a block, the last first, and in the end behind the block before."""
+    """Return the sum behind each Gaussian of a block, the last first, and that behind the block before."""
     return torch.cat([behind[..., None], seen.flip(-1)], dim=-1).cumsum(-1)

@@ -131,14 +131,14 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         self.phase_offset = self.offset = self._leaf(self._drawn(torch.rand, shape))
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
-        """Gather what is learned, and the learning rate of each iteration."""
+        """Collect the parameters, and set the learning rate of each iteration."""
         super().init_optimizer(number_of_iterations)
         self.learning_rates = linear(self.learning_rate, self.learning_rate_floor, number_of_iterations)
 
     def double_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the double phase of the phase less its mean and the offset, and how rough its parts are."""
+        """Return the double phase of the phase less its mean and the offset, and the roughness of its parts."""
         phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = checkerboard(zero_mean(phase), phase_offset)
         return pattern, double_phase_roughness(pattern, levels)
@@ -146,7 +146,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     def direct_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the phase less its mean and the offset, and how rough it is."""
+        """Return the phase less its mean and the offset, and its roughness."""
         phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)

@@ -206,7 +206,7 @@ class multi_color_hologram_optimizer:
         self.amplitude.requires_grad_(self.method.startswith("full_complex"))
 
     def init_phase(self) -> None:
-        """Start from phases spread over several turns, ``[F, m, n]``, and an offset for each frame."""
+        """Start from phases over several cycles of 2π, ``[F, m, n]``, and an offset for each frame."""
         shape = (self.number_of_frames, *self.resolution)
         self.phase = self._leaf(TURN * self._drawn(torch.randn, shape))
         self.phase_offset = self._leaf(self._drawn(torch.randn, shape[:1]))
@@ -236,7 +236,7 @@ class multi_color_hologram_optimizer:
         self.propagator.set_laser_powers(self.channel_power)
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
-        """Gather what is learned, and the learning rate of each iteration."""
+        """Collect the parameters, and set the learning rate of each iteration."""
         number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         learned = {
             "phase": self.phase,
@@ -342,14 +342,14 @@ class multi_color_hologram_optimizer:
         return self.propagator.reconstruct(phases, amplitude)
 
     def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
-        """Set the loss of an image, and how those of planes and pixels are put together."""
+        """Set the loss of an image, and the reduction over planes and pixels."""
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
         self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
         if loss_function is not None:
             self._loss_keywords = keywords_of(loss_function)
 
     def init_peak_amplitude_scale(self) -> None:
-        """Set the brightness of the targets to begin with."""
+        """Set the initial scale of the targets."""
         peak = _validate.real("peak_amplitude", self._peak, positive=True)
         self.peak_amplitude = torch.tensor(float(peak), dtype=self.targets.dtype, device=self.device)
 
@@ -404,20 +404,20 @@ class multi_color_hologram_optimizer:
     def double_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the double phase (phase − offset and phase + offset in checkerboard) and how rough its parts are."""
+        """Return the double phase, phase ∓ offset in a checkerboard, and the roughness of its parts."""
         pattern = checkerboard(*checked_pattern(phase, phase_offset, of_frames=True))
         return pattern, double_phase_roughness(pattern, levels)
 
     def direct_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the phase less its mean and the offset, and how rough it is."""
+        """Return the phase less its mean and the offset, and its roughness."""
         phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=True)
         pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)
 
     def eyebox_constrain(self, phase: torch.Tensor, offset: float | Sequence[float], diameter: float) -> torch.Tensor:
-        """Return how unevenly light fills a disc of the hologram's spectrum, and the share that misses it.
+        """Return the non-uniformity of the intensity in a disc of the hologram's spectrum, and the share outside it.
 
         Parameters
         ----------
@@ -445,7 +445,7 @@ class multi_color_hologram_optimizer:
         amplitude = torch.relu(self.amplitude) if self.amplitude.requires_grad else None
         powers = self.propagator.get_laser_powers()
         roots = [self.propagator.holograms(phases, amplitude)] + ([powers] if powers.requires_grad else [])
-        # Planes stop at these, so that each chunk is done with when its slopes have been added to theirs.
+        # The graphs of planes end here, so that each chunk is released once its gradients have been added.
         leaves = [root.detach().requires_grad_() for root in roots]
         total = self._image_gradient(phases, leaves[0], leaves[1] if powers.requires_grad else powers, iteration == 0)
         rest = self._other_losses(phases, phase_loss, powers)
@@ -481,14 +481,14 @@ class multi_color_hologram_optimizer:
             yield planes, images if captured is None else seen(images, captured[planes])
 
     def _set_peak(self, overlaps):
-        """Set the brightness at which the images of this iteration were closest to the targets, ⟨I, I⟩/⟨I, T⟩."""
+        """Set the scale of the targets at which the images of this iteration are closest to them, ⟨I, I⟩/⟨I, T⟩."""
         own, common = torch.stack(overlaps).sum(0)
         self.peak_amplitude.copy_(own / common.clamp_min(torch.finfo(common.dtype).tiny))
 
     def _image_loss(self, images, planes):
         targets = self.targets[planes]
         if self.optimize_peak_amplitude:
-            # Relative to the brightness found: were targets scaled by it, darkness would be the best image of all.
+            # Relative to the scale found: were targets scaled by it, a dark image would have the lowest loss.
             images = images / self.peak_amplitude
         elif self._peak != 1:
             targets = targets * self._peak

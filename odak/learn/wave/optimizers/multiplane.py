@@ -173,7 +173,7 @@ class multiplane_hologram_optimizer:
         return values.to(self.device, self.targets.dtype)
 
     def init_optimizer(self) -> None:
-        """Gather what is learned."""
+        """Collect the parameters."""
         self.parameters = {"phase": self.phase, "offset": self.offset}
 
     def init_loss_function(self, loss_function: Callable | None = None, reduction: str = "mean") -> None:
@@ -232,7 +232,7 @@ class multiplane_hologram_optimizer:
         """Optimize phase and offset in place."""
         self.init_optimizer()
         planes = range(self.number_of_planes)
-        # A step sees one plane. Which parameters were best is decided by the latest losses of all of them.
+        # A step depends on one plane; the best parameters are those with the lowest sum of the latest losses of all.
         with torch.no_grad():
             latest = torch.stack([self._loss_on(plane).detach().reshape(()) for plane in planes])
 

@@ -68,7 +68,7 @@ def keywords_of(loss: Callable) -> set[str]:
 
 
 def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reduction: str) -> torch.Tensor:
-    """Return how far source powers are from what the brightest pixels need, and how near a frame is to darkness.
+    """Return the difference of source powers from those that the brightest pixels need, and a term against dark frames.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ def double_phase_roughness(phase: torch.Tensor, levels: int = 6) -> torch.Tensor
 
 
 def eyebox_loss(phase: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-    """Return how unevenly light fills an eyebox in the Fourier plane, and how much of it misses the eyebox.
+    """Return the non-uniformity of the intensity in an eyebox of the Fourier plane, and the share outside it.
 
     Parameters
     ----------
