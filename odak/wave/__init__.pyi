@@ -34,6 +34,7 @@ from .elements import rectangular_aperture as rectangular_aperture
 from .elements import spiral_phase as spiral_phase
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
+from .eye import eye_image as eye_image
 from .fields import add_phase as add_phase
 from .fields import add_random_phase as add_random_phase
 from .fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range

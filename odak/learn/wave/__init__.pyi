@@ -7,6 +7,7 @@ from odak.wave.bench import RectangularAperture as RectangularAperture
 from odak.wave.bench import ThinLens as ThinLens
 from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
+from odak.wave.eye import eye_image as eye_image
 from odak.wave.fields import add_phase as add_phase
 from odak.wave.fields import add_random_phase as add_random_phase
 from odak.wave.fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range
@@ -86,6 +87,7 @@ from .elements import spiral_phase as spiral_phase
 from .elements import thin_film_transfer as thin_film_transfer
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
+from .eyebox import eyebox_hologram as eyebox_hologram
 from .fields import exposure as exposure
 from .fields import generate_complex_field as generate_complex_field
 from .fields import intensity as intensity

@@ -1,0 +1,74 @@
+"""A hologram seen from several places of the eyebox
+
+One hologram of four frames shows an eye another view of a scene at each of three places of its pupil: near things move
+against the wall. The views are those of the eye's own optics, behind a pupil of 2 mm. The hologram of the middle view
+alone shows nothing of it to the places beside.
+"""
+
+from importlib.resources import files
+
+import matplotlib.pyplot as plt
+import torch
+
+from odak.learn.tools import load_image, psnr
+from odak.learn.wave import eye_image, eyebox_hologram, intensity
+
+assets = files("odak") / "assets"
+scene = load_image(assets / "scene.png", torch_style=True)[:3].mean(0)
+depth = load_image(assets / "scene_depth.png").float()
+scene, depth = (
+    torch.nn.functional.interpolate(part[None, None].float(), (128, 192), mode="area")[
+        0, 0
+    ]
+    for part in (scene, depth)
+)
+wavelength, pitch, distance = 532e-9, 8e-6, 0.1
+places = torch.tensor([[0.0, -2e-3], [0.0, 0.0], [0.0, 2e-3]])
+
+
+def view(place):
+    """The scene from a place of the pupil: depths of 98 to 103 mm."""
+    apart = place[1] * (1 - distance / (0.098 + 0.005 * depth)) / pitch
+    y, x = torch.meshgrid(
+        torch.linspace(-1, 1, 128), torch.linspace(-1, 1, 192), indexing="ij"
+    )
+    grid = torch.stack([x - apart * 2 / 192, y], -1)
+    return torch.nn.functional.grid_sample(
+        scene[None, None], grid[None], padding_mode="border", align_corners=True
+    )[0, 0]
+
+
+targets = torch.stack([view(place) for place in places])
+hologram, seen = eyebox_hologram(
+    targets, wavelength, distance, pitch, places, frames=4, seed=0, progress=False
+)
+alone, _ = eyebox_hologram(
+    targets[1],
+    wavelength,
+    distance,
+    pitch,
+    places[1:2],
+    frames=4,
+    seed=0,
+    progress=False,
+)
+beside = intensity(eye_image(alone, pitch, wavelength, distance, places, 2e-3)).mean(0)
+seen = seen * (seen * targets).sum() / (seen**2).sum()
+beside = beside / beside.amax((1, 2), keepdim=True)
+print("PSNR (dB):", [round(float(psnr(*pair)), 1) for pair in zip(seen, targets)])
+
+# %%
+figure, axes = plt.subplots(3, 3, figsize=(12, 8.2), sharex=True, sharey=True)
+extent = [-0.77, 0.77, 0.51, -0.51]
+rows = ("target", targets), ("hologram of three views", seen), ("of one view", beside)
+for line, (name, lights) in zip(axes, rows):
+    for axis, light, place in zip(line, lights, places):
+        drawn = axis.imshow(light.clamp(0, 1), cmap="gray", extent=extent)
+        axis.set_title(f"{name}, pupil at {1e3 * place[1]:+.0f} mm", fontsize=11)
+        axis.axvline(0, color="tab:orange", lw=0.6, ls=":")
+    line[0].set_ylabel("y (mm)")
+for axis in axes[-1]:
+    axis.set_xlabel("x (mm)")
+# Thumbnail: 0.5
+# Picture: Three views of a still life through pupils at three places, the targets above and a hologram of one view below
+plt.show()

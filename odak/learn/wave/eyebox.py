@@ -1,0 +1,227 @@
+"""Holograms for a light field: images that an eye sees from many places of an eyebox, optimised together."""
+
+import math
+import os
+from collections.abc import Callable, Sequence
+
+import torch
+
+from odak import _validate
+from odak._array import cast
+from odak.learn._tensors import floating, tensor
+from odak.learn.wave.fields import intensity, unit_phasor
+from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
+from odak.wave.eye import eye_transfer, seen_through
+from odak.wave.transfer_functions import pitches
+
+
+@torch.inference_mode(False)
+def eyebox_hologram(
+    targets: torch.Tensor,
+    wavelength: float,
+    distance: float,
+    pixel_pitch: float,
+    pupil_positions: torch.Tensor | Sequence,
+    pupil_diameter: float | torch.Tensor = 2e-3,
+    focus: float | torch.Tensor | None = None,
+    n_iteration: int = 100,
+    loss_function: Callable | None = None,
+    learning_rate: float = 0.2,
+    *,
+    optimizer: str = "adam",
+    initial_phase: torch.Tensor | None = None,
+    frames: int = 1,
+    slm: Callable | None = None,
+    pupils_per_step: int | None = None,
+    seed: int | None = None,
+    progress: bool = True,
+    callback: Callable | None = None,
+    checkpoint: str | os.PathLike | None = None,
+    checkpoint_every: int = 50,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return a phase-only hologram that shows an eye its image at each of several places of the pupil.
+
+    The loss is that of the images that :func:`odak.learn.wave.eye_image` gives, at one brightness for all of them. A
+    hologram that is optimised for its own plane alone shows its image to an eye only where its light happens to go;
+    here each place of the pupil gets light, and may get another image (parallax) or another focus.
+
+    Parameters
+    ----------
+    targets : torch.Tensor
+        Intensity ``[rows, columns]`` for all places, or ``[K, rows, columns]``, one for each; 0 … 1. Samples are
+        directions from the middle of the pupil, as in :func:`odak.learn.wave.eye_image`.
+    wavelength : float
+        Wavelength in metres.
+    distance : float
+        Distance from the modulator, or its image by an eyepiece, to the pupil in metres.
+    pixel_pitch : float
+        Pixel pitch of the modulator, or of that image, in metres.
+    pupil_positions : torch.Tensor or sequence
+        Middles of the pupil (y, x) in metres, ``[K, 2]``.
+    pupil_diameter : float or torch.Tensor
+        Diameter of the pupil in metres, one or ``[K]``.
+    focus : float or torch.Tensor, optional
+        Distance in metres at which the eye sees sharp, one or ``[K]``; by default that of the modulator.
+    n_iteration : int
+        Number of iterations.
+    loss_function : callable, optional
+        ``loss_function(images, targets)`` of ``[K, rows, columns]``; mean squared error by default.
+    learning_rate : float
+        Adam's step size in radians.
+    optimizer : str
+        "adam" or "lbfgs".
+    initial_phase : torch.Tensor, optional
+        Phase ``[rows, columns]``, or ``[frames, rows, columns]`` with several frames, to start from; uniform over a
+        cycle by default, which lights the whole eyebox.
+    frames : int
+        Number of patterns shown one after another, whose intensities the eye averages. One pattern shows several
+        images with speckle.
+    slm : callable, optional
+        ``slm(phase)`` is the field that the modulator sends out, such as
+        :class:`odak.learn.wave.spatial_light_modulator`.
+    pupils_per_step : int, optional
+        Number of places drawn for each iteration, for fewer transforms and less memory; all by default. Not with
+        "lbfgs".
+    seed : int, optional
+        Makes what is random reproducible.
+    progress : bool
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int
+        Iterations between two writings of that file.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Hologram, complex ``[rows, columns]``, or ``[frames, rows, columns]`` with several frames, and the intensities
+        seen, ``[K, rows, columns]``.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Notes
+    -----
+    Pupil samples in the loss: Choi et al., Time-multiplexed neural holography, SIGGRAPH (2022), section 4.3.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import eyebox_hologram
+    >>> places = [[0.0, -1e-3], [0.0, 1e-3]]
+    >>> hologram, seen = eyebox_hologram(
+    ...     torch.rand(2, 32, 32), 532e-9, 0.1, 8e-6, places, n_iteration=2, seed=0, progress=False
+    ... )
+    >>> hologram.shape, seen.shape
+    (torch.Size([32, 32]), torch.Size([2, 32, 32]))
+    """
+    places = tensor("pupil_positions", pupil_positions, torch.float64)
+    if places.ndim != 2 or places.shape[1] != 2 or not len(places):
+        raise ValueError(f"pupil_positions must be [K, 2] with K at least 1, got {list(places.shape)}")
+    if not isinstance(targets, torch.Tensor) or targets.is_complex():
+        raise TypeError(f"targets must be a real tensor, got {getattr(targets, 'dtype', type(targets).__name__)}")
+    _validate.image("targets", targets)
+    if targets.ndim > 3 or (targets.ndim == 3 and len(targets) not in (1, len(places))):
+        raise ValueError(
+            f"targets must be [rows, columns] or [{len(places)}, rows, columns], one for each of pupil_positions; "
+            f"got {list(targets.shape)}"
+        )
+    _validate.real("targets", targets)
+    if bool((targets < 0).any()):
+        raise ValueError(f"targets must not be negative, got {targets.min().item()}")
+    targets = targets.detach() if targets.dtype == torch.float64 else targets.detach().float()
+    targets = targets.expand(len(places), *targets.shape[-2:])
+    for name, length in (("wavelength", wavelength), ("distance", distance), ("learning_rate", learning_rate)):
+        _validate.number(name, length, positive=True)
+    for pitch in pitches(pixel_pitch, "pixel_pitch"):
+        _validate.real("pixel_pitch", pitch, positive=True)
+    optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
+    frames = _validate.integer("frames", frames, minimum=1)
+    n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
+    for name, function in (("loss_function", loss_function), ("slm", slm)):
+        _validate.function_or_none(name, function)
+    at_once = len(places)
+    if pupils_per_step is not None:
+        at_once = min(_validate.integer("pupils_per_step", pupils_per_step, minimum=1), at_once)
+        if optimizer == "lbfgs" and at_once < len(places):
+            raise ValueError("pupils_per_step must be left out with 'lbfgs', whose line search needs one loss")
+    device, generator = targets.device, generator_from(seed)
+    places = places.to(device)
+    diameters, foci = (_of_each(*pair, places) for pair in (("pupil_diameter", pupil_diameter), ("focus", focus)))
+    modulate = unit_phasor if slm is None else slm
+    loss_of = torch.nn.functional.mse_loss if loss_function is None else loss_function
+    phase = _start(initial_phase, (frames, *targets.shape[-2:]), generator, targets).requires_grad_()
+
+    with torch.no_grad():
+        like = modulate(phase)[0]
+        eyes = [
+            eye_transfer(
+                like, pixel_pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k]
+            )
+            for k, place in enumerate(places)
+        ]
+    transfers, lens = torch.stack([transfer for transfer, _ in eyes]), eyes[0][1]
+
+    def images(chosen):
+        return intensity(seen_through(modulate(phase), transfers[chosen], lens)).mean(0)
+
+    def gradient(iteration):
+        chosen = slice(None)
+        if at_once < len(places):
+            chosen = torch.randperm(len(places), generator=generator)[:at_once].to(device)
+        shown, wanted = images(chosen), targets[chosen]
+        with torch.no_grad():
+            brightness = (shown * wanted).sum() / shown.square().sum().clamp_min(torch.finfo(shown.dtype).tiny)
+        loss = loss_of(shown * brightness, wanted)
+        loss.backward()
+        return loss.detach()
+
+    about = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
+    if checkpoint is not None:
+        about["targets and places"] = fingerprint(targets, places)
+    minimise(
+        {"phase": phase},
+        gradient,
+        n_iteration,
+        constant(learning_rate),
+        Options(progress, callback, checkpoint, checkpoint_every),
+        solver=optimizer,
+        about=about,
+        generators=[generator],
+    )
+    with torch.no_grad():
+        hologram = modulate(phase)
+        return (hologram[0] if frames == 1 and len(hologram) == 1 else hologram), images(slice(None))
+
+
+def _of_each(name, value, places):
+    """Return a length for each place, ``[K]``; None for None."""
+    if value is None:
+        return None
+    if name == "focus":
+        lengths = tensor(name, value, torch.float64).to(places.device)
+        if not bool((lengths > 0).all()):
+            raise ValueError(f"focus must be positive distances, infinity included; got {value!r:.80}")
+    else:
+        lengths = tensor(name, _validate.real(name, value, positive=True), torch.float64).to(places.device)
+    if lengths.ndim > 1 or (lengths.ndim == 1 and len(lengths) != len(places)):
+        raise ValueError(f"{name} must be one number or [{len(places)}], got {list(lengths.shape)}")
+    return lengths.expand(len(places))
+
+
+def _start(initial_phase, shape, generator, like):
+    """Return a phase to start from, ``[frames, rows, columns]``."""
+    if initial_phase is None:
+        # On the CPU, so that a seed gives the same start on every device.
+        return 2 * math.pi * torch.rand(shape, generator=generator, dtype=like.dtype).to(like.device)
+    phase = floating("initial_phase", initial_phase).detach()
+    _validate.real("initial_phase", phase)
+    if tuple(phase.shape) not in (shape, shape[1:]):
+        raise ValueError(
+            f"initial_phase must be as the targets {list(shape[1:])}, or {list(shape)}; got {list(phase.shape)}"
+        )
+    return cast(phase, like).expand(shape).clone()

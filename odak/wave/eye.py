@@ -1,0 +1,268 @@
+"""Image that an eye sees of a field: pupil, place, focus, rotation and aberrations."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from odak import _array, _validate
+from odak._array import Array
+from odak._warnings import SamplingWarning, warn
+from odak.wave.elements import zernike_modes
+from odak.wave.transfer_functions import pitches
+
+_AXES = (-2, -1)
+# From the centre of rotation to the entrance pupil (Fry and Hill, Am. J. Optom. 39, 581 (1962): 13.5 mm to the cornea,
+# less 3 mm to the pupil).
+ROTATION_RADIUS = 10.5e-3
+
+
+def eye_image(
+    field: Array,
+    dx: float | Sequence[float],
+    wavelength: float | Array,
+    distance: float | Array,
+    pupil_position: Sequence[float] | Array = (0.0, 0.0),
+    pupil_diameter: float | Array = 4e-3,
+    focus: float | Array | None = None,
+    rotation: Sequence[float] = (0.0, 0.0),
+    aberrations: Mapping | None = None,
+) -> Array:
+    """Return the field on the retina of an eye that looks at a field, on the samples of the latter.
+
+    Light travels to the plane of the pupil, passes the pupil and a thin lens, and forms an image on the retina. The
+    image is given where it seems to be: a sample is the direction from the middle of the pupil's plane to that sample
+    of the field, so that magnification and inversion are left out. With an open pupil, focused on the field, the image
+    is the field itself. Paraxial (Fresnel).
+
+    Parameters
+    ----------
+    field : array
+        Complex field ``[..., rows, columns]`` of the modulator, or of its image by an eyepiece.
+    dx : float or sequence of float
+        Its pitch in metres, one number or a pair (rows, columns).
+    wavelength : float or array
+        Wavelength in metres.
+    distance : float or array
+        Distance from the field to the pupil in metres. The light of pixels reaches a box of wavelength·distance/dx
+        there.
+    pupil_position : sequence of float or array
+        Middle of the pupil (y, x) in metres; ``[K, 2]`` for K eyes.
+    pupil_diameter : float or array
+        Diameter of the pupil in metres; ``[K]`` for K eyes.
+    focus : float or array, optional
+        Distance in metres at which the eye sees sharp, infinity included; by default that of the field. ``[K]`` for K
+        eyes.
+    rotation : sequence of float
+        Angles in degrees (rows, columns) by which the eye is turned about its centre of rotation, 10.5 mm behind the
+        pupil. The pupil moves to the side and back, and appears narrower.
+    aberrations : mapping, optional
+        Zernike coefficients ``{(n, m): c}`` of the eye's wavefront, c in radians RMS over the pupil.
+
+    Returns
+    -------
+    array
+        Complex ``[..., rows, columns]``; ``[..., K, rows, columns]`` with K eyes. The intensity keeps the power that
+        passes the pupil. Differentiable.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    SamplingWarning
+        If the pupil receives light beyond the box that the pixels of the field determine, or the blur of the focus is
+        wider than the field.
+
+    Notes
+    -----
+    Goodman, Introduction to Fourier Optics (2005), sections 4.2 and 5.3. With K eyes the transform to the pupil is
+    shared.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.wave import eye_image
+    >>> field = np.exp(1j * np.random.default_rng(0).uniform(0, 6, (32, 32)))
+    >>> seen = eye_image(field, 8e-6, 532e-9, 0.1, [[0.0, 0.0], [0.0, 2e-3]], 1e-3)
+    >>> seen.shape
+    (2, 32, 32)
+    >>> bool(np.allclose(eye_image(field, 8e-6, 532e-9, 0.1, pupil_diameter=1.0), field))
+    True
+    """
+    field = _array.to_complex(_validate.image("field", field))
+    transfer, lens = eye_transfer(
+        field, dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation, aberrations
+    )
+    return seen_through(field, transfer, lens)
+
+
+def eye_transfer(
+    like: Array, dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation=(0.0, 0.0), aberrations=None
+) -> tuple[Array, Array]:
+    """Return what :func:`seen_through` needs, which is the same for all fields of a shape.
+
+    Parameters
+    ----------
+    like : array
+        Complex field ``[..., rows, columns]``, whose shape, library, device and precision matter.
+    dx, wavelength, distance, pupil_position, pupil_diameter, focus, rotation, aberrations
+        As in :func:`eye_image`.
+
+    Returns
+    -------
+    tuple of array
+        Transfer function of linear convolution, ``[..., 2·rows, 2·columns]`` in the order of the transform, and the
+        lens that makes the spectrum of a field its Fresnel transform, ``[rows, columns]``.
+    """
+    xp, device, shape = _array.namespace(like), _array.device_of(like), tuple(like.shape[-2:])
+    steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
+    for name, value in (("wavelength", wavelength), ("distance", distance)):
+        _validate.number(name, value, positive=True)
+    _validate.real("pupil_diameter", pupil_diameter, positive=True)
+    wavelength, distance, diameter = (
+        _array.converted(value, xp, device, xp.float64) for value in (wavelength, distance, pupil_diameter)
+    )
+    place = _validate.real("pupil_position", _validate.array("pupil_position", pupil_position))
+    if place.ndim not in (1, 2) or place.shape[-1] != 2 or 0 in place.shape:
+        raise ValueError(f"pupil_position must be [2] or [K, 2], got {tuple(place.shape)}")
+    place, focus = _array.converted(place, xp, device, xp.float64), _checked_focus(focus)
+    eyes = tuple(place.shape[:-1])
+    for name, value in (("pupil_diameter", diameter), ("focus", focus)):
+        if getattr(value, "ndim", 0) and tuple(value.shape) != eyes:
+            raise ValueError(f"{name} must be one number or one for each of the eyes {eyes}, got {tuple(value.shape)}")
+    turns = [math.radians(_validate.real("rotation", angle)) for angle in _validate.several("rotation", rotation, 2)]
+    if max(map(abs, turns)) >= math.pi / 2:
+        raise ValueError(f"rotation must be within ±90 degrees, got {tuple(rotation)}")
+    away = distance + ROTATION_RADIUS * (1 - math.cos(turns[0]) * math.cos(turns[1]))
+    _check_box(shape, steps, wavelength, away)
+    # The response to a pupil with a rim is long: sampled finely, it does not wrap around.
+    fine = [2 * n * (4 if n < 512 else 2) for n in shape]
+    pitch = [wavelength * away / (n * step) for n, step in zip(fine, steps, strict=True)]
+    squeeze = [math.cos(turn) for turn in turns]
+    radius = diameter[..., None, None] / 2
+    from_middle = []
+    for axis, n in enumerate(fine):
+        along = xp.asarray(_frequencies(n), dtype=xp.float64, device=device) * n * pitch[axis]
+        along = along - place[..., axis, None] - ROTATION_RADIUS * math.sin(turns[axis])
+        from_middle.append(along[..., :, None] if axis == 0 else along[..., None, :])
+    down, across = (values / (narrow * radius) for values, narrow in zip(from_middle, squeeze, strict=True))
+    pupil = _covered(xp, down, across, [p / (s * radius) for p, s in zip(pitch, squeeze, strict=True)])
+    cycles = 0 * pupil
+    if focus is not None:
+        vergence = _vergence(xp, focus, away, device)
+        _check_blur(shape, steps, vergence, away, diameter)
+        # About the middle of the pupil, so that directions from there are what stays in place.
+        squared = from_middle[0] ** 2 + from_middle[1] ** 2
+        cycles = cycles + vergence[..., None, None] / (2 * wavelength) * squared
+    if aberrations is not None:
+        if not isinstance(aberrations, Mapping):
+            raise TypeError(f"aberrations must map (n, m) to radians, got {type(aberrations).__name__}")
+        modes = zernike_modes(down + 0 * across, across + 0 * down, aberrations)
+        for value, mode in zip(aberrations.values(), modes, strict=True):
+            cycles = cycles + _array.converted(value, xp, device, xp.float64) * mode / (2 * math.pi)
+    wave = _array.phasor_of_cycles(cycles, like.dtype) * xp.astype(pupil, like.dtype)
+    response = xp.fft.ifftn(wave, axes=_AXES)
+    lens = [_chirp(xp, n, step**2 / (2 * wavelength * away), like) for n, step in zip(shape, steps, strict=True)]
+    return xp.fft.fftn(_short(xp, response, shape), axes=_AXES), lens[0][:, None] * lens[1]
+
+
+def seen_through(field: Array, transfer: Array, lens: Array) -> Array:
+    """Return the field on the retina, ``[..., rows, columns]``, of what :func:`eye_transfer` returned.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., rows, columns]``.
+    transfer : array
+        ``[2·rows, 2·columns]``, or ``[K, 2·rows, 2·columns]`` for K eyes, an axis that the result has then too.
+    lens : array
+        ``[rows, columns]``.
+    """
+    xp = _array.namespace(field)
+    rows, columns = field.shape[-2:]
+    spectrum = xp.fft.fftn(_padded(xp, field * lens, (2 * rows, 2 * columns)), axes=_AXES)
+    spectrum = spectrum[..., None, :, :] if transfer.ndim > 2 else spectrum
+    return xp.fft.ifftn(spectrum * transfer, axes=_AXES)[..., :rows, :columns] * xp.conj(lens)
+
+
+def _short(xp, response, shape):
+    """Return a response without the lags that connect no two samples of a shape, on twice that shape."""
+    for axis, n in zip(_AXES, shape, strict=True):
+        long = response.shape[axis]
+        ahead, behind = (
+            response[..., part, :] if axis == -2 else response[..., part]
+            for part in (slice(0, n), slice(long - n + 1, long))
+        )
+        gap = 0 * (ahead[..., :1, :] if axis == -2 else ahead[..., :1])
+        response = xp.concat([ahead, gap, behind], axis=axis)
+    return response
+
+
+def _chirp(xp, n: int, bend, like):
+    place = xp.arange(n, dtype=xp.float64, device=_array.device_of(like)) - n // 2
+    return _array.phasor_of_cycles(bend * place**2, like.dtype)
+
+
+def _padded(xp, field, shape):
+    """Return a field with zeros behind its rows and columns."""
+    for axis, n in zip(_AXES, shape, strict=True):
+        more = list(field.shape)
+        more[axis] = n - more[axis]
+        field = xp.concat([field, xp.zeros(tuple(more), dtype=field.dtype, device=_array.device_of(field))], axis=axis)
+    return field
+
+
+def _frequencies(n: int) -> list[float]:
+    """Return the frequencies of a transform of an even number of samples, in cycles per sample."""
+    return [(k if k < n // 2 else k - n) / n for k in range(n)]
+
+
+def _covered(xp, down, across, spacing):
+    """Return the share of each sample, `spacing` (rows, columns) wide, that lies within the unit disc."""
+    radius = xp.sqrt(down**2 + across**2 + 1e-30)
+    along = xp.sqrt((down * spacing[0]) ** 2 + (across * spacing[1]) ** 2 + 1e-60) / radius
+    return xp.clip((1 - radius) / along + 0.5, 0.0, 1.0)
+
+
+def _vergence(xp, focus: Any, distance, device):
+    """Return the curvature in 1/m that an eye focused at a distance lacks for a field at another."""
+    return 1 / distance - 1 / _array.converted(focus, xp, device, xp.float64)
+
+
+def _checked_focus(focus):
+    """Return distances of sharp vision after checking that they are positive; infinity is one of them."""
+    if focus is None:
+        return None
+    focus = _validate.array("focus", focus)
+    if "complex" in str(focus.dtype) or 0 in focus.shape:
+        raise ValueError(f"focus must be real distances, got {tuple(focus.shape)} of {focus.dtype}")
+    if _array.is_readable(focus) and not all(value > 0 for value in _validate.numbers(focus)):
+        raise ValueError("focus must be positive distances, infinity included; got others")
+    return focus
+
+
+def _check_box(shape, steps, wavelength, distance) -> None:
+    if not (_array.is_readable(wavelength) and _array.is_readable(distance)):
+        return
+    reach = _validate.numbers(wavelength)[0] * _validate.numbers(distance)[0]
+    for n, step in zip(shape, steps, strict=True):
+        if reach < n * step**2:
+            warn(
+                f"at {_validate.numbers(distance)[0]:.3g} m light from the rim of a field of {n * step:.3g} m leaves "
+                f"the angles that its pixels determine: the pupil should be at least {n * step**2 / reach:.3g} times "
+                "as far away",
+                SamplingWarning,
+            )
+
+
+def _check_blur(shape, steps, vergence, distance, diameter) -> None:
+    if not all(_array.is_readable(value) for value in (vergence, distance, diameter)):
+        return
+    most = (
+        max(map(abs, _validate.numbers(vergence))) * max(_validate.numbers(distance)) * max(_validate.numbers(diameter))
+    )
+    width = min(n * step for n, step in zip(shape, steps, strict=True))
+    if most > width:
+        warn(f"the blur of the focus is {most:.3g} m wide, more than the field of {width:.3g} m", SamplingWarning)
