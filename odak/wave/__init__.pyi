@@ -34,7 +34,6 @@ from .elements import rectangular_aperture as rectangular_aperture
 from .elements import spiral_phase as spiral_phase
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
-from .eye import eye_image as eye_image
 from .fields import add_phase as add_phase
 from .fields import add_random_phase as add_random_phase
 from .fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range
@@ -102,4 +101,5 @@ from .transfer_functions import set_kernel_cache_size as set_kernel_cache_size
 from .vector import electric_field_per_plane_wave as electric_field_per_plane_wave
 from .vector import propagate_field as propagate_field
 from .vector import propagate_plane_waves as propagate_plane_waves
+from .viewing import eye_image as eye_image
 from .windows import propagate_to_window as propagate_to_window

@@ -7,7 +7,6 @@ from odak.wave.bench import RectangularAperture as RectangularAperture
 from odak.wave.bench import ThinLens as ThinLens
 from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
-from odak.wave.eye import eye_image as eye_image
 from odak.wave.fields import add_phase as add_phase
 from odak.wave.fields import add_random_phase as add_random_phase
 from odak.wave.fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range
@@ -54,6 +53,7 @@ from odak.wave.tilted import propagate_to_tilted_plane as propagate_to_tilted_pl
 from odak.wave.vector import electric_field_per_plane_wave as electric_field_per_plane_wave
 from odak.wave.vector import propagate_field as propagate_field
 from odak.wave.vector import propagate_plane_waves as propagate_plane_waves
+from odak.wave.viewing import eye_image as eye_image
 from odak.wave.windows import propagate_to_window as propagate_to_window
 
 from .camera import simulated_camera as simulated_camera

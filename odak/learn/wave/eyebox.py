@@ -11,8 +11,8 @@ from odak._array import cast
 from odak.learn._tensors import floating, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
-from odak.wave.eye import eye_transfer, seen_through
 from odak.wave.transfer_functions import pitches
+from odak.wave.viewing import eye_transfer, seen_through
 
 
 @torch.inference_mode(False)
