@@ -115,6 +115,8 @@ def internal_transmittance(
     found = name if isinstance(name, Material) else material(name)
     if extinction_of(found) is None:
         raise ValueError(f"name {found.name!r} is a material whose absorption is not known")
+    if isinstance(wavelength, (list, tuple)):
+        wavelength = _validate.array("wavelength", wavelength)
     _validate.real("thickness", thickness)
     coefficient = absorption_coefficient(found, wavelength, unit)
     if not _array.is_array(coefficient) and not _array.is_array(thickness):
