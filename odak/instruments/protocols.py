@@ -7,7 +7,7 @@ import numpy as np
 
 from odak import _validate
 
-__all__ = ["Camera", "Laser", "Modulator", "Stage", "open_instrument"]
+__all__ = ["Camera", "Laser", "Modulator", "Rotator", "Stage", "open_instrument"]
 
 # Group of entry points of packages that hold drivers: name → class or function that opens an instrument.
 ENTRY_POINTS = "odak.instruments"
@@ -26,7 +26,7 @@ class Modulator(Protocol):
     bits : int
         Bit depth: levels are 0 … 2^bits − 1.
     settling_time : float
-        Seconds after which a new pattern is shown completely; :meth:`show` waits for it.
+        Seconds after which a new pattern is shown completely; :meth:`show` waits for it. May be set.
     """
 
     shape: tuple[int, int]
@@ -75,7 +75,7 @@ class Laser(Protocol):
     Attributes
     ----------
     wavelength : float
-        Vacuum wavelength in metres.
+        Vacuum wavelength in metres; may be set where the laser has several lines.
     power : float
         Power as a fraction of the largest, 0 … 1; may be set.
     """
@@ -101,6 +101,23 @@ class Stage(Protocol):
         ...
 
 
+@runtime_checkable
+class Rotator(Protocol):
+    """Rotation mount that carries a polariser or a wave plate.
+
+    Attributes
+    ----------
+    angle : float
+        Angle in degrees.
+    """
+
+    angle: float
+
+    def turn(self, angle: float) -> None:
+        """Turn to an angle in degrees and return when it is reached."""
+        ...
+
+
 def open_instrument(name: str, **options: Any) -> Any:
     """Open an instrument by the name under which an installed package registered its driver.
 
@@ -116,7 +133,7 @@ def open_instrument(name: str, **options: Any) -> Any:
 
     Returns
     -------
-    Modulator, Camera, Laser or Stage
+    Modulator, Camera, Laser, Stage or Rotator
         The instrument.
 
     Raises
@@ -124,13 +141,13 @@ def open_instrument(name: str, **options: Any) -> Any:
     ValueError
         If no installed package registers the name; the message lists the names that are.
     TypeError
-        If what the driver returns is none of the four.
+        If what the driver returns is none of these.
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
     if _validate.text("name", name) not in found:
         known = ", ".join(map(repr, sorted(found))) or "none"
         raise ValueError(f"name must be that of an installed driver ({known}), got {name!r}")
     instrument = found[name].load()(**options)
-    if not isinstance(instrument, (Modulator, Camera, Laser, Stage)):
+    if not isinstance(instrument, (Modulator, Camera, Laser, Stage, Rotator)):
         raise TypeError(f"driver {name!r} returned {type(instrument).__name__}, which follows none of the protocols")
     return instrument

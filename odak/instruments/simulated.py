@@ -2,10 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import fft
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from odak import _validate
 from odak.tools.zernike import zernike_polynomial
@@ -16,8 +17,20 @@ __all__ = ["SimulatedTable", "Truth"]
 # Zernike polynomials (n, m) of the hidden aberration, without piston, tilt and defocus.
 ABERRATIONS = ((2, -2), (2, 2), (3, -3), (3, -1), (3, 1), (3, 3), (4, 0))
 FULL_WELL = 20_000.0
-# Samples of the simulated intensity for one of the field.
+# Samples of the simulated intensity along a pixel of the modulator, where its field has one.
 FINER = 3
+# Periods of the flicker per second.
+FLICKER_RATE = 360.0
+# Faults of a table as it stands in a laboratory, for SimulatedTable.realistic.
+REALISTIC: dict[str, Any] = {
+    "regional": 0.05,
+    "flicker": 0.01,
+    "fringing": 0.3,
+    "fill_factor": 0.92,
+    "samples_per_pixel": 2,
+    "iris": 1.0,
+    "dust": 3,
+}
 
 
 @dataclass(frozen=True)
@@ -38,6 +51,20 @@ class Truth:
         ``[3, 3]``, from undistorted camera pixels (column, row), from the middle, to metres (x, y) in the plane.
     distortion : float
         Radial distortion: undistorted = distorted·(1 + distortion·r²), r in half diagonals of the sensor.
+    reflection : complex
+        Amplitude reflected by the cover glass, as a fraction of the illumination.
+    response : numpy.ndarray
+        Factor of the phase at each pixel of the modulator.
+    flicker : float
+        Relative amplitude of the flicker of the phase.
+    fringing : float
+        Standard deviation in pixels of the Gaussian by which fringing fields smooth the phase.
+    fill_factor : float
+        Share of the area of a pixel that modulates.
+    time_constant : float
+        Seconds in which the phase comes nearer to a new one by a factor e.
+    polarisation : float
+        Angle of the polariser in degrees at which all light is modulated.
     """
 
     phases: np.ndarray
@@ -46,6 +73,13 @@ class Truth:
     distance: float
     homography: np.ndarray
     distortion: float
+    reflection: complex
+    response: np.ndarray
+    flicker: float
+    fringing: float
+    fill_factor: float
+    time_constant: float
+    polarisation: float
 
     def plane_points(self, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Return the points x, y of the plane in metres that camera pixels (column, row) ``[..., 2]`` see."""
@@ -53,11 +87,14 @@ class Truth:
 
 
 class SimulatedTable:
-    """Modulator, camera, laser and stage on a simulated table with hidden faults.
+    """Modulator, camera, laser, stage and polariser on a simulated table with hidden faults.
 
     Light of a Gaussian beam, off centre and aberrated, meets a phase-only modulator with a nonlinear response and a
     reflection at its cover glass, travels to the camera (band-limited angular spectrum), and is captured with
-    misalignment, distortion, shot noise, read noise, saturation and quantisation.
+    misalignment, distortion, shot noise, read noise, saturation and quantisation. The modulator may flicker, smooth the
+    phase by fringing fields, respond differently from pixel to pixel, have gaps between its pixels, carry dust and take
+    time to settle. The laser can be tuned: phases and the aberration, which are those at `wavelength`, change as its
+    inverse.
 
     Parameters
     ----------
@@ -85,6 +122,25 @@ class SimulatedTable:
         Largest error of the distance as a fraction.
     reflection : float
         Amplitude reflected by the cover glass, as a fraction of the illumination.
+    regional : float
+        Relative deviation of the phase response over the modulator (root mean square), smooth; a tenth as much again
+        from pixel to pixel.
+    flicker : float
+        Relative amplitude of the flicker of the phase, 360 times a second.
+    fringing : float
+        Standard deviation in pixels of the Gaussian by which fringing fields smooth the phase.
+    fill_factor : float
+        Share of the area of a pixel that modulates; the gaps reflect with phase 0.
+    samples_per_pixel : int
+        Samples of the field along each side of a pixel; with more than one, gaps and higher orders are simulated.
+    iris : float, optional
+        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default.
+    dust : int
+        Number of specks that absorb light in front of the modulator.
+    time_constant : float
+        Nominal seconds in which the phase comes nearer to a new one by a factor e; the hidden one is within 30 %.
+    polarisation : bool
+        Turn the axis of the modulator by a hidden angle up to 30 degrees from that of the polariser.
 
     Attributes
     ----------
@@ -96,6 +152,10 @@ class SimulatedTable:
         Follows :class:`odak.instruments.Laser`.
     stage : SimulatedStage
         Follows :class:`odak.instruments.Stage`.
+    polariser : SimulatedRotator
+        Follows :class:`odak.instruments.Rotator`.
+    clock : float
+        Seconds that have passed on the table: exposures and settling times.
     truth : Truth
         The hidden properties, for tests alone.
 
@@ -124,6 +184,15 @@ class SimulatedTable:
         nonlinearity: bool = True,
         distance_error: float = 0.02,
         reflection: float = 0.02,
+        regional: float = 0.0,
+        flicker: float = 0.0,
+        fringing: float = 0.0,
+        fill_factor: float = 1.0,
+        samples_per_pixel: int = 1,
+        iris: float | None = None,
+        dust: int = 0,
+        time_constant: float = 0.0,
+        polarisation: bool = False,
     ):
         draw = np.random.default_rng(_validate.integer("seed", seed))
         rows, columns = _validate.size("shape", shape)
@@ -162,55 +231,142 @@ class SimulatedTable:
             homography[2, :2] = draw.uniform(-1, 1, 2) * 1e-2 / max(camera_rows, camera_columns)
             distortion = draw.uniform(-0.02, 0.02)
         true_distance = nominal * (1 + draw.uniform(-1, 1) * float(_validate.number("distance_error", distance_error)))
-        self.truth = Truth(phases, amplitude, wavefront, true_distance, homography, distortion)
         self._pitch, self._noise = pitch, draw
-        self._reflection = float(_validate.number("reflection", reflection, least=0)) * np.exp(
-            2j * np.pi * draw.random()
+        reflected = float(_validate.number("reflection", reflection, least=0)) * np.exp(2j * np.pi * draw.random())
+        # Faults that were added later do not change what the seed draws for the others.
+        more = np.random.default_rng([seed, 1])
+        low = np.stack([(x / half) ** i * (y / half) ** j for i, j in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0))])
+        gain = np.tensordot(more.normal(size=len(low)), low, axes=1)
+        gain = (gain - gain.mean()) / gain.std() + 0.1 * more.normal(size=gain.shape)
+        for row, column, radius, depth in zip(
+            *(more.uniform(0.05, 0.95, (2, _validate.integer("dust", dust))) * [[rows], [columns]]),
+            more.uniform(1.0, 0.02 * max(rows, columns) + 1, dust),
+            more.uniform(0.5, 0.9, dust),
+            strict=True,
+        ):
+            away = np.hypot(np.arange(rows)[:, None] - row, np.arange(columns) - column)
+            amplitude = amplitude * (1 - depth * np.clip(radius + 0.5 - away, 0, 1))
+        self.truth = Truth(
+            *(phases, amplitude, wavefront, true_distance, homography, distortion, reflected),
+            response=1 + float(_validate.number("regional", regional, least=0)) * gain,
+            flicker=float(_validate.number("flicker", flicker, least=0)),
+            fringing=float(_validate.number("fringing", fringing, least=0)),
+            fill_factor=float(_validate.number("fill_factor", fill_factor, positive=True)),
+            time_constant=float(_validate.number("time_constant", time_constant, least=0)) * more.uniform(0.7, 1.3),
+            polarisation=more.uniform(-30, 30) * _validate.flag("polarisation", polarisation),
         )
+        if self.truth.fill_factor > 1:
+            raise ValueError(f"fill_factor must be at most 1, got {fill_factor!r}")
+        self._samples = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self._iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
+        self.clock = 0.0
         self._levels = np.zeros((rows, columns), dtype=np.uint8)
-        self.modulator = SimulatedModulator(self, (rows, columns), pitch)
+        self._before, self._shown = np.zeros((rows, columns)), -np.inf
+        self.modulator = SimulatedModulator(self, (rows, columns), pitch, 10 * float(time_constant))
         self.camera = SimulatedCamera(self, (camera_rows, camera_columns), camera_pitch, draw)
-        self.laser, self.stage = SimulatedLaser(self.wavelength), SimulatedStage()
+        self.laser, self.stage, self.polariser = SimulatedLaser(self.wavelength), SimulatedStage(), SimulatedRotator()
         # The brightest spot that the modulator can form stays below saturation at an exposure of 1 ms.
         area = amplitude.sum() * pitch**2 / (self.wavelength * nominal)
         self._unit = 0.7 * FULL_WELL / area**2
 
-    def intensity(self) -> tuple[np.ndarray, float]:
-        """Return the intensity that pixels of the camera see ``[rows, columns]``, and the pitch of its samples."""
-        truth, (rows, columns) = self.truth, self._levels.shape
-        phase = truth.phases[self._levels] + truth.wavefront
-        field = truth.amplitude * (np.exp(1j * phase) + self._reflection)
+    @classmethod
+    def realistic(cls, seed: int, **options: Any) -> "SimulatedTable":
+        """Return a table that has all faults of the modulator too, as large as they are in laboratories.
+
+        Parameters
+        ----------
+        seed : int
+            Seed of the hidden properties and of the noise.
+        **options
+            Parameters of :class:`SimulatedTable`, which take the place of those of this table.
+
+        Returns
+        -------
+        SimulatedTable
+            The table.
+        """
+        return cls(seed, **{**REALISTIC, **options})
+
+    def phase(self) -> np.ndarray:
+        """Return the phase of each pixel of the modulator at this moment, in radians at the nominal wavelength."""
+        wanted = self.truth.phases[self._levels] * self.truth.response
+        if self.truth.time_constant == 0:
+            return wanted
+        return wanted + (self._before - wanted) * np.exp(-(self.clock - self._shown) / self.truth.time_constant)
+
+    def intensity(self, flicker: float = 0.0) -> tuple[np.ndarray, float]:
+        """Return the intensity in the plane of the camera, averaged over its pixels, and the pitch of its samples.
+
+        Parameters
+        ----------
+        flicker : float
+            Relative deviation of the phases at this moment.
+
+        Returns
+        -------
+        tuple of numpy.ndarray and float
+            Intensity ``[rows, columns]``, the sample at index n // 2 on the axis, and pitch in metres.
+        """
+        truth, s = self.truth, self._samples
+        scale = self.wavelength / self.laser.wavelength
+        finely = np.ones((s, s))
+        amplitude, wavefront = np.kron(truth.amplitude, finely), np.kron(truth.wavefront, finely)
+        phase = np.kron(self.phase() * (1 + flicker), finely)
+        if truth.fringing:
+            phase = gaussian_filter(phase, truth.fringing * s, mode="nearest")
+        field = np.exp(1j * scale * phase)
+        if truth.fill_factor < 1:
+            edges = np.clip(np.arange(s + 1) - s / 2, *(np.array([-0.5, 0.5]) * s * np.sqrt(truth.fill_factor)))
+            line = np.tile(np.diff(edges), field.shape[0] // s)
+            active = line[:, None] * np.tile(np.diff(edges), field.shape[1] // s)
+            field = active * field + (1 - active)
+        axis = np.radians(self.polariser.angle - truth.polarisation)
+        light, pitch = self._travelled(amplitude * (np.exp(1j * scale * wavefront) * field + truth.reflection))
+        if truth.polarisation or self.polariser.angle:
+            still, _ = self._travelled(amplitude * (np.exp(1j * scale * wavefront) + truth.reflection))
+            light = np.cos(axis) ** 2 * light + np.sin(axis) ** 2 * still
+        return self.laser.power * light, pitch
+
+    def _travelled(self, field: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the intensity of a field of the modulator in the plane of the camera, and the pitch of its samples."""
+        s, pitch = self._samples, self._pitch / self._samples
+        rows, columns = field.shape
         wide = [int(1.4 * n) // 2 * 2 for n in (rows, columns)]
         padded = np.zeros(wide, dtype=complex)
-        first = [n // 2 - m // 2 for n, m in zip(wide, (rows, columns), strict=True)]
+        # The axis passes through the middle of pixel n // 2, which lies between two samples where s is even.
+        first = [n // 2 - (m // s // 2) * s - s // 2 for n, m in zip(wide, (rows, columns), strict=True)]
         padded[first[0] : first[0] + rows, first[1] : first[1] + columns] = field
         there = propagate_beam(
-            *(padded, None, truth.distance + self.stage.position, self._pitch, self.wavelength),
+            *(padded, None, self.truth.distance + self.stage.position, pitch, self.laser.wavelength),
             "Bandlimited Angular Spectrum",
             zero_padding=[True, False, True],
         )
         # An intensity has twice the bandwidth of its field, and splines need some more samples.
+        finer = FINER if s == 1 else 2
         spectrum = fft.fftshift(fft.fft2(fft.ifftshift(there).astype(np.complex64)))
-        finer = np.zeros([FINER * n for n in wide], dtype=np.complex64)
-        first = [(FINER * n - n) // 2 for n in wide]
-        finer[first[0] : first[0] + wide[0], first[1] : first[1] + wide[1]] = spectrum
-        field = FINER**2 * fft.fftshift(fft.ifft2(fft.ifftshift(finer)))
-        light, pitch = field.real**2 + field.imag**2, self._pitch / FINER
+        fy, fx = (fft.fftshift(fft.fftfreq(n, pitch)) for n in wide)
+        if s % 2 == 0:
+            spectrum = spectrum * np.exp(-1j * np.pi * pitch * (fy[:, None] + fx))
+        if self._iris is not None:
+            spectrum = spectrum * (np.hypot(fy[:, None], fx) <= self._iris / (2 * self._pitch))
+        wider = np.zeros([finer * n for n in wide], dtype=np.complex64)
+        first = [(finer * n - n) // 2 for n in wide]
+        wider[first[0] : first[0] + wide[0], first[1] : first[1] + wide[1]] = spectrum
+        field = finer**2 * fft.fftshift(fft.ifft2(fft.ifftshift(wider)))
+        light, pitch = field.real**2 + field.imag**2, pitch / finer
         # A pixel of the camera averages over its area.
         frequencies = fft.fftfreq(light.shape[0], pitch)[:, None], fft.rfftfreq(light.shape[1], pitch)[None]
         response = np.prod(np.broadcast_arrays(*(np.sinc(f * self.camera.pitch) for f in frequencies)), axis=0)
-        light = fft.irfft2(fft.rfft2(light) * response.astype(np.float32), s=light.shape)
-        return self.laser.power * light, pitch
+        return fft.irfft2(fft.rfft2(light) * response.astype(np.float32), s=light.shape), pitch
 
 
 class SimulatedModulator:
     """Twin of a phase-only modulator of 8 bits; see :class:`SimulatedTable`."""
 
     bits = 8
-    settling_time = 0.0
 
-    def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float):
-        self._table, self.shape, self.pitch = table, shape, pitch
+    def __init__(self, table: SimulatedTable, shape: tuple[int, int], pitch: float, settling_time: float = 0.0):
+        self._table, self.shape, self.pitch, self.settling_time = table, shape, pitch, settling_time
 
     def show(self, levels: np.ndarray) -> None:
         """Show a pattern of levels 0 … 255, integers ``[rows, columns]``."""
@@ -219,7 +375,10 @@ class SimulatedModulator:
             raise ValueError(f"levels must be integers {list(self.shape)}, got {found.dtype} {list(found.shape)}")
         if found.min() < 0 or found.max() > 255:
             raise ValueError(f"levels must be 0 to 255, got {found.min()} to {found.max()}")
-        self._table._levels = found.astype(np.uint8)
+        table = self._table
+        table._before, table._shown = table.phase(), table.clock
+        table._levels = found.astype(np.uint8)
+        table.clock += self.settling_time
 
 
 class SimulatedCamera:
@@ -241,18 +400,33 @@ class SimulatedCamera:
         window = np.s_[row : row + rows, column : column + columns]
         v, u = np.meshgrid(np.arange(row, row + rows), np.arange(column, column + columns), indexing="ij")
         points = table.truth.plane_points(np.stack([u, v], axis=-1).astype(float), self.shape)
-        light, pitch = table.intensity()
+        flicker = table.truth.flicker
+        seen = np.stack(
+            [self._sampled(points, *table.intensity(part)) for part in ([-flicker, 0, flicker] if flicker else [0])]
+        )
+        table.clock += count * self.exposure
+        noise = table._noise
+        if flicker:
+            # Mean and mean square of a sine over the exposure, from a random moment on; the intensity is a parabola.
+            start, turn = 2 * np.pi * noise.random(count), 2 * np.pi * FLICKER_RATE * self.exposure
+            mean = (np.cos(start) - np.cos(start + turn)) / turn
+            square = 0.5 - (np.sin(2 * (start + turn)) - np.sin(2 * start)) / (4 * turn)
+            share = np.stack([(square - mean) / 2, 1 - square, (square + mean) / 2], axis=-1)
+            seen = np.tensordot(share, seen, axes=1)
+        electrons = np.clip(seen, 0, None) * table._unit * self.exposure / 1e-3 * self._gain[window]
+        read = noise.poisson(np.minimum(electrons, 1e9), (count, *electrons.shape[1:])) + self._offset[window]
+        read = read + 3 * noise.normal(size=read.shape)
+        counts = np.clip(read, 0, FULL_WELL) * ((1 << self.bits) - 1) / FULL_WELL
+        return np.rint(counts).astype(np.uint16)
+
+    @staticmethod
+    def _sampled(points: np.ndarray, light: np.ndarray, pitch: float) -> np.ndarray:
+        """Return an intensity, whose samples have a pitch, at points x, y in metres."""
         at = [points[..., i] / pitch + light.shape[axis] // 2 for i, axis in ((1, 0), (0, 1))]
         # Only the part that the region sees, for the interpolation is by splines.
         corner = [max(int(np.floor(part.min())) - 8, 0) for part in at]
         part = light[tuple(slice(c, int(np.ceil(a.max())) + 9) for c, a in zip(corner, at, strict=True))]
-        seen = map_coordinates(part, [a - c for a, c in zip(at, corner, strict=True)], order=3, mode="constant")
-        electrons = np.clip(seen, 0, None) * table._unit * self.exposure / 1e-3 * self._gain[window]
-        noise = table._noise
-        read = noise.poisson(np.minimum(electrons, 1e9), (count, *electrons.shape)) + self._offset[window]
-        read = read + 3 * noise.normal(size=read.shape)
-        counts = np.clip(read, 0, FULL_WELL) * ((1 << self.bits) - 1) / FULL_WELL
-        return np.rint(counts).astype(np.uint16)
+        return map_coordinates(part, [a - c for a, c in zip(at, corner, strict=True)], order=3, mode="constant")
 
 
 class SimulatedLaser:
@@ -260,6 +434,17 @@ class SimulatedLaser:
 
     def __init__(self, wavelength: float):
         self.wavelength, self.power = wavelength, 1.0
+
+
+class SimulatedRotator:
+    """Twin of a rotation mount that carries a polariser; see :class:`SimulatedTable`."""
+
+    def __init__(self):
+        self.angle = 0.0
+
+    def turn(self, angle: float) -> None:
+        """Turn to an angle in degrees."""
+        self.angle = float(_validate.number("angle", angle))
 
 
 class SimulatedStage:
