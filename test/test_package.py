@@ -34,9 +34,14 @@ PARTS = {
     "odak.catalog": {"odak.raytracing", "odak.tools", "odak.visualize"},
     "odak.manager": {"odak.tools"},
     "odak.instruments": {"odak.tools", "odak.wave"},
-    "odak.learn": {"odak.catalog", "odak.jones", "odak.log", "odak.raytracing", "odak.tools", "odak.wave"},
+    "odak.learn": {
+        f"odak.{part}" for part in ["catalog", "instruments", "jones", "log", "raytracing", "tools", "wave"]
+    },
     "odak.visualize": {"odak.catalog", "odak.learn", "odak.log", "odak.raytracing", "odak.tools"},
-    "odak.cli": {f"odak.{part}" for part in ["learn", "log", "manager", "raytracing", "tools", "visualize", "wave"]},
+    "odak.cli": {
+        f"odak.{part}"
+        for part in ["instruments", "learn", "log", "manager", "raytracing", "tools", "visualize", "wave"]
+    },
 }
 # The same within odak.learn.
 LEARN = {

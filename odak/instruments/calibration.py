@@ -10,7 +10,7 @@ import json
 import math
 import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -21,20 +21,22 @@ from scipy.optimize import least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
+from odak.instruments.captures import SUFFIXES, read_hdf5, write_hdf5
+from odak.instruments.exposures import set_exposure
+from odak.instruments.mapping import Registration
 from odak.instruments.protocols import Camera, Modulator
-from odak.instruments.simulated import plane_points
 from odak.tools.paths import replacing, validate_path
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
 
 __all__ = [
     "Calibration",
-    "Registration",
     "calibrate_table",
     "load_calibration",
     "measure_distance",
     "measure_illumination",
     "measure_phase_response",
+    "measure_regional_response",
     "measure_wavefront",
     "register_camera",
     "save_calibration",
@@ -49,52 +51,13 @@ UNITS = {
     "amplitude": "fraction of the largest",
     "wavefront": "rad",
     "homography": "pixel to m",
+    "regional_phases": "rad",
+    "residual": "pixel",
     "distortion": "1/(half diagonal)²",
 }
 # Harmonics of the steps of the two halves of the pixels, and of their interference: no product of the orders of a
 # binary lens that is focused near the spot has this one, modulo the number of steps.
 STEPS, FIRST, SECOND = 11, 1, -3
-# Part of the range of the camera that the brightest pixel should reach.
-EXPOSED = 0.6
-
-
-@dataclass(frozen=True)
-class Registration:
-    """Mapping from pixels of the camera to the plane in which the modulator forms its image.
-
-    Attributes
-    ----------
-    homography : numpy.ndarray
-        ``[3, 3]``, from undistorted pixels (column, row), counted from the middle of the sensor, to metres (x, y).
-    distortion : float
-        Radial distortion: undistorted = distorted·(1 + distortion·r²), r in half diagonals of the sensor.
-    shape : tuple of int
-        Rows and columns of the camera.
-    residual : float
-        Root mean square distance of the measured spots from the mapping, in pixels.
-    """
-
-    homography: np.ndarray
-    distortion: float
-    shape: tuple[int, int]
-    residual: float = 0.0
-
-    def plane_points(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the points x, y in metres ``[..., 2]`` that pixels (column, row) ``[..., 2]`` see."""
-        return plane_points(np.asarray(pixels, float), self.shape, self.homography, self.distortion)
-
-    def camera_pixels(self, points: np.ndarray) -> np.ndarray:
-        """Return the pixels (column, row) ``[..., 2]`` that see points x, y in metres ``[..., 2]``."""
-        points = np.asarray(points, float)
-        back = np.linalg.inv(self.homography)
-        found = points @ back[:, :2].T + back[:, 2]
-        straight = found[..., :2] / found[..., 2:]
-        rows, columns = self.shape
-        bent = straight
-        for _ in range(20):
-            squared = (bent**2).sum(-1, keepdims=True) / ((rows**2 + columns**2) / 4)
-            bent = straight / (1 + self.distortion * squared)
-        return bent + np.array([columns / 2, rows / 2])
 
 
 @dataclass(frozen=True)
@@ -117,6 +80,8 @@ class Calibration:
         Aberration at each pixel of the modulator in radians.
     registration : Registration
         Mapping of the camera.
+    regional_phases : numpy.ndarray, optional
+        Phase of each level in regions of the modulator, ``[region rows, region columns, levels]``.
     """
 
     wavelength: float
@@ -126,10 +91,49 @@ class Calibration:
     amplitude: np.ndarray
     wavefront: np.ndarray
     registration: Registration = field(repr=False)
+    regional_phases: np.ndarray | None = field(default=None, repr=False)
+
+    @classmethod
+    def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float) -> "Calibration":
+        """Return what is assumed of a table before it is calibrated: no faults.
+
+        Parameters
+        ----------
+        modulator : Modulator
+            The modulator; its levels are taken to be spread evenly over a turn.
+        camera : Camera
+            The camera, taken to be aligned.
+        wavelength : float
+            Vacuum wavelength in metres.
+        distance : float
+            Distance from the modulator to the camera in metres.
+
+        Returns
+        -------
+        Calibration
+            The assumptions.
+        """
+        count = 1 << modulator.bits
+        shape = (camera.shape[0], camera.shape[1])
+        return cls(
+            float(_validate.number("wavelength", wavelength, positive=True)),
+            modulator.pitch,
+            float(_validate.number("distance", distance, positive=True)),
+            np.arange(count) * (2 * np.pi / count),
+            np.ones(modulator.shape),
+            np.zeros(modulator.shape),
+            Registration(np.diag([camera.pitch, camera.pitch, 1.0]), 0.0, shape),
+        )
 
     def levels(self, phase: np.ndarray) -> np.ndarray:
-        """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected."""
-        return nearest_levels(np.asarray(phase) - self.wavefront, self.phases)
+        """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected.
+
+        Where the response of regions is known, each pixel takes that between the middles of the nearest four.
+        """
+        wanted = np.asarray(phase) - self.wavefront
+        if self.regional_phases is None:
+            return nearest_levels(wanted, self.phases)
+        return _regional_levels(wanted, self.regional_phases)
 
 
 def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -154,6 +158,25 @@ def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
         return np.minimum(difference, 2 * np.pi - difference)
 
     return order[np.where(apart(above) < apart(below), above, below)]
+
+
+def _regional_levels(phase: np.ndarray, tables: np.ndarray) -> np.ndarray:
+    """Return the levels whose phases are nearest at each pixel, the tables of regions interpolated linearly."""
+    found = np.empty(phase.shape, dtype=np.int64)
+    places = [
+        np.clip((np.arange(n) + 0.5) * parts / n - 0.5, 0, parts - 1)
+        for n, parts in zip(phase.shape, tables.shape[:2], strict=True)
+    ]
+    columns = np.minimum(places[1].astype(int), max(tables.shape[1] - 2, 0))
+    share = (places[1] - columns)[:, None]
+    beside = np.minimum(columns + 1, tables.shape[1] - 1)
+    for row, place in enumerate(places[0]):
+        first = min(int(place), max(tables.shape[0] - 2, 0))
+        between = tables[first] + (place - first) * (tables[min(first + 1, len(tables) - 1)] - tables[first])
+        table = (1 - share) * between[columns] + share * between[beside]
+        apart = np.abs(np.angle(np.exp(1j * (table - phase[row][:, None]))))
+        found[row] = apart.argmin(-1)
+    return found
 
 
 def calibrate_table(
@@ -253,7 +276,7 @@ def measure_phase_response(
     modulator.show(pattern((top + 1) // 2, 0))
     spot = _brightest(_averaged(camera, captures))
     _read_around(camera, spot, 6)
-    _expose(camera, lambda: modulator.show(pattern((top + 1) // 2, 0)))
+    set_exposure(camera, lambda: modulator.show(pattern((top + 1) // 2, 0)))
     carrier = np.exp(-2j * np.pi * (FIRST - SECOND) * np.arange(STEPS) / STEPS)
     found = []
     for level in levels:
@@ -263,7 +286,103 @@ def measure_phase_response(
             frames.append(_averaged(camera, captures))
         found.append(np.tensordot(carrier, np.stack(frames), axes=1))
     camera.region = None
-    stack = np.stack(found)
+    return _response(levels, np.stack(found), top)
+
+
+def measure_regional_response(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    registration: Registration,
+    *,
+    regions: Sequence[int] = (3, 3),
+    samples: int = 15,
+    captures: int = 4,
+) -> np.ndarray:
+    """Measure the phase of each level in regions of a modulator, whose response varies over it.
+
+    The measurement is that of :func:`measure_phase_response`. Each region is a lens that forms a spot of its own, and
+    all are measured at the same time, but neighbours, whose light would disturb each other, one after another.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres.
+    registration : Registration
+        Mapping of the camera, from :func:`register_camera`.
+    regions : sequence of int
+        Rows and columns of regions, of at least 12 pixels each.
+    samples : int
+        Number of levels measured, at least 8; those between are interpolated by a cubic spline.
+    captures : int
+        Number of captures that are averaged for each pattern.
+
+    Returns
+    -------
+    numpy.ndarray
+        Phases in radians ``[region rows, region columns, 2^bits]``, less that of level 0 of the region.
+    """
+    rows, columns = modulator.shape
+    down, across = _validate.size("regions", regions)
+    if rows < 12 * down or columns < 12 * across:
+        raise ValueError(
+            f"regions must have at least 12 pixels along each side, got {down} x {across} of {rows} x {columns}"
+        )
+    top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
+    levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
+    number = [np.minimum(np.arange(n) * parts // n, parts - 1) for n, parts in ((rows, down), (columns, across))]
+    region = number[0][:, None] * across + number[1]
+    count = np.bincount(region.ravel())
+    axes = _axes(modulator)
+    middles = np.stack([np.bincount(region.ravel(), (a + 0 * region).ravel()) / count for a in axes[::-1]], axis=-1)
+    y, x = axes[0] + 0 * axes[1], axes[1] + 0 * axes[0]
+    lens = -np.pi / (wavelength * distance) * ((x - middles[region, 0]) ** 2 + (y - middles[region, 1]) ** 2)
+    second = np.add.outer(np.arange(rows) // 3, np.arange(columns) // 3) % 2 == 1
+    expected = registration.camera_pixels(middles)
+    camera.region = None
+    found = np.zeros((down * across, len(levels), STEPS, 7, 7))
+    for parity in (0, 1):
+        active = np.add(*np.divmod(np.arange(down * across), across)) % 2 == parity
+        if not active.any():
+            continue
+
+        def pattern(level: int, step: int, active=active) -> np.ndarray:
+            angle = 2 * np.pi * step / STEPS
+            turned = np.mod(lens + np.where(second, SECOND, FIRST) * angle, 2 * np.pi) < np.pi
+            shown = np.where(turned & active[region], np.where(second, level, (top + 1) // 2), 0)
+            return shown.astype(np.int64)
+
+        half = (top + 1) // 2
+        set_exposure(camera, lambda pattern=pattern, half=half: modulator.show(pattern(half, 0)))
+        frame = _averaged(camera, captures)
+        reach = 6
+        corners = {}
+        for index in np.flatnonzero(active):
+            column, row = np.rint(expected[index]).astype(int)
+            window = frame[max(row - reach, 3) : row + reach + 1, max(column - reach, 3) : column + reach + 1]
+            if not window.size:
+                raise RuntimeError(f"the camera does not see the region {np.divmod(index, across)}")
+            place = _brightest(window) + np.array([max(column - reach, 3), max(row - reach, 3)])
+            corners[index] = np.clip(place[::-1] - 3, 0, np.array(camera.shape) - 7)
+        for (i, level), step in itertools.product(enumerate(levels), range(STEPS)):
+            modulator.show(pattern(int(level), step))
+            frame = _averaged(camera, captures)
+            for index, (row, column) in corners.items():
+                found[index, i, step] = frame[row : row + 7, column : column + 7]
+    carrier = np.exp(-2j * np.pi * (FIRST - SECOND) * np.arange(STEPS) / STEPS)
+    stacks = np.einsum("s,rlsyx->rlyx", carrier, found)
+    return np.stack([_response(levels, stack, top) for stack in stacks]).reshape(down, across, top + 1)
+
+
+def _response(levels: np.ndarray, stack: np.ndarray, top: int) -> np.ndarray:
+    """Return the phase of each level from the interference ``[levels, rows, columns]`` of some."""
     strongest = stack[np.abs(stack).sum((1, 2)).argmax()]
     values = (stack * strongest.conj()).sum((1, 2))
     # |c|² + 2·Re(c*·κ) = 0 for points c = κ·(e^{iφ} − 1).
@@ -338,7 +457,7 @@ def register_camera(
 
     three = np.array([[0.0, 0.0], [half[0], 0.0], [0.0, half[1]]])
     show(three[:1])
-    _expose(camera, lambda: None)
+    set_exposure(camera)
     pixels = []
     for point in three:
         show(point[None])
@@ -350,7 +469,7 @@ def register_camera(
     expected = np.column_stack([points, np.ones(len(points))]) @ matrix
     spacing = np.abs(np.linalg.norm(matrix[:2], axis=-1) * 2 * half / np.maximum([across - 1, down - 1], 1)).min()
     show(points)
-    _expose(camera, lambda: None)
+    set_exposure(camera)
     frame = _averaged(camera, captures)
     reach = int(0.4 * spacing)
     inside = ((expected > reach) & (expected < np.array(camera.shape[::-1]) - reach - 1)).all(-1)
@@ -461,7 +580,7 @@ def measure_wavefront(
     for step in range(_validate.integer("iterations", iterations, minimum=1)):
         modulator.show(nearest_levels(lenslets - wavefront, phases))
         if step == 0:
-            _expose(camera, lambda: None)
+            set_exposure(camera)
         frame = _averaged(camera, _validate.integer("captures", captures, minimum=1))
         seen = np.stack([_centroid(frame, place, reach) for place in expected])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
@@ -529,7 +648,7 @@ def measure_distance(
         return float((frame**2).sum() / frame.sum() ** 2)
 
     sharpness(1 / distance)
-    _expose(camera, lambda: None)
+    set_exposure(camera)
     powers = np.linspace(1 - span, 1 + span, samples) / distance
     values = np.array([sharpness(power) for power in powers])
     best = int(values.argmax())
@@ -608,7 +727,7 @@ def measure_illumination(
     def show(step: np.ndarray) -> None:
         modulator.show(nearest_levels(lens + step[cell], phases))
 
-    _expose(camera, lambda: show(0 * steps[0]))
+    set_exposure(camera, lambda: show(0 * steps[0]))
     # Random phases spread the light over a region as many times larger as there are cells; speckles are up to five
     # times as bright as their mean.
     camera.exposure *= cells**2 / 8
@@ -651,26 +770,27 @@ def measure_illumination(
 
 
 def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
-    """Write a calibration to a ``.npz`` file, atomically.
+    """Write a calibration to a file, which appears whole or not at all.
 
-    The file holds the arrays phases, amplitude, wavefront and homography, and as UTF-8 text in ``header`` a JSON object
-    with the format, its version, the units of all quantities, and the numbers wavelength, pitch, distance, distortion,
-    camera_shape and residual.
+    The file holds the arrays phases, amplitude, wavefront and homography, and of the regions where they were measured,
+    regional_phases; and the format ("odak calibration"), its version (1), the units of all quantities, and the numbers
+    wavelength, pitch, distance, distortion, camera_shape and residual. In ``.npz`` these are a JSON object, UTF-8 text
+    in the array ``header``; in HDF5 they are attributes of the file.
 
     Parameters
     ----------
     path : str or os.PathLike
-        ``.npz`` file to write.
+        ``.npz`` file, or ``.h5`` or ``.hdf5`` file, which needs h5py (``pip install odak[instruments]``).
     calibration : Calibration
         The results.
     """
     if not isinstance(calibration, Calibration):
         raise TypeError(f"calibration must be a Calibration, got {type(calibration).__name__}")
+    path = validate_path(path, [".npz", *SUFFIXES])
     registration = calibration.registration
     header = {
         "format": FORMAT,
         "version": VERSION,
-        "units": UNITS,
         "wavelength": calibration.wavelength,
         "pitch": calibration.pitch,
         "distance": calibration.distance,
@@ -678,16 +798,17 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
         "camera_shape": list(registration.shape),
         "residual": registration.residual,
     }
+    arrays = {name: getattr(calibration, name) for name in ("phases", "amplitude", "wavefront")}
+    arrays["homography"] = registration.homography
+    if calibration.regional_phases is not None:
+        arrays["regional_phases"] = calibration.regional_phases
+    if path.lower().endswith(SUFFIXES):
+        write_hdf5(path, arrays, header, UNITS)
+        return
     packed = io.BytesIO()
-    np.savez(
-        packed,
-        header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8),
-        phases=calibration.phases,
-        amplitude=calibration.amplitude,
-        wavefront=calibration.wavefront,
-        homography=registration.homography,
-    )
-    with replacing(validate_path(path, [".npz"])) as stream:
+    text = json.dumps({**header, "units": UNITS})
+    np.savez(packed, header=np.frombuffer(text.encode(), dtype=np.uint8), **arrays)
+    with replacing(path) as stream:
         stream.write(packed.getbuffer())
 
 
@@ -697,7 +818,7 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
     Parameters
     ----------
     path : str or os.PathLike
-        ``.npz`` file.
+        ``.npz``, ``.h5`` or ``.hdf5`` file.
 
     Returns
     -------
@@ -711,22 +832,29 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
     ValueError
         If it is not a calibration; the message names it.
     """
-    path = validate_path(path, [".npz"])
+    path = validate_path(path, [".npz", *SUFFIXES])
     if not os.path.exists(path):
         raise FileNotFoundError(f"there is no file {path!r}")
     try:
-        with np.load(path, allow_pickle=False) as store:
-            header = json.loads(store["header"].tobytes().decode())
-            if header["format"] != FORMAT or header["version"] != VERSION:
-                raise ValueError(f"its format is {header['format']!r}, version {header['version']!r}")
-            arrays = {name: store[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
-        rows, columns = header["camera_shape"]
-        registration = Registration(arrays.pop("homography"), header["distortion"], (rows, columns), header["residual"])
-        return Calibration(
-            header["wavelength"], header["pitch"], header["distance"], **arrays, registration=registration
+        arrays, header = read_hdf5(path, FORMAT, VERSION) if path.lower().endswith(SUFFIXES) else _read_npz(path)
+        known = {name: arrays[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
+        rows, columns = (int(n) for n in header["camera_shape"])
+        numbers = {name: float(header[name]) for name in ("wavelength", "pitch", "distance", "distortion", "residual")}
+        registration = Registration(
+            known.pop("homography"), numbers.pop("distortion"), (rows, columns), numbers.pop("residual")
         )
+        return Calibration(**numbers, **known, registration=registration, regional_phases=arrays.get("regional_phases"))
     except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error
+
+
+def _read_npz(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Return the arrays and the header of a ``.npz`` file."""
+    with np.load(path, allow_pickle=False) as store:
+        header = json.loads(store["header"].tobytes().decode())
+        if header["format"] != FORMAT or header["version"] != VERSION:
+            raise ValueError(f"its format is {header['format']!r}, version {header['version']!r}")
+        return {name: store[name] for name in store.files if name != "header"}, header
 
 
 def lens_phase(modulator: Modulator, wavelength: float, distance: float, point: Sequence[float] = (0, 0)) -> np.ndarray:
@@ -827,19 +955,6 @@ def _read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
         int(np.clip(p - reach, 0, n - 2 * reach - 1)) for p, n in zip(place, camera.shape[::-1], strict=True)
     )
     camera.region = (row, column, 2 * reach + 1, 2 * reach + 1)
-
-
-def _expose(camera: Camera, show: Callable[[], None]) -> None:
-    """Set the exposure so that the brightest pixel reaches `EXPOSED` of the range."""
-    show()
-    top = (1 << camera.bits) - 1
-    for _ in range(6):
-        brightest = float(camera.capture(1).max())
-        if 0.8 * EXPOSED * top < brightest < 1.1 * EXPOSED * top:
-            return
-        camera.exposure *= (
-            0.25 if brightest >= 0.98 * top else float(np.clip(EXPOSED * top / max(brightest, 1), 0.1, 10))
-        )
 
 
 def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:

@@ -9,6 +9,8 @@ from scipy import fft
 from scipy.ndimage import gaussian_filter, map_coordinates
 
 from odak import _validate
+from odak.instruments.drivers import checked_levels
+from odak.instruments.mapping import plane_points
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
 
@@ -90,7 +92,7 @@ class SimulatedTable:
     """Modulator, camera, laser, stage and polariser on a simulated table with hidden faults.
 
     Light of a Gaussian beam, off centre and aberrated, meets a phase-only modulator with a nonlinear response and a
-    reflection at its cover glass, travels to the camera (band-limited angular spectrum), and is captured with
+    reflection at its cover glass, travels to the camera (angular spectrum), and is captured with
     misalignment, distortion, shot noise, read noise, saturation and quantisation. The modulator may flicker, smooth the
     phase by fringing fields, respond differently from pixel to pixel, have gaps between its pixels, carry dust and take
     time to settle. The laser can be tuned: phases and the aberration, which are those at `wavelength`, change as its
@@ -238,6 +240,7 @@ class SimulatedTable:
         low = np.stack([(x / half) ** i * (y / half) ** j for i, j in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0))])
         gain = np.tensordot(more.normal(size=len(low)), low, axes=1)
         gain = (gain - gain.mean()) / gain.std() + 0.1 * more.normal(size=gain.shape)
+        gain = (gain - gain.mean()) / gain.std()
         for row, column, radius, depth in zip(
             *(more.uniform(0.05, 0.95, (2, _validate.integer("dust", dust))) * [[rows], [columns]]),
             more.uniform(1.0, 0.02 * max(rows, columns) + 1, dust),
@@ -287,20 +290,26 @@ class SimulatedTable:
         """
         return cls(seed, **{**REALISTIC, **options})
 
-    def phase(self) -> np.ndarray:
-        """Return the phase of each pixel of the modulator at this moment, in radians at the nominal wavelength."""
+    def phase(self, after: float = 0.0) -> np.ndarray:
+        """Return the phase of each pixel some seconds after now, in radians at the nominal wavelength."""
         wanted = self.truth.phases[self._levels] * self.truth.response
         if self.truth.time_constant == 0:
             return wanted
-        return wanted + (self._before - wanted) * np.exp(-(self.clock - self._shown) / self.truth.time_constant)
+        return wanted + (self._before - wanted) * np.exp(-(self.clock + after - self._shown) / self.truth.time_constant)
 
-    def intensity(self, flicker: float = 0.0) -> tuple[np.ndarray, float]:
+    def settled(self) -> bool:
+        """Return whether the modulator shows its pattern to 1e-5 of the change."""
+        return self.clock - self._shown >= 12 * self.truth.time_constant
+
+    def intensity(self, flicker: float = 0.0, after: float = 0.0) -> tuple[np.ndarray, float]:
         """Return the intensity in the plane of the camera, averaged over its pixels, and the pitch of its samples.
 
         Parameters
         ----------
         flicker : float
             Relative deviation of the phases at this moment.
+        after : float
+            Seconds from now.
 
         Returns
         -------
@@ -311,7 +320,7 @@ class SimulatedTable:
         scale = self.wavelength / self.laser.wavelength
         finely = np.ones((s, s))
         amplitude, wavefront = np.kron(truth.amplitude, finely), np.kron(truth.wavefront, finely)
-        phase = np.kron(self.phase() * (1 + flicker), finely)
+        phase = np.kron(self.phase(after) * (1 + flicker), finely)
         if truth.fringing:
             phase = gaussian_filter(phase, truth.fringing * s, mode="nearest")
         field = np.exp(1j * scale * phase)
@@ -331,15 +340,21 @@ class SimulatedTable:
         """Return the intensity of a field of the modulator in the plane of the camera, and the pitch of its samples."""
         s, pitch = self._samples, self._pitch / self._samples
         rows, columns = field.shape
-        wide = [int(1.4 * n) // 2 * 2 for n in (rows, columns)]
+        distance, wavelength = self.truth.distance + self.stage.position, self.laser.wavelength
+        # Light that leaves the grid on one side comes back on the other, but not into what the camera sees.
+        spread = 1.6 * abs(distance) * np.tan(np.arcsin(min(wavelength / (2 * self._pitch), 0.9)))
+        corners = np.array([[u, v] for u in (0, self.camera.shape[1]) for v in (0, self.camera.shape[0])], float)
+        seen = np.abs(self.truth.plane_points(corners, self.camera.shape)).max(0)[::-1]
+        width = [
+            max(n * pitch / 2 + spread + far, 2 * spread) / pitch for n, far in zip(field.shape, seen, strict=True)
+        ]
+        wide = [2 * fft.next_fast_len(int(max(w, n) / 2) + 8 * s) for w, n in zip(width, field.shape, strict=True)]
         padded = np.zeros(wide, dtype=complex)
         # The axis passes through the middle of pixel n // 2, which lies between two samples where s is even.
         first = [n // 2 - (m // s // 2) * s - s // 2 for n, m in zip(wide, (rows, columns), strict=True)]
         padded[first[0] : first[0] + rows, first[1] : first[1] + columns] = field
         there = propagate_beam(
-            *(padded, None, self.truth.distance + self.stage.position, pitch, self.laser.wavelength),
-            "Bandlimited Angular Spectrum",
-            zero_padding=[True, False, True],
+            *(padded, None, distance, pitch, wavelength, "Angular Spectrum"), zero_padding=[False] * 3
         )
         # An intensity has twice the bandwidth of its field, and splines need some more samples.
         finer = FINER if s == 1 else 2
@@ -370,14 +385,9 @@ class SimulatedModulator:
 
     def show(self, levels: np.ndarray) -> None:
         """Show a pattern of levels 0 … 255, integers ``[rows, columns]``."""
-        found = np.asarray(_validate.array("levels", levels))
-        if found.shape != self.shape or found.dtype.kind not in "iu":
-            raise ValueError(f"levels must be integers {list(self.shape)}, got {found.dtype} {list(found.shape)}")
-        if found.min() < 0 or found.max() > 255:
-            raise ValueError(f"levels must be 0 to 255, got {found.min()} to {found.max()}")
-        table = self._table
+        found, table = checked_levels(levels, self.shape, self.bits), self._table
         table._before, table._shown = table.phase(), table.clock
-        table._levels = found.astype(np.uint8)
+        table._levels = found
         table.clock += self.settling_time
 
 
@@ -401,8 +411,17 @@ class SimulatedCamera:
         v, u = np.meshgrid(np.arange(row, row + rows), np.arange(column, column + columns), indexing="ij")
         points = table.truth.plane_points(np.stack([u, v], axis=-1).astype(float), self.shape)
         flicker = table.truth.flicker
+        # Gauss's points of the exposure, where the pattern changes meanwhile.
+        moments, shares = np.polynomial.legendre.leggauss(1 if table.settled() else 4)
+        moments = (moments + 1) * self.exposure / 2
         seen = np.stack(
-            [self._sampled(points, *table.intensity(part)) for part in ([-flicker, 0, flicker] if flicker else [0])]
+            [
+                sum(
+                    share / 2 * self._sampled(points, *table.intensity(part, moment))
+                    for moment, share in zip(moments, shares, strict=True)
+                )
+                for part in ([-flicker, 0, flicker] if flicker else [0])
+            ]
         )
         table.clock += count * self.exposure
         noise = table._noise
@@ -456,30 +475,3 @@ class SimulatedStage:
     def move(self, position: float) -> None:
         """Move to a position in metres."""
         self.position = float(_validate.number("position", position))
-
-
-def plane_points(pixels: np.ndarray, shape: tuple[int, int], homography: np.ndarray, distortion: float) -> np.ndarray:
-    """Return the points of a plane that camera pixels see.
-
-    Parameters
-    ----------
-    pixels : numpy.ndarray
-        Columns and rows ``[..., 2]``.
-    shape : tuple of int
-        Rows and columns of the camera.
-    homography : numpy.ndarray
-        ``[3, 3]``, from undistorted pixels from the middle to metres.
-    distortion : float
-        Radial distortion, of r² in half diagonals.
-
-    Returns
-    -------
-    numpy.ndarray
-        x and y in metres ``[..., 2]``.
-    """
-    rows, columns = shape
-    from_middle = pixels - np.array([columns / 2, rows / 2])
-    squared = (from_middle**2).sum(-1, keepdims=True) / ((rows**2 + columns**2) / 4)
-    straight = from_middle * (1 + distortion * squared)
-    found = straight @ homography[:, :2].T + homography[:, 2]
-    return found[..., :2] / found[..., 2:]

@@ -59,6 +59,11 @@ from odak.wave.windows import propagate_to_window as propagate_to_window
 from .camera import simulated_camera as simulated_camera
 from .devices import across_devices as across_devices
 from .devices import across_ranks as across_ranks
+from .display_models import DisplayFit as DisplayFit
+from .display_models import display_camera as display_camera
+from .display_models import display_hologram as display_hologram
+from .display_models import display_model as display_model
+from .display_models import fit_display as fit_display
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
 from .elements import axicon_phase as axicon_phase

@@ -6,13 +6,17 @@ import math
 import torch
 from api_sweep.build import Build, tensor, tensor_field
 
-from odak.learn.wave import focal_surface_light_propagation, propagator
+from odak.learn.wave import display_model, focal_surface_light_propagation, propagator
 
 COLOUR = 515e-9
 
 
 def _display(folder):
     return propagator([16, 16], [COLOUR], propagator_type="forward", volume_depth=0)
+
+
+def _small_display(folder):
+    return display_model([16, 16], 8e-6, COLOUR, 2e-3, [20, 20], 4e-6)
 
 
 def _powers(folder):
@@ -196,6 +200,20 @@ BY_NAME = {
         "aperture_size": 8.0,
     },
     "odak.learn.wave.simulated_camera": {"bits": 8},
+    "odak.learn.wave.display_hologram": {
+        "model": Build(_small_display),
+        "phase": tensor(16, 16),
+        "target": tensor(16, 16),
+    },
+    "odak.learn.wave.display_model": {
+        "phases": torch.arange(256, dtype=torch.float64) * (2 * math.pi / 256),
+        "amplitude": tensor(16, 16),
+        "wavefront": tensor(16, 16),
+        "registration": None,
+        "iris": 1.0,
+        "levels": torch.zeros(16, 16, dtype=torch.int64),
+        "pixels": torch.arange(5),
+    },
     "odak.learn.wave.spatial_light_modulator": {"phase_range": 2 * math.pi},
     "odak.learn.wave.temporal_modulator": {
         "frame_time": 1e-3,
@@ -299,6 +317,8 @@ BY_CALL = {
     "odak.learn.wave.zernike_phase": {"radius": 8.0},
 }
 NOT_CALLED = {
+    "odak.learn.wave.fit_display": "takes seconds, and captures; its own test gives it wrong arguments",
+    "odak.learn.wave.display_camera": "needs instruments; its own test gives it some",
     "odak.learn.wave.STEFunction*": "torch calls its methods; users call StraightThroughEstimator, or its apply",
 }
 ALLOWED = {

@@ -1,0 +1,306 @@
+"""Captures of patterns, and the files that hold them and calibrations: HDF5 with units and versions."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from odak import _validate
+from odak.instruments.protocols import Camera, Modulator
+from odak.tools.paths import temporary_name, validate_path
+
+__all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
+
+CAPTURES, CAPTURES_VERSION = "odak captures", 1
+CAPTURE_UNITS = {
+    "levels": "level",
+    "frames": "count",
+    "positions": "m",
+    "dark": "count",
+    "wavelength": "m",
+    "pitch": "m",
+    "camera_pitch": "m",
+    "exposure": "s",
+}
+SUFFIXES = (".h5", ".hdf5")
+
+
+@dataclass(frozen=True)
+class Captures:
+    """Patterns that a modulator showed and what a camera captured of each.
+
+    Attributes
+    ----------
+    levels : numpy.ndarray
+        Patterns, integers ``[patterns, rows, columns]``.
+    frames : numpy.ndarray
+        Captures in counts, integers ``[patterns, captures, camera rows, camera columns]``.
+    positions : numpy.ndarray
+        Position of the stage in metres for each pattern ``[patterns]``.
+    wavelength : float
+        Vacuum wavelength in metres.
+    pitch : float
+        Distance between pixels of the modulator in metres.
+    camera_pitch : float
+        Distance between pixels of the camera in metres.
+    camera_bits : int
+        Bit depth of the camera.
+    exposure : float
+        Exposure time in seconds, the same for all.
+    dark : numpy.ndarray or float
+        Counts without light ``[camera rows, camera columns]``, or one number.
+    """
+
+    levels: np.ndarray
+    frames: np.ndarray
+    positions: np.ndarray
+    wavelength: float
+    pitch: float
+    camera_pitch: float
+    camera_bits: int
+    exposure: float
+    dark: np.ndarray | float = 0.0
+
+    def __len__(self) -> int:
+        return len(self.levels)
+
+    def __getitem__(self, part: slice) -> "Captures":
+        """Return the captures of some of the patterns."""
+        chosen = {name: getattr(self, name)[part] for name in ("levels", "frames", "positions")}
+        return Captures(**{**self.__dict__, **chosen})
+
+    def means(self) -> np.ndarray:
+        """Return the mean of the captures of each pattern, less the dark counts ``[patterns, rows, columns]``."""
+        return self.frames.mean(1, dtype=np.float64) - self.dark
+
+    def noise(self) -> tuple[float, float]:
+        """Return slope and offset of the variance of a capture as a function of its mean (photon transfer).
+
+        At least two captures of each pattern are needed. The means of the squared differences, in groups of pixels of
+        similar brightness, are fitted by a straight line, each weighted with its own uncertainty.
+
+        Returns
+        -------
+        tuple of float
+            Counts per electron, and the variance without light in counts².
+        """
+        count = self.frames.shape[1]
+        if count < 2:
+            raise ValueError(f"frames must hold at least 2 captures of each pattern to show their noise, got {count}")
+        top = 0.98 * ((1 << self.camera_bits) - 1)
+        fine = self.frames.max(1) < top
+        mean = self.means()[fine]
+        variance = np.moveaxis(self.frames, 1, 0)[:, fine].var(0, ddof=1, dtype=np.float64)
+        order = np.argsort(mean)
+        groups = [group for group in np.array_split(order, 30) if len(group)]
+        x, y = (np.array([values[group].mean() for group in groups]) for values in (mean, variance))
+        fitted = np.polynomial.Polynomial.fit(x, y, 1, w=1 / np.maximum(y, 1e-6)).convert().coef
+        slope, offset = (fitted[1], fitted[0]) if len(fitted) > 1 else (0.0, fitted[0])
+        return max(float(slope), 0.0), max(float(offset), 1 / 12)
+
+
+def record_captures(
+    modulator: Modulator,
+    camera: Camera,
+    levels: np.ndarray,
+    wavelength: float,
+    *,
+    captures: int = 2,
+    positions: np.ndarray | None = None,
+    stage: Any = None,
+    dark: np.ndarray | float = 0.0,
+) -> Captures:
+    """Show patterns and capture each.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera; its exposure is taken as it is.
+    levels : numpy.ndarray
+        Patterns, integers ``[patterns, rows, columns]``.
+    wavelength : float
+        Vacuum wavelength in metres.
+    captures : int
+        Number of captures of each pattern.
+    positions : numpy.ndarray, optional
+        Position of the stage in metres for each pattern; 0 by default.
+    stage : Stage, optional
+        The stage, which moves to the positions.
+    dark : numpy.ndarray or float
+        Counts without light, see :func:`odak.instruments.measure_dark`.
+
+    Returns
+    -------
+    Captures
+        The captures.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, record_captures
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    >>> levels = np.random.default_rng(0).integers(256, size=(3, 24, 24))
+    >>> record_captures(table.modulator, table.camera, levels, 532e-9).frames.shape
+    (3, 2, 32, 32)
+    """
+    levels = np.asarray(_validate.array("levels", levels))
+    if levels.ndim != 3 or levels.shape[1:] != tuple(modulator.shape):
+        raise ValueError(f"levels must be [patterns, {modulator.shape[0]}, {modulator.shape[1]}], got {levels.shape}")
+    places = np.zeros(len(levels)) if positions is None else np.asarray(positions, float)
+    if places.shape != (len(levels),):
+        raise ValueError(f"positions must hold one number for each of the {len(levels)} patterns, got {places.shape}")
+    if stage is None and places.any():
+        raise ValueError("stage must be given where positions differ from 0, got None")
+    frames = []
+    for pattern, place in zip(levels, places, strict=True):
+        if stage is not None:
+            stage.move(float(place))
+        modulator.show(pattern)
+        frames.append(camera.capture(_validate.integer("captures", captures, minimum=1)))
+    kind = np.uint8 if modulator.bits <= 8 else np.uint16
+    return Captures(
+        levels.astype(kind),
+        np.stack(frames),
+        places,
+        float(_validate.number("wavelength", wavelength, positive=True)),
+        *(modulator.pitch, camera.pitch, camera.bits, camera.exposure, dark),
+    )
+
+
+def save_captures(path: str | os.PathLike, captures: Captures) -> None:
+    """Write captures to an HDF5 file, which appears whole or not at all.
+
+    The file has the attributes ``format`` ("odak captures"), ``version`` (1), ``wavelength``, ``pitch``,
+    ``camera_pitch``, ``camera_bits`` and ``exposure``, and the data sets ``levels``, ``frames``, ``positions`` and
+    ``dark``; each data set has the attribute ``units``, and the attribute ``units`` of the file is a JSON object with
+    the units of all quantities.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.h5`` or ``.hdf5`` file to write; needs the package h5py (``pip install odak[instruments]``).
+    captures : Captures
+        The captures.
+    """
+    if not isinstance(captures, Captures):
+        raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
+    values = dict(captures.__dict__)
+    arrays = {name: np.asarray(values.pop(name)) for name in ("levels", "frames", "positions", "dark")}
+    write_hdf5(path, arrays, {"format": CAPTURES, "version": CAPTURES_VERSION, **values}, CAPTURE_UNITS)
+
+
+def load_captures(path: str | os.PathLike) -> Captures:
+    """Read captures that :func:`save_captures` wrote.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.h5`` or ``.hdf5`` file.
+
+    Returns
+    -------
+    Captures
+        The captures.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it does not hold captures; the message names it.
+    """
+    arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
+    try:
+        numbers = {name: float(header[name]) for name in ("wavelength", "pitch", "camera_pitch", "exposure")}
+        dark = arrays.get("dark", np.zeros(()))
+        found = Captures(
+            *(arrays[name] for name in ("levels", "frames", "positions")),
+            **numbers,
+            camera_bits=int(header["camera_bits"]),
+            dark=dark if dark.ndim else float(dark),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: {error}") from error
+    if found.levels.ndim != 3 or found.frames.ndim != 4 or len(found.levels) != len(found.frames):
+        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: its arrays do not fit each other")
+    return found
+
+
+def write_hdf5(
+    path: str | os.PathLike, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any], units: Mapping[str, str]
+) -> None:
+    """Write arrays with units and a header to an HDF5 file, which appears whole or not at all.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.h5`` or ``.hdf5`` file.
+    arrays : mapping
+        Data sets by name.
+    header : mapping
+        Attributes of the file: numbers, texts, or lists of numbers.
+    units : mapping
+        Unit of each quantity by its name.
+    """
+    h5py = _h5py()
+    with temporary_name(validate_path(path, SUFFIXES)) as name, h5py.File(name, "w") as store:
+        for key, value in arrays.items():
+            packed = {"compression": "gzip", "shuffle": True} if np.size(value) > 64 else {}
+            store.create_dataset(key, data=value, **packed).attrs["units"] = units.get(key, "1")
+        store.attrs.update({**header, "units": json.dumps(units, ensure_ascii=False)})
+
+
+def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Read the data sets and the attributes of an HDF5 file.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        ``.h5`` or ``.hdf5`` file.
+    kind, version : str and int
+        Format and version that it must have.
+
+    Returns
+    -------
+    tuple of dict
+        Arrays and attributes by name.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is another file; the message names it.
+    """
+    h5py = _h5py()
+    path = validate_path(path, SUFFIXES)
+    if not os.path.exists(path):
+        raise FileNotFoundError(f"there is no file {path!r}")
+    try:
+        with h5py.File(path, "r") as store:
+            header = dict(store.attrs)
+            if header.get("format") != kind or header.get("version") != version:
+                raise ValueError(f"its format is {header.get('format')!r}, version {header.get('version')!r}")
+            # Data sets that lie in other files, or that are no numbers, are none of this format.
+            for name in store:
+                kept = isinstance(store.get(name, getlink=True), h5py.HardLink) and isinstance(
+                    store[name], h5py.Dataset
+                )
+                if not kept or store[name].is_virtual or store[name].external or store[name].dtype.kind not in "iuf":
+                    raise ValueError(f"{name!r} is not an array of numbers within the file")
+            return {name: np.asarray(store[name]) for name in store}, header
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{path!r} cannot be read as {kind.removeprefix('odak ')}: {error}") from error
+
+
+def _h5py() -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise ImportError("HDF5 files need h5py: pip install odak[instruments]") from None
+    return h5py

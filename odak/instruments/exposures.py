@@ -1,0 +1,382 @@
+"""Exposure, dark counts, high dynamic range, settling time and polarisation of the instruments of an optical table."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import curve_fit, least_squares
+
+from odak import _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.instruments.protocols import Camera, Laser, Modulator, Rotator
+
+__all__ = [
+    "PolarisationResult",
+    "SettlingResult",
+    "capture_hdr",
+    "measure_dark",
+    "measure_polarisation",
+    "measure_settling",
+    "set_exposure",
+]
+
+# Share of the range of a camera that its brightest pixel should reach.
+EXPOSED = 0.6
+# Counts of this share of the range are taken as saturated.
+SATURATED = 0.98
+
+
+def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: float = EXPOSED) -> float:
+    """Set the exposure of a camera so that its brightest pixel reaches a share of the range.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera; its exposure is changed.
+    show : callable, optional
+        Called first, to show a pattern.
+    level : float
+        Share of the range, between 0 and 1.
+
+    Returns
+    -------
+    float
+        Exposure time in seconds.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, set_exposure
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), camera_shape=(40, 48))
+    >>> table.modulator.show(np.zeros((32, 32), dtype=np.uint8))
+    >>> exposure = set_exposure(table.camera)
+    >>> bool(0.4 < table.camera.capture().max() / 4095 < 0.8)
+    True
+    """
+    level = float(_validate.number("level", level, positive=True))
+    if level >= SATURATED:
+        raise ValueError(f"level must be below {SATURATED}, got {level}")
+    if show is not None:
+        show()
+    top = (1 << camera.bits) - 1
+    for _ in range(8):
+        brightest = float(camera.capture(1).max())
+        if 0.8 * level * top < brightest < 1.1 * level * top:
+            break
+        # A saturated pixel does not tell by how much; a dark one may be nothing but its offset.
+        camera.exposure *= (
+            0.25 if brightest >= SATURATED * top else float(np.clip(level * top / max(brightest, 1), 0.1, 10))
+        )
+    return camera.exposure
+
+
+def measure_dark(camera: Camera, laser: Laser, count: int = 16) -> np.ndarray:
+    """Return the counts of a camera without light, the mean of captures with the laser off.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    laser : Laser
+        The laser; its power is restored.
+    count : int
+        Number of captures.
+
+    Returns
+    -------
+    numpy.ndarray
+        Counts ``[rows, columns]`` of the region.
+    """
+    power = laser.power
+    laser.power = 0.0
+    try:
+        return camera.capture(_validate.integer("count", count, minimum=1)).mean(0)
+    finally:
+        laser.power = power
+
+
+def capture_hdr(
+    camera: Camera,
+    exposures: Sequence[float],
+    *,
+    dark: np.ndarray | float = 0.0,
+    captures: int = 1,
+    noise: tuple[float, float] = (0.2, 1.0),
+) -> np.ndarray:
+    """Return counts per second of a scene, from captures with several exposures.
+
+    Each capture is divided by its exposure; their mean is weighted with the inverse of the variance that photons and
+    the amplifier cause, of those that are not saturated.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera; its exposure is restored.
+    exposures : sequence of float
+        Exposure times in seconds, at least two, usually a factor 4 to 8 apart.
+    dark : numpy.ndarray or float
+        Counts without light, from :func:`measure_dark`.
+    captures : int
+        Number of captures of each exposure.
+    noise : tuple of float
+        Slope (counts per electron) and offset (counts²) of the variance of a capture, for the weights; see
+        :meth:`odak.instruments.Captures.noise`.
+
+    Returns
+    -------
+    numpy.ndarray
+        Counts per second ``[rows, columns]``; infinite where all captures are saturated.
+
+    Notes
+    -----
+    Debevec and Malik, Proc. SIGGRAPH, 369 (1997), with a linear response; weights after Granados et al., Proc. CVPR,
+    215 (2010).
+    """
+    times = _validate.several("exposures", exposures, positive=True)
+    if len(times) < 2:
+        raise ValueError(f"exposures must be at least two, got {len(times)}")
+    before, top = camera.exposure, (1 << camera.bits) - 1
+    frames, fine = [], []
+    try:
+        for time in times:
+            camera.exposure = float(time)
+            taken = camera.capture(_validate.integer("captures", captures, minimum=1))
+            frames.append(taken.mean(0) - dark)
+            fine.append(taken.max(0) < SATURATED * top)
+    finally:
+        camera.exposure = before
+    seen, usable = np.stack(frames), np.stack(fine)
+    lengths = np.asarray(times, float)[:, None, None]
+    # Weights from the light itself rather than from each capture, whose chance would bias them: in two rounds.
+    rate = _weighted(seen / lengths, usable * lengths)
+    variance = (noise[0] * np.clip(rate, 0, None) * lengths + noise[1]) / lengths**2
+    rate = _weighted(seen / lengths, usable / np.where(np.isfinite(variance), variance, 1.0))
+    if np.isinf(rate).any():
+        warn(
+            f"{np.isinf(rate).sum()} pixels are saturated at all exposures: add one below {min(times):.3g} s",
+            AccuracyWarning,
+        )
+    return rate
+
+
+def _weighted(values: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    total = weights.sum(0)
+    return np.where(total > 0, (values * weights).sum(0) / np.where(total > 0, total, 1.0), np.inf)
+
+
+@dataclass(frozen=True)
+class SettlingResult:
+    """Settling of a modulator.
+
+    Attributes
+    ----------
+    time_constant : float
+        Seconds in which the phase comes nearer to a new one by a factor e.
+    settling_time : float
+        Seconds after which the phase misses the new one by less than the tolerance.
+    uncertainty : float
+        Standard deviation of the time constant in seconds.
+    delays : numpy.ndarray
+        Delays of the captures in seconds, their middles.
+    brightness : numpy.ndarray
+        Brightness seen at each, in counts.
+    """
+
+    time_constant: float
+    settling_time: float
+    uncertainty: float
+    delays: np.ndarray
+    brightness: np.ndarray
+
+
+def measure_settling(
+    modulator: Modulator,
+    camera: Camera,
+    phases: np.ndarray,
+    *,
+    tolerance: float = 0.02,
+    longest: float | None = None,
+    samples: int = 16,
+    captures: int = 4,
+    exposure: float | None = None,
+) -> SettlingResult:
+    """Measure in which time a modulator changes from one pattern to another.
+
+    A binary grating of period 2 pixels is shown, whose phase step φ goes from 0 to about π. Light of the zeroth order
+    goes over into others, and the brightness of any part of the image is a + b·cos φ + c·sin φ. The captures begin
+    after delays, which the settling time of the modulator is set to, and average over their exposure.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator; its settling time is restored.
+    camera : Camera
+        The camera; its exposure is restored.
+    phases : numpy.ndarray
+        Phase of each level in radians, from :func:`odak.instruments.measure_phase_response`.
+    tolerance : float
+        Deviation of the phase in radians at which it counts as settled.
+    longest : float, optional
+        Longest delay in seconds; the present settling time of the modulator by default.
+    samples : int
+        Number of delays.
+    captures : int
+        Number of captures at each.
+    exposure : float, optional
+        Exposure time in seconds; a 50th of the longest delay by default.
+
+    Returns
+    -------
+    SettlingResult
+        Time constant and settling time. A settling time longer than `longest` is an AccuracyWarning.
+    """
+    longest = modulator.settling_time if longest is None else longest
+    longest = float(_validate.number("longest", longest, positive=True))
+    samples = _validate.integer("samples", samples, minimum=6)
+    tolerance = float(_validate.number("tolerance", tolerance, positive=True))
+    exposure = longest / 50 if exposure is None else float(_validate.number("exposure", exposure, positive=True))
+    rows, columns = modulator.shape
+    final = int(np.abs(phases - phases[0] - 0.9 * np.pi).argmin())
+    step = float(phases[final] - phases[0])
+    flat = np.zeros((rows, columns), dtype=np.int64)
+    grating = np.where(np.arange(columns) % 2 == 1, final, 0) + flat
+    before = modulator.settling_time, camera.exposure
+    delays, seen = np.linspace(0, longest, samples), []
+    try:
+        camera.exposure = exposure
+        for delay in delays:
+            values = []
+            for _ in range(_validate.integer("captures", captures, minimum=1)):
+                modulator.settling_time = 2 * longest
+                modulator.show(flat)
+                modulator.settling_time = float(delay)
+                modulator.show(grating)
+                values.append(camera.capture(1).mean(dtype=np.float64))
+            seen.append(np.mean(values))
+    finally:
+        modulator.settling_time, camera.exposure = before
+    brightness = np.array(seen)
+    # Gauss's points of the exposure.
+    nodes, weights = np.polynomial.legendre.leggauss(5)
+    moments, weights = delays[:, None] + exposure * (nodes + 1) / 2, weights / 2
+
+    def model(parameters: np.ndarray) -> np.ndarray:
+        time_constant, mean, even, odd = parameters
+        phase = step * (1 - np.exp(-moments / (longest * abs(time_constant) + 1e-12)))
+        return mean + (even * np.cos(phase) + odd * np.sin(phase)) @ weights
+
+    span = float(np.ptp(brightness)) or 1.0
+    middle, half = (brightness[0] + brightness[-1]) / 2, (brightness[0] - brightness[-1]) / 2
+    starts = [np.array([t, middle, half, 0.0]) for t in (0.02, 0.1, 0.4)]
+    found = [least_squares(lambda p: (model(p) - brightness) / span, start) for start in starts]
+    best = min(found, key=lambda result: result.cost)
+    time_constant = longest * abs(best.x[0])
+    scatter = 2 * best.cost / max(samples - 4, 1)
+    covariance = scatter * np.linalg.pinv(best.jac.T @ best.jac)
+    settling = time_constant * math.log(max(step / tolerance, math.e))
+    if settling > longest or math.sqrt(scatter) > 0.1:
+        warn(
+            f"the settling time is uncertain: {settling:.3g} s, with delays up to {longest:.3g} s and a scatter of "
+            f"{math.sqrt(scatter):.0%} of the change",
+            AccuracyWarning,
+        )
+    middles = delays + exposure / 2
+    return SettlingResult(time_constant, settling, longest * math.sqrt(covariance[0, 0]), middles, brightness)
+
+
+@dataclass(frozen=True)
+class PolarisationResult:
+    """Dependence of a display on the polarisation.
+
+    Attributes
+    ----------
+    angle : float
+        Angle of the polariser in degrees, −90 … 90, at which most light is modulated.
+    uncertainty : float
+        Standard deviation of the angle in degrees.
+    contrast : float
+        Brightness of a spot at that angle over that at 90 degrees to it; infinite where the latter is none.
+    angles : numpy.ndarray
+        Angles of the captures in degrees.
+    brightness : numpy.ndarray
+        Brightness of the spot at each.
+    """
+
+    angle: float
+    uncertainty: float
+    contrast: float
+    angles: np.ndarray
+    brightness: np.ndarray
+
+
+def measure_polarisation(
+    modulator: Modulator,
+    camera: Camera,
+    rotator: Rotator,
+    levels: np.ndarray,
+    *,
+    samples: int = 12,
+    captures: int = 4,
+    dark: np.ndarray | float = 0.0,
+) -> PolarisationResult:
+    """Find the angle of a polariser at which a modulator modulates all light.
+
+    The modulator focuses a spot. Its brightness follows Malus's law, a + b·cos 2(θ − θ₀), which is fitted.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    rotator : Rotator
+        Mount of the polariser; it is left at the angle found.
+    levels : numpy.ndarray
+        Pattern that focuses a spot, integers ``[rows, columns]``, such as that of a lens.
+    samples : int
+        Number of angles, evenly over half a turn.
+    captures : int
+        Number of captures at each.
+    dark : numpy.ndarray or float
+        Counts without light ``[rows, columns]``, or one number.
+
+    Returns
+    -------
+    PolarisationResult
+        The angle and the contrast.
+    """
+    samples = _validate.integer("samples", samples, minimum=5)
+    angles = np.arange(samples) * (180.0 / samples)
+    region = camera.region
+    modulator.show(levels)
+    brightest, place = -1.0, (0, 0)
+    for angle in (0.0, 60.0, 120.0):
+        rotator.turn(angle)
+        frame = camera.capture(1)[0] - dark
+        if frame.max() > brightest:
+            brightest, place, best = float(frame.max()), np.unravel_index(frame.argmax(), frame.shape), angle
+    rotator.turn(best)
+    set_exposure(camera, level=0.5)
+    reach, values = 3, []
+    window = tuple(slice(max(int(p) - reach, 0), int(p) + reach + 1) for p in place)
+    for angle in angles:
+        rotator.turn(float(angle))
+        frames = camera.capture(_validate.integer("captures", captures, minimum=1)) - dark
+        values.append(frames.mean(0)[window].sum())
+    camera.region = region
+    brightness = np.array(values)
+
+    def law(theta, mean, even, odd):
+        return mean + even * np.cos(2 * np.radians(theta)) + odd * np.sin(2 * np.radians(theta))
+
+    (mean, even, odd), covariance = curve_fit(law, angles, brightness, [brightness.mean(), 0.0, 0.0])
+    angle = math.degrees(math.atan2(odd, even)) / 2
+    swing = math.hypot(even, odd)
+    slopes = np.array([0.0, -odd, even]) / (2 * swing**2)
+    uncertainty = math.degrees(math.sqrt(slopes @ covariance @ slopes))
+    if uncertainty > 2:
+        warn(f"the angle of the polariser is uncertain by {uncertainty:.1f} degrees", AccuracyWarning)
+    rotator.turn(angle)
+    rest = mean - swing
+    return PolarisationResult(angle, uncertainty, (mean + swing) / rest if rest > 0 else math.inf, angles, brightness)

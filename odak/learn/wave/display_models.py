@@ -1,0 +1,1003 @@
+"""Differentiable model of a modulator, the light path and a camera, fitted to captures, and holograms through it."""
+
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import map_coordinates
+
+from odak import _array, _validate
+from odak._warnings import ConvergenceWarning, warn
+from odak.instruments import Calibration, Camera, Captures, Modulator, Registration
+from odak.instruments.mapping import plane_points
+from odak.learn._tensors import tensor, trainable
+from odak.learn.wave.slm import smooth
+from odak.wave.elements import zernike_modes
+
+__all__ = ["DisplayFit", "display_camera", "display_hologram", "display_model", "fit_display"]
+
+# Standard deviation of each parameter before captures are seen, in its own unit. It matters only for combinations of
+# parameters that the captures do not tell apart.
+PRIORS = {
+    "brightness": 10.0,
+    "lut": 0.5,
+    "response": 0.1,
+    "source": 1.0,
+    "aberration": 3.0,
+    "distance": 30.0,
+    "fringing": 0.3,
+    "fill": 0.1,
+    "reflection": 0.1,
+    "iris": 0.1,
+    "alignment": 30.0,
+    "aperture": 0.1,
+    "offset": 20.0,
+}
+# Samples of the intensity along a pixel of the modulator, at least.
+FINER = 3
+
+
+class display_model(torch.nn.Module):
+    r"""What a camera counts of a pattern on a display: source, modulator, light path and camera, all differentiable.
+
+    The phase of a level is that of a look-up table, times a factor that varies over the panel. Fringing fields smooth
+    it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the source multiply
+    it. The light passes an iris and travels to the camera by the angular spectrum method. Each pixel of the camera
+    averages over its area at a place that a homography and a radial distortion give. What is left may be learned by
+    maps of amplitude and phase of free form, and by a small network that adds to the image.
+
+    All parameters are deviations from what the model starts with; :func:`fit_display` fits them to captures.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns of the modulator.
+    pitch : float
+        Distance between pixels of the modulator in metres.
+    wavelength : float
+        Vacuum wavelength in metres.
+    distance : float
+        Distance from the modulator to the camera in metres, at stage position 0.
+    camera_shape : sequence of int
+        Rows and columns of the camera.
+    camera_pitch : float
+        Distance between pixels of the camera in metres.
+    phases : array, optional
+        Phase of each level in radians, ``[levels]``; 256 levels evenly over a turn by default.
+    amplitude : array, optional
+        Amplitude of the light on the modulator, ``[rows, columns]``; one by default.
+    wavefront : array, optional
+        Aberration at the modulator in radians, ``[rows, columns]``; none by default.
+    registration : odak.instruments.Registration, optional
+        Mapping of the camera; by default the camera is aligned with the modulator.
+    samples_per_pixel : int
+        Samples of the field along each side of a pixel. Gaps are drawn with two or more.
+    iris : float, optional
+        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default.
+    zernike_order : int
+        Highest radial order of the Zernike polynomials of the aberration.
+    source_order : int
+        Order of the polynomial of the logarithm of the amplitude.
+    nodes : int
+        Points of the look-up table that are fitted; a cubic spline connects them.
+    free_form : int
+        Rows and columns of three maps of free form, of phase, logarithm of the amplitude and response; 0 for none. As
+        many as the modulator has let each pixel differ, and dust be found.
+    residual : int
+        Channels of the residual network, 0 for none.
+    dtype : torch.dtype
+        float32 or float64.
+
+    Attributes
+    ----------
+    aberration : torch.nn.Parameter
+        Coefficients of :attr:`modes` in radians (root mean square about 1 over the panel).
+    modes : list of tuple
+        Pairs (n, m) of the Zernike polynomials over the circle around the panel, made orthogonal to piston, tilts and
+        defocus, which belong to the alignment and the distance.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import display_model
+    >>> model = display_model([16, 16], 8e-6, 532e-9, 2e-3, [20, 24], 4e-6)
+    >>> model(torch.zeros(3, 16, 16, dtype=torch.uint8)).shape
+    torch.Size([3, 20, 24])
+    """
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        pitch: float,
+        wavelength: float,
+        distance: float,
+        camera_shape: Sequence[int],
+        camera_pitch: float,
+        *,
+        phases: Any = None,
+        amplitude: Any = None,
+        wavefront: Any = None,
+        registration: Registration | None = None,
+        samples_per_pixel: int = 1,
+        iris: float | None = None,
+        zernike_order: int = 4,
+        source_order: int = 4,
+        nodes: int = 17,
+        free_form: int = 0,
+        residual: int = 0,
+        dtype: torch.dtype = torch.float32,
+    ):
+        super().__init__()
+        if dtype not in (torch.float32, torch.float64):
+            raise ValueError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
+        self.shape, self.camera_shape = _validate.size("shape", shape), _validate.size("camera_shape", camera_shape)
+        self.pitch = float(_validate.real("pitch", pitch, positive=True))
+        self.wavelength = float(_validate.real("wavelength", wavelength, positive=True))
+        self.nominal_distance = float(_validate.real("distance", distance, positive=True))
+        self.camera_pitch = float(_validate.real("camera_pitch", camera_pitch, positive=True))
+        self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
+        self._dtype = dtype
+        # Unit of the distance: the depth of focus of the whole panel.
+        self._depth = self.wavelength * (self.nominal_distance / (max(self.shape) * self.pitch)) ** 2
+        if registration is None:
+            registration = Registration(np.diag([camera_pitch, camera_pitch, 1.0]), 0.0, self.camera_shape)
+        elif not isinstance(registration, Registration):
+            raise TypeError(f"registration must be a Registration, got {type(registration).__name__}")
+        elif tuple(registration.shape) != self.camera_shape:
+            raise ValueError(f"registration must be of a camera {self.camera_shape}, got {tuple(registration.shape)}")
+        iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
+        self._start = registration
+        self._buffers_of_panel(phases, amplitude, wavefront, zernike_order, source_order, nodes)
+        self._grid(registration)
+        sizes = {
+            "brightness": 1,
+            "lut": nodes - 1,
+            "response": len(self._smooth),
+            "source": len(self._powers),
+            "aberration": len(self.modes),
+            "distance": 1,
+            "fringing": 1,
+            "reflection": 2,
+            "alignment": 9,
+            "aperture": 1,
+            "offset": 1,
+        }
+        sizes |= {"fill": 1} if s > 1 else {}
+        sizes |= {"iris": 1} if iris is not None else {}
+        self.physical = [name for name in PRIORS if name in sizes]
+        starts = {"fringing": 0.4, "fill": 0.95, "iris": iris, "aperture": 1.0}
+        for name in self.physical:
+            value = torch.full((sizes[name],), starts.get(name) or 0.0, dtype=dtype)
+            self.register_parameter(name, torch.nn.Parameter(value))
+        count = _validate.integer("free_form", free_form)
+        self.free_maps = torch.nn.Parameter(torch.zeros(3, count, count, dtype=dtype)) if count else None
+        self.residual = _residual(width, dtype) if (width := _validate.integer("residual", residual)) else None
+
+    @classmethod
+    def from_calibration(
+        cls,
+        calibration: Calibration,
+        camera_pitch: float,
+        *,
+        wavelength: float | None = None,
+        **options: Any,
+    ) -> "display_model":
+        """Return a model that starts with the results of a calibration.
+
+        Parameters
+        ----------
+        calibration : odak.instruments.Calibration
+            From :func:`odak.instruments.calibrate_table` or :func:`odak.instruments.load_calibration`.
+        camera_pitch : float
+            Distance between pixels of the camera in metres.
+        wavelength : float, optional
+            Another wavelength than that of the calibration; phases and aberration change as its inverse.
+        **options
+            Parameters of :class:`display_model`.
+
+        Returns
+        -------
+        display_model
+            The model.
+        """
+        wavelength = calibration.wavelength if wavelength is None else wavelength
+        scale = calibration.wavelength / wavelength
+        known = {
+            "phases": scale * calibration.phases,
+            "amplitude": calibration.amplitude,
+            "wavefront": scale * calibration.wavefront,
+            "registration": calibration.registration,
+        }
+        shape, camera_shape = calibration.amplitude.shape, calibration.registration.shape
+        there = (shape, calibration.pitch, wavelength, calibration.distance, camera_shape, camera_pitch)
+        return cls(*there, **(known | options))
+
+    def forward(self, levels: torch.Tensor, position: float = 0.0, pixels: torch.Tensor | None = None) -> torch.Tensor:
+        """Return the counts of the camera, without dark counts and noise.
+
+        Parameters
+        ----------
+        levels : torch.Tensor
+            Patterns, integers ``[..., rows, columns]``.
+        position : float
+            Position of the stage in metres, which adds to the distance.
+        pixels : torch.Tensor, optional
+            Numbers of the pixels of the camera, row by row, that are computed; all by default. The network, which
+            needs a whole image, is then left out.
+
+        Returns
+        -------
+        torch.Tensor
+            ``[..., camera rows, camera columns]``, or ``[..., pixels]``; differentiable in all parameters.
+        """
+        levels = trainable(tensor("levels", levels))
+        pixels = None if pixels is None else tensor("pixels", pixels)
+        if pixels is not None and (pixels.dtype is not torch.int64 or pixels.ndim != 1):
+            raise ValueError(f"pixels must be int64 [pixels], got {pixels.dtype} {list(pixels.shape)}")
+        if levels.is_complex() or levels.is_floating_point() or tuple(levels.shape[-2:]) != self.shape:
+            raise ValueError(f"levels must be integers {_ending(self.shape)}, got {levels.dtype} {list(levels.shape)}")
+        if _array.is_readable(levels) and levels.numel():
+            low, high = (int(value) for value in levels.aminmax())
+            if low < 0 or high >= len(self._phases):
+                raise ValueError(f"levels must be 0 to {len(self._phases) - 1}, got {low} to {high}")
+        phase = self.table()[levels.long()] * self.response_map()
+        counts = self.offset + torch.exp(self.brightness) * self._seen(self.field(phase), position, pixels)
+        if pixels is not None:
+            return counts
+        image = counts.unflatten(-1, self.camera_shape)
+        if self.residual is None:
+            return image
+        scale = torch.exp(self.brightness)
+        flat = image.reshape(-1, 1, *self.camera_shape) / scale
+        return image + scale * self.residual(flat).reshape(image.shape)
+
+    def table(self) -> torch.Tensor:
+        """Return the phase of each level in radians, that of level 0 being 0, ``[levels]``."""
+        return self._phases + self._spline @ self.lut
+
+    def response_map(self) -> torch.Tensor:
+        """Return the factor of the phase at each pixel, ``[rows, columns]``."""
+        return 1 + torch.tensordot(self.response, self._smooth, dims=1) + self._free(2)
+
+    def source_amplitude(self) -> torch.Tensor:
+        """Return the amplitude of the light on the modulator, ``[rows, columns]``."""
+        logarithm = torch.tensordot(self.source, self._powers, dims=1) + self._free(1)
+        return self._amplitude * torch.exp(logarithm)
+
+    def wavefront(self) -> torch.Tensor:
+        """Return the aberration at the modulator in radians, ``[rows, columns]``."""
+        return self._wavefront + torch.tensordot(self.aberration, self._modes, dims=1) + self._free(0)
+
+    def propagation_distance(self) -> torch.Tensor:
+        """Return the distance from the modulator to the camera at stage position 0, in metres."""
+        return self.nominal_distance + self._depth * self.distance[0].double()
+
+    def registration(self) -> Registration:
+        """Return the mapping of the camera."""
+        homography, distortion = (value.detach().double().numpy() for value in self._mapping())
+        return Registration(homography, float(distortion), self.camera_shape)
+
+    def field(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the field behind the modulator for the phase of each pixel.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase in radians ``[..., rows, columns]``.
+
+        Returns
+        -------
+        torch.Tensor
+            Complex ``[..., rows·s, columns·s]`` with s samples per pixel.
+        """
+        s = self.samples_per_pixel
+        phase = _finely(self._checked(phase), s)
+        at = torch.arange(-2 * s, 2 * s + 1, dtype=phase.dtype, device=phase.device) / s
+        width = self.fringing.clamp_min(0.05)
+        phase = smooth(phase, torch.exp(-0.5 * (at / width) ** 2))
+        light = torch.complex(torch.cos(phase), torch.sin(phase))
+        if s > 1:
+            side = self.fill.clamp(1e-3, 1).sqrt() * s / 2
+            edges = torch.arange(s + 1, dtype=phase.dtype, device=phase.device) - s / 2
+            line = torch.minimum(torch.maximum(edges, -side), side).diff()
+            active = torch.outer(line.repeat(self.shape[0]), line.repeat(self.shape[1]))
+            light = active * light + (1 - active)
+        aberration = _finely(self.wavefront(), s)
+        light = torch.complex(torch.cos(aberration), torch.sin(aberration)) * light
+        light = light + torch.complex(self.reflection[0], self.reflection[1])
+        return _finely(self.source_amplitude(), s) * light
+
+    def image(self, phase: torch.Tensor, position: float = 0.0) -> torch.Tensor:
+        """Return the intensity in the plane of the camera at points that lie as the pixels of the modulator do.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase that the pixels show in radians ``[..., rows, columns]``.
+        position : float
+            Position of the stage in metres.
+
+        Returns
+        -------
+        torch.Tensor
+            Intensity, averaged over the area of a pixel, ``[..., rows, columns]``; differentiable.
+        """
+        s, (rows, columns) = self.samples_per_pixel, self.shape
+        light = torch.fft.ifft2(self._spectrum(self.field(phase), position))
+        light = light.real**2 + light.imag**2
+        reach = s // 2
+        shift = [(n // 2) * s + reach for n in (rows, columns)]
+        light = torch.roll(light, shift, (-2, -1))[..., : rows * s + 2 * reach, : columns * s + 2 * reach]
+        if s == 1:
+            return light
+        line = torch.ones(2 * reach + 1, dtype=light.dtype, device=light.device)
+        if s % 2 == 0:
+            line[0] = line[-1] = 0.5
+        window = torch.outer(line, line) / s**2
+        flat = light.reshape(-1, 1, *light.shape[-2:])
+        found = torch.nn.functional.conv2d(flat, window[None, None], stride=s)[..., :rows, :columns]
+        return found.reshape(*light.shape[:-2], rows, columns)
+
+    @torch.no_grad()
+    def levels(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the levels whose phases are nearest to a phase at each pixel, modulo 2π.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase in radians ``[..., rows, columns]``.
+
+        Returns
+        -------
+        torch.Tensor
+            int64 ``[..., rows, columns]``.
+        """
+        phase = self._checked(phase)
+        # Whole numbers cannot say that there was none to round.
+        _validate.real("phase", phase)
+        rising, order = torch.sort(self.table().detach())
+        middles = (rising[1:] + rising[:-1]) / 2
+        factor = self.response_map().detach()
+        wanted = torch.remainder(phase.detach(), 2 * math.pi)
+        best, level = torch.full_like(wanted, math.inf), torch.zeros_like(wanted, dtype=torch.int64)
+        turns = int(float(rising[-1].abs().max()) / (2 * math.pi)) + 1
+        for turn in range(-1, turns + 1):
+            target = (wanted + 2 * math.pi * turn) / factor
+            place = torch.bucketize(target, middles)
+            apart = (rising[place] - target).abs()
+            level = torch.where(apart < best, order[place], level)
+            best = torch.minimum(apart, best)
+        return level
+
+    def shown(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return the phase that the nearest levels show, with the gradient of `phase` itself.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phase in radians ``[..., rows, columns]``.
+
+        Returns
+        -------
+        torch.Tensor
+            Phase in radians; the levels pass the gradient straight through.
+        """
+        phase = self._checked(phase)
+        found = (self.table()[self.levels(phase)] * self.response_map()).detach()
+        return found + (phase - phase.detach())
+
+    def _buffers_of_panel(self, phases, amplitude, wavefront, zernike_order, source_order, nodes) -> None:
+        rows, columns = self.shape
+        levels = np.arange(256) * (2 * np.pi / 256) if phases is None else _numbers("phases", phases)
+        if levels.ndim != 1 or len(levels) < 2:
+            raise ValueError(f"phases must hold the phase of each level, got an array {list(levels.shape)}")
+        at = np.linspace(0, len(levels) - 1, _validate.integer("nodes", nodes, minimum=4))
+        spline = CubicSpline(at, np.eye(nodes)[:, 1:])(np.arange(len(levels)))
+        y, x = ((torch.arange(n, dtype=torch.float64) - n // 2) * self.pitch for n in (rows, columns))
+        half = math.hypot(rows, columns) * self.pitch / 2
+        y, x = y[:, None] / half, x[None] / half
+        order = _validate.integer("zernike_order", zernike_order, minimum=2)
+        self.modes = [(n, m) for n in range(2, order + 1) for m in range(-n, n + 1, 2) if (n, m) != (2, 0)]
+        modes = torch.stack([mode.expand(rows, columns) for mode in zernike_modes(y + 0 * x, x + 0 * y, self.modes)])
+        low = torch.stack([part.expand(rows, columns) for part in (y * 0 + 1, y, x, x**2 + y**2)])
+        order = _validate.integer("source_order", source_order, minimum=2)
+        powers = [(i, j) for i in range(order + 1) for j in range(order + 1 - i) if i + j > 0]
+        surfaces = torch.stack([(x**i * y**j).expand(rows, columns) for i, j in powers])
+        buffers = {
+            "_phases": levels - levels[0],
+            "_spline": spline,
+            "_amplitude": np.ones(self.shape) if amplitude is None else _numbers("amplitude", amplitude),
+            "_wavefront": np.zeros(self.shape) if wavefront is None else _numbers("wavefront", wavefront),
+            "_modes": _without(modes, low),
+            "_powers": _without(surfaces, low[:1]),
+            "_smooth": _without(surfaces[[i + j <= 3 for i, j in powers]], low[:1]),
+        }
+        for name in ("_amplitude", "_wavefront"):
+            if buffers[name].shape != self.shape:
+                raise ValueError(f"{name[1:]} must be {list(self.shape)}, got {list(buffers[name].shape)}")
+        for name, value in buffers.items():
+            self.register_buffer(name, torch.as_tensor(value).to(self._dtype), persistent=False)
+
+    def _grid(self, registration: Registration) -> None:
+        """Choose the grid of the spectrum: light that leaves it must not come back into what the camera sees."""
+        s = self.samples_per_pixel
+        rows, columns = self.camera_shape
+        corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
+        seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
+        spread = 1.6 * self.nominal_distance * math.tan(math.asin(min(self.wavelength / (2 * self.pitch), 0.99)))
+        widths = [max(n * self.pitch / 2 + spread + far, 2 * spread) for n, far in zip(self.shape, seen, strict=True)]
+        sizes = [
+            _fast(s * (max(math.ceil(width / self.pitch), n) + 16)) for width, n in zip(widths, self.shape, strict=True)
+        ]
+        self._sizes, self._finer = sizes, max(1, -(-FINER // s))
+        step = self.pitch / s
+        fy, fx = (torch.fft.fftfreq(n, step, dtype=torch.float64) for n in sizes)
+        squared = fy[:, None] ** 2 + fx**2
+        axial = torch.sqrt((1 / self.wavelength**2 - squared).clamp_min(0))
+        # The axis passes through the middle of pixel n // 2; the panel starts at the first sample of the grid.
+        centre = [(n // 2) * s + (s - 1) / 2 for n in self.shape]
+        shift = fy[:, None] * step * centre[0] + fx * step * centre[1]
+        self._axial, self._shift = axial, shift
+        self.register_buffer("_slope", (2 * math.pi * (axial - 1 / self.wavelength)).to(self._dtype), persistent=False)
+        self.register_buffer("_radius", (squared.sqrt() * 2 * self.pitch).to(self._dtype), persistent=False)
+        self._soft = 2 * self.pitch / (max(sizes) * step)
+        fine = [self._finer * n for n in sizes]
+        frequencies = (
+            torch.fft.fftfreq(fine[0], 1.0, dtype=torch.float64),
+            torch.fft.rfftfreq(fine[1], 1.0, dtype=torch.float64),
+        )
+        # Cubic B-splines pass through the samples of what this filter makes of them.
+        inverse = [6 / (4 + 2 * torch.cos(2 * math.pi * f)) for f in frequencies]
+        self.register_buffer("_prefilter", (inverse[0][:, None] * inverse[1]).to(self._dtype), persistent=False)
+        fine_step = step / self._finer
+        for name, f in zip(("_fine_y", "_fine_x"), frequencies, strict=True):
+            self.register_buffer(name, (f / fine_step * self.camera_pitch).to(self._dtype), persistent=False)
+        v, u = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in self.camera_shape), indexing="ij")
+        self.register_buffer("_pixels", torch.stack([u, v], -1).reshape(-1, 2).to(self._dtype), persistent=False)
+        start = torch.as_tensor(registration.homography / registration.homography[2, 2])
+        self.register_buffer("_homography", start, persistent=False)
+        self._kernels: dict[float, torch.Tensor] = {}
+
+    def _kernel(self, position: float) -> torch.Tensor:
+        """Return the transfer function to a position of the stage, formed in double precision."""
+        position = float(_validate.real("position", position))
+        if position not in self._kernels:
+            if len(self._kernels) > 16:
+                self._kernels.clear()
+            cycles = (self.nominal_distance + position) * (self._axial - 1 / self.wavelength) + self._shift
+            phase = 2 * math.pi * torch.remainder(cycles, 1)
+            kind = torch.complex64 if self._dtype is torch.float32 else torch.complex128
+            self._kernels[position] = torch.polar(torch.ones_like(phase), phase).to(kind).to(self._slope.device)
+        return self._kernels[position]
+
+    def _spectrum(self, light: torch.Tensor, position: float) -> torch.Tensor:
+        """Return the spectrum of the light in the plane of the camera, the axis at its first sample."""
+        turn = self._depth * self.distance * self._slope
+        spectrum = torch.fft.fft2(light, s=self._sizes) * self._kernel(position)
+        spectrum = spectrum * torch.complex(torch.cos(turn), torch.sin(turn))
+        if "iris" in self.physical:
+            spectrum = spectrum * torch.sigmoid((self.iris - self._radius) / (0.5 * self._soft))
+        return spectrum
+
+    def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
+        """Return the intensity that pixels of the camera see ``[..., pixels]``."""
+        spectrum = self._spectrum(light, position)
+        (rows, columns), q = self._sizes, self._finer
+        fine = [q * rows, q * columns]
+        there = q**2 * torch.fft.ifft2(_widened(spectrum, fine))
+        intensity = there.real**2 + there.imag**2
+        blur = torch.sinc(self.aperture * self._fine_y)[:, None] * torch.sinc(self.aperture * self._fine_x)
+        coefficients = torch.fft.irfft2(torch.fft.rfft2(intensity) * (blur * self._prefilter), s=fine)
+        homography, distortion = self._mapping()
+        places = self._pixels if pixels is None else self._pixels[pixels]
+        points = plane_points(places, self.camera_shape, homography, distortion)
+        return _spline_values(coefficients, points[:, 1], points[:, 0], self.pitch / self.samples_per_pixel / q)
+
+    def _mapping(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the homography from camera pixels to metres and the distortion.
+
+        The parameters are, in pixels of the camera at the rim of its image, what each entry moves.
+        """
+        rim = max(self.camera_shape) / 2
+        units = self._homography.new_tensor(
+            [[1 / rim, 1 / rim, 1.0], [1 / rim, 1 / rim, 1.0], [1 / rim**2, 1 / rim**2, 0]]
+        )
+        units[:2] *= self.camera_pitch
+        entries = torch.cat([self.alignment[:8].double(), self.alignment.new_zeros(1).double()]).reshape(3, 3)
+        homography = self._homography + units * entries
+        return homography.to(self._dtype), self._start.distortion + self.alignment[8] / rim
+
+    def _checked(self, phase: torch.Tensor) -> torch.Tensor:
+        """Return a phase in the precision of the model, after checking that it is one of its modulator."""
+        phase = tensor("phase", phase)
+        if phase.is_complex() or not phase.is_floating_point():
+            raise TypeError(f"phase must be a real tensor, got {phase.dtype}")
+        if tuple(phase.shape[-2:]) != self.shape or not phase.numel():
+            raise ValueError(f"phase must be {_ending(self.shape)}, got {list(phase.shape)}")
+        return phase.to(self._dtype)
+
+    def _free(self, which: int) -> torch.Tensor | float:
+        """Return a map of free form at the pixels: of the phase, the logarithm of the amplitude, or the response."""
+        if self.free_maps is None:
+            return 0.0
+        values = self.free_maps[None, which : which + 1]
+        if tuple(values.shape[-2:]) == self.shape:
+            return values[0, 0]
+        return torch.nn.functional.interpolate(values, self.shape, mode="bicubic", align_corners=False)[0, 0]
+
+
+@dataclass(frozen=True)
+class DisplayFit:
+    """Outcome of fitting a model to captures.
+
+    Attributes
+    ----------
+    chi_squared : float
+        Mean of the squared residuals over the variance of their noise: 1 for a model without errors.
+    uncertainties : dict
+        Standard deviation of each physical parameter by its name, of the parameter's shape and unit, from the inverse
+        of the Gauss–Newton matrix; multiplied by the root of `chi_squared` where that is above 1.
+    history : list of float
+        `chi_squared` after each step of the fit of the physical parameters, then of that of the free forms.
+    noise : tuple of float
+        Slope and offset of the variance of a capture in counts.
+    """
+
+    chi_squared: float
+    uncertainties: dict[str, torch.Tensor]
+    history: list[float] = field(repr=False)
+    noise: tuple[float, float]
+
+
+def fit_display(
+    model: display_model,
+    captures: Captures,
+    *,
+    iterations: int = 8,
+    refinements: int = 0,
+    pixels: int = 8192,
+    learning_rate: float = 5e-3,
+    noise: tuple[float, float] | None = None,
+    seed: int = 0,
+    chunk: int = 16,
+) -> DisplayFit:
+    """Fit a model of a display to captures of any patterns.
+
+    The physical parameters are found by Levenberg and Marquardt's method, with the priors of each parameter, on pixels
+    of the camera that are drawn at random; then, where the model has them, the maps of free form and the network by
+    Adam on all pixels. Residuals are divided by the standard deviation of their noise.
+
+    Parameters
+    ----------
+    model : display_model
+        The model, changed in place. It should start within half a speckle of the truth: from a calibration.
+    captures : odak.instruments.Captures
+        Patterns and captures, all with one exposure, see :func:`odak.instruments.record_captures`.
+    iterations : int
+        Number of steps for the physical parameters.
+    refinements : int
+        Number of passes through all captures for free forms and network; needs a model that has them.
+    pixels : int
+        Number of pixels of each capture that the physical parameters are fitted to.
+    learning_rate : float
+        Adam's step size.
+    noise : tuple of float, optional
+        Slope and offset of the variance of a capture in counts; from the captures themselves by default.
+    seed : int
+        Seed of the pixels that are drawn and of the order of the captures.
+    chunk : int
+        Number of derivatives that are computed at a time.
+
+    Returns
+    -------
+    DisplayFit
+        Quality of the fit and uncertainties of the parameters.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the captures do not fit the model.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, record_captures
+    >>> from odak.learn.wave import display_model, fit_display
+    >>> table = SimulatedTable(
+    ...     seed=1, shape=(16, 16), distance=2e-3, camera_shape=(24, 24), misalignment=False, distance_error=0.0
+    ... )
+    >>> table.camera.exposure = 0.1
+    >>> levels = np.random.default_rng(0).integers(256, size=(3, 16, 16))
+    >>> captures = record_captures(table.modulator, table.camera, levels, 532e-9, captures=4)
+    >>> model = display_model([16, 16], 8e-6, 532e-9, 2e-3, [24, 24], 4e-6)
+    >>> fit = fit_display(model, captures, iterations=1)
+    >>> fit.uncertainties["distance"].shape
+    torch.Size([1])
+    """
+    if not isinstance(model, display_model):
+        raise TypeError(f"model must be a display_model, got {type(model).__name__}")
+    if not isinstance(captures, Captures):
+        raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
+    if captures.levels.shape[1:] != model.shape or captures.frames.shape[2:] != model.camera_shape:
+        raise ValueError(
+            f"captures must be of patterns {list(model.shape)} and images {list(model.camera_shape)}, got "
+            f"{list(captures.levels.shape[1:])} and {list(captures.frames.shape[2:])}"
+        )
+    if refinements and model.free_maps is None and model.residual is None:
+        raise ValueError(f"refinements need a model with free_form or residual, got {refinements}")
+    data = _Data.of(model, captures, captures.noise() if noise is None else noise)
+    random = torch.Generator().manual_seed(_validate.integer("seed", seed))
+    count = min(_validate.integer("pixels", pixels, minimum=100), math.prod(model.camera_shape))
+    chosen = [torch.randperm(math.prod(model.camera_shape), generator=random)[:count] for _ in range(len(captures))]
+    if bool((model.brightness == 0).all()):
+        _match_brightness(model, data, chosen)
+    history, uncertainties = _fit_physical(model, data, chosen, _validate.integer("iterations", iterations), chunk)
+    if refinements:
+        history += _refine(model, data, _validate.integer("refinements", refinements), learning_rate, random)
+    with torch.no_grad():
+        squares = [data.residual(model, k).square().sum() for k in range(len(captures))]
+    quality = float(sum(squares)) / max(data.count(), 1)
+    scale = max(quality, 1.0) ** 0.5
+    return DisplayFit(quality, {name: scale * value for name, value in uncertainties.items()}, history, data.noise)
+
+
+def display_hologram(
+    model: display_model,
+    target: torch.Tensor,
+    positions: Sequence[float] = (0.0,),
+    *,
+    iterations: int = 150,
+    learning_rate: float = 0.1,
+    phase: torch.Tensor | None = None,
+    seed: int = 0,
+    callback: Callable[[int, float], bool | None] | None = None,
+) -> torch.Tensor:
+    """Return the levels with which a display shows images, by gradient descent through its model.
+
+    Parameters
+    ----------
+    model : display_model
+        Model of the display.
+    target : torch.Tensor
+        Intensity at the pixels of the modulator, ``[rows, columns]`` for all positions or ``[positions, rows,
+        columns]``.
+    positions : sequence of float
+        Positions of the stage in metres at which the images appear.
+    iterations : int
+        Number of Adam's steps.
+    learning_rate : float
+        Adam's step size in radians.
+    phase : torch.Tensor, optional
+        Phase to start from, ``[rows, columns]``; slowly varying noise by default.
+    seed : int
+        Seed of that noise.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each step; returning True stops.
+
+    Returns
+    -------
+    torch.Tensor
+        uint8 or int32 levels ``[rows, columns]``. The squared error that is minimised is that of s·image, s being
+        the best brightness, the same for all positions.
+    """
+    if not isinstance(model, display_model):
+        raise TypeError(f"model must be a display_model, got {type(model).__name__}")
+    places = [float(place) for place in _validate.several("positions", positions)]
+    if not places:
+        raise ValueError("positions must hold at least one position, got none")
+    callback, seed = _validate.function_or_none("callback", callback), _validate.integer("seed", seed)
+    target = torch.as_tensor(_numbers("target", target)).to(model._slope)
+    if tuple(target.shape[-2:]) != model.shape or target.ndim > 3 or (target.ndim == 3 and len(target) != len(places)):
+        raise ValueError(
+            f"target must be {list(model.shape)}, or that for each of {len(places)} positions, got {list(target.shape)}"
+        )
+    target = target.expand(len(places), *model.shape)
+    if phase is None:
+        random = torch.Generator().manual_seed(seed)
+        coarse = torch.randn((1, 1, *(max(n // 8, 2) for n in model.shape)), generator=random)
+        phase = torch.nn.functional.interpolate(coarse, model.shape, mode="bicubic")[0, 0]
+    phase = model._checked(tensor("phase", phase).to(model._slope.device)).detach().clone().requires_grad_()
+    optimizer = torch.optim.Adam([phase], lr=float(_validate.real("learning_rate", learning_rate, positive=True)))
+    best, kept = math.inf, phase.detach().clone()
+    for iteration in range(_validate.integer("iterations", iterations, minimum=1)):
+        optimizer.zero_grad()
+        shown = model.shown(phase)
+        images = torch.stack([model.image(shown, place) for place in places])
+        scale = (images * target).sum() / images.square().sum().clamp_min(1e-30)
+        loss = (scale.detach() * images - target).square().mean()
+        if loss.item() < best:
+            best, kept = loss.item(), phase.detach().clone()
+        (gradient,) = torch.autograd.grad(loss, [phase])
+        phase.grad = gradient
+        optimizer.step()
+        if callback is not None and callback(iteration, loss.item()):
+            break
+    levels = model.levels(kept)
+    return levels.to(torch.uint8 if len(model.table()) <= 256 else torch.int32)
+
+
+def display_camera(
+    model: display_model,
+    modulator: Modulator,
+    camera: Camera,
+    *,
+    captures: int = 1,
+    dark: np.ndarray | float = 0.0,
+) -> Callable[[torch.Tensor], torch.Tensor]:
+    """Return a display with a camera as a function of the phase, for camera-in-the-loop optimisation.
+
+    The function shows the levels that are nearest to a phase, captures, and brings the image onto the pixels of the
+    modulator by the registration of the model. Give it as ``camera=`` to
+    :func:`odak.learn.wave.stochastic_gradient_descent` or another optimizer.
+
+    Parameters
+    ----------
+    model : display_model
+        Model of the display.
+    modulator : odak.instruments.Modulator
+        The modulator.
+    camera : odak.instruments.Camera
+        The camera; its exposure is taken as it is.
+    captures : int
+        Number of captures that are averaged.
+    dark : numpy.ndarray or float
+        Counts without light.
+
+    Returns
+    -------
+    callable
+        ``function(phase)`` with a phase ``[rows, columns]`` returns the intensity ``[rows, columns]`` on the scale of
+        :meth:`display_model.image`.
+    """
+    rows, columns = model.shape
+    y, x = ((np.arange(n) - n // 2) * model.pitch for n in (rows, columns))
+    points = np.stack(np.meshgrid(x, y), axis=-1)
+    places = model.registration().camera_pixels(points)
+    scale = math.exp(-float(model.brightness.detach()))
+    count = _validate.integer("captures", captures, minimum=1)
+
+    def capture(phase: torch.Tensor) -> torch.Tensor:
+        if tuple(phase.shape[-2:]) != model.shape or phase.numel() != rows * columns:
+            raise ValueError(f"phase must be {list(model.shape)}, got {list(phase.shape)}")
+        modulator.show(model.levels(phase.reshape(rows, columns)).cpu().numpy())
+        counts = camera.capture(count).mean(0) - dark - float(model.offset.detach())
+        image = map_coordinates(counts, [places[..., 1], places[..., 0]], order=3, mode="nearest")
+        return torch.as_tensor(scale * image).to(phase).reshape(phase.shape)
+
+    return capture
+
+
+@dataclass(frozen=True)
+class _Data:
+    """Captures as tensors: patterns, means, standard deviations of the means (infinite where saturated)."""
+
+    levels: torch.Tensor
+    counts: torch.Tensor
+    deviations: torch.Tensor
+    positions: list[float]
+    noise: tuple[float, float]
+
+    @classmethod
+    def of(cls, model: display_model, captures: Captures, noise: tuple[float, float]) -> "_Data":
+        means = captures.means()
+        # Expected counts rather than captured ones: darker pixels by chance would get a larger weight.
+        variance = (noise[0] * np.clip(means, 0, None) + noise[1]) / captures.frames.shape[1]
+        saturated = captures.frames.max(1) >= 0.98 * ((1 << captures.camera_bits) - 1)
+        deviations = np.where(saturated, np.inf, np.sqrt(variance))
+        tensors = (torch.as_tensor(part).to(model._dtype).flatten(1) for part in (means, deviations))
+        return cls(torch.as_tensor(captures.levels.astype(np.int64)), *tensors, captures.positions.tolist(), noise)
+
+    def residual(self, model: Callable, k: int, pixels: torch.Tensor | None = None) -> torch.Tensor:
+        """Return what the model differs by from the mean of capture k, in standard deviations of its noise."""
+        seen = model(self.levels[k], self.positions[k], pixels).flatten()
+        chosen = slice(None) if pixels is None else pixels
+        return (seen - self.counts[k, chosen]) / self.deviations[k, chosen]
+
+    def count(self) -> int:
+        return int(torch.isfinite(self.deviations).sum())
+
+
+@torch.no_grad()
+def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tensor]) -> None:
+    """Set the brightness of a model to that of the captures."""
+    above = below = 0.0
+    for k, pixels in enumerate(chosen):
+        seen, weight = model(data.levels[k], data.positions[k], pixels), data.deviations[k, pixels] ** -2
+        above += float((seen * data.counts[k, pixels] * weight).sum())
+        below += float((seen.square() * weight).sum())
+    if above > 0 and below > 0:
+        model.brightness += math.log(above / below)
+
+
+def _fit_physical(model, data, chosen, iterations, chunk) -> tuple[list[float], dict[str, torch.Tensor]]:
+    names = model.physical
+    sizes = [getattr(model, name).numel() for name in names]
+    begin = torch.cat([getattr(model, name).detach().flatten() for name in names]).double()
+    precision = torch.cat(
+        [torch.full((n,), PRIORS[name] ** -2.0) for name, n in zip(names, sizes, strict=True)]
+    ).double()
+
+    def residuals(vector: torch.Tensor, k: int) -> torch.Tensor:
+        parts = dict(zip(names, vector.split(sizes), strict=True))
+
+        def seen(levels, position, pixels):
+            return torch.func.functional_call(model, parts, (levels, position, pixels))
+
+        return data.residual(seen, k, chosen[k])
+
+    def cost(vector: torch.Tensor) -> tuple[float, list[torch.Tensor]]:
+        with torch.no_grad():
+            found = [residuals(vector.to(model._dtype), k).double() for k in range(len(chosen))]
+        squares = sum(float(part.square().sum()) for part in found)
+        return squares + float((precision * (vector - begin).square()).sum()), found
+
+    def slopes(vector: torch.Tensor) -> list[torch.Tensor]:
+        narrow = vector.to(model._dtype)
+        directions = torch.eye(len(narrow), dtype=narrow.dtype)
+
+        def columns(k: int, part: torch.Tensor) -> torch.Tensor:
+            def along(direction):
+                return torch.func.jvp(lambda v: residuals(v, k), (narrow,), (direction,))[1]
+
+            return torch.func.vmap(along)(part).detach()
+
+        with torch.no_grad(), warnings.catch_warnings():
+            # Torch's own, in forward mode.
+            warnings.filterwarnings("ignore", ".*torch.jit.script", DeprecationWarning)
+            return [torch.cat([columns(k, part) for part in directions.split(chunk)]).mT for k in range(len(chosen))]
+
+    vector, number = begin.clone(), sum(len(part) for part in chosen)
+    value, found = cost(vector)
+    history, damping, matrices, fresh = [value / number], 1e-3, None, False
+    for _ in range(iterations):
+        if matrices is None:
+            matrices, fresh = slopes(vector), True
+            normal = sum((part.mT @ part).double() for part in matrices) + precision.diag()
+        gradient = sum((part.mT @ r.to(part)).double() for part, r in zip(matrices, found, strict=True))
+        gradient = gradient + precision * (vector - begin)
+        accepted = False
+        for _ in range(6):
+            step = torch.linalg.solve(normal + damping * normal.diagonal().diag(), gradient)
+            trial = vector - step
+            tried, left = cost(trial)
+            if tried < value:
+                accepted = True
+                break
+            if not fresh:
+                break
+            damping *= 10
+        if not accepted:
+            # Slopes from an earlier step may mislead; those of this place cannot for a step that is short enough.
+            if fresh:
+                break
+            matrices = None
+            continue
+        slow = tried > 0.7 * value
+        done = value - tried < 1e-4 * value and fresh
+        vector, value, found, damping = trial, tried, left, max(damping / 10, 1e-9)
+        history.append(value / number)
+        fresh = False
+        if done:
+            break
+        matrices = None if slow else matrices
+    with torch.no_grad():
+        for name, part in zip(names, vector.to(model._dtype).split(sizes), strict=True):
+            getattr(model, name).copy_(part)
+    normal = sum((part.mT @ part).double() for part in (slopes(vector))) + precision.diag()
+    deviations = torch.linalg.inv(normal).diagonal().clamp_min(0).sqrt().split(sizes)
+    return history, dict(zip(names, deviations, strict=True))
+
+
+def _refine(model, data, passes, learning_rate, random) -> list[float]:
+    """Fit the maps of free form and the network by Adam, and keep the best state."""
+    maps = [] if model.free_maps is None else [model.free_maps]
+    network = [] if model.residual is None else list(model.residual.parameters())
+    optimizer = torch.optim.Adam(
+        [{"params": maps or network}, *([{"params": network}] if maps and network else [])], learning_rate
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, passes)
+    parameters, history = maps + network, []
+    best, kept = math.inf, [part.detach().clone() for part in parameters]
+    for _ in range(passes):
+        before, total = [part.detach().clone() for part in parameters], 0.0
+        for k in torch.randperm(len(data.levels), generator=random).tolist():
+            loss = data.residual(model, k).square().mean()
+            gradients = torch.autograd.grad(loss, parameters)
+            for part, gradient in zip(parameters, gradients, strict=True):
+                part.grad = gradient
+            optimizer.step()
+            total += loss.item() / len(data.levels)
+        schedule.step()
+        history.append(total)
+        if total < best:
+            best, kept = total, before
+    if history[-1] > 2 * best:
+        warn("the loss has risen since its best: give a smaller learning_rate", ConvergenceWarning)
+        with torch.no_grad():
+            for part, value in zip(parameters, kept, strict=True):
+                part.copy_(value)
+    return history
+
+
+class _residual(torch.nn.Sequential):
+    """Small convolutional network whose output is zero at first."""
+
+    def __init__(self, channels: int, dtype: torch.dtype):
+        options: dict[str, Any] = {"padding": 1, "padding_mode": "replicate", "dtype": dtype}
+        last = torch.nn.Conv2d(channels, 1, 3, **options)
+        torch.nn.init.zeros_(last.weight)
+        torch.nn.init.zeros_(last.bias)  # type: ignore[arg-type]
+        super().__init__(
+            torch.nn.Conv2d(1, channels, 3, **options),
+            torch.nn.LeakyReLU(0.1),
+            torch.nn.Conv2d(channels, channels, 3, **options),
+            torch.nn.LeakyReLU(0.1),
+            last,
+        )
+
+
+def _without(surfaces: torch.Tensor, low: torch.Tensor) -> torch.Tensor:
+    """Return surfaces ``[n, rows, columns]`` without their components along others, of root mean square as before."""
+    basis, _ = torch.linalg.qr(low.flatten(1).mT)
+    flat = surfaces.flatten(1)
+    return (flat - (flat @ basis) @ basis.mT).reshape(surfaces.shape)
+
+
+def _numbers(name: str, values: Any) -> np.ndarray:
+    """Return finite real numbers as a float64 array of NumPy."""
+    values = tensor(name, values)
+    if values.is_complex():
+        raise TypeError(f"{name} must be real, got {values.dtype}")
+    _validate.real(name, values)
+    return values.detach().resolve_neg().cpu().double().numpy()
+
+
+def _ending(shape: Sequence[int]) -> str:
+    return f"[..., {shape[0]}, {shape[1]}]"
+
+
+def _finely(values: torch.Tensor, samples: int) -> torch.Tensor:
+    """Return values of pixels on the samples of the pixels."""
+    return values if samples == 1 else values.repeat_interleave(samples, -2).repeat_interleave(samples, -1)
+
+
+def _fast(count: int) -> int:
+    """Return the next number whose transform is fast: even, of factors 2, 3 and 5."""
+    count += count % 2
+    while True:
+        rest = count
+        for factor in (2, 3, 5):
+            while rest % factor == 0:
+                rest //= factor
+        if rest == 1:
+            return count
+        count += 2
+
+
+def _widened(spectrum: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
+    """Return a spectrum with zeros at the frequencies that a finer grid of a shape has beyond its own."""
+    for axis, wanted in zip((-2, -1), shape, strict=True):
+        have = spectrum.shape[axis]
+        low, high = spectrum.narrow(axis, 0, have // 2), spectrum.narrow(axis, have // 2, have - have // 2)
+        between = list(spectrum.shape)
+        between[axis] = wanted - have
+        spectrum = torch.cat([low, spectrum.new_zeros(between), high], axis)
+    return spectrum
+
+
+def _spline_values(coefficients: torch.Tensor, y: torch.Tensor, x: torch.Tensor, step: float) -> torch.Tensor:
+    """Return the values ``[..., points]`` of a periodic cubic spline whose first coefficient lies at the origin."""
+    rows, columns = coefficients.shape[-2:]
+    weights, indices = [], []
+    for at, count in ((y / step, rows), (x / step, columns)):
+        first = torch.floor(at.detach())
+        t = at - first
+        weights.append(torch.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6)
+        indices.append(torch.stack([torch.remainder(first.long() + i, count) for i in range(-1, 3)]))
+    place = indices[0][:, None] * columns + indices[1][None]
+    return (coefficients.flatten(-2)[..., place] * (weights[0][:, None] * weights[1][None])).sum((-3, -2))

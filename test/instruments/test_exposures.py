@@ -1,0 +1,132 @@
+"""Exposure, dynamic range, settling and polarisation of simulated tables, through the protocols alone."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from odak import AccuracyWarning, instruments
+from odak.instruments import calibration as calibrating
+
+SMALL = {"shape": (32, 32), "distance": 4e-3, "camera_shape": (48, 48)}
+
+
+def fresh_seed(number):
+    return int(np.random.default_rng(number).integers(10_000))
+
+
+def test_exposure_reaches_a_share_of_the_range():
+    table = instruments.SimulatedTable(fresh_seed(1), **SMALL)
+    lens = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
+    for start in (1e-6, 1.0):
+        table.camera.exposure = start
+        show = lambda: table.modulator.show(calibrating.nearest_levels(lens, table.truth.phases))  # noqa: E731
+        instruments.set_exposure(table.camera, show, level=0.5)
+        assert 0.35 < table.camera.capture().max() / 4095 < 0.6
+    with pytest.raises(ValueError, match="level must be below"):
+        instruments.set_exposure(table.camera, level=1.0)
+
+
+def test_a_wide_range_of_brightness_is_captured():
+    table = instruments.SimulatedTable(fresh_seed(2), **SMALL)
+    # A spot, a thousand times as bright as what surrounds it.
+    lens = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
+    instruments.set_exposure(
+        table.camera, lambda: table.modulator.show(calibrating.nearest_levels(lens, table.truth.phases))
+    )
+    single = table.camera.exposure
+    dark = instruments.measure_dark(table.camera, table.laser)
+    assert table.laser.power == 1.0 and dark.mean() == pytest.approx(20 * 4095 / 20000, abs=0.2)
+    rate = instruments.capture_hdr(table.camera, single * 6.0 ** np.arange(4), dark=dark, captures=2)
+    light, pitch = table.intensity()
+    v, u = np.indices(table.camera.shape).astype(float)
+    points = table.truth.plane_points(np.stack([u, v], axis=-1), table.camera.shape)
+    truth = table.camera._sampled(points, light, pitch) * table._unit / 1e-3 * 4095 / 20000
+    assert truth.max() > 1000 * np.quantile(truth, 0.2)
+    dim = truth < np.quantile(truth, 0.5)
+    error = (rate / truth - 1)[dim & (truth > 1e-3 * truth.max() / 50)]
+    one = ((table.camera.capture(8).mean(0) - dark) / single / truth - 1)[dim & (truth > 1e-3 * truth.max() / 50)]
+    assert np.abs(rate / truth - 1)[truth > 0.01 * truth.max()].mean() < 0.02
+    assert error.std() < 0.1 * one.std()
+    assert table.camera.exposure == single
+
+
+def test_pixels_that_are_always_saturated_are_told():
+    table = instruments.SimulatedTable(fresh_seed(3), **SMALL)
+    with pytest.warns(AccuracyWarning, match="pixels are saturated at all exposures"):
+        rate = instruments.capture_hdr(table.camera, [1e3, 1e4])
+    assert np.isinf(rate).any()
+    with pytest.raises(ValueError, match="at least two"):
+        instruments.capture_hdr(table.camera, [1.0])
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_the_time_constant_is_found(seed):
+    table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, time_constant=8e-3)
+    table.camera.exposure = 0.5
+    table._unit *= 40
+    found = instruments.measure_settling(table.modulator, table.camera, table.truth.phases)
+    assert found.time_constant == pytest.approx(table.truth.time_constant, rel=0.03)
+    assert abs(found.time_constant - table.truth.time_constant) < 5 * found.uncertainty
+    # After that time the phase is within 0.02 rad, with a tenth for the error of the measurement.
+    assert 2.9 * np.exp(-found.settling_time / table.truth.time_constant) < 0.025
+    assert table.modulator.settling_time == 0.08 and table.camera.exposure == 0.5
+    with pytest.warns(AccuracyWarning, match="settling time is uncertain"):
+        instruments.measure_settling(table.modulator, table.camera, table.truth.phases, longest=4e-3)
+
+
+@pytest.mark.parametrize("seed", [6, 7])
+def test_the_axis_of_the_modulator_is_found(seed):
+    table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, polarisation=True, aberration=0.05)
+    phase = calibrating.lens_phase(table.modulator, 532e-9, 4e-3)
+    levels = calibrating.nearest_levels(phase, table.truth.phases)
+    found = instruments.measure_polarisation(table.modulator, table.camera, table.polariser, levels, dark=4.1)
+    assert abs(found.angle - table.truth.polarisation) < 0.5 and found.uncertainty < 0.5
+    assert table.polariser.angle == found.angle and found.contrast > 20
+
+
+def regional(seed, regions, samples, **options):
+    table = instruments.SimulatedTable(seed, regional=0.05, **options)
+    truth, camera = table.truth, table.camera
+    known = instruments.Registration(truth.homography, truth.distortion, camera.shape)
+    there = (table.modulator, camera, 532e-9, truth.distance, known)
+    found = instruments.measure_regional_response(*there, regions=regions, samples=samples)
+    rows, columns = table.modulator.shape
+    down, across = (np.arange(n) * parts // n for n, parts in zip((rows, columns), regions, strict=True))
+    # What a region focuses is the sum of the light of its pixels: their mean is weighted with the amplitude.
+    parts = [[np.ix_(down == i, across == j) for j in range(regions[1])] for i in range(regions[0])]
+    gains = np.array([[np.average(truth.response[p], weights=truth.amplitude[p]) for p in line] for line in parts])
+    return found, gains[..., None] * truth.phases
+
+
+def test_the_response_of_regions_is_found():
+    found, truth = regional(
+        fresh_seed(8), (2, 2), 9, shape=(64, 64), distance=8e-3, camera_shape=(140, 140), aberration=0.1
+    )
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.02 and np.ptp(truth[..., -1]) > 0.1
+
+
+@pytest.mark.slow
+def test_the_response_of_nine_regions_is_found_to_two_hundredths():
+    found, truth = regional(fresh_seed(9), (3, 3), 25)
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.02 and np.ptp(truth[..., -1]) > 0.2
+
+
+def test_levels_of_regions_are_nearest_everywhere(tmp_path):
+    table = instruments.SimulatedTable(1, shape=(30, 40), camera_shape=(32, 32))
+    nominal = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+    tables = nominal.phases * np.array([[1.0, 1.1], [1.2, 1.3]])[..., None]
+    found = dataclasses.replace(nominal, regional_phases=tables)
+    phase = np.random.default_rng(0).uniform(-9, 9, (30, 40))
+    row, column = np.clip((np.arange(30) + 0.5) / 15 - 0.5, 0, 1), np.clip((np.arange(40) + 0.5) / 20 - 0.5, 0, 1)
+    gain = 1 + 0.1 * column + 0.2 * row[:, None]
+    shown = gain * nominal.phases[found.levels(phase)]
+    apart = np.abs(np.angle(np.exp(1j * (shown - phase))))
+    assert apart.max() <= 1.31 * np.pi / 256 + 1e-9
+    for name in ("a.npz", "a.h5"):
+        if name.endswith("h5"):
+            pytest.importorskip("h5py", reason="h5py is not installed")
+        instruments.save_calibration(tmp_path / name, found)
+        again = instruments.load_calibration(tmp_path / name)
+        assert np.array_equal(again.regional_phases, tables) and again.registration.shape == (32, 32)
+        assert np.array_equal(again.wavefront, found.wavefront) and again.distance == found.distance

@@ -1,0 +1,372 @@
+"""Learned models of displays against simulated tables whose faults they do not know."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter, map_coordinates
+
+from odak.instruments import Registration, SimulatedTable, record_captures
+from odak.learn.wave import display_camera, display_hologram, display_model, fit_display, stochastic_gradient_descent
+
+DARK = 20 * 4095 / 20000
+
+
+def patterns(count, n, seed=0):
+    """Return random levels, some of them smooth."""
+    random = np.random.default_rng(seed)
+    found = []
+    for k in range(count):
+        surface = gaussian_filter(random.normal(size=(n, n)), [0.8, 1.2, 2.0][k % 3])
+        found.append(np.mod(np.rint(128 + 80 * surface / surface.std()), 256))
+    return np.array(found, dtype=np.int64)
+
+
+def expose(table, levels):
+    """Set the exposure so that the brightest pixel of a pattern reaches 60 % of the range."""
+    table.camera.exposure = 0.05
+    for _ in range(6):
+        table.modulator.show(levels)
+        top = table.camera.capture(2).max()
+        table.camera.exposure *= 0.6 * 4095 / top if top < 4000 else 0.3
+
+
+def captures_of(table, count, frames):
+    levels = patterns(count, table.modulator.shape[0])
+    expose(table, levels[1])
+    there = (table.modulator, table.camera, levels, table.laser.wavelength)
+    return record_captures(*there, captures=frames, dark=DARK)
+
+
+def started(table, distance, **options):
+    """Return a model that knows the design of a table, and its registration to half a pixel."""
+    homography = table.truth.homography.copy()
+    homography[:2, 2] += [0.4 * table.camera.pitch, -0.3 * table.camera.pitch]
+    known = Registration(homography, 0.0, table.camera.shape)
+    wavelength, camera = table.laser.wavelength, table.camera
+    there = (table.modulator.shape, 8e-6, wavelength, distance, camera.shape, camera.pitch)
+    return display_model(*there, registration=known, **options)
+
+
+def above_noise(model, held):
+    """Return by how many dB the error of held-out captures exceeds their own noise, taken from their scatter."""
+    with torch.no_grad():
+        seen = np.stack([model(torch.as_tensor(p.astype(int))).numpy() for p in held.levels])
+    fine = held.frames.max(1) < 4000
+    noise = held.frames.var(1, ddof=1)[fine].mean() / held.frames.shape[1]
+    return 10 * np.log10(((seen - held.means()) ** 2)[fine].mean() / noise)
+
+
+def known(table, **options):
+    """Return a model with the hidden properties of a table."""
+    truth = table.truth
+    camera, wavelength = table.camera, table.laser.wavelength
+    model = display_model(
+        *(table.modulator.shape, 8e-6, wavelength, truth.distance, camera.shape, camera.pitch),
+        phases=truth.phases,
+        amplitude=truth.amplitude,
+        wavefront=truth.wavefront,
+        registration=Registration(truth.homography, truth.distortion, camera.shape),
+        **options,
+    )
+    with torch.no_grad():
+        model.reflection.copy_(torch.tensor([truth.reflection.real, truth.reflection.imag]))
+        model.fringing.fill_(truth.fringing)
+        if options.get("samples_per_pixel", 1) > 1:
+            model.fill.fill_(truth.fill_factor)
+    return model
+
+
+@pytest.mark.parametrize("samples", [1, 3])
+def test_a_model_with_the_truth_sees_what_the_table_shows(samples):
+    faults = {"fringing": 0.5, "fill_factor": 0.9 if samples > 1 else 1.0, "samples_per_pixel": samples}
+    table = SimulatedTable(3, shape=(24, 28), distance=2e-3, camera_shape=(30, 34), **faults)
+    model = known(table, samples_per_pixel=samples, dtype=torch.float64)
+    levels = np.random.default_rng(0).integers(256, size=(24, 28))
+    table.modulator.show(levels)
+    u, v = np.meshgrid(np.arange(34.0), np.arange(30.0))
+    points = table.truth.plane_points(np.stack([u, v], axis=-1), (30, 34))
+    expected = table.camera._sampled(points, *table.intensity())
+    with torch.no_grad():
+        seen = model(torch.as_tensor(levels)).numpy()
+    assert np.sqrt(((seen - expected) ** 2).mean()) < 0.025 * expected.mean()
+    part = torch.tensor([3, 500, 1019])
+    assert torch.allclose(model(torch.as_tensor(levels), pixels=part), model(torch.as_tensor(levels)).flatten()[part])
+
+
+def test_a_tuned_laser_is_a_model_of_scaled_phases():
+    table = SimulatedTable(3, shape=(24, 24), distance=2e-3, camera_shape=(30, 30), fringing=0.5)
+    table.laser.wavelength = 639e-9
+    scale = 532 / 639
+    table.truth = dataclasses.replace(table.truth)
+    model = known(table, dtype=torch.float64)
+    model._phases *= scale
+    model._wavefront *= scale
+    levels = np.random.default_rng(0).integers(256, size=(24, 24))
+    table.modulator.show(levels)
+    light, pitch = table.intensity()
+    at = [n // 2 + np.rint((np.arange(24) - 12) * 8e-6 / pitch).astype(int) for n in light.shape]
+    with torch.no_grad():
+        seen = model.image(model.table()[torch.as_tensor(levels)]).numpy()
+    # The camera of the table blurs by half a pixel of the modulator.
+    assert np.corrcoef(seen.ravel(), light[np.ix_(*at)].ravel())[0, 1] > 0.98
+
+
+def test_gradients():
+    model = display_model(
+        *([8, 9], 8e-6, 532e-9, 5e-4, [7, 8], 6e-6),
+        samples_per_pixel=2,
+        iris=0.9,
+        free_form=3,
+        residual=2,
+        nodes=4,
+        source_order=2,
+        zernike_order=2,
+        dtype=torch.float64,
+    )
+    random = torch.Generator().manual_seed(0)
+    with torch.no_grad():
+        for part in model.parameters():
+            part += 0.03 * torch.randn(part.shape, generator=random, dtype=torch.float64)
+    names, values = zip(
+        *((name, part.detach().requires_grad_()) for name, part in model.named_parameters()), strict=True
+    )
+    levels = torch.randint(256, (8, 9), generator=random)
+
+    def seen(*parts):
+        return torch.func.functional_call(model, dict(zip(names, parts, strict=True)), (levels,))
+
+    assert torch.autograd.gradcheck(seen, values, fast_mode=True, atol=1e-4)
+    phase = torch.rand(8, 9, generator=random, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(model.image, (phase,), fast_mode=True)
+
+
+def test_levels_are_nearest_where_the_response_varies():
+    random = np.random.default_rng(1)
+    model = display_model([12, 14], 8e-6, 532e-9, 1e-3, [8, 8], 8e-6, phases=np.cumsum(random.uniform(0, 0.06, 256)))
+    with torch.no_grad():
+        model.response[:2] = torch.tensor([0.1, -0.05])
+    phase = torch.as_tensor(random.uniform(-9, 9, (12, 14)), dtype=torch.float32)
+    found = model.table()[:, None, None].detach() * model.response_map().detach()
+    apart = torch.angle(torch.polar(torch.ones_like(found), found - phase)).abs()
+    chosen = torch.gather(apart, 0, model.levels(phase)[None])[0]
+    assert torch.allclose(chosen, apart.min(0).values, atol=1e-5)
+    phase.requires_grad_()
+    shown = model.shown(phase)
+    assert torch.allclose(torch.cos(shown - phase), torch.cos(chosen), atol=1e-5)
+    assert torch.autograd.grad(shown.sum(), phase)[0].eq(1).all()
+
+
+def test_a_small_fit_finds_alignment_and_distance():
+    table = SimulatedTable(
+        12, shape=(16, 16), distance=1.5e-3, camera_shape=(24, 24), nonlinearity=False, aberration=0.0
+    )
+    captures = captures_of(table, 3, 4)
+    model = started(table, 1.5e-3, zernike_order=2, source_order=2, nodes=4)
+    fit = fit_display(model, captures, iterations=9)
+    assert fit.history[-1] < 0.05 * fit.history[0]
+    assert float(model.propagation_distance().detach()) == pytest.approx(table.truth.distance, rel=2e-3)
+    pixels = np.random.default_rng(0).uniform(4, 20, (50, 2))
+    missed = model.registration().plane_points(pixels) - table.truth.plane_points(pixels, (24, 24))
+    assert np.abs(missed).max() < 0.1 * table.camera.pitch
+    with pytest.raises(ValueError, match=r"captures must be of patterns \[12, 12\]"):
+        fit_display(display_model([12, 12], 8e-6, 532e-9, 1e-3, [48, 48], 4e-6), captures)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    seed = int(np.random.default_rng(8).integers(1000))
+    faults = {"aberration": 0.15, "fringing": 0.4, "dust": 0, "camera_shape": (48, 48)}
+    table = SimulatedTable(seed, shape=(24, 24), distance=2.3e-3, **faults)
+    captures = captures_of(table, 7, 2)
+    model = started(table, 2.3e-3, nodes=9)
+    return table, captures, model, fit_display(model, captures[:5], iterations=18)
+
+
+@pytest.mark.slow
+def test_held_out_captures_are_predicted_to_their_noise(fitted):
+    _, captures, model, fit = fitted
+    assert fit.chi_squared < 1.3
+    assert above_noise(model, captures[5:]) < 1.0
+    assert fit.history[0] > 100 * fit.history[-1]
+
+
+@pytest.mark.slow
+def test_parameters_come_out_where_they_were_hidden(fitted):
+    table, _, model, fit = fitted
+    truth = table.truth
+    error = float(model.propagation_distance().detach()) - truth.distance
+    assert abs(error) < 5e-4 * truth.distance
+    assert 1e-9 < float(fit.uncertainties["distance"]) * model._depth < 5e-6
+    wave = model.wavefront().detach().numpy() - truth.wavefront
+    assert (wave - wave.mean()).std() < 2 * np.pi / 200 < 0.05 * truth.wavefront.std()
+    assert np.abs(model.table().detach().numpy() - truth.phases).max() < 0.04
+    pixels = np.random.default_rng(0).uniform(8, 40, (50, 2))
+    missed = model.registration().plane_points(pixels) - truth.plane_points(pixels, (48, 48))
+    assert np.abs(missed).max() < 0.05 * table.camera.pitch
+    assert float(model.fringing.detach()) == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.slow
+def test_uncertainties_are_those_of_repeated_captures():
+    """Fits to captures with other noise scatter by the uncertainty that each of them reports."""
+    table = SimulatedTable(9, shape=(16, 16), distance=1.2e-3, camera_shape=(24, 24), aberration=0.1)
+    levels = patterns(3, 16)
+    expose(table, levels[1])
+    options = {"zernike_order": 3, "source_order": 2, "nodes": 4}
+    model = started(table, 1.2e-3, **options)
+    with torch.no_grad():
+        model.brightness += 6.0
+        light = model(torch.as_tensor(levels)).clamp_min(0)
+    captures = record_captures(table.modulator, table.camera, levels, 532e-9)
+    state, found, sigmas = model.state_dict(), [], []
+    state = {name: value.clone() for name, value in state.items()}
+    random = np.random.default_rng(3)
+    slope, floor = 4095 / 20000, 0.5
+    for _ in range(12):
+        frames = light.numpy()[:, None] + random.normal(size=(3, 2, 24, 24)) * np.sqrt(
+            slope * light.numpy()[:, None] + floor
+        )
+        model.load_state_dict(state)
+        fit = fit_display(
+            model, dataclasses.replace(captures, frames=frames, dark=0.0), iterations=2, noise=(slope, floor)
+        )
+        found.append(torch.cat([model.distance, model.aberration, model.alignment[:2]]).detach())
+        sigmas.append(
+            torch.cat(
+                [fit.uncertainties[name] for name in ("distance", "aberration")] + [fit.uncertainties["alignment"][:2]]
+            )
+        )
+    ratio = torch.stack(found).double().std(0) / torch.stack(sigmas).mean(0)
+    # The scatter of twelve is known to 21 %.
+    assert ratio.min() > 0.4 and ratio.max() < 1.7 and 0.75 < ratio.mean() < 1.25
+
+
+def picture(n):
+    """Return a target with bars of several widths and a disc."""
+    y, x = np.mgrid[:n, :n] / n - 0.5
+    shape = (np.hypot(x - 0.18, y + 0.15) < 0.15).astype(float)
+    shape += 0.8 * ((np.abs(y - 0.2) < 0.1) & (np.abs(x) < 0.33) & (np.mod(x * 12, 1) < 0.5))
+    shape += 0.5 * ((np.abs(x + 0.2) < 0.12) & (np.abs(y + 0.17) < 0.12))
+    return torch.as_tensor(gaussian_filter(shape, 0.7), dtype=torch.float32)
+
+
+def quality(table, levels, target, positions=(0.0,)):
+    """Return the PSNR in dB of what a table shows, with fresh noise, at the points where the target lies."""
+    n = len(target[0])
+    table.modulator.show(levels.numpy())
+    at = (np.arange(n) - n // 2) * table.modulator.pitch
+    points = np.stack(np.meshgrid(at, at), axis=-1)
+    truth = table.truth
+    pixels = Registration(truth.homography, truth.distortion, table.camera.shape).camera_pixels(points)
+    images = []
+    for place in positions:
+        table.stage.move(place)
+        frame = table.camera.capture(2).mean(0) - DARK
+        images.append(map_coordinates(frame, [pixels[..., 1], pixels[..., 0]], order=3, mode="nearest"))
+    table.stage.move(0.0)
+    images, wanted = np.stack(images), target.expand(len(positions), n, n).numpy()
+    images *= (images * wanted).sum() / (images**2).sum()
+    return 10 * np.log10(wanted.max() ** 2 / ((images - wanted) ** 2).mean())
+
+
+@pytest.mark.slow
+def test_holograms_through_the_model_are_better_on_the_table(fitted):
+    table, _, model, _ = fitted
+    target = picture(24)
+    ideal = display_model([24, 24], 8e-6, 532e-9, 2.3e-3, [48, 48], 4e-6)
+    found = {}
+    for name, display in (("ideal", ideal), ("fitted", model)):
+        levels = display_hologram(display, target, iterations=80)
+        assert levels.dtype == torch.uint8 and levels.shape == (24, 24)
+        expose(table, levels.numpy())
+        found[name] = quality(table, levels, target)
+    assert found["fitted"] > found["ideal"] + 1.6
+
+
+@pytest.mark.slow
+def test_a_table_is_a_camera_in_the_loop(fitted):
+    table, _, model, _ = fitted
+    target = picture(24)
+    expose(table, display_hologram(model, target, iterations=20).numpy())
+    camera = display_camera(model, table.modulator, table.camera, captures=2, dark=DARK)
+    phase = torch.rand(24, 24, generator=torch.Generator().manual_seed(0)) * 6
+    with torch.no_grad():
+        scale = float(torch.exp(model.brightness))
+        expected = model.image(model.shown(phase))
+    # The brightness is that of the exposure of the captures that the model was fitted to.
+    seen = camera(phase) * scale
+    seen = seen / seen.mean() * expected.mean()
+    assert np.corrcoef(seen.numpy().ravel(), expected.numpy().ravel())[0, 1] > 0.9
+    field, _ = stochastic_gradient_descent(
+        *(target, 532e-9, model.propagation_distance().item(), 8e-6),
+        n_iteration=3,
+        camera=camera,
+        scale=True,
+        progress=False,
+        initial_phase=phase,
+    )
+    assert field.shape == (24, 24)
+
+
+@pytest.mark.slow
+def test_wrong_arguments_are_named(fitted):
+    _, captures, model, _ = fitted
+    with pytest.raises(ValueError, match=r"captures must be of patterns \[12, 12\]"):
+        fit_display(display_model([12, 12], 8e-6, 532e-9, 1e-3, [48, 48], 4e-6), captures)
+    with pytest.raises(ValueError, match="refinements need a model with free_form"):
+        fit_display(model, captures, refinements=2)
+    with pytest.raises(TypeError, match="model must be a display_model"):
+        fit_display(torch.nn.Identity(), captures)
+    with pytest.raises(ValueError, match="registration must be of a camera"):
+        display_model([8, 8], 8e-6, 532e-9, 1e-3, [9, 9], 4e-6, registration=Registration(np.eye(3), 0.0, (8, 8)))
+    with pytest.raises(ValueError, match=r"amplitude must be \[8, 8\]"):
+        display_model([8, 8], 8e-6, 532e-9, 1e-3, [9, 9], 4e-6, amplitude=np.ones((4, 4)))
+    with pytest.raises(ValueError, match=r"target must be \[24, 24\]"):
+        display_hologram(model, torch.ones(2, 24, 24))
+
+
+@pytest.mark.slow
+def test_a_realistic_table_is_predicted_to_its_noise_and_shows_better_holograms():
+    """All faults, with dust and a response that differs from pixel to pixel, found by maps of free form."""
+    n, distance = 32, 3e-3
+    faults = {"aberration": 0.2, "fringing": 0.4, "samples_per_pixel": 1, "fill_factor": 1.0, "iris": None, "dust": 2}
+    table = SimulatedTable.realistic(21, shape=(n, n), distance=distance, camera_shape=(64, 64), **faults)
+    captures = captures_of(table, 33, 2)
+    model = started(table, distance, free_form=n)
+    fit_display(model, captures[:8], iterations=10)
+    fit_display(model, captures[:30], iterations=4, refinements=30, learning_rate=2e-2)
+    fit_display(model, captures[:30], iterations=0, refinements=12, learning_rate=3e-3)
+    assert above_noise(model, captures[30:]) < 1.0
+    target = picture(n)
+    ideal = display_model([n, n], 8e-6, 532e-9, distance, [64, 64], 4e-6)
+    stack = torch.stack([target, target.flip(-1)])
+    for images, places in ((target, (0.0,)), (stack, (0.0, 1e-3))):
+        found = []
+        for display in (ideal, model):
+            levels = display_hologram(display, images, places, iterations=120)
+            expose(table, levels.numpy())
+            found.append(quality(table, levels, images, places))
+        assert found[1] > found[0] + 1.6
+
+
+@pytest.mark.slow
+def test_a_table_of_three_colours_shows_better_holograms():
+    n, distance = 24, 2.3e-3
+    table = SimulatedTable(17, shape=(n, n), distance=distance, camera_shape=(48, 48), aberration=0.2, fringing=0.4)
+    target, gains = picture(n), []
+    for wavelength in (639e-9, 532e-9, 473e-9):
+        table.laser.wavelength = wavelength
+        scale = 532e-9 / wavelength
+        nominal = np.arange(256) * (2 * np.pi / 256) * scale
+        model = started(table, distance, phases=nominal)
+        ideal = display_model([n, n], 8e-6, wavelength, distance, [48, 48], 4e-6, phases=nominal)
+        fit_display(model, captures_of(table, 5, 2), iterations=10)
+        found = []
+        for display in (ideal, model):
+            levels = display_hologram(display, target, iterations=100)
+            expose(table, levels.numpy())
+            found.append(quality(table, levels, target))
+        gains.append(found[1] - found[0])
+    assert min(gains) > 1.6
