@@ -106,7 +106,7 @@ class thin_diffuser:
         local = within_frame(hits, self.settings["center"], self.settings["angles"])[:, :2]
         inside = is_ahead(rays, hits) & np.all(np.abs(local) <= np.asarray(self.settings["shape"]) / 2, axis=-1)
         towards = self.diffusion_points / np.linalg.norm(self.diffusion_points, axis=-1, keepdims=True)
-        directions = _turned(towards, rays[:, 1])
+        directions = _rotated(towards, rays[:, 1])
         new_rays = np.stack(np.broadcast_arrays(hits[:, None], directions), axis=-2)
         new_rays[~inside] = np.nan
         return new_rays.reshape(-1, 2, 3), normal, distance
@@ -134,7 +134,7 @@ def _ring_points(number: Sequence[int], radius: float) -> np.ndarray:
     return np.concatenate((flat, np.ones((len(flat), 1))), axis=-1)
 
 
-def _turned(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _rotated(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return ``[m, n, 3]``: n vectors about +z, each turned by the shortest way that takes +z to the m directions."""
     x, y, z = directions.T
     # The rotation matrix 1 + [v]× + [v]×²/(1 + z), v = +z × d; opposite to +z any half turn will do.

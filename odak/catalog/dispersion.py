@@ -34,6 +34,8 @@ class Material:
         Published index at the helium d line (587.6 nm).
     vd : float, optional
         Published Abbe number (n_d − 1)/(n_F − n_C).
+    extinction : pair of tuple of float, optional
+        Wavelengths in micrometres, and extinction coefficients κ at them.
 
     Examples
     --------
@@ -80,7 +82,7 @@ def sellmeier(squared, coefficients):
 
 
 def cauchy(squared, coefficients):
-    """Return A₀ + A₁/λ² + A₂/λ⁴ and so on, as far as A goes."""
+    """Return A₀ + A₁/λ² + A₂/λ⁴ + …, for all coefficients A."""
     return sum((a / squared**k for k, a in enumerate(coefficients["A"])), 0 * squared)
 
 
@@ -114,7 +116,7 @@ def herzberger(squared, coefficients):
 
 
 def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
-    """Return a glass that has no name, from its index and dispersion: what patents and lens files state.
+    """Return a model glass of given index and dispersion, as patents and lens files state them.
 
     Parameters
     ----------

@@ -132,7 +132,7 @@ class plano_convex_lens:
             the nearest hit ahead within the aperture. NaN where there is none.
         """
         rays = arguments.flat_rays("ray", ray)
-        hits = (self._meet_flat_face(rays), *self._meet_sphere(rays))
+        hits = (self._meet_flat_face(rays), *self._sphere_intersections(rays))
         distance = np.stack([np.where(np.isnan(d), np.inf, d) for _, d in hits])
         nearest = np.argmin(distance, axis=0)
         each = np.arange(len(rays))
@@ -171,8 +171,8 @@ class plano_convex_lens:
         missed = (distance == 0) | ~is_ahead(rays, normal[:, 0])
         return normal, np.where(missed | self._starts_at(rays, distance), np.nan, distance)
 
-    def _meet_sphere(self, rays):
-        """Return both meetings with the sphere, NaN distance where one is not on the cap."""
+    def _sphere_intersections(self, rays):
+        """Return both intersections with the sphere, NaN distance where one is not on the cap."""
         nearest, reached = _sphere_hits(rays, self.convex_surface)
         onward = np.stack((nearest[:, 0], rays[:, 1]), axis=1)
         last, further = _sphere_hits(onward, self.convex_surface)
@@ -184,7 +184,7 @@ class plano_convex_lens:
         return normal, np.where(on_cap & ~self._starts_at(rays, distance), distance, np.nan)
 
     def _starts_at(self, rays, distance):
-        # A ray that leaves a face does not meet it again at its own start.
+        # The start of a ray on a face is not an intersection with that face.
         return ~(distance > 1e-12 * (self.radius + np.abs(rays[:, 0]).max(axis=-1)))
 
 

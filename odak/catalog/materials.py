@@ -79,16 +79,16 @@ def refractive_index(
 def internal_transmittance(
     name: Any, wavelength: float | Array, thickness: float | Array, unit: str = "m"
 ) -> float | Array:
-    """Return the share of the power that a thickness of a glass lets pass, without the losses at its faces.
+    """Return the internal transmittance of a thickness of glass, without the losses at its faces.
 
     Parameters
     ----------
     name : str or Material
-        As of :func:`refractive_index`.
+        Name in the catalogue, see :func:`material_names`, or a material.
     wavelength : float or array
         Vacuum wavelength.
     thickness : float or array
-        Length of the way through the material.
+        Length of the path through the material.
     unit : str
         Unit of both: "m", "mm", "um" or "nm".
 

@@ -20,7 +20,7 @@ def grid_over(count: Sequence[int], shape: Sequence[float], center, angles) -> n
 
 
 def place(points: np.ndarray, location, angles) -> np.ndarray:
-    """Return points of an object's own frame where the object stands: R·p + location."""
+    """Return points of an object's own frame in space: R·p + location."""
     return apply_matrix(rotation_matrix(np.asarray(angles, dtype=np.float64)), points) + np.asarray(location)
 
 

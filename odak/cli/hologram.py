@@ -163,9 +163,15 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
         files.save_pattern(path, files.quantise(pattern, job.bits), job.bits)
     phases = torch.stack([files.load_pattern(path, job.bits) for path in paths])
     saved = wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
-    unquantised, image = (_light(job, field, wavelength, job.distance, method).mean(0) for field in (ideal, saved))
+    unquantised, image = (
+        _intensity_at(job, field, wavelength, job.distance, method).mean(0) for field in (ideal, saved)
+    )
     numbers = report.measure(intensity, target.window, image, unquantised)
-    areas = image if job.fill_factor is not None else _light(job, saved, wavelength, job.distance, method, 1.0).mean(0)
+    areas = (
+        image
+        if job.fill_factor is not None
+        else _intensity_at(job, saved, wavelength, job.distance, method, 1.0).mean(0)
+    )
     return {
         "wavelength": wavelength,
         "file": paths[0].name,
@@ -205,7 +211,7 @@ def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[tor
     return hologram, clock.seconds_per_tick(), clock.loss
 
 
-def _light(
+def _intensity_at(
     job: Job, fields: torch.Tensor, wavelength: float, distance: float, propagation_type: str, fill: float | None = None
 ) -> torch.Tensor:
     """Return the intensity at a distance over the modulator's window.
@@ -571,7 +577,11 @@ def _reconstruct_volume(
                 job.resolution, job.pixel_pitch, wavelength, distance, zero_padding=True
             ).recommended
             lit = power > 0
-            light = _light(job, fields[lit], wavelength, distance, method, fill) if bool(lit.any()) else fields.real * 0
+            light = (
+                _intensity_at(job, fields[lit], wavelength, distance, method, fill)
+                if bool(lit.any())
+                else fields.real * 0
+            )
             share = power[lit].square() if bool(lit.any()) else torch.ones_like(power)
             images.append((light * share[:, None, None]).sum(0) / share.sum())
     return torch.stack(images).reshape(volume.images.shape)

@@ -412,7 +412,7 @@ def register_camera(
     extent: float = 0.75,
     captures: int = 8,
 ) -> Registration:
-    """Find which points of the image plane the pixels of a camera see.
+    """Determine the mapping from the pixels of a camera to points of the image plane.
 
     Three single spots give an affine estimate; then a grid of spots, computed by weighted Gerchberg–Saxton iterations
     (Di Leonardo, Ianni and Ruocco 2007), is found by centroids, and a homography with radial distortion is fitted.
@@ -496,7 +496,7 @@ def register_camera(
 
     begin = np.append((start / start[2, 2] / np.array([[pitch], [pitch], [1.0]])).ravel()[:8], 0.0)
     scale = np.array([1, 1, 10, 1, 1, 10, 1e-3, 1e-3, 0.1])
-    # Spots that were missed do not bend the mapping.
+    # Spots that were missed do not enter the fit of the mapping.
     fitted = least_squares(misfit, begin, x_scale=scale, loss="soft_l1", f_scale=0.3)
     found = mapping(fitted.x)
     residual = float(np.sqrt((misfit(fitted.x).reshape(-1, 2) ** 2).sum(-1).mean()))
@@ -740,7 +740,7 @@ def measure_illumination(
     camera.region = None
     seen = np.stack(frames).reshape(len(steps), -1)
     fine = seen.max(-1) < 0.95 * ((1 << camera.bits) - 1)
-    # The darkest of many speckles is black.
+    # The minimum over many speckles is zero intensity.
     seen, steps = seen[fine] - np.quantile(seen, 0.005), steps[fine]
     v, u = np.meshgrid(np.arange(row, row + high), np.arange(column, column + wide), indexing="ij")
     # A pixel averages over its area: Gauss's formula of two points along each axis.
@@ -958,7 +958,7 @@ def _read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
 
 
 def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:
-    """Return what the camera would see of a pattern on a table without faults."""
+    """Return the simulated capture of a pattern on an ideal table."""
     rows, columns = modulator.shape
     wide = [2 * n for n in (rows, columns)]
     field = np.zeros(wide, dtype=complex)

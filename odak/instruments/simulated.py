@@ -212,7 +212,7 @@ class SimulatedTable:
         modes = [zernike_polynomial(n, m, np.hypot(x, y) / half, np.arctan2(y, x)) for n, m in ABERRATIONS]
         wavefront = sum(w * mode for w, mode in zip(weights, modes, strict=True))
         aberration = float(_validate.number("aberration", aberration, least=0))
-        # Tilt and defocus cannot be told from a shift and a distance.
+        # Tilt and defocus are equivalent to a shift and a change of distance.
         low = np.stack([x + 0 * y, y + 0 * x, x**2 + y**2, np.ones_like(wavefront)], axis=-1).reshape(-1, 4)
         wavefront = wavefront - (low @ np.linalg.lstsq(low, wavefront.ravel(), rcond=None)[0]).reshape(rows, columns)
         wavefront = wavefront * (2 * np.pi * aberration / np.sqrt((wavefront**2).mean()))

@@ -40,7 +40,7 @@ _WAKE = "wake"
 
 
 class Lost(Exception):
-    """A group of tasks whose results were lost through no fault of theirs: they are to be computed again."""
+    """A group of tasks whose results were lost with a worker; they are computed again."""
 
 
 class Backend(Protocol):
@@ -49,7 +49,7 @@ class Backend(Protocol):
     client: Any
 
     def connect(self) -> None:
-        """Reach the cluster, if that has not been done."""
+        """Connect to the cluster, unless this has been done."""
 
     def slots(self) -> int:
         """Return how many tasks run at once."""
@@ -67,7 +67,7 @@ class Backend(Protocol):
         """End a call of :meth:`wait` in another thread."""
 
     def drop(self) -> None:
-        """Forget all groups."""
+        """Drop all groups."""
 
     def close(self) -> None:
         """Leave the cluster."""
@@ -110,7 +110,7 @@ class Serial:
         """Do nothing: there is no cluster."""
 
     def slots(self) -> int:
-        """Return one."""
+        """Return 1."""
         return 1
 
     def load(self, compute: Callable) -> None:
@@ -131,7 +131,7 @@ class Serial:
         """Do nothing: the call ends with its group."""
 
     def drop(self) -> None:
-        """Forget what was started."""
+        """Drop the groups that were started."""
         self._started.clear()
 
     def close(self) -> None:
@@ -310,7 +310,7 @@ class Cluster:
                 elif self._expects(item):
                     back.append(self._result(item, {}))
             if done:
-                # In a thread: a worker that does not answer must not hold up the results of others.
+                # In a thread: a worker that does not answer must not delay the results of others.
                 threading.Thread(target=_fetch, args=(client, done, self._events), daemon=True).start()
             if any(isinstance(result, Lost) for _, result in back) or time.monotonic() > self._checked + _CHECK:
                 self._check()
@@ -353,7 +353,7 @@ class Cluster:
         self._events.put(_WAKE)
 
     def drop(self) -> None:
-        """Take all tasks back from the scheduler."""
+        """Cancel all tasks at the scheduler."""
         futures = [future for future, _ in self._groups.values()]
         self._groups, self._events = {}, queue.SimpleQueue()
         if futures and self.client is not None and self.client.status == "running":
@@ -371,7 +371,7 @@ class Cluster:
 
 @dataclass
 class _Unsent:
-    """A group that could not be packed."""
+    """A group that could not be serialised."""
 
     group: Group
     error: BaseException

@@ -369,7 +369,7 @@ class agent:
 
 
 class _Run:
-    """Hands tasks to a backend, a limited number at a time, and yields their results.
+    """Run of tasks on a backend, a limited number at a time, which yields their results.
 
     Parameters
     ----------
@@ -470,10 +470,10 @@ class _Run:
             self._waiting.append((index,))
 
     def _without_outcome(self, group: Group, error: BaseException) -> Iterator[tuple[int, Any]]:
-        """Take back tasks that could not be sent, or whose worker was lost."""
+        """Queue again tasks that could not be sent, or whose worker was lost."""
         lost = isinstance(error, Lost)
         for index in group:
-            # A loss is no attempt; and which task of a group could not be sent is known once each has gone alone.
+            # A loss is not an attempt; the task of a group that cannot be sent is found by sending each alone.
             self._losses[index] += lost
             self._errors[index] += len(group) == 1 and not lost
             if self._errors[index] <= self._retries and self._losses[index] < _MOST_LOSSES:
@@ -552,7 +552,7 @@ class TaskError(RuntimeError):
 
 
 def describe(value: Any) -> str:
-    """Return a value in few words: arrays by type, shape and precision, long texts and lists cut short."""
+    """Return a short description of a value: arrays by type, shape and precision, long texts and lists truncated."""
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape is not None and dtype is not None:
         return f"{type(value).__name__}{list(shape)} of {dtype}"

@@ -146,7 +146,7 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[Array, Array]:
     ray, points = _validate.reals(ray=ray, points=points)
     ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
     _validate.fitting(ray=ray.shape[:-2], points=points.shape[:-2])
-    hit = _meet_plane(ray, points)
+    hit = _plane_intersections(ray, points)
     return arguments.single(arguments.as_rays(hit.point, hit.normal)), abs(hit.distance)
 
 
@@ -241,7 +241,7 @@ def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
     ray, triangle = _validate.reals(ray=ray, triangle=triangle)
     ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
     _validate.fitting(ray=ray.shape[:-2], triangle=triangle.shape[:-2])
-    hit = _meet_plane(ray, triangle)
+    hit = _plane_intersections(ray, triangle)
     xp = namespace(ray)
     place = xp.where(hit.hit[..., None], hit.point, 0.0)
     inside = hit.hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
@@ -375,7 +375,7 @@ def _curved(start, direction, hit) -> tuple:
     return arguments.single(arguments.as_rays(start, direction)), hit.distance
 
 
-def _meet_plane(rays, triangle):
+def _plane_intersections(rays, triangle):
     """Meet the planes of triangles through their centres, which rounding harms least."""
     centre = namespace(triangle).mean(triangle, axis=-2)
     return intersections.plane(rays[..., 0, :], rays[..., 1, :], centre, geometry.triangle_normal(triangle))

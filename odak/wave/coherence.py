@@ -125,7 +125,7 @@ def _step(geometry: dict) -> Callable:
 
     def step(field, wavelength, directions, shares):
         rank = max(field.ndim - 2, *ranks)
-        lit = _light(field, wavelength, directions, dx, rank)
+        lit = _illuminated(field, wavelength, directions, dx, rank)
         result = propagate_to_window(lit, wavelength, distance, dx, **geometry)
         xp = _array.namespace(result)
         intensity = xp.real(result) ** 2 + xp.imag(result) ** 2
@@ -134,7 +134,7 @@ def _step(geometry: dict) -> Callable:
     return step
 
 
-def _light(field, wavelength, directions, dx, rank: int):
+def _illuminated(field, wavelength, directions, dx, rank: int):
     """Return the field times plane waves from each direction, ``[directions, …, rows, columns]``."""
     xp = _array.namespace(field)
     tilts = [xp.reshape(directions[:, axis], (-1,) + (1,) * (rank + 2)) for axis in (0, 1)]

@@ -320,18 +320,18 @@ def spot_hologram(
     n_iterations = _validate.integer("n_iterations", n_iterations, minimum=1)
     columns, rows = _lens_factors(points, resolution, wavelength, dx, focal)
     xp, shape = _array.namespace(columns), (columns.shape[-1], rows.shape[-1])
-    count, free = tuple(rows.shape[:-1]), _free_turns(fixed_phase_after, n_iterations)
+    count, free = tuple(rows.shape[:-1]), _iterations_of_free_phase(fixed_phase_after, n_iterations)
     wanted = xp.ones(count, dtype=_array.real_dtype(rows), device=_array.device_of(rows))
     if intensities is not None:
-        wanted = wanted * xp.sqrt(_shares(intensities, wanted))
-    lit = None if illumination is None else _lit(illumination, wanted, shape)
+        wanted = wanted * xp.sqrt(_checked_intensities(intensities, wanted))
+    lit = None if illumination is None else _checked_illumination(illumination, wanted, shape)
     total = math.prod(shape) if lit is None else xp.sum(lit**2, axis=(-2, -1), keepdims=True)[..., 0]
     norm = (math.prod(shape) * total) ** 0.5
     weights, direction = wanted, _random_phasor(count, seed, rows)
     hologram = _superpose(direction * weights, columns, rows)
     for turn in range(n_iterations):
         spots = _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
-        weights = weights * _push(xp.abs(spots), wanted)
+        weights = weights * _amplitude_ratio(xp.abs(spots), wanted)
         direction = _unit(spots) if turn < free else direction
         hologram = _superpose(direction * weights, columns, rows)
     return hologram, _spots(hologram if lit is None else hologram * lit, columns, rows) / norm
@@ -398,11 +398,15 @@ def weighted_gerchberg_saxton(
     if _array.is_readable(target) and not 0 < float(_array.namespace(target).max(target)) < math.inf:
         raise ValueError("field must be finite and not zero everywhere, got NaN, infinite or only zeros")
     n_iterations = _validate.integer("n_iterations", n_iterations, minimum=1)
-    free = _free_turns(fixed_phase_after, n_iterations)
+    free = _iterations_of_free_phase(fixed_phase_after, n_iterations)
     xp, axes, shape = _array.namespace(target), (-2, -1), tuple(target.shape)
     # In the order of the transform, so that nothing is shifted in the loop.
     wanted = xp.fft.ifftshift(target, axes=axes)
-    lit = None if illumination is None else xp.fft.ifftshift(_lit(illumination, wanted, shape), axes=axes)
+    lit = (
+        None
+        if illumination is None
+        else xp.fft.ifftshift(_checked_illumination(illumination, wanted, shape), axes=axes)
+    )
     direction = xp.fft.ifftshift(_starting_phasor(initial_phase, seed, target), axes=axes)
     total = math.prod(shape[-2:]) if lit is None else xp.sum(lit**2, axis=axes, keepdims=True)
     norm = (math.prod(shape[-2:]) * total) ** 0.5
@@ -413,7 +417,7 @@ def weighted_gerchberg_saxton(
     weights, hologram = wanted, _unit(xp.fft.ifftn(direction * wanted, axes=axes))
     for turn in range(n_iterations):
         image = far_field(hologram)
-        weights = weights * _push(xp.abs(image), wanted, axes)
+        weights = weights * _amplitude_ratio(xp.abs(image), wanted, axes)
         direction = _unit(image) if turn < free else direction
         hologram = _unit(xp.fft.ifftn(direction * weights, axes=axes))
     return xp.fft.fftshift(hologram, axes=axes), xp.fft.fftshift(far_field(hologram) / norm, axes=axes)
@@ -479,7 +483,7 @@ def _lens_factors(points, resolution, wavelength, dx, focal):
     return factors
 
 
-def _free_turns(fixed_phase_after, n_iterations):
+def _iterations_of_free_phase(fixed_phase_after, n_iterations):
     if fixed_phase_after is None:
         return n_iterations - n_iterations // 3
     return _validate.integer("fixed_phase_after", fixed_phase_after)
@@ -497,14 +501,14 @@ def _spots(field, columns, rows):
     return xp.sum(xp.matmul(xp.conj(columns), field) * xp.conj(rows), axis=-1)
 
 
-def _push(amplitude, wanted, axes=-1):
+def _amplitude_ratio(amplitude, wanted, axes=-1):
     """Return the ratio of the wanted amplitudes to those reached, both normalised to the same mean."""
     xp = _array.namespace(amplitude)
     came, whole = (xp.sum(part * wanted, axis=axes, keepdims=True) for part in (amplitude, wanted))
-    return wanted * (came / whole) / _not_zero(amplitude)
+    return wanted * (came / whole) / _one_where_zero(amplitude)
 
 
-def _not_zero(amplitude):
+def _one_where_zero(amplitude):
     """Return the amplitude, 1 where it is zero."""
     xp = _array.namespace(amplitude)
     return xp.where(amplitude > 0, amplitude, xp.ones((), dtype=amplitude.dtype, device=_array.device_of(amplitude)))
@@ -515,7 +519,7 @@ def _unit(field):
     xp = _array.namespace(field)
     amplitude = xp.abs(field)
     one = xp.ones((), dtype=field.dtype, device=_array.device_of(field))
-    return xp.where(amplitude > 0, field / _not_zero(amplitude), one)
+    return xp.where(amplitude > 0, field / _one_where_zero(amplitude), one)
 
 
 def _starting_phasor(initial_phase, seed, target):
@@ -534,7 +538,7 @@ def _random_phasor(shape, seed, like):
     return _array.phasor_of_cycles(uniform(shape, seed, like), _array.complex_dtype(like))
 
 
-def _shares(intensities, wanted):
+def _checked_intensities(intensities, wanted):
     shares = _array.cast(_validate.real("intensities", intensities), wanted)
     if shares.ndim == 0 or shares.shape[-1] not in (1, wanted.shape[-1]):
         raise ValueError(f"intensities must be one for each of {wanted.shape[-1]} spots, got {tuple(shares.shape)}")
@@ -543,7 +547,7 @@ def _shares(intensities, wanted):
     return shares
 
 
-def _lit(illumination, like, shape):
+def _checked_illumination(illumination, like, shape):
     light = _array.cast(_validate.real("illumination", illumination), like)
     if light.ndim < 2 or tuple(light.shape[-2:]) != tuple(shape[-2:]):
         raise ValueError(

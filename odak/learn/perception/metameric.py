@@ -100,7 +100,7 @@ class _StatisticsLoss(nn.Module):
         picture = pad_image_for_pyramid(picture, self.n_pyramid_levels)
         return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
 
-    def _described(self, picture, colourspace, where):
+    def _target_statistics(self, picture, colourspace, where):
         """Return a target padded and converted, its statistics, and these as :meth:`_distance` reads them.
 
         The last is None where they are not computed in strips; otherwise both share their memory.
@@ -145,7 +145,7 @@ class _StatisticsLoss(nn.Module):
         if not image.numel():
             raise ValueError(f"image must not be empty, got {tuple(image.shape)}")
         with torch.inference_mode(False), torch.no_grad():
-            padded, statistics, kept = self._described(image.detach().clone(), "RGB", where)
+            padded, statistics, kept = self._target_statistics(image.detach().clone(), "RGB", where)
             maker = self._maker(image.shape[1])
             metamer = matched_noise(padded, statistics, maker, self.n_pyramid_levels, seed)
             if iterations:
@@ -308,7 +308,7 @@ class MetamericLoss(_StatisticsLoss):
         visualise_loss, geometry = _validate.flag("visualise_loss", visualise_loss), self._geometry(gaze)
         key = (geometry, self._options(), image_colorspace)
         reference, self.target_stats, kept = self._kept.get(
-            target, key, lambda: self._described(target, image_colorspace, geometry)
+            target, key, lambda: self._target_statistics(target, image_colorspace, geometry)
         )
         image = self._converted(image, image_colorspace)
         if kept is None or visualise_loss or self.use_radial_weight or not is_blocked(image):
@@ -538,7 +538,7 @@ class MetamericLossUniform(_StatisticsLoss):
         options = self.n_pyramid_levels, self.n_orientations, self.nominal_width, self.joint
         key = (where, options, image_colorspace)
         self.target, self.target_stats, kept = self._kept.get(
-            target, key, lambda: self._described(target, image_colorspace, where)
+            target, key, lambda: self._target_statistics(target, image_colorspace, where)
         )
         image = self._converted(image, image_colorspace)
         if kept is not None and not visualise_loss and is_blocked(image):

@@ -248,7 +248,9 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     as_pictures("predictions", predictions)
     pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
     opponent = _opponent(mix(rows(_FLIP_TO_XYZ), srgb_decoded(pair.flatten(0, -4).clamp(0, 1))))
-    seen = _hunt_lab(mix(rows(np.linalg.inv(_FLIP_TO_XYZ)), _from_opponent(_seen(opponent, density))).clamp(0, 1))
+    seen = _hunt_lab(
+        mix(rows(np.linalg.inv(_FLIP_TO_XYZ)), _from_opponent(_filtered_by_sensitivity(opponent, density))).clamp(0, 1)
+    )
     color = _redistributed(_hyab(*seen.chunk(2)))
     levels = ((opponent[:, :1] + 16) / 116).chunk(2)
     feature = _feature_difference(levels[0], levels[1], density)
@@ -368,7 +370,7 @@ def _from_opponent(opponent):
     return relative * _white(opponent)
 
 
-def _seen(opponent, density):
+def _filtered_by_sensitivity(opponent, density):
     """Return opponent channels filtered by the contrast sensitivity of each: sums of two Gaussians."""
     reach = math.ceil(3 * math.sqrt(max(b for *_, b in _FLIP_CSF[2]) / (2 * math.pi**2)) * density)
     offsets = torch.arange(-reach, reach + 1, dtype=torch.float64)
@@ -880,11 +882,11 @@ def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
     ordered, threshold = windows.sort(-1).values, windows.mean(-1)
     sums = torch.nn.functional.pad(ordered.cumsum(-1, dtype=torch.float64), (1, 0))
     for _ in range(max_iter):
-        dark, bright = _sides(ordered, sums, threshold)
+        dark, bright = _means_beside_threshold(ordered, sums, threshold)
         moved, threshold = threshold, (dark + bright) / 2
         if bool(((threshold - moved).abs() <= eps).all()):
             break
-    dark, bright = _sides(ordered, sums, threshold)
+    dark, bright = _means_beside_threshold(ordered, sums, threshold)
     contrast = torch.where(bright > _ALMOST_BLACK, 1 - dark / bright.clamp_min(_ALMOST_BLACK), 0).clamp_min(0)
     return {
         "contrast_map": contrast,
@@ -894,7 +896,7 @@ def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
     }
 
 
-def _sides(ordered, sums, threshold):
+def _means_beside_threshold(ordered, sums, threshold):
     """Return the means of the pixels below a threshold and of those from it on; the threshold where there are none.
 
     The pixels of a window come in ascending order, with the sums of the first 0, 1, … of them.

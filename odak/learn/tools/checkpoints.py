@@ -14,14 +14,14 @@ import torch
 from odak import _torch_private, _validate
 from odak.tools.paths import replacing
 
-# Called with a number, as torch lets a file do, it makes as many bytes, whatever the size of the file.
+# Called with a number, as a file may ask of torch, it allocates as many bytes, whatever the size of the file.
 _INFLATES = b"bytearray\n"
 # Entries of lists and dictionaries, shared ones counted each time, that any file may hold; beyond it one for each byte.
 _LEAST_LIMIT = 1_000_000
 
 
 class UnsafeFileError(pickle.UnpicklingError, ValueError):
-    """The file would run code, take far more memory than its size, or is not one of torch's."""
+    """The file would run code, takes far more memory than its size, or is not one of torch."""
 
 
 def read_torch_file(path: str | os.PathLike, device: torch.device | str | None = None) -> Any:
@@ -220,7 +220,7 @@ def read_checkpoint(
 
 @contextmanager
 def taking_up(path: str | os.PathLike) -> Iterator[None]:
-    """Turn what goes wrong while a state is taken up into a ValueError that names its file.
+    """Convert errors while a state is restored to a ValueError that names its file.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def taking_up(path: str | os.PathLike) -> Iterator[None]:
 
 @contextmanager
 def own_randomness(seed: int | None, device: torch.device) -> Iterator[None]:
-    """Seed torch's generators for a while and give them back as they were.
+    """Seed torch's generators within a block and restore their states at its end.
 
     Parameters
     ----------
@@ -265,7 +265,7 @@ def randomness(device: torch.device) -> list[torch.Tensor]:
 
 
 def set_randomness(states: list[torch.Tensor], device: torch.device) -> None:
-    """Take up states that :func:`randomness` returned."""
+    """Restore states that :func:`randomness` returned."""
     torch.set_rng_state(states[0].cpu())
     if device.type == "cuda" and len(states) > 1:
         torch.cuda.set_rng_state(states[1].cpu(), device)

@@ -250,7 +250,7 @@ def decompose_bspline_2d(
 def compose_bspline_2d(
     control_coefficients: torch.Tensor, basis_matrix: torch.Tensor | SeparableBasis, resolution: Sequence[int]
 ) -> torch.Tensor:
-    """Return the picture that coefficients of B-splines stand for.
+    """Return the picture of given coefficients of B-splines.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ def compose_bspline_2d(
 def decompose_wavelet_like(
     image: torch.Tensor, n_scales: int = 4
 ) -> tuple[list[torch.Tensor], list[torch.Tensor], torch.Tensor]:
-    """Split a picture into a smooth base and residuals, each what the next coarser grid of B-splines cannot hold.
+    """Split a picture into a smooth base and the residuals of its fits on successively coarser grids of B-splines.
 
     Parameters
     ----------

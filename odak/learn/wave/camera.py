@@ -43,7 +43,7 @@ def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -
     return captured.detach()
 
 
-def seen(image: torch.Tensor, captured: torch.Tensor) -> torch.Tensor:
+def with_model_gradient(image: torch.Tensor, captured: torch.Tensor) -> torch.Tensor:
     """Return the captured intensity with the gradient of the model's intensity `image` (Peng et al. 2020, eq. 8)."""
     return image + (captured.to(image) - image).detach()
 

@@ -14,7 +14,7 @@ from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, floating, tensor, trainable
-from odak.learn.wave.camera import captured_by, seen
+from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
 from odak.learn.wave.fields import generate_complex_field, intensity, unit_phasor
 from odak.learn.wave.linear_kernels import propagate_within_window
@@ -190,7 +190,7 @@ def stochastic_gradient_descent(
         image = intensity(reconstruct(modulate(phase)))
         image = image if frames == 1 else image.mean(0)
         if camera is not None:
-            image = seen(image, captured_by(camera, phase, tuple(image.shape)))
+            image = with_model_gradient(image, captured_by(camera, phase, tuple(image.shape)))
         if scale:
             image = image * best_scale(image.detach(), target)
         loss = loss_function(image, target)

@@ -243,7 +243,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     step = 1e-4 * pupil.reach[..., None, None, None]
 
     def errors(px, py, share=1.0, part=1.0):
-        rays = through_places(system, _shrunk(system, fields, share), pupil, px, py)
+        rays = through_places(system, _scaled_fields(system, fields, share), pupil, px, py)
         x, y, kept = at_stop(system, numbers, rays)
         return x - part * radius * points[..., 0], y - part * radius * points[..., 1], kept
 
@@ -264,7 +264,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
 
 
-def _shrunk(system, fields: torch.Tensor, share):
+def _scaled_fields(system, fields: torch.Tensor, share):
     """Return field points at a fraction of the way from the axis, per ray."""
     if isinstance(share, float):
         return fields
@@ -305,13 +305,13 @@ def _continued(system, errors, middle, x, y, found, step, radius):
     zero = torch.zeros_like(x)
     cx, cy = (value.expand(x.shape).clone() for value in middle)
     # From the axis to the field, with the point in the stop at its centre; then from the centre to the point.
-    cx, cy, reached = _march(errors, cx, cy, found, step, radius, lambda s: (s, zero))
-    px, py, reached = _march(errors, cx, cy, found | ~reached, step, radius, lambda s: (1.0 + zero, s))
+    cx, cy, reached = _continuation(errors, cx, cy, found, step, radius, lambda s: (s, zero))
+    px, py, reached = _continuation(errors, cx, cy, found | ~reached, step, radius, lambda s: (1.0 + zero, s))
     done = ~found & reached
     return torch.where(done, px, x), torch.where(done, py, y), found | done
 
 
-def _march(errors, x, y, idle, step, radius, way):
+def _continuation(errors, x, y, idle, step, radius, way):
     """Return coordinates followed from s = 0 to s = 1 in steps that adapt to each ray, and which rays came through."""
     s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
     x, y, good = _solve(errors, x, y, step, radius, *way(s))

@@ -220,7 +220,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
     medium: Graded | None = None
     for i, kind in enumerate(layout.kinds):
         shape = _shape(kind, curvature[..., i], conic[..., i], coefficients[..., i, :], others)
-        phase, gradient = (_taken(given[i], others) if given else None for given in (layout.phases, layout.media))
+        phase, gradient = (_rebuilt(given[i], others) if given else None for given in (layout.phases, layout.media))
         action, sign = layout.actions[i], layout.signs[i]
         if medium is None:
             point = (point[0], point[1], point[2] - distance[..., i])
@@ -250,21 +250,21 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             here = medium.frame if place is None else medium.frame.then(place)
             curved = arrive(medium.gradient, medium.base, here, point, direction, shape, sign)
             point, direction, n1, length, arrived = curved
-            status = _marked(status, arrived, RayStatus.NOT_CONVERGED)
+            status = _with_event(status, arrived, RayStatus.NOT_CONVERGED)
             path = path + torch.where(status == HIT, length, 0.0)
         # A ray must arrive from the side that its surface is passed from.
         moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
-        status = _marked(status, moves, RayStatus.MISS)
+        status = _with_event(status, moves, RayStatus.MISS)
         point, direction = _on_axis(status, sign, point, direction)
         found, state = intersection(point, direction, shape, None, "through")
-        status = _marked(status, found.hit, state)
+        status = _with_event(status, found.hit, state)
         kept = status == HIT
         path = path + n1 * torch.where(kept, found.distance, 0.0)
         point, direction = _on_axis(status, sign, found.point, direction)
         limit = layout.limits[i]
         if limit is not None:
             inside = _passes(limit, point[0], point[1])
-            status = _marked(status, inside, RayStatus.VIGNETTED)
+            status = _with_event(status, inside, RayStatus.VIGNETTED)
         incoming, normal, n2 = direction, None, index[..., i + 1]
         if action != "pass" or phase is not None:
             normal = _on_axis(status, 1, point, found.normal)[1]
@@ -275,7 +275,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
                 n2 = torch.where(squared > 0, squared, 1.0).sqrt()
             if phase is not None:
                 covered = phase.covers(point[0], point[1])
-                status = status if covered is True else _marked(status, covered, RayStatus.VIGNETTED)
+                status = status if covered is True else _with_event(status, covered, RayStatus.VIGNETTED)
                 wave = wavelength  # type: ignore[assignment]
                 direction, through, extra = phase.deflect(point, direction, normal, n1, n2, wave, action == "reflect")
                 path = path + torch.where(status == HIT, extra, 0.0)
@@ -283,7 +283,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
                 direction, through = interfaces.reflected(direction, normal), torch.ones_like(kept)
             else:
                 direction, through, _ = interfaces.refracted(direction, normal, n1, n2)
-            status = _marked(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
+            status = _with_event(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
             point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
         if record is not None:
             ways = [incoming, direction, direction if normal is None else normal]
@@ -308,10 +308,10 @@ def _shape(kind, curvature, conic, coefficients, others) -> Shape:
         return Conic(curvature, conic)
     if kind is EvenAsphere:
         return EvenAsphere(curvature, conic, coefficients)
-    return _taken(kind, others)
+    return _rebuilt(kind, others)
 
 
-def _taken(kind, others):
+def _rebuilt(kind, others):
     return None if kind is None else kind(*(next(others) for _ in kind.ranks_of_parameters()))
 
 
@@ -319,7 +319,7 @@ def _passes(limit, x, y):
     return x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
 
 
-def _marked(status, good, otherwise):
+def _with_event(status, good, otherwise):
     """Return statuses after an event: the first event of a ray is kept."""
     event = otherwise if isinstance(otherwise, torch.Tensor) else int(otherwise)
     return torch.where((status == HIT) & ~good, event, status).to(torch.int8)

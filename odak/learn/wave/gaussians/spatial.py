@@ -213,7 +213,7 @@ class complex_3d_gaussians(nn.Module):
         x, y, z = cam_means_3D.unbind(-1)
         inside = self._in_range(z)
         z = z.where(inside, 1.0)
-        side, up = _held(x / z, _MARGIN * 0.5 * width / fx), _held(y / z, _MARGIN * 0.5 * height / fy)
+        side, up = _clipped(x / z, _MARGIN * 0.5 * width / fx), _clipped(y / z, _MARGIN * 0.5 * height / fy)
         nothing = torch.zeros_like(z)
         rows = torch.stack([fx / z, nothing, -fx * side / z, nothing, fy / z, -fy * up / z], dim=-1)
         slope = rows.where(inside[:, None], 0.0).unflatten(-1, (2, 3))
@@ -350,7 +350,7 @@ def _rotation(R) -> torch.Tensor:
     return R.reshape(3, 3)
 
 
-def _held(slope, bound):
+def _clipped(slope, bound):
     """Return a slope clipped to −bound … bound, numbers or tensors."""
     bound = torch.as_tensor(bound, dtype=slope.dtype, device=slope.device)
     return slope.maximum(-bound).minimum(bound)
@@ -415,7 +415,7 @@ _KEPT, _BACKGROUND, _SHELL, _BAND = 0.98, 0.8, (0.5, 0.8), 0.35
 def random_cloud(number: int, planes: int, draw: torch.Generator) -> dict[str, torch.Tensor]:
     """Return parameters of Gaussians drawn in a cube of half width 15.7."""
     means = _EXTENT * (2 * torch.rand(number, 3, generator=draw) - 1)
-    return _dressed(means, torch.rand(number, 3, generator=draw), planes, draw)
+    return _default_parameters(means, torch.rand(number, 3, generator=draw), planes, draw)
 
 
 def point_cloud(
@@ -449,11 +449,11 @@ def point_cloud(
     moved = [positions + scatter * torch.randn(positions.shape, generator=draw) for _ in range(copies)]
     positions, colors = torch.cat([positions, *moved]), colors.repeat(copies + 1, 1)
     if outdoor:
-        positions, colors = _with_background(positions, colors, draw)
-    return _dressed(positions, colors, planes, draw)
+        positions, colors = _extended_by_background(positions, colors, draw)
+    return _default_parameters(positions, colors, planes, draw)
 
 
-def _dressed(means, colours, planes, draw):
+def _default_parameters(means, colours, planes, draw):
     number = len(means)
     quats = torch.tensor([1.0, 0.0, 0.0, 0.0]) + 0.01 * torch.randn(number, 4, generator=draw)
     scales = (0.01 * (torch.rand(number, 1, generator=draw) + 1e-6)).log().repeat(1, 3)
@@ -464,7 +464,7 @@ def _dressed(means, colours, planes, draw):
     return dict(zip(NAMES, values, strict=True))
 
 
-def _with_background(positions, colors, draw):
+def _extended_by_background(positions, colors, draw):
     centre = positions.mean(0)
     distance = (positions - centre).norm(dim=1)
     kept = distance.argsort()[: max(1, math.ceil(_KEPT * len(positions)))].sort().values

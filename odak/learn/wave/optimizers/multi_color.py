@@ -7,7 +7,7 @@ import torch
 
 from odak import _validate
 from odak.learn._tensors import checked_device, checked_generator, floating
-from odak.learn.wave.camera import captured_by, seen
+from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.convolution import Workspace, release_memory
 from odak.learn.wave.fields import squared_error
 from odak.learn.wave.optimizers.terms import (
@@ -478,7 +478,7 @@ class multi_color_hologram_optimizer:
         """Yield some planes and their intensities, until all were there."""
         for planes in self.propagator.plane_chunks() if self.weights["image"] else []:
             images = self.propagator.exposures(hologram, planes, powers, workspace=self._workspace)
-            yield planes, images if captured is None else seen(images, captured[planes])
+            yield planes, images if captured is None else with_model_gradient(images, captured[planes])
 
     def _set_peak(self, overlaps):
         """Set the scale of the targets at which the images of this iteration are closest to them, ⟨I, I⟩/⟨I, T⟩."""
