@@ -147,6 +147,24 @@ def is_readable(value) -> bool:
     return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_symbolic(value))
 
 
+def numbers_behind(value) -> list[float] | None:
+    """Return the numbers in an array as a flat list without derivatives, None under vmap and torch.compile.
+
+    A GPU is waited for.
+    """
+    if not is_torch(value):
+        return [float(number) for number in namespace(value).reshape(value, (-1,))]
+    import torch
+
+    from odak import _torch_private
+
+    value = _torch_private.as_constant(value)
+    if value.is_meta or torch.compiler.is_compiling() or _torch_private.is_wrapped(value):
+        return None
+    with _torch_private.outside_functional_transforms():
+        return value.detach().reshape(-1).tolist()
+
+
 def _is_symbolic(tensor) -> bool:
     import torch
 

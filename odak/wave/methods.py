@@ -2,6 +2,7 @@
 
 import difflib
 import logging
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -13,7 +14,8 @@ from odak.wave import chunked
 from odak.wave import transfer_functions as tf
 from odak.wave.convolution import convolve
 from odak.wave.fourier import chirp, convolve_with_chirp
-from odak.wave.sampling import PARAXIAL_TOLERANCE, SamplingReport, sampling_report
+from odak.wave.linear_kernels import axes_of, linear_kernel
+from odak.wave.sampling import PARAXIAL_TOLERANCE, Criteria, criteria, linear_error, recommend
 from odak.wave.transfer_functions import Grid, Request, pitches
 
 _log = logging.getLogger("odak")
@@ -58,7 +60,7 @@ class Method:
     name: str
     aliases: tuple[str, ...]
     apply: Callable
-    failure: Callable[[SamplingReport], str | None]
+    failure: Callable[[Criteria], str | None]
     kernel: Callable | None = None
     windowed: bool = True
     scalable: bool = False
@@ -148,8 +150,17 @@ def _filter_intensity(field, request: Request):
 
 def _convolve_rayleigh_sommerfeld(field, request: Request):
     """Return the linear convolution with the sampled kernel, on twice the field's grid."""
+    return _convolve_linearly(field, request, tf.rayleigh_sommerfeld)
+
+
+def _convolve_band_limited(field, request: Request):
+    """Return the linear convolution with the angular spectrum's kernel, on twice the field's grid."""
+    return _convolve_linearly(field, request, linear_kernel(tf.angular_spectrum, tolerance=request.tolerance))
+
+
+def _convolve_linearly(field, request: Request, build: Callable):
     size = tuple(2 * n for n in field.shape[-2:])
-    kernel = _kernel_for(field, request, tf.rayleigh_sommerfeld, size)
+    kernel = _kernel_for(field, request, build, size)
     return convolve(field, _times_aperture(kernel, request.aperture, field))
 
 
@@ -231,34 +242,34 @@ def _band_extended_transfer(grid: Grid):
 # Where each method is valid.
 
 
-def _kernel_aliases(report: SamplingReport) -> str | None:
+def _kernel_aliases(report: Criteria) -> str | None:
     z, limit = abs(report.distance), min(report.critical_distance)
     return f"|z| = {z:.4g} m is beyond {limit:.4g} m, from where its transfer function aliases" if z > limit else None
 
 
-def _band_is_lost(report: SamplingReport) -> str | None:
+def _band_is_lost(report: Criteria) -> str | None:
     kept = min(report.kept_band)
     return f"it keeps only {kept:.0%} of the band at |z| = {abs(report.distance):.4g} m" if kept < 0.5 else None
 
 
-def _response_aliases(report: SamplingReport) -> str | None:
+def _response_aliases(report: Criteria) -> str | None:
     return _too_near(report, max(report.critical_distance), "its impulse response aliases")
 
 
-def _sum_aliases(report: SamplingReport) -> str | None:
+def _sum_aliases(report: Criteria) -> str | None:
     return _too_near(report, report.response_distance, "its impulse response aliases")
 
 
-def _not_far(report: SamplingReport) -> str | None:
+def _not_far(report: Criteria) -> str | None:
     return _too_near(report, report.fraunhofer_distance, "the far field is not reached")
 
 
-def _too_near(report: SamplingReport, limit: float, why: str) -> str | None:
+def _too_near(report: Criteria, limit: float, why: str) -> str | None:
     z = abs(report.distance)
     return f"|z| = {z:.4g} m is short of {limit:.4g} m, where {why}" if 0 < z < limit else None
 
 
-def _not_paraxial(report: SamplingReport) -> str | None:
+def _not_paraxial(report: Criteria) -> str | None:
     error = report.paraxial_error
     return f"the Fresnel approximation is off by up to {error:.2g} waves" if error > PARAXIAL_TOLERANCE else None
 
@@ -268,7 +279,7 @@ def _first(*criteria: Callable) -> Callable:
     return lambda report: next(filter(None, (criterion(report) for criterion in criteria)), None)
 
 
-def _never(report: SamplingReport) -> None:
+def _never(report: Criteria) -> None:
     """Hold everywhere."""
 
 
@@ -343,6 +354,7 @@ METHODS = (
         needs_distance=True,
         sets_own_pitch=True,
     ),
+    Method("Linear Angular Spectrum", ("LAS",), _convolve_band_limited, _never),
     Method(
         "Rayleigh-Sommerfeld",
         ("Rayleigh Sommerfeld", "RS"),
@@ -416,19 +428,21 @@ def check_has_kernel(propagation_type: str) -> None:
         raise ValueError("propagation_type 'custom' needs a kernel, which only propagate_beam takes; got none")
 
 
-def choose_method(shape: tuple[int, int], request: Request, padded: bool) -> Method:
-    """Return the method whose sampling criteria hold at every distance and wavelength asked for."""
-    reports = _reports(shape, request, padded)
-    if not reports:
+def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, float]:
+    """Return the method whose error is within tolerance at every distance and wavelength asked for, and its error.
+
+    The error is that of a field of flat spectrum. An array as an aperture needs the grid that the caller has padded: it
+    gets the angular spectrum on it, without a bound, NaN.
+    """
+    geometries = _geometries(request)
+    if not geometries:
         raise ValueError("propagation_type 'auto' needs a distance, dx and wavelength that are plain numbers")
-    plain = not _array.is_array(request.aperture) and request.aperture == 1
-    names = [*(report.recommended for report in reports), "Bandlimited Angular Spectrum"]
-    # The last one has no limit, and takes longer.
-    known: list[Any] = [find_method(name) for name in (*names, "Adaptive Sampling Angular Spectrum")]
-    held = [m for m in known if (plain or m.windowed) and all(m.failure(report) is None for report in reports)]
-    method: Any = held[0] if held else find_method("Bandlimited Angular Spectrum")
-    _log.debug("propagation_type 'auto' chose %s: %s", method.name, reports[0].reason)
-    return method
+    if _array.is_array(request.aperture) and not request.window:
+        return method_named("Bandlimited Angular Spectrum"), math.nan
+    axes = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in geometries)
+    name, error = recommend(axes, request.tolerance)
+    _log.debug("propagation_type 'auto' chose %s: its error is at most %.1e of a field's norm", name, error)
+    return method_named(name), error
 
 
 def warn_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> None:
@@ -444,14 +458,25 @@ def warnings_outside_range(method: Method, shape: tuple[int, int], request: Requ
         if failure is not None:
             rows, columns = report.shape
             pitch = " x ".join(f"{value:.3g}" for value in sorted(set(pitches(report.dx))))
+            axes = axes_of(shape, pitches(report.dx), report.wavelength, report.distance)
             yield (
                 f"{method.name} is outside its range on a {rows} x {columns} grid (dx = {pitch} m, "
-                f"wavelength = {report.wavelength:.4g} m): {failure}. Use {report.recommended}, or 'auto'."
+                f"wavelength = {report.wavelength:.4g} m): {failure}. Use {recommend((axes,), request.tolerance)[0]}, "
+                "or 'auto'."
             )
 
 
-def _reports(shape, request: Request, padded: bool) -> list[SamplingReport]:
+def _reports(shape, request: Request, padded: bool) -> list[Criteria]:
     """Return the criteria at the extremes of the distances and wavelengths asked for; none while they are traced."""
+    fine = tuple(request.scale * n for n in shape)
+    return [
+        criteria(fine, tuple(value / request.scale for value in pitch), wavelength, z, padded)
+        for z, wavelength, pitch in _geometries(request)
+    ]
+
+
+def _geometries(request: Request) -> list[tuple]:
+    """Return distance, wavelength and pitches where light spreads least and most; nothing while they are traced."""
     given = (*pitches(request.dx), request.wavelength, request.distance)
     if not all(_array.is_readable(value) for value in given):
         return []
@@ -462,8 +487,77 @@ def _reports(shape, request: Request, padded: bool) -> list[SamplingReport]:
         {(abs(z), wavelength, pair) for z in distances for wavelength in wavelengths for pair in pairs},
         key=lambda geometry: geometry[0] * geometry[1],
     )
-    fine = tuple(request.scale * n for n in shape)
-    return [
-        sampling_report(fine, tuple(value / request.scale for value in pair), wavelength, z, padded)
-        for z, wavelength, pair in sorted({geometries[0], geometries[-1]})
-    ]
+    return sorted({geometries[0], geometries[-1]})
+
+
+# Without wrap-around a band-limited kernel needs no limit.
+_UNLIMITED = {"Bandlimited Angular Spectrum": "Angular Spectrum", "Linear Angular Spectrum": "Angular Spectrum"}
+WITH_TRANSFER_FUNCTION = tuple(m.name for m in METHODS if m.kernel and m.windowed and not m.of_intensities)
+
+
+def linear_kernel_of(name: str, cutoff: float | None = None, pixel_fill: float | None = None) -> linear_kernel:
+    """Return the function of a grid that gives a method's transfer function of linear convolution."""
+    transfer: Any = method_named(_UNLIMITED.get(name, name)).kernel
+    return linear_kernel(transfer, cutoff, pixel_fill)
+
+
+def linear_method(propagation_type: str, shape, dx, wavelength, distance, relayed: bool = False) -> str:
+    """Return the full name of a propagation type, with a SamplingWarning where it is used outside its range.
+
+    Without wrap-around the angular spectrum is exact at any distance: it is what "auto" stands for, and of the other
+    transfer functions the paraxial approximation is all that limits them.
+
+    Parameters
+    ----------
+    propagation_type : str
+        Name, alias or "auto"; not "custom".
+    shape : tuple of int
+        Rows and columns of the field.
+    dx : float
+        Its pitch in metres.
+    wavelength : float or list of float
+        Wavelengths in metres.
+    distance : float or list of float
+        Distances in metres.
+    relayed : bool
+        Impulse responses are computed by their transfer function, so that they have no shortest distance.
+
+    Raises
+    ------
+    ValueError
+        If the name is not known, or is "custom".
+    """
+    check_has_kernel(propagation_type)
+    chosen = find_method(propagation_type)
+    method = method_named("Angular Spectrum") if chosen is None else chosen
+    request = Request(dx, wavelength, distance)
+    if method.name == "Linear Angular Spectrum":
+        method = method_named("Angular Spectrum")
+    if method.name == "Transfer Function Fresnel" or (relayed and method.scalable):
+        if all(_array.is_readable(value) for value in (dx, wavelength, distance)):
+            pitch, longest, furthest = (max(map(abs, _validate.numbers(value))) for value in (dx, wavelength, distance))
+            error = criteria(tuple(shape), (pitch, pitch), longest, furthest, True).paraxial_error
+            if error > PARAXIAL_TOLERANCE:
+                warn(f"{method.name}: the paraxial phase is off by up to {error:.2g} wavelengths", SamplingWarning)
+    elif method.name not in ("Angular Spectrum", "Bandlimited Angular Spectrum"):
+        warn_outside_range(method, shape, request, padded=True)
+    elif chosen is None:
+        warn_above_tolerance(shape, request)
+    return method.name
+
+
+def warn_above_tolerance(shape, request: Request) -> None:
+    """Issue a SamplingWarning where the linear angular spectrum misses its tolerance for a field of flat spectrum."""
+    geometries = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in _geometries(request))
+    error = linear_error(geometries, request.tolerance)
+    if error > request.tolerance:
+        warn(above_tolerance(error, request.tolerance), SamplingWarning)
+
+
+def above_tolerance(error: float, tolerance: float) -> str:
+    """Return the text of the warning that a predicted error is above the tolerance."""
+    return (
+        f"the predicted error is {error:.1e} of the field's norm, above the tolerance of {tolerance:.1e}: part of the "
+        "band spreads over more frequencies than can be summed; take a larger pitch, a shorter distance or a smoother "
+        "field"
+    )

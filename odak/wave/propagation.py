@@ -16,8 +16,21 @@ from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
-from odak.wave.convolution import upsample
-from odak.wave.methods import METHODS, choose_method, find_method, warnings_outside_range
+from odak.wave.convolution import convolve, upsample
+from odak.wave.linear_kernels import TOLERANCE
+from odak.wave.methods import (
+    METHODS,
+    WITH_TRANSFER_FUNCTION,
+    Method,
+    above_tolerance,
+    choose_method,
+    find_method,
+    linear_kernel_of,
+    linear_method,
+    method_named,
+    warnings_outside_range,
+)
+from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import (
     Request,
     check_geometry,
@@ -40,6 +53,7 @@ def propagate_beam(
     aperture: float | Array = 1.0,
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
+    tolerance: float = TOLERANCE,
 ) -> Array:
     """Propagate a field by the method named.
 
@@ -60,7 +74,8 @@ def propagate_beam(
         Wavelength in metres; an array holds one per channel (leading axes of the field).
     propagation_type : str
         A name or alias of the table of methods ("Bandlimited Angular Spectrum", "IR Fresnel", …), in any case, or
-        "auto", which takes the method whose sampling criteria hold (see :func:`odak.wave.sampling_report`).
+        "auto": the method and the padding whose relative error is below `tolerance` for the whole band that the pitch
+        holds (see :func:`odak.wave.sampling_report`), linear convolution wherever that is possible.
     kernel : array, optional
         Transfer function for "custom", centred (zero frequency at index n // 2).
     zero_padding : sequence of bool
@@ -75,6 +90,9 @@ def propagate_beam(
     samples : sequence of int
         Points across the source pixel (rows, columns) and the target sample (rows, columns) over which the
         impulse-response methods average.
+    tolerance : float
+        Relative error of "auto" and "Linear Angular Spectrum", of the norm of the propagated field. Where no method
+        stays below it, the spectrum of the field decides, and a SamplingWarning gives the error predicted for it.
 
     Returns
     -------
@@ -98,23 +116,31 @@ def propagate_beam(
     """
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
     return _array.outside_graphs(
-        _propagate, field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples
+        _propagate,
+        field,
+        *(k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples, tolerance),
     )
 
 
-def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples):
+def _propagate(
+    field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples, tolerance
+):
     field = _array.to_complex(_validate.image("field", field))
     if 0 in field.shape:
         raise ValueError(f"field must hold at least one field, got the shape {tuple(field.shape)}")
-    geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale)
+    geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)
     arguments = (tuple(field.shape), *geometry, _plain_pair(zero_padding), _plain_pair(samples))
     plain = kernel is None and all(type(value) in _PLAIN for value in arguments[1:])
-    method, request, (pad, fine, crop), warnings = _cached_plan(*arguments) if plain else _plan(*arguments, kernel)
+    method, request, (pad, fine, crop), warnings, error = (
+        _cached_plan(*arguments) if plain else _plan(*arguments, kernel)
+    )
     if _array.is_chunked(field) and not method.chunked:
         names = ", ".join(repr(one.name) for one in METHODS if one.chunked)
         raise ValueError(f"propagation_type must be one of {names} for a Dask array, got {method.name!r}")
     for message in warnings:
         warn(message, SamplingWarning)
+    if error > tolerance:
+        method = _method_for_field(field, method, request, error)
     if pad and not request.window:
         field = zero_pad(field)
     result = method.apply(field, request)
@@ -123,19 +149,45 @@ def _propagate(field, k, distance, dx, wavelength, propagation_type, kernel, zer
     return crop_center(result) if crop and not request.window else result
 
 
-def _plan(shape, k, distance, dx, wavelength, propagation_type, aperture, scale, zero_padding, samples, kernel=None):
-    """Check the arguments of a propagation; return its method, request, padding and the warnings it deserves."""
+def _method_for_field(field, method: Method, request: Request, error: float) -> Method:
+    """Return the method for a field where none serves the whole band, with a warning if none serves this field."""
+    lengths = (*pitches(request.dx), request.wavelength, request.distance)
+    if _array.is_readable(field) and all(len(_validate.numbers(value)) == 1 for value in lengths):
+        dy, dx, wavelength, distance = (_validate.numbers(value)[0] for value in lengths)
+        report = sampling_report(
+            field.shape[-2:], (dy, dx), wavelength, distance, tolerance=request.tolerance, field=field
+        )
+        method, error = method_named(report.recommended), report.predicted_error
+    if error > request.tolerance:
+        warn(above_tolerance(error, request.tolerance), SamplingWarning)
+    return method
+
+
+def _plan(
+    shape, k, distance, dx, wavelength, propagation_type, aperture, scale, tolerance, zero_padding, samples, kernel=None
+):
+    """Check the arguments of a propagation; return its method, request, padding, warnings and predicted error."""
     check_geometry(k, distance, dx, wavelength, shape[:-2])
     _check_aperture(aperture)
     pad, fine, crop = padding_flags(zero_padding)
     request = Request(
-        dx, wavelength, distance, aperture, kernel, _validate.integer("scale", scale, minimum=1), sample_counts(samples)
+        dx,
+        wavelength,
+        distance,
+        aperture,
+        kernel,
+        _validate.integer("scale", scale, minimum=1),
+        sample_counts(samples),
+        pad and crop and not fine,
+        float(_validate.number("tolerance", tolerance, positive=True)),
     )
-    method = find_method(propagation_type) or choose_method(shape[-2:], request, pad)
+    method, error = find_method(propagation_type), 0.0
+    if method is None:
+        method, error = choose_method(shape[-2:], request)
     _check_method(method, request)
     warnings = tuple(warnings_outside_range(method, shape[-2:], request, pad))
-    window = method.windowed and pad and crop and not fine
-    return method, replace(request, window=window), (pad, fine, crop), warnings
+    window = method.windowed and request.window
+    return method, replace(request, window=window), (pad, fine, crop), warnings, error
 
 
 # Checks, criteria and the choice of a method take longer than the transforms of a small field: they are done once for
@@ -149,6 +201,51 @@ def _plain_pair(value):
     if type(value) in (list, tuple) and len(value) <= 4 and all(type(entry) in (int, float, bool) for entry in value):
         return tuple(value)
     return list(value) if type(value) is tuple else value
+
+
+def propagate_within_window(
+    field: Array,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+    propagation_type: str,
+    cutoff: float | None = None,
+    pixel_fill: float | None = None,
+) -> Array:
+    """Return a field propagated to its own window, without wrap-around where the method has a transfer function.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., rows, columns]``.
+    distance : float or array
+        Distance in metres.
+    dx : float, pair of float or array
+        Pitch of the field in metres.
+    wavelength : float or array
+        Wavelength in metres.
+    propagation_type : str
+        Propagation type, see :func:`propagate_beam`, or "auto".
+    cutoff : float, optional
+        Radius of a round stop in the Fourier plane in cycles per metre; open by default.
+    pixel_fill : float, optional
+        Share of a square pixel's area that emits; point samples by default.
+
+    Returns
+    -------
+    array
+        Complex ``[..., rows, columns]``.
+    """
+    shape = tuple(field.shape[-2:])
+    name = linear_method(propagation_type, shape, dx, wavelength, distance)
+    if name not in WITH_TRANSFER_FUNCTION:
+        if cutoff is not None or pixel_fill is not None:
+            raise ValueError(f"propagation_type must have a transfer function for an iris or pixels, got {name!r}")
+        padded = (True, False, True)
+        return propagate_beam(field, None, distance, dx, wavelength, name, zero_padding=padded)
+    build = linear_kernel_of(name, cutoff, pixel_fill)
+    size = (2 * shape[0], 2 * shape[1])
+    return convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, size))
 
 
 def angular_spectrum(

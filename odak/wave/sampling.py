@@ -5,14 +5,41 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
-from odak import _validate
+import numpy as np
+
+from odak import _array, _validate
+from odak._array import Array
+from odak.wave import transfer_functions as tf
+from odak.wave.convolution import convolve_plainly
+from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel
+from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rule_for
 
 # A Fresnel phase that is off by more than a fifth of a wave is no longer the field that was asked for.
 PARAXIAL_TOLERANCE = 0.2
+# Relative error of the arithmetic: transforms and phases.
+ROUNDING = {"complex64": 5e-7, "complex128": 1e-12}
 
 
 @dataclass(frozen=True)
-class SamplingReport:
+class Criteria:
+    """Sampling criteria of a propagation: the attributes of :class:`SamplingReport` up to `paraxial_error`."""
+
+    shape: tuple[int, int]
+    dx: float | tuple[float, float]
+    wavelength: float
+    distance: float
+    nyquist: float | tuple[float, float]
+    critical_distance: tuple[float, float]
+    response_distance: float
+    band_limit: tuple[float, float]
+    kept_band: tuple[float, float]
+    fresnel_number: tuple[float, ...]
+    fraunhofer_distance: float
+    paraxial_error: float
+
+
+@dataclass(frozen=True)
+class SamplingReport(Criteria):
     """Sampling criteria of a propagation. Lengths in metres, frequencies in 1/m, pairs as (rows, columns).
 
     Attributes
@@ -44,9 +71,13 @@ class SamplingReport:
     paraxial_error : float
         Largest phase error of the Fresnel approximation over the frequencies that can reach the grid, in waves.
     recommended : str
-        Propagation type whose criteria hold.
+        Propagation type whose error is within the tolerance, or that comes nearest; what "auto" takes.
     reason : str
         Why, in one line.
+    tolerance : float
+        Relative error that was asked for.
+    predicted_error : float
+        Bound on the relative error of the recommended method: of the field given, or of a field of flat spectrum.
 
     Examples
     --------
@@ -58,20 +89,10 @@ class SamplingReport:
     [0.02, 0.02]
     """
 
-    shape: tuple[int, int]
-    dx: float | tuple[float, float]
-    wavelength: float
-    distance: float
-    nyquist: float | tuple[float, float]
-    critical_distance: tuple[float, float]
-    response_distance: float
-    band_limit: tuple[float, float]
-    kept_band: tuple[float, float]
-    fresnel_number: tuple[float, ...]
-    fraunhofer_distance: float
-    paraxial_error: float
     recommended: str
     reason: str
+    tolerance: float
+    predicted_error: float
 
     def to_dict(self) -> dict:
         """Return the report as a plain dictionary (JSON-ready but for an infinite Fresnel number)."""
@@ -84,8 +105,10 @@ def sampling_report(
     wavelength: float,
     distance: float,
     zero_padding: bool = False,
+    tolerance: float = TOLERANCE,
+    field: Array | None = None,
 ) -> SamplingReport:
-    """Return the sampling criteria of a propagation and the method they recommend.
+    """Return the sampling criteria of a propagation, the method they recommend and a bound on its error.
 
     Parameters
     ----------
@@ -98,24 +121,36 @@ def sampling_report(
     distance : float
         Propagation distance in metres; negative values propagate back.
     zero_padding : bool
-        True when the propagation pads the field to twice its size.
+        True when the propagation pads the field to twice its size; the criteria are then those of the padded grid.
+    tolerance : float
+        Relative error of the propagated field that is asked for.
+    field : array, optional
+        Field ``[..., *shape]`` whose spectrum decides. By default the whole band is filled evenly, as by a field of
+        random phase.
 
     Returns
     -------
     SamplingReport
-        The criteria; `recommended` names a propagation type, `reason` says why.
+        The criteria; `recommended` names a propagation type, `reason` says why, `predicted_error` bounds its error.
 
     Raises
     ------
     ValueError, TypeError
         If an argument is not of the kind above, naming it.
 
+    Notes
+    -----
+    The error is that of the norm over the field's window, ‖u − u₀‖/‖u₀‖. The exact field u₀ is that of the band-limited
+    interpolation of the samples, dark outside the window, which propagates without wrap-around.
+
     Examples
     --------
     >>> import odak
     >>> report = odak.wave.sampling_report([1080, 1920], 8e-6, 532e-9, 0.15, zero_padding=True)
     >>> report.recommended
-    'Angular Spectrum'
+    'Linear Angular Spectrum'
+    >>> report.predicted_error < 1e-4
+    True
     >>> round(report.critical_distance[0], 3)
     0.26
     """
@@ -125,27 +160,44 @@ def sampling_report(
     rows, columns = (float(value) for value in _validate.several("dx", dx, 2, positive=True))
     wavelength = float(_validate.real("wavelength", wavelength, positive=True))
     distance = float(_validate.real("distance", distance))
-    return _report(shape, (rows, columns), wavelength, distance, _validate.flag("zero_padding", zero_padding))
+    tolerance = float(_validate.number("tolerance", tolerance, positive=True))
+    found = criteria(shape, (rows, columns), wavelength, distance, _validate.flag("zero_padding", zero_padding))
+    axes = axes_of(shape, (rows, columns), wavelength, distance)
+    if field is None:
+        name, error = recommend((axes,), tolerance)
+    else:
+        name, error = recommend_for_field(_checked_field(field, shape), axes, tolerance, distance)
+    met = "within" if error <= tolerance else "above"
+    bound = f"at |z| = {abs(distance):.4g} m its relative error is at most {error:.1e}, {met} the tolerance"
+    return SamplingReport(**asdict(found), recommended=name, reason=bound, tolerance=tolerance, predicted_error=error)
+
+
+def _checked_field(field, shape) -> np.ndarray:
+    field = _array.to_complex(_validate.image("field", field))
+    if tuple(field.shape[-2:]) != tuple(shape):
+        raise ValueError(f"field must be [..., {shape[0]}, {shape[1]}] as shape says, got {tuple(field.shape)}")
+    if not _array.is_readable(field):
+        raise ValueError("field must be readable here: its spectrum decides")
+    return np.asarray(field.detach().cpu().numpy() if _array.is_torch(field) else field)
 
 
 @lru_cache(maxsize=1024)
-def _report(shape, pitch, wavelength, distance, zero_padding) -> SamplingReport:
+def criteria(shape, pitch, wavelength, distance, zero_padding) -> Criteria:
+    """Return the sampling criteria of checked arguments."""
     z = abs(distance)
     grid = tuple(2 * n if zero_padding else n for n in shape)
     nyquist = tuple(1 / (2 * d) for d in pitch)
     critical = tuple(n * d**2 / wavelength for n, d in zip(grid, pitch, strict=True))
     limit = tuple(1 / (wavelength * math.hypot(2 * z / (n * d), 1)) for n, d in zip(grid, pitch, strict=True))
-    response = 2 * max(n * d**2 for n, d in zip(shape, pitch, strict=True)) / wavelength
     square = pitch[0] == pitch[1]
-    recommended, reason = _recommend(z, min(critical), response)
-    return SamplingReport(
+    return Criteria(
         shape=grid,
         dx=pitch[0] if square else pitch,
         wavelength=wavelength,
         distance=distance,
         nyquist=nyquist[0] if square else nyquist,
         critical_distance=critical,
-        response_distance=response,
+        response_distance=2 * max(n * d**2 for n, d in zip(shape, pitch, strict=True)) / wavelength,
         band_limit=limit,
         kept_band=tuple(min(1.0, value / most) for value, most in zip(limit, nyquist, strict=True)),
         fresnel_number=tuple(
@@ -153,8 +205,6 @@ def _report(shape, pitch, wavelength, distance, zero_padding) -> SamplingReport:
         ),
         fraunhofer_distance=2 * max(n * d for n, d in zip(shape, pitch, strict=True)) ** 2 / wavelength,
         paraxial_error=_paraxial_error(z, wavelength, map(min, nyquist, limit)),
-        recommended=recommended,
-        reason=reason,
     )
 
 
@@ -163,15 +213,57 @@ def _paraxial_error(z: float, wavelength: float, frequencies) -> float:
     return z / wavelength * abs(math.sqrt(1 - sine_squared) - (1 - sine_squared / 2))
 
 
-def _recommend(z: float, near: float, far: float) -> tuple[str, str]:
-    if z <= near:
-        return "Angular Spectrum", f"|z| = {z:.4g} m is within the critical distance {near:.4g} m"
-    if z >= far:
-        return (
-            "Rayleigh-Sommerfeld",
-            f"|z| = {z:.4g} m is beyond {far:.4g} m, where the impulse response is well sampled",
-        )
-    return (
-        "Bandlimited Angular Spectrum",
-        f"|z| = {z:.4g} m is between {near:.4g} m (transfer function) and {far:.4g} m (impulse response)",
-    )
+# Methods "auto" chooses from: linear convolution with the band-limited kernel, and with the sampled one, which is exact
+# where no wave beyond the band travels.
+LINEAR, SAMPLED = "Linear Angular Spectrum", "Rayleigh-Sommerfeld"
+
+
+@lru_cache(maxsize=1024)
+def recommend(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> tuple[str, float]:
+    """Return the method that serves fields of flat spectrum best at all geometries, and a bound on its error."""
+    linear = linear_error(geometries, tolerance)
+    if linear > tolerance:
+        sampled = _largest(predicted_white_error(axes, (None, None)) for axes in geometries if axes[0].distance)
+        if sampled < linear:
+            return SAMPLED, sampled
+    return LINEAR, linear
+
+
+def linear_error(geometries, tolerance: float) -> float:
+    """Return a bound on the error that the linear angular spectrum makes on fields of flat spectrum."""
+    return _largest(predicted_white_error(axes, _rules(axes, tolerance)) for axes in geometries if axes[0].distance)
+
+
+def _largest(errors) -> float:
+    return max(errors, default=0.0) + ROUNDING["complex128"]
+
+
+def recommend_for_field(field: np.ndarray, axes: tuple[Axis, Axis], tolerance: float, distance: float):
+    """Return the method with the smallest error on a field, or the first within tolerance."""
+    rounding = ROUNDING[str(field.dtype)]
+    if distance == 0:
+        return LINEAR, rounding
+    found = {}
+    for name, rules in ((LINEAR, _rules(axes, tolerance)), (SAMPLED, (None, None))):
+        size = float(np.linalg.norm(_propagated(field, axes, distance, name, tolerance)))
+        error = field_error(field, axes, rules)
+        found[name] = (SAFETY * error / size if size else 0.0) + rounding
+        if found[name] <= tolerance:
+            return name, found[name]
+    name = min(found, key=found.__getitem__)
+    return name, found[name]
+
+
+def _rules(axes, tolerance):
+    return tuple(rule_for(axis, tolerance) for axis in axes)
+
+
+def _propagated(field, axes, distance, name, tolerance):
+    """Return the field propagated by linear convolution with one of the two kernels, in double precision."""
+    import array_api_compat.numpy as xp
+
+    transfer = tf.rayleigh_sommerfeld if name == SAMPLED else linear_kernel(tf.angular_spectrum, tolerance=tolerance)
+    request = tf.Request((axes[0].pitch, axes[1].pitch), axes[0].wavelength, distance)
+    size = tuple(2 * n for n in field.shape[-2:])
+    kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
+    return convolve_plainly(field.astype(np.complex128), kernel)

@@ -148,14 +148,14 @@ def _cycles(grid: Grid, transverse, axial):
     return axial_cycles(grid) - grid.distance * transverse / (axial + 1 / grid.wavelength)
 
 
-def band_limits(grid: Grid, distance=None):
+def band_limits(grid: Grid, distance=None, counts: tuple[int, int] | None = None):
     """Return the frequency (rows, columns) above which a sampled angular-spectrum kernel aliases.
 
     Matsushima and Shimobaba, Opt. Express 17, 19662 (2009), eq. 13: 1/(λ·sqrt((2z/L)² + 1)), L the grid's width. The
-    distance is the grid's own unless another is given.
+    distance is the grid's own unless another is given, and so are the numbers of samples.
     """
     distance = grid.distance if distance is None else distance
-    widths = [n * pitch for n, pitch in zip(grid.shape, grid.pitch, strict=True)]
+    widths = [n * pitch for n, pitch in zip(counts or grid.shape, grid.pitch, strict=True)]
     return tuple(1 / (grid.wavelength * grid.xp.sqrt((2 * distance / width) ** 2 + 1)) for width in widths)
 
 
@@ -168,23 +168,28 @@ def band_limited_angular_spectrum(grid: Grid):
     could alias, and stay.
     """
     xp = grid.xp
-    distance = xp.abs(grid.distance)
-    widths = [n * pitch for n, pitch in zip(grid.shape, grid.pitch, strict=True)]
-    limits = [(limit, 1 / (2 * pitch)) for limit, pitch in zip(band_limits(grid), grid.pitch, strict=True)]
 
     def limited(fy, fx):
-        weight = 1.0
-        for frequency, width, (limit, nyquist) in zip((fy, fx), widths, limits, strict=True):
-            squared = 1 / grid.wavelength**2 - frequency**2
-            tangent = frequency / xp.sqrt(xp.where(squared > 0, squared, xp.ones_like(squared)))
-            deviation = xp.sqrt(grid.wavelength * distance / (2 * xp.pi) + (1e-3 * grid.wavelength) ** 2)
-            # Far away, where that is wider than the grid, the axial wave still passes.
-            edge = normal_tail((distance * tangent - width / 2) / xp.minimum(deviation, width / 12))
-            # Where the whole band is free of aliasing, nothing is cut; nor are waves that decay.
-            weight = weight * xp.where((limit >= nyquist) | (squared <= 0), xp.ones_like(edge), edge)
-        return plane_wave_transfer(grid, fy, fx) * xp.astype(weight, grid.dtype)
+        return plane_wave_transfer(grid, fy, fx) * xp.astype(alias_free_weight(grid, grid.shape, fy, fx), grid.dtype)
 
     return grid.evaluate(limited)
+
+
+def alias_free_weight(grid: Grid, counts: tuple[int, int], fy, fx):
+    """Return the weight of each plane wave that keeps a kernel of `counts` frequencies from folding back, 0 … 1."""
+    xp = grid.xp
+    distance, weight = xp.abs(grid.distance), 1.0
+    limits = band_limits(grid, counts=counts)
+    for frequency, count, limit, pitch in zip((fy, fx), counts, limits, grid.pitch, strict=True):
+        width = count * pitch
+        squared = 1 / grid.wavelength**2 - frequency**2
+        tangent = frequency / xp.sqrt(xp.where(squared > 0, squared, xp.ones_like(squared)))
+        deviation = xp.sqrt(grid.wavelength * distance / (2 * xp.pi) + (1e-3 * grid.wavelength) ** 2)
+        # Far away, where that is wider than the grid, the axial wave still passes.
+        edge = normal_tail((distance * tangent - width / 2) / xp.minimum(deviation, width / 12))
+        # Where the whole band is free of aliasing, nothing is cut; nor are waves that decay.
+        weight = weight * xp.where((limit >= 1 / (2 * pitch)) | (squared <= 0), xp.ones_like(edge), edge)
+    return weight
 
 
 def normal_tail(deviations):
@@ -423,6 +428,7 @@ class Request:
     scale: int = 1
     samples: tuple[int, int, int, int] = (1, 1, 1, 1)
     window: bool = False
+    tolerance: float = 1e-4
 
     def is_plain(self) -> bool:
         """Say whether the geometry is known as numbers, so that a kernel can be kept."""

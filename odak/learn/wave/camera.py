@@ -7,9 +7,9 @@ import torch
 from odak import _validate
 from odak.learn._tensors import tensor
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.linear_kernels import propagate_within_window
 from odak.learn.wave.slm import on_samples, panel_map
 from odak.wave.methods import check_has_kernel
+from odak.wave.propagation import propagate_within_window
 
 
 def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:

@@ -17,13 +17,13 @@ from odak.learn._tensors import checked_device, floating, tensor, trainable
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
 from odak.learn.wave.fields import generate_complex_field, intensity, unit_phasor
-from odak.learn.wave.linear_kernels import propagate_within_window
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import pixel_fill_of
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
 from odak.wave import phase_retrieval
 from odak.wave.convolution import convolve
 from odak.wave.methods import check_has_kernel
+from odak.wave.propagation import propagate_within_window
 
 STARTS = ("quadratic", "flat", "random", "double phase", "gs")
 # Of the Nyquist frequency, reached at the edges of the hologram.

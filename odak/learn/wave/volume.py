@@ -10,11 +10,10 @@ import torch
 from odak import _array, _validate
 from odak.learn._tensors import tensor
 from odak.learn.wave.convolution import convolve
-from odak.learn.wave.linear_kernels import WITH_TRANSFER_FUNCTION, linear_kernel, linear_method
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
-from odak.wave.methods import method_named, spread
+from odak.wave.methods import WITH_TRANSFER_FUNCTION, linear_kernel_of, linear_method, method_named, spread
 from odak.wave.propagation import sample_counts
 from odak.wave.transfer_functions import Request
 
@@ -40,7 +39,7 @@ class LightPath:
         Points across the source and target apertures of the impulse responses.
     linear : bool
         Transfer functions of linear convolution on grids of twice the field's size, see
-        :mod:`odak.learn.wave.linear_kernels`.
+        :mod:`odak.wave.linear_kernels`.
     pixel_fill : float, optional
         Share of a square pixel's area that emits; None for point samples.
     """
@@ -79,7 +78,7 @@ class LightPath:
         grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
         if name == "Transfer Function Fresnel" or not sampled_response:
             if self.linear:
-                kernel = linear_kernel(name, cutoff, self.pixel_fill)(grid)
+                kernel = linear_kernel_of(name, cutoff, self.pixel_fill)(grid)
                 return kernel * self._averaging(grid) if sampled_response else kernel
             kernel = method_named(name).kernel(grid)  # type: ignore[misc]
             kernel = kernel * self._averaging(grid) if sampled_response else kernel

@@ -1,0 +1,182 @@
+"""Propagation of fields to their own window without wrap-around: transfer functions of linear convolution.
+
+A transfer function sampled on the grid of a field that is padded to twice its size makes a circular convolution: its
+impulse response is longer than the grid, and what leaves the grid on one side comes in on the other. At the critical
+distance N·dx²/λ this is 2 % of a field of random phase. Here the impulse response is computed at the lags that connect
+two points of the window, by the rules of :mod:`odak.wave.quadrature`, and transformed back to the doubled grid. The
+propagation itself costs what it did.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from odak import _array
+from odak.wave.quadrature import Axis, Rule, plain_rule, rule_for
+from odak.wave.transfer_functions import Grid, alias_free_weight
+
+TOLERANCE = 1e-4
+_SLAB = 1 << 21
+
+
+@dataclass(frozen=True)
+class LinearGrid(Grid):
+    """Grid of twice a window's size, on which transfer functions are those of linear convolution.
+
+    It holds one geometry, where lengths are known as numbers.
+
+    Attributes
+    ----------
+    cutoff : float, optional
+        Radius of a round stop in the Fourier plane in cycles per metre; None for an open one.
+    pixel_fill : float, optional
+        Share of a square pixel's area that emits; None for fields that are point samples.
+    tolerance : float
+        Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound.
+    """
+
+    cutoff: Any = None
+    pixel_fill: Any = None
+    tolerance: float = TOLERANCE
+
+    def evaluate(self, kernel):
+        """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
+        xp = self.xp
+        rows, columns = (n // 2 for n in self.shape)
+        rules = self._rules()
+        counts = (rules[0].count, rules[1].count)
+        fy, fx = (self._indices(n, axis) / (n * self.pitch[axis]) for axis, n in enumerate(counts))
+        weight_y, weight_x = (self._weights(rule, axis) for axis, rule in enumerate(rules))
+        fading = any(rule.tapered for rule in rules)
+        step = max(1, _SLAB // fx.shape[-1])
+        lines = []
+        for start in range(0, fy.shape[-2], step):
+            part = fy[..., start : min(start + step, fy.shape[-2]), :]
+            spectrum = kernel(part, fx)
+            if fading:
+                # An axis whose rule serves the whole band fades nothing: a grid that long holds all its waves.
+                held = tuple(rule.count if rule.tapered else 1 << 40 for rule in rules)
+                spectrum = spectrum * xp.astype(alias_free_weight(self, held, part, fx), spectrum.dtype)
+            if self.cutoff is not None:
+                kept = part**2 + fx**2 <= self.cutoff**2
+                spectrum = xp.where(kept, spectrum, xp.zeros_like(spectrum))
+            if self.pixel_fill is not None:
+                for frequency, pitch in ((part, self.pitch[0]), (fx, self.pitch[1])):
+                    spectrum = spectrum * xp.astype(
+                        _sinc(frequency * pitch * math.sqrt(self.pixel_fill)), spectrum.dtype
+                    )
+            lines.append(_response(spectrum * weight_x, counts[1], -1, columns))
+        lines = lines[0] if len(lines) == 1 else xp.concat(lines, axis=-2)
+        response = _response(lines * weight_y, counts[0], -2, rows)
+        return self.unfold(_spectrum(_spectrum(response, columns, -1), rows, -2))
+
+    def _rules(self) -> tuple[Rule, Rule]:
+        """Return the rules along rows and columns."""
+        sizes = [n // 2 for n in self.shape]
+        lengths = (*self.pitch, self.wavelength, self.distance)
+        known = [_array.numbers_behind(value) for value in lengths]
+        if self.cutoff is not None or None in known:
+            return plain_rule(sizes[0]), plain_rule(sizes[1])
+        rows, columns, wavelength, distance = (values[0] for values in known)
+        axes = axes_of(sizes, (rows, columns), wavelength, distance)
+        return rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
+
+    def _weights(self, rule: Rule, axis: int):
+        """Return a rule's weights along an axis; for negative distances, at which all phases change sign, conjugate."""
+        xp = self.xp
+        weights = xp.asarray(rule.weights(), dtype=xp.complex128, device=self.device)
+        weights = xp.reshape(weights, (-1, 1) if axis == 0 else (1, -1))
+        if rule.corrections:
+            weights = xp.where(self.distance < 0, xp.conj(weights), weights)
+        return xp.astype(weights, self.dtype)
+
+
+def axes_of(sizes, pitches, wavelength: float, distance: float) -> tuple[Axis, Axis]:
+    """Return the axes along rows and columns of a propagation."""
+    (rows, columns), (dy, dx) = sizes, pitches
+    z = abs(distance)
+    return Axis(rows, dy, wavelength, z, 0.5 / dx), Axis(columns, dx, wavelength, z, 0.5 / dy)
+
+
+def _sinc(cycles):
+    """Return sin(πx)/(πx), 1 at zero."""
+    xp = _array.namespace(cycles)
+    angle = xp.pi * xp.where(cycles == 0, xp.ones_like(cycles), cycles)
+    return xp.where(cycles == 0, xp.ones_like(cycles), xp.sin(angle) / angle)
+
+
+def _response(half, count: int, axis: int, lags: int):
+    """Return the first lags of the inverse transform of an even spectrum of `count` samples, given by its half."""
+    xp = _array.namespace(half)
+    indices = xp.arange(count, device=_array.device_of(half))
+    whole = xp.take(half, xp.minimum(indices, count - indices), axis=axis)
+    return _first(xp.fft.ifft(whole, axis=axis), lags, axis)
+
+
+def _spectrum(lags, count: int, axis: int):
+    """Return the non-negative half of the transform of an even response of lags below `count`, on 2·count samples."""
+    xp = _array.namespace(lags)
+    after = _first(xp.flip(lags, axis=axis), count - 1, axis)
+    whole = xp.concat([lags, xp.zeros_like(_first(lags, 1, axis)), after], axis=axis)
+    return _first(xp.fft.fft(whole, axis=axis), count + 1, axis)
+
+
+def _first(array, count: int, axis: int):
+    return array[..., :count] if axis == -1 else array[..., :count, :]
+
+
+def linear_grid(
+    grid: Grid, cutoff: float | None = None, pixel_fill: float | None = None, tolerance: float = TOLERANCE
+) -> LinearGrid:
+    """Return the grid on which transfer functions are those of linear convolution, of the shape of a padded `grid`."""
+    own = {field.name: getattr(grid, field.name) for field in fields(Grid)}
+    return LinearGrid(**own, cutoff=cutoff, pixel_fill=pixel_fill, tolerance=tolerance)
+
+
+@dataclass(frozen=True)
+class linear_kernel:
+    """Function of a grid that gives a transfer function of linear convolution.
+
+    Methods that sample their impulse response are linear convolutions already; to them neither stop nor pixel applies.
+    Functions of equal attributes are equal, so that stored kernels are found by them.
+
+    Attributes
+    ----------
+    transfer : callable
+        ``transfer(grid)`` returns the transfer function.
+    cutoff : float, optional
+        Radius of a round stop in the Fourier plane in cycles per metre; open by default.
+    pixel_fill : float, optional
+        Share of a square pixel's area that emits: the spectrum is multiplied by that of the pixel, 1 at zero
+        frequency. Fields are point samples by default.
+    tolerance : float
+        Relative error of a propagated field of flat spectrum.
+    """
+
+    transfer: Callable
+    cutoff: float | None = None
+    pixel_fill: float | None = None
+    tolerance: float = TOLERANCE
+
+    def __call__(self, grid: Grid):
+        """Return the transfer function on a padded grid, that of each geometry of a batch by a rule of its own."""
+        xp = grid.xp
+        # Sums over thousands of frequencies, with weights that cancel: in double precision.
+        double = replace(grid, dtype=xp.complex128)
+        lengths = (*grid.pitch, grid.wavelength, grid.distance)
+        batch = np.broadcast_shapes(*(tuple(value.shape[:-2]) for value in lengths))
+        if math.prod(batch) == 1 or None in [_array.numbers_behind(value) for value in lengths]:
+            return xp.astype(self._build(double), grid.dtype, copy=False)
+        flat = [xp.reshape(xp.broadcast_to(value, (*batch, 1, 1)), (-1, 1, 1)) for value in lengths]
+        kernels = []
+        for k in range(math.prod(batch)):
+            dy, dx, wavelength, distance = (value[k, ...] for value in flat)
+            one = replace(double, pitch=(dy, dx), wavelength=wavelength, distance=distance)
+            kernels.append(xp.astype(self._build(one), grid.dtype, copy=False))
+        return xp.reshape(xp.stack(kernels), (*batch, *grid.shape))
+
+    def _build(self, grid: Grid):
+        return self.transfer(linear_grid(grid, self.cutoff, self.pixel_fill, self.tolerance))

@@ -1,0 +1,286 @@
+"""Impulse responses of free space for band-limited fields: quadrature rules along one axis, and their errors.
+
+The field between its samples is their band-limited interpolation. Its impulse response at a lag x is an integral of the
+transfer function over |f| ≤ B = 1/(2·pitch), which a discrete Fourier transform of `count` frequencies sums. Two errors
+follow: frequencies whose phase changes by more than π between neighbours fold back, and the sum ends at ±B, where the
+integrand does not vanish. Weights at the last frequencies correct the end to high order; the number of frequencies
+follows from the distance and the tolerance.
+
+Errors are those of a field of flat spectrum: for a fixed frequency of the other axis, the response is computed again
+by a reference (a far finer rule, or its closed form) and the squares of the differences are summed over the lags.
+"""
+
+import functools
+import math
+from dataclasses import astuple, dataclass
+
+import numpy as np
+import scipy.fft
+import scipy.special
+
+# Weights that are changed at each end.
+_TAPS = 10
+_SHORTEST = 64
+# Largest phase between neighbouring frequencies at the end of the band that the end correction serves.
+_LARGEST_TURN = 5.5
+# Frequencies per sample and lag that are tried, from cheap to accurate.
+_DENSITIES = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+_REFERENCE_TURN = 0.8
+_LONGEST_REFERENCE = 1 << 18
+_MOST_NODES = 600
+_SLAB = 1 << 22
+# More frequencies along an axis are not summed (at five times the samples there may be more): seconds, and 1 GB.
+_MOST_FREQUENCIES = 12288
+# Estimates are means over few transverse frequencies: twice their value bounds the error.
+SAFETY = 2.0
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One axis of a propagation; lengths in metres.
+
+    Attributes
+    ----------
+    samples : int
+        Samples of the field, so that lags go up to samples − 1.
+    pitch : float
+        Pixel pitch.
+    wavelength : float
+        Wavelength.
+    distance : float
+        Absolute value of the distance.
+    transverse : float
+        Highest frequency of the other axis, in 1/m.
+    """
+
+    samples: int
+    pitch: float
+    wavelength: float
+    distance: float
+    transverse: float
+
+    @property
+    def band(self) -> float:
+        """Return the highest frequency of the axis."""
+        return 0.5 / self.pitch
+
+    def displacement(self, transverse=0.0):
+        """Return how many samples aside the highest frequency lands; infinite for waves that decay."""
+        axial = 1 / self.wavelength**2 - np.asarray(transverse, dtype=float) ** 2 - self.band**2
+        if self.distance == 0:
+            return 0 * axial
+        with np.errstate(divide="ignore"):
+            return np.where(axial > 0, self.distance * self.band / np.sqrt(np.maximum(axial, 0)) / self.pitch, np.inf)
+
+    def transverse_samples(self, number: int = 6) -> np.ndarray:
+        """Return the midpoints of equal parts of the other axis' travelling waves."""
+        return (np.arange(number) + 0.5) / number * min(self.transverse, 0.98 / self.wavelength)
+
+
+@dataclass(frozen=True)
+class Rule:
+    """How the integral over the frequencies of an axis is summed.
+
+    Attributes
+    ----------
+    count : int
+        Frequencies of the discrete Fourier transform, an even number.
+    corrections : tuple of complex
+        What is added to the weight one of the last frequencies, from the end of the band inwards, for a positive
+        distance; none for the plain sum.
+    tapered : bool
+        True if frequencies that would fold back are faded out.
+    """
+
+    count: int
+    corrections: tuple[complex, ...] = ()
+    tapered: bool = False
+
+    def weights(self) -> np.ndarray:
+        """Return the weights of the non-negative frequencies, complex128 ``[count // 2 + 1]``, for z > 0."""
+        weights = np.ones(self.count // 2 + 1, dtype=np.complex128)
+        if self.corrections:
+            weights[::-1][: len(self.corrections)] += self.corrections
+            # One sample of the transform stands for both ends of the band.
+            weights[-1] *= 2
+        return weights
+
+
+def plain_rule(samples: int) -> Rule:
+    """Return the rule for geometries that are not known as numbers, and for bands that end within a grid."""
+    refinement = next(times for most, times in ((256, 8), (1024, 4), (math.inf, 2)) if samples < most)
+    return Rule(refinement * 2 * samples, (), True)
+
+
+def rule_for(axis: Axis, tolerance: float) -> Rule:
+    """Return the shortest rule whose error, of a flat spectrum, is below a quarter of `tolerance`, or the best one.
+
+    Lengths are rounded to three digits, so that a distance that is learned finds its rule again.
+    """
+    if axis.distance == 0:
+        return Rule(2 * axis.samples)
+    return _rule_for(Axis(axis.samples, *(float(f"{value:.3g}") for value in astuple(axis)[1:])), tolerance)
+
+
+@functools.lru_cache(maxsize=1024)
+def _rule_for(axis: Axis, tolerance: float) -> Rule:
+    reach, most = float(axis.displacement(axis.transverse)), _MOST_FREQUENCIES
+    if not math.isfinite(reach):
+        # Waves along the plane leave any grid: the error falls with the number of frequencies only.
+        reach, most = float(axis.displacement()), _MOST_FREQUENCIES // 4
+        reach = reach if math.isfinite(reach) else 0.0
+    tried = {}
+    for density in _DENSITIES:
+        count = _even_fast(max(density * (reach + axis.samples), 2.5 * axis.samples, _SHORTEST))
+        if count > max(most, 5 * axis.samples):
+            break
+        turn = 2 * math.pi / count
+        # Rounding moves the ends of the range by a percent at most.
+        low = max(-1.01 * float(axis.displacement(axis.transverse) + axis.samples) * turn, -_LARGEST_TURN)
+        high = float(axis.samples - 0.99 * min(axis.displacement(), axis.samples + reach)) * turn
+        rule = Rule(count, end_corrections(round(low, 3), round(min(max(high, low + 1.0), -low), 3)))
+        tried[rule] = white_error(axis, rule)
+        if tried[rule] < tolerance / 4:
+            return rule
+    # Where the whole band takes too many frequencies, those that leave the grid are left out.
+    faded = Rule(_even_fast(max(4 * axis.samples, _SHORTEST)), (), True)
+    tried[faded] = white_error(axis, faded)
+    return min(tried, key=tried.__getitem__)
+
+
+def _even_fast(least: float) -> int:
+    return 2 * int(scipy.fft.next_fast_len(math.ceil(least / 2)))
+
+
+@functools.lru_cache(maxsize=1024)
+def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex, ...]:
+    """Return what to add to the weights at the end of Σ exp(−iωk), k = 0, 1, …, so that it is 1/(iω).
+
+    The fit is by least squares over `low` ≤ ω ≤ `high`, ω being the phase from one term to the next.
+    """
+    turns = np.linspace(low, high, 801)
+    turns = turns[np.abs(turns) > 1e-6]
+    wanted = 1 / (1j * turns) - 1 / (1 - np.exp(-1j * turns))
+    terms = np.exp(-1j * turns[:, None] * np.arange(taps))
+    found = np.linalg.lstsq(terms, wanted, rcond=1e-10)[0]
+    return tuple(complex(value) for value in found)
+
+
+def white_error(axis: Axis, rule: Rule | None) -> float:
+    """Return the relative error that a rule makes on fields of flat spectrum; None stands for the sampled kernel."""
+    transverse, reference = _reference(axis)
+    weights = axis.samples - np.arange(axis.samples)
+    weights[1:] *= 2
+    difference = response(axis, transverse, rule) - reference
+    return math.sqrt(np.sum(weights * np.abs(difference) ** 2) / np.sum(weights * np.abs(reference) ** 2))
+
+
+@functools.lru_cache(maxsize=32)
+def _reference(axis: Axis):
+    transverse = axis.transverse_samples()
+    return transverse, reference_response(axis, transverse)
+
+
+def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
+    """Return the response ``[transverse, lags]`` at the lags 0 … samples − 1, times the pitch.
+
+    `rule` None stands for samples of the response of the unlimited band, the Rayleigh–Sommerfeld kernel's.
+    """
+    if rule is None:
+        return _unlimited_response(axis, transverse)
+    frequency = np.arange(rule.count // 2 + 1) / (rule.count * axis.pitch)
+    weights = rule.weights()
+    if rule.tapered:
+        squared = 1 / axis.wavelength**2 - frequency**2
+        tangent = frequency / np.sqrt(np.maximum(squared, 1e-6 / axis.wavelength**2))
+        half = rule.count * axis.pitch / 2
+        deviation = min(math.sqrt(axis.wavelength * axis.distance / (2 * math.pi)), half / 6)
+        weights = weights * scipy.special.ndtr((half - axis.distance * tangent) / deviation)
+    found = np.empty((len(transverse), axis.samples), dtype=np.complex128)
+    step = max(1, _SLAB // rule.count)
+    for start in range(0, len(transverse), step):
+        part = slice(start, start + step)
+        squared = 1 / axis.wavelength**2 - transverse[part, None] ** 2 - frequency**2
+        phase = np.exp(2j * np.pi * axis.distance * np.sqrt(squared.astype(np.complex128)))
+        half_spectrum = phase * weights
+        mirror = np.minimum(np.arange(rule.count), rule.count - np.arange(rule.count))
+        found[part] = np.fft.ifft(half_spectrum[:, mirror], axis=-1)[:, : axis.samples]
+    return found
+
+
+def reference_response(axis: Axis, transverse) -> np.ndarray:
+    """Return the response to 1e-9: by a fine rule or, where waves along the plane are in the band, in closed form."""
+    found = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
+    reach = axis.displacement(transverse)
+    limited = np.isfinite(reach) & ((reach + axis.samples) * 2 * math.pi / _REFERENCE_TURN < _LONGEST_REFERENCE)
+    # One rule for each octave of its length.
+    lengths = np.where(limited, np.ceil(np.log2(np.where(limited, reach, 0) + axis.samples)), -1)
+    for exponent in np.unique(lengths[limited]):
+        chosen = lengths == exponent
+        count = _even_fast(2**exponent * 2 * math.pi / _REFERENCE_TURN)
+        rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN))
+        found[chosen] = response(axis, transverse[chosen], rule)
+    rest = transverse[~limited]
+    if len(rest) and _tail_nodes(axis) <= _MOST_NODES:
+        found[~limited] = _unlimited_response(axis, rest) - _decaying_tail(axis, rest)
+    elif len(rest):
+        # So close to the field that hardly any wave leaves the grid.
+        found[~limited] = response(axis, rest, Rule(_LONGEST_REFERENCE // 4))
+    return found
+
+
+def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
+    """Return the first Rayleigh–Sommerfeld kernel along a line, iπq·z/ρ·H₁(2πqρ)·pitch.
+
+    ρ² = x² + z², q² = 1/λ² − f² and H₁ is the Hankel function of the first kind.
+    """
+    axial = np.sqrt((1 / axis.wavelength**2 - np.asarray(transverse) ** 2).astype(np.complex128))[:, None]
+    rho = np.hypot(np.arange(axis.samples) * axis.pitch, axis.distance)
+    return 1j * np.pi * axial * axis.distance / rho * scipy.special.hankel1(1, 2 * np.pi * axial * rho) * axis.pitch
+
+
+def _tail_nodes(axis: Axis) -> int:
+    """Return the nodes of a quadrature over the decaying waves, six for each cycle at the last lag."""
+    return 64 + int(6 * 40 / (2 * np.pi * axis.distance) * axis.samples * axis.pitch)
+
+
+def _decaying_tail(axis: Axis, transverse) -> np.ndarray:
+    """Return the integral over the frequencies beyond the band, where all waves decay."""
+    nodes, weights = np.polynomial.legendre.leggauss(_tail_nodes(axis))
+    squared = axis.band**2 - (1 / axis.wavelength**2 - np.asarray(transverse) ** 2)
+    # s² is the excess over the first decay constant; beyond 40 nepers nothing is left.
+    first = np.sqrt(np.maximum(squared, 0))[:, None]
+    longest = 40 / (2 * np.pi * axis.distance)
+    decay = first + longest * (nodes + 1) / 2
+    frequency = np.sqrt(decay**2 + (axis.band**2 - squared)[:, None])
+    amplitude = np.exp(-2 * np.pi * axis.distance * decay) * decay / frequency * weights * longest / 2
+    places = np.arange(axis.samples) * axis.pitch
+    return 2 * axis.pitch * np.einsum("tn,tnl->tl", amplitude, np.cos(2 * np.pi * frequency[..., None] * places))
+
+
+def field_error(field: np.ndarray, axes: tuple[Axis, Axis], rules: tuple[Rule | None, Rule | None]) -> float:
+    """Return the norm of the error that two rules make on a field, within its own window.
+
+    The difference to the reference is applied along one axis at a time, for each frequency of the other.
+    """
+    rows, columns = field.shape[-2:]
+    spectrum = np.fft.fft2(field.astype(np.complex128), s=(2 * rows, 2 * columns))
+    total = 0.0
+    for which in (0, 1):
+        axis, other = axes[which], axes[1 - which]
+        transverse = np.arange(other.samples + 1) / (2 * other.samples * other.pitch)
+        travels = transverse < 0.999 / axis.wavelength
+        difference = np.zeros((other.samples + 1, axis.samples), dtype=np.complex128)
+        difference[travels] = response(axis, transverse[travels], rules[which])
+        difference[travels] -= reference_response(axis, transverse[travels])
+        lags = np.concatenate([difference, np.zeros_like(difference[:, :1]), difference[:, :0:-1]], axis=1)
+        mirror = np.minimum(np.arange(2 * other.samples), 2 * other.samples - np.arange(2 * other.samples))
+        transfer = np.fft.fft(lags, axis=1)[mirror]
+        error = np.fft.ifft2(spectrum * (transfer.T if which == 0 else transfer))[..., :rows, :columns]
+        total += float(np.sum(np.abs(error) ** 2))
+    return math.sqrt(total)
+
+
+def predicted_white_error(axes: tuple[Axis, Axis], rules: tuple[Rule | None, Rule | None]) -> float:
+    """Return a bound on the relative error that two rules make on fields of flat spectrum."""
+    return SAFETY * math.hypot(*(white_error(axis, rule) for axis, rule in zip(axes, rules, strict=True)))
