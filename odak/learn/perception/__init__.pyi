@@ -98,3 +98,7 @@ from .quality import weber_contrast as weber_contrast
 from .util import blur_gaussian as blur_gaussian
 from .util import check_loss_inputs as check_loss_inputs
 from .util import slice_rgbd_targets as slice_rgbd_targets
+from .visibility import BudgetRing as BudgetRing
+from .visibility import VisibilityLoss as VisibilityLoss
+from .visibility import foveated_budget as foveated_budget
+from .visibility import highest_frequency as highest_frequency

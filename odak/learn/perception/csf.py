@@ -150,7 +150,7 @@ def contrast_sensitivity(
     [335, 657, 30]
     """
     frequency, luminance, size = positive_numbers(frequency=frequency, luminance=luminance, size=size)
-    return _sensitivity(frequency, luminance, size)
+    return sensitivity(frequency, luminance, size)
 
 
 class CSFLoss(nn.Module):
@@ -241,15 +241,15 @@ class CSFLoss(nn.Module):
         shown, wanted = self._luminance(image), self._luminance(target)
         mean = wanted.detach().mean((-2, -1), keepdim=True).clamp_min(self.black_luminance)
         spectrum = torch.fft.rfft2((shown - wanted) / mean, norm="forward")
-        sensitivity = _sensitivity(self._frequencies(image), mean, self._size(image))
+        gain = sensitivity(self._frequencies(image), mean, self._size(image))
         # Half a spectrum: every column but the first, and the last of an even width, counts twice.
         columns = image.shape[-1]
-        weights = sensitivity.new_full((spectrum.shape[-1],), 4.0)
+        weights = gain.new_full((spectrum.shape[-1],), 4.0)
         weights[0] = 2.0
         if columns % 2 == 0:
             weights[-1] = 2.0
         power = spectrum.real**2 + spectrum.imag**2
-        return (weights * sensitivity**2 * power).sum((-2, -1)).mean()
+        return (weights * gain**2 * power).sum((-2, -1)).mean()
 
     def _luminance(self, picture):
         light = srgb_decoded(picture) if self.encoding == "sRGB" else picture
@@ -282,7 +282,8 @@ class CSFLoss(nn.Module):
         return self.frequencies
 
 
-def _sensitivity(frequency, luminance, size):
+def sensitivity(frequency: torch.Tensor, luminance: torch.Tensor | float, size: float) -> torch.Tensor:
+    """Return Barten's contrast sensitivity, its arguments unchecked: see :func:`contrast_sensitivity`."""
     pupil = 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
     illuminance = math.pi * pupil**2 / 4 * luminance * (1 - (pupil / 9.7) ** 2 + (pupil / 12.4) ** 4)
     blur = BLUR**2 + (BLUR_PER_PUPIL * pupil) ** 2

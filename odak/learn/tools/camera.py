@@ -30,9 +30,7 @@ class PerspectiveCamera:
 
     Examples
     --------
-    >>> from collections.abc import Sequence
-
-    import torch
+    >>> import torch
     >>> from odak.learn.tools import PerspectiveCamera
     >>> camera = PerspectiveCamera(torch.eye(3), torch.tensor([0.0, 0.0, 5.0]), [100.0, 100.0], [32.0, 32.0])
     >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))

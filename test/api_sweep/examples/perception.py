@@ -151,6 +151,8 @@ BY_CALL = {
         "statsmap_a": _uniform_statistics(3),
         "statsmap_b": _uniform_statistics(9),
     },
+    f"{HERE}.foveated_budget": {"edges": [0.0, 5.0, 20.0]},
+    f"{HERE}.highest_frequency": {"eccentricity": 3.0},
     f"{HERE}.unified_pupil_diameter": {"area": 400.0, "age": 30.0, "luminance": 100.0},
     f"{HERE}.synthesize_texture": {"size": [32, 32]},
     f"{HERE}.texture_statistics": {"picture": tensor(1, 1, 32, 32)},
