@@ -1,6 +1,8 @@
 """Access to the private interface of torch: transforms that are running, and the state of single tensors."""
 
+import warnings
 from contextlib import AbstractContextManager, nullcontext
+from functools import cache
 
 import torch
 
@@ -45,6 +47,28 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
     Operators with an autograd.Function of their own, and values kept between calls, have no place there.
     """
     return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
+
+
+def takes_operators(*tensors: torch.Tensor) -> bool:
+    """Say whether an autograd.Function with a rule for forward mode may take the tensors.
+
+    So it may if nothing transforms them, or nothing but torch.func.vmap and a single torch.func.jvp.
+    """
+    if not is_transformed(*tensors):
+        return True
+    if torch.compiler.is_compiling() or not in_functional_transform():
+        return False
+    kinds = [level.key() for level in torch._C._functorch.get_interpreter_stack() or ()]
+    transforms = torch._C._functorch.TransformType
+    return kinds.count(transforms.Jvp) <= 1 and set(kinds) <= {transforms.Jvp, transforms.Vmap}
+
+
+@cache
+def load_forward_rules() -> None:
+    """Load the forward derivatives that torch writes in Python, without the warning of torch's own that this raises."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)
+        import torch._decomp.decompositions_for_jvp  # noqa: F401
 
 
 def count_of_writes(tensor: torch.Tensor) -> int:

@@ -148,6 +148,13 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     vd, dpgf = float(_validate.number("vd", vd, positive=True)), float(_validate.number("dpgf", dpgf))
     if nd <= 1:
         raise ValueError(f"nd must be above 1, got {nd}")
+    coefficients = {"A": cauchy_through(nd, vd, dpgf)}
+    name = f"model {nd:g} {vd:g}" + (f" {dpgf:g}" if dpgf else "")
+    return Material(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+
+
+def cauchy_through(nd: Any, vd: Any, dpgf: Any = 0.0) -> tuple:
+    """Return A, B, C of n = A + B/λ² + C/λ⁴ with the stated index and dispersion, numbers or arrays."""
     spread = (nd - 1) / vd
     partial = (0.6438 - 0.001682 * vd + dpgf) * spread
     # Two differences of the series give B and C, the d line gives A.
@@ -156,9 +163,7 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     determinant = matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0]
     first = (spread * matrix[1][1] - partial * matrix[0][1]) / determinant
     second = (partial * matrix[0][0] - spread * matrix[1][0]) / determinant
-    coefficients = {"A": (nd - first * d - second * d * d, first, second)}
-    name = f"model {nd:g} {vd:g}" + (f" {dpgf:g}" if dpgf else "")
-    return Material(name, "cauchy", coefficients, (0.35, 1.1), "air", "index and Abbe number", nd, vd)
+    return nd - first * d - second * d * d, first, second
 
 
 FORMULAS = {

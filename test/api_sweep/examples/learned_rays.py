@@ -6,6 +6,8 @@ from api_sweep.build import Build, tensor
 from odak.learn.raytracing import Conic, define_circle, define_cylinder, sphere_function
 from odak.learn.raytracing.system import (
     Perturbation,
+    Variable,
+    huygens_point_spread_function,
     launch,
     optical_system,
     point_spread_function,
@@ -57,6 +59,7 @@ def _start():
     return [PLACE]
 
 
+DESIGN = {"operands": ["spot"], "variables": Build(lambda _: [Variable("curvature", 0)]), "count": 1, "pupil": "rings"}
 LENS = Build(lambda _: _lens())
 BY_NAME = {
     HERE: {
@@ -184,6 +187,30 @@ BY_CALL = {
     f"{HERE}.system.tolerance": {
         "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
         "samples": 3,
+    },
+    f"{HERE}.system.automatic_design": {
+        "elements": ["stop", "N-BK7"],
+        "focal_length": 100.0,
+        "f_number": 10.0,
+        "half_field": 1.0,
+        "starts": 1,
+        "iterations": 1,
+        "polish": 0,
+    },
+    f"{HERE}.system.lens_design": DESIGN,
+    f"{HERE}.system.lens_design.optimise": {"iterations": 1},
+    f"{HERE}.system.lens_design.restarts": {"count": 2, "spread": 0.2, "iterations": 1},
+    f"{HERE}.system.lens_design.apply": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.lens_design.substitute_glasses": {"candidates": 1, "iterations": 1},
+    f"{HERE}.system.lens_design.prescription": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.lens_design.residuals": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.lens_design.linearised": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.lens_design.view": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.lens_design.clear_heights": {"values": torch.tensor([0.02], dtype=torch.float64)},
+    f"{HERE}.system.huygens_point_spread_function": {"samples": 8, "size": 16},
+    f"{HERE}.system.modulation_at": {
+        "spread": Build(lambda _: huygens_point_spread_function(_lens(), 8, 16)),
+        "frequency": 5.0,
     },
     f"{HERE}.system.zernike_fit": {"found": Build(lambda _: wavefront(_lens(), count=4)), "terms": 6},
     f"{HERE}.system.surface": {

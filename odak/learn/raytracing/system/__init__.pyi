@@ -12,6 +12,14 @@ from .analysis import through_focus as through_focus
 from .analysis import wavefront as wavefront
 from .analysis import zernike_fit as zernike_fit
 from .coatings import Coating as Coating
+from .automatic import AutomaticResult as AutomaticResult
+from .automatic import Stage as Stage
+from .automatic import automatic_design as automatic_design
+from .design import DesignResult as DesignResult
+from .design import Pickup as Pickup
+from .design import Solve as Solve
+from .design import Variable as Variable
+from .design import lens_design as lens_design
 from .drawing import draw_layout as draw_layout
 from .drawing import draw_spots as draw_spots
 from .drawing import fans_figure as fans_figure
@@ -36,6 +44,9 @@ from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor
 from .image_simulation import point_spread_map as point_spread_map
 from .image_simulation import simulate_image as simulate_image
+from .huygens import huygens_point_spread_function as huygens_point_spread_function
+from .huygens import modulation_at as modulation_at
+from .huygens import relative_illumination as relative_illumination
 from .lens_files import ZmxReport as ZmxReport
 from .lens_files import load_system as load_system
 from .lens_files import read_zmx as read_zmx
@@ -44,6 +55,7 @@ from .lens_files import save_system as save_system
 from .lens_files import system_from_dict as system_from_dict
 from .lens_files import system_to_dict as system_to_dict
 from .lens_files import write_zmx as write_zmx
+from .operands import Operand as Operand
 from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation
 from .optimise import ToleranceResult as ToleranceResult

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import torch
 
+from odak._torch_private import outside_functional_transforms
 from odak.learn.raytracing.system.sequence import (
     HIT,
     Layout,
@@ -127,7 +128,35 @@ class Trace(torch.autograd.Function):
         layout, *tensors = inputs
         ctx.layout = layout
         ctx.save_for_backward(*tensors, output[7])
+        ctx.save_for_forward(*tensors, output[7])
         ctx.mark_non_differentiable(output[7])
+
+    @staticmethod
+    def jvp(ctx, _, *tangents):
+        """Return the tangents of x, y, z, u, v, w and path, 0 where a ray failed."""
+        *tensors, status = ctx.saved_tensors
+        by_rays, by_numbers = ray_derivatives(ctx.layout, tensors, status)
+        total: Any = torch.zeros(())
+        for derivative, tangent in zip(by_rays, tangents[:6], strict=True):
+            total = total if tangent is None else total + derivative * tangent
+        for derivative, tangent in zip(by_numbers, tangents[6:], strict=True):
+            if tangent is not None and tangent.numel():
+                # [7, B, R, …] times the tangent [B, …] of the numbers, whatever axes they have.
+                flat = derivative.flatten(3) @ tangent.reshape(len(tangent), -1, 1)
+                total = total + flat[..., 0]
+        return (*total.unbind(0), None)
+
+    @staticmethod
+    def vmap(info, in_dims, layout, *tensors):
+        """Trace what torch.func.vmap maps over as more systems."""
+        placed = [
+            (value if axis is None else value.movedim(axis, 0)).expand(
+                info.batch_size, *(value.shape if axis is None else value.movedim(axis, 0).shape[1:])
+            )
+            for value, axis in zip(tensors, in_dims[1:], strict=True)
+        ]
+        found = Trace.apply(layout, *(value.flatten(0, 1) for value in placed))
+        return tuple(value.unflatten(0, (info.batch_size, -1)) for value in found), (0,) * 8
 
     @staticmethod
     def backward(ctx, *gradients):
@@ -198,8 +227,81 @@ def _gradients(layout, tensors, status, gradients):
     # Summed in a fixed order, so that the same call gives the same digits.
     for rows, changes in each(work, whole):
         for i, change in enumerate(changes):
-            _accumulate(totals, rows, i, change)
+            _accumulate(totals, (rows,), i, change)
     return (*out, *totals[:5])
+
+
+def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple, tuple]:
+    """Return the derivatives of what each ray is behind the last surface, however many numbers there are.
+
+    Parameters
+    ----------
+    layout : Layout
+        The sequence.
+    tensors : sequence of torch.Tensor
+        The six components of the rays ``[B, R]`` and the five numbers of the systems ``[B, …]``.
+    status : torch.Tensor
+        Of the traced rays, ``[B, R]``.
+
+    Returns
+    -------
+    tuple
+        Six derivatives ``[7, B, R]`` by the rays' components, and five ``[7, B, R, …]`` by the numbers; the first axis
+        is x, y, z, u, v, w and path. Zero for rays that failed.
+
+    Notes
+    -----
+    A ray depends on no other ray: with every ray as a system of its own, one vector–Jacobian product for each component
+    gives all derivatives. All seven are taken in one pass over the surfaces.
+    """
+    shape, dtype = status.shape, tensors[0].dtype
+    count = status.numel()
+    lost = (status != HIT).reshape(-1, 1)
+    rays = [value.reshape(-1, 1).masked_fill(lost, float(i == 5)) for i, value in enumerate(tensors[:6])]
+    own = [value[:, None].expand(*shape, *value.shape[1:]).flatten(0, 1) for value in tensors[6:]]
+    unit = torch.eye(7, dtype=dtype, device=status.device)
+    by_rays = torch.empty(6, 7, count, dtype=dtype, device=status.device)
+    by_numbers = [torch.zeros(7, *value.shape, dtype=torch.float64, device=status.device) for value in own]
+    size = max(1, BLOCK_BYTES // dtype.itemsize // 7) if status.device.type == "cpu" else max(count, 1)
+
+    def work(start):
+        rows = slice(start, start + size)
+        sequence = _elements(layout, Numbers(*(value[rows] for value in own)), dtype)
+        records: list = []
+        _run(tuple(value[rows] for value in rays), sequence, records)
+        seeds = [column[:, None, None].expand(7, len(lost[rows]), 1) for column in unit]
+        seeds = [value.masked_fill(lost[rows], 0.0) for value in seeds]
+        if len(records) < len(sequence):
+            # A ray that only the plain operations, with their safeguards, took through.
+            few = Numbers(*(value[rows] for value in own))
+            _plain_derivatives(layout, few, [value[rows] for value in rays], seeds, rows, by_rays, by_numbers)
+            return
+        held, changes = _vector_jacobian_product(sequence, records, seeds)
+        for target, value in zip(by_rays, held, strict=True):
+            target[:, rows] = value[..., 0]
+        for i, change in enumerate(changes):
+            part = Numbers(*(value[:, rows] for value in by_numbers))
+            _accumulate(part, (slice(None), slice(None)), i, change)
+
+    list(each(work, [(start,) for start in range(0, count, size)]))
+    whole = tuple(value.reshape(7, *shape) for value in by_rays)
+    return whole, tuple(value.reshape(7, *shape, *value.shape[2:]).to(dtype) for value in by_numbers)
+
+
+def _plain_derivatives(layout, numbers, rays, seeds, rows, by_rays, by_numbers) -> None:
+    """Write the derivatives of rays that are systems of their own, by autograd through the plain operations."""
+    with outside_functional_transforms(*rays), torch.enable_grad():
+        inputs = [value.detach().clone().requires_grad_() for value in (*rays, *numbers[:5])]
+        state = plain(layout, Numbers(*inputs[6:]), tuple(inputs[:6]))
+        for k in range(7):
+            seed = torch.stack([value[k] for value in seeds])
+            found = torch.autograd.grad(
+                state[:7], inputs, list(seed), retain_graph=True, allow_unused=True, materialize_grads=True
+            )
+            for target, value in zip(by_rays, found[:6], strict=True):
+                target[k, rows] = value[..., 0]
+            for target, value in zip(by_numbers, found[6:], strict=True):
+                target[k, rows] = value
 
 
 def _run(block, sequence, keep: list | None = None):
@@ -386,15 +488,15 @@ def _vector_jacobian_product(sequence, records, gradients) -> tuple[list[torch.T
     return g, found[::-1]
 
 
-def _accumulate(totals: Numbers, rows: slice, i: int, change: SurfaceGradients) -> None:
+def _accumulate(totals: Numbers, rows: tuple, i: int, change: SurfaceGradients) -> None:
     """Add the gradients of surface `i` to those of the systems `rows`."""
-    totals.curvature[rows, i] += change.curvature
-    totals.conic[rows, i] += change.conic
-    totals.distance[rows, i] += change.distance
-    totals.index[rows, i] += change.before
-    totals.index[rows, i + 1] += change.behind
+    totals.curvature[(*rows, i)] += change.curvature
+    totals.conic[(*rows, i)] += change.conic
+    totals.distance[(*rows, i)] += change.distance
+    totals.index[(*rows, i)] += change.before
+    totals.index[(*rows, i + 1)] += change.behind
     for j, value in enumerate(change.coefficients):
-        totals.coefficients[rows, i, j] += value
+        totals.coefficients[(*rows, i, j)] += value
 
 
 def _sum(value):

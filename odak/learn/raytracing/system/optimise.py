@@ -1,16 +1,19 @@
 """Optimisation by Levenberg and Marquardt's method, and Monte Carlo tolerances."""
 
 from collections.abc import Callable, Iterable, Sequence
+from math import inf
 from typing import Any, NamedTuple
 
 import torch
 
 from odak import _validate
+from odak._torch_private import load_forward_rules
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.surfaces import Prescription, checked_system
 
 NAMES = ("curvature", "radius", "conic", "thickness", "index", "shift", "tilt")
 DISTRIBUTIONS = ("normal", "uniform")
+COMPENSATORS = ("curvature", "conic", "thickness", "shift", "tilt")
 
 
 class LevenbergMarquardtResult(NamedTuple):
@@ -100,46 +103,146 @@ def levenberg_marquardt(
     if not parameters or not all(isinstance(p, torch.Tensor) and p.is_leaf and p.requires_grad for p in parameters):
         raise ValueError("parameters must be leaf tensors that require grad, at least one")
     _validate.integer("iterations", iterations, minimum=1)
-    value, jacobian = _linearised(residuals, parameters)
-    loss = 0.5 * float(value @ value)
-    if not loss < float("inf"):
+    sizes = [p.numel() for p in parameters]
+
+    def put(x: torch.Tensor) -> None:
+        with torch.no_grad():
+            for p, part in zip(parameters, x[0].split(sizes), strict=True):
+                p.copy_(part.reshape(p.shape).to(p))
+
+    def linearised(x: torch.Tensor):
+        put(x)
+        return tuple(value[None] for value in _linearised(residuals, parameters))
+
+    def losses(candidates: torch.Tensor) -> torch.Tensor:
+        put(candidates[:, 0])
+        with torch.no_grad():
+            value = residuals().reshape(-1).double()
+        return 0.5 * (value @ value).reshape(1, 1)
+
+    start = torch.cat([p.detach().reshape(-1).double() for p in parameters])[None]
+    try:
+        found = least_squares(
+            linearised,
+            losses,
+            start,
+            iterations=iterations,
+            damping=damping,
+            tolerance=tolerance,
+            callback=None if callback is None else lambda number, loss: callback(number, float(loss[0])),
+        )
+    except BaseException:
+        put(start)
+        raise
+    put(found.x)
+    return LevenbergMarquardtResult(float(found.loss[0]), tuple(float(v[0]) for v in found.history), found.converged)
+
+
+class LeastSquares(NamedTuple):
+    """How :func:`least_squares` ended: numbers ``[N, V]``, losses ``[N]``, their history, and whether it converged."""
+
+    x: torch.Tensor
+    loss: torch.Tensor
+    history: list[torch.Tensor]
+    converged: bool
+
+
+# Dampings tried at once, and the factors of the next one after steps that help and after steps that do not.
+ONE = ((1.0,), 1 / 5, 4.0, 24)
+LADDER = ((0.03, 0.3, 3.0, 30.0, 300.0), 1.0, 3e4, 4)
+
+
+def least_squares(
+    linearised: Callable,
+    losses: Callable,
+    x: torch.Tensor,
+    *,
+    lower: Any = None,
+    upper: Any = None,
+    iterations: int,
+    damping: float = 1e-3,
+    tolerance: float = 1e-10,
+    callback: Callable | None = None,
+    ladder: tuple = ONE,
+) -> LeastSquares:
+    """Minimise half the sums of squares of N independent problems side by side, within bounds.
+
+    Parameters
+    ----------
+    linearised : callable
+        Takes numbers ``[N, V]``, returns residuals ``[N, R]`` and Jacobians ``[N, R, V]``.
+    losses : callable
+        Takes numbers ``[N, M, V]``, returns losses ``[N, M]``; what is not finite counts as a failed step.
+    x : torch.Tensor
+        Numbers at the start, float64.
+    lower, upper : torch.Tensor, optional
+        Bounds ``[V]``. A number at its bound, which the gradient drives across it, is left out of the step; steps are
+        cut off at the bounds.
+    iterations, damping, tolerance
+        As in :func:`levenberg_marquardt`.
+    callback : callable, optional
+        ``callback(number, losses)``; ends the run by returning True.
+    ladder : tuple
+        Factors of the damping that are tried in one call of `losses`, the factors of the damping afterwards if a step
+        was taken and if none was, and how often to try again.
+
+    Raises
+    ------
+    ValueError
+        If no problem has finite residuals at the start.
+    """
+    factors, relief, growth, rounds = ladder
+    scales = torch.tensor(factors, dtype=x.dtype, device=x.device)
+    size = torch.full((len(x),), damping, dtype=x.dtype, device=x.device)
+    low, high = (
+        torch.full_like(x[0], side) if bound is None else bound for bound, side in ((lower, -inf), (upper, inf))
+    )
+    x = x.clamp(low, high)
+    value, jacobian = linearised(x)
+    loss = 0.5 * value.square().sum(-1)
+    loss = torch.where(torch.isfinite(loss), loss, inf)
+    if not bool((loss < inf).any()):
         raise ValueError("residuals must be finite at the start; are rays lost?")
     history, converged = [loss], False
     for number in range(1, iterations + 1):
-        normal, slope = jacobian.T @ jacobian, jacobian.T @ value
-        scale = normal.diagonal().clamp(min=1e-12 * float(normal.diagonal().amax()) or 1e-300)
-        step, loss, damping = _step(residuals, parameters, normal, slope, scale, loss, damping)
-        if step is None:
+        jacobian = torch.where((loss < inf)[:, None, None], jacobian, 0.0)
+        slope = (jacobian.mT @ torch.where((loss < inf)[:, None], value, 0.0)[..., None])[..., 0]
+        free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
+        jacobian = jacobian * free[:, None]
+        normal = jacobian.mT @ jacobian
+        diagonal = normal.diagonal(dim1=-2, dim2=-1)
+        least = (1e-12 * diagonal.amax(-1, keepdim=True)).clamp_min(1e-300)
+        scale = torch.maximum(diagonal, least).rsqrt()
+        levels, axes = torch.linalg.eigh(normal * scale[:, :, None] * scale[:, None])
+        turned = (axes.mT @ (scale * slope * free)[..., None])[..., 0]
+        before, taken = x, torch.zeros_like(loss, dtype=torch.bool)
+        for _ in range(rounds):
+            shares = turned[:, None] / (levels.clamp_min(0)[:, None] + (size[:, None] * scales)[..., None])
+            candidates = before[:, None] - (shares @ axes.mT) * scale[:, None]
+            candidates = candidates.clamp(low, high)
+            tried = losses(candidates)
+            best, place = torch.where(torch.isfinite(tried), tried, inf).min(-1)
+            better = ~taken & (best < loss)
+            x = torch.where(
+                better[:, None], candidates.gather(1, place[:, None, None].expand(-1, -1, x.shape[1]))[:, 0], x
+            )
+            loss, taken = torch.where(better, best, loss), taken | better
+            size = torch.where(better, (size * scales[place] * relief).clamp_min(1e-15), size)
+            if bool(taken.all() | ((loss == inf) | taken).all()):
+                break
+            size = torch.where(taken, size, size * growth)
+        if not bool(taken.any()):
             converged = True
             break
+        size = torch.where(taken, size, size.clamp(max=1e3))
         history.append(loss)
-        size = float(torch.cat([p.detach().reshape(-1) for p in parameters]).norm())
-        small = float(step.norm()) <= tolerance * (size + tolerance)
-        if (callback is not None and callback(number, loss)) or small or history[-2] - loss <= tolerance * history[-2]:
-            converged = small or history[-2] - loss <= tolerance * history[-2]
+        small = (x - before).norm(dim=-1) <= tolerance * (x.norm(dim=-1) + tolerance)
+        settled = small | (history[-2] - loss <= tolerance * history[-2]) | ~(loss < inf)
+        converged = bool(settled.all())
+        if (callback is not None and callback(number, loss)) or converged:
             break
-        value, jacobian = _linearised(residuals, parameters)
-    return LevenbergMarquardtResult(loss, tuple(history), converged)
-
-
-def _step(residuals, parameters, normal, slope, scale, loss, damping):
-    """Take the first step that lowers the loss, with rising damping; return it (or None), loss and damping."""
-    before = [p.detach().clone() for p in parameters]
-    for _ in range(24):
-        step = -torch.linalg.solve(normal + torch.diag(damping * scale), slope)
-        with torch.no_grad():
-            places = step.split([p.numel() for p in parameters])
-            for p, old, change in zip(parameters, before, places, strict=True):
-                p.copy_(old + change.reshape(p.shape).to(p))
-            value = residuals().reshape(-1).double()
-            new = 0.5 * float(value @ value)
-        if new < loss:
-            return step, new, max(damping / 5, 1e-15)
-        damping *= 4
-    with torch.no_grad():
-        for p, old in zip(parameters, before, strict=True):
-            p.copy_(old)
-    return None, loss, damping
+        value, jacobian = linearised(x)
+    return LeastSquares(x, loss, history, converged)
 
 
 def _linearised(residuals, parameters):
@@ -173,6 +276,27 @@ def _by_columns(value, parameters):
         for entry in flat
     ]
     return torch.stack(columns, -1)
+
+
+def linearised_forward(residuals: Callable, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return residuals ``[..., R]`` at values ``[..., V]`` and their Jacobian ``[..., R, V]`` in one forward pass.
+
+    Parameters
+    ----------
+    residuals : callable
+        Takes values ``[..., V]``, returns ``[..., R]``, each row from its own values alone.
+    values : torch.Tensor
+        Where; the directions of all variables are carried along together.
+    """
+    load_forward_rules()
+    values = values.detach()
+
+    def along(direction):
+        return torch.func.jvp(residuals, (values,), (direction.expand_as(values),))
+
+    directions = torch.eye(values.shape[-1], dtype=values.dtype, device=values.device)
+    value, change = torch.func.vmap(along, out_dims=(None, -1))(directions)
+    return value.detach(), change.detach()
 
 
 class Perturbation(NamedTuple):
@@ -244,6 +368,8 @@ def tolerance(
     seed: int = 0,
     *,
     merit: Callable | None = None,
+    compensators: Sequence[tuple[str, int]] = (),
+    iterations: int = 10,
 ) -> ToleranceResult:
     """Trace many systems with random deviations of their numbers, in one batch.
 
@@ -258,15 +384,32 @@ def tolerance(
     seed : int
         Of the random numbers: the same seed gives the same systems.
     merit : callable, optional
-        ``merit(system, prescription=…)``, returns ``[samples, …]``; :func:`rms_spot` by default.
+        ``merit(system, prescription=…)``, returns ``[samples, …]``; :func:`rms_spot` by default. With compensators
+        it must accept two axes of systems, and be differentiable by torch.func.
+    compensators : sequence of pairs
+        What is adjusted when a system is put together, name and surface: ``[("thickness", -1)]`` focuses each. Names
+        are "curvature", "conic", "thickness", "shift" and "tilt" (of both axes). They take the values that make the sum
+        of the squares of the merit least, from the system as drawn.
+    iterations : int
+        Steps of the search for them.
 
     Returns
     -------
     ToleranceResult
-        Its merits are differentiable in the system's parameters if these are.
+        Without compensators its merits are differentiable in the system's parameters if these are. With them,
+        `nominal` is compensated too.
 
     Examples
     --------
+    A lens that is focused after it was mounted:
+
+    >>> from odak.learn.raytracing.system import Perturbation, load_system, tolerance
+    >>> focus = [Perturbation("thickness", -1, 0.1)]
+    >>> triplet = load_system("cooke_triplet")
+    >>> result = tolerance(triplet, focus, samples=4, compensators=[("thickness", -1)])
+    >>> bool((result.merit - result.nominal).abs().max() < 1e-7)
+    True
+
     >>> from odak.learn.raytracing.system import Perturbation, load_system, tolerance
     >>> off = [Perturbation("radius", [0, 1], 1e-3, relative=True), Perturbation("tilt", 2, 0.02)]
     >>> tuple(tolerance(load_system("cooke_triplet"), off, samples=10).merit.shape)
@@ -275,8 +418,54 @@ def tolerance(
     samples = _validate.integer("samples", samples, minimum=1)
     nominal = checked_system(system).prescription()
     merit = rms_spot if merit is None else _validate.function("merit", merit)
+    _validate.integer("iterations", iterations, minimum=1)
+    if isinstance(compensators, str) or not isinstance(compensators, Iterable):
+        raise TypeError(f"compensators must be a sequence of pairs (name, surface), got {compensators!r:.80}")
+    compensators = list(compensators)
     numbers = perturbed(system, nominal, perturbations, samples, seed)
+    if len(compensators):
+        one = perturbed(system, nominal, [], 1, seed)
+        numbers, one = (compensated(system, p, compensators, merit, iterations) for p in (numbers, one))
+        return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=one)[0], numbers)
     return ToleranceResult(merit(system, prescription=numbers), merit(system, prescription=nominal), numbers)
+
+
+def compensated(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> Prescription:
+    """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
+    entries = []
+    for pair in compensators:
+        name, place = pair if isinstance(pair, (tuple, list)) and len(pair) == 2 else (None, None)
+        _validate.one_of("name of compensators", name, COMPENSATORS)
+        place = _validate.place_in("surface of compensators", place, len(system.surfaces))
+        entries += [(name, place, axis) for axis in ((0, 1) if name in ("shift", "tilt") else (None,))]
+    held = {name: getattr(numbers, name) for name in (*COMPENSATORS, "coefficients", "index")}
+    for name in ("shift", "tilt"):
+        if held[name] is None and any(entry[0] == name for entry in entries):
+            held[name] = torch.zeros(*numbers.thickness.shape, 2, dtype=torch.float64, device=numbers.thickness.device)
+    held = {name: value.detach() for name, value in held.items() if value is not None}
+
+    def moved(x: torch.Tensor) -> Prescription:
+        # Several trials of each system stand on an axis behind that of the systems.
+        values = {name: value[:, None] if x.ndim == 3 else value for name, value in held.items()}
+        for j, (name, place, axis) in enumerate(entries):
+            own = values[name]
+            unit = torch.zeros_like(own[(0,) * (own.ndim - (1 if axis is None else 2))])
+            unit[(place,) if axis is None else (place, axis)] = 1.0
+            values[name] = own + x[(..., j, *(None,) * unit.ndim)] * unit
+        return numbers._replace(**values)
+
+    def residuals(x: torch.Tensor) -> torch.Tensor:
+        return merit(system, prescription=moved(x)).reshape(*x.shape[:-1], -1)
+
+    def losses(candidates: torch.Tensor) -> torch.Tensor:
+        with torch.no_grad():
+            return 0.5 * residuals(candidates).square().sum(-1)
+
+    start = torch.zeros(len(held["thickness"]), len(entries), dtype=torch.float64, device=held["thickness"].device)
+    found = least_squares(
+        lambda x: linearised_forward(residuals, x), losses, start, iterations=iterations, ladder=LADDER
+    )
+    return moved(found.x)
 
 
 def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:

@@ -176,7 +176,7 @@ def _trace(system, rays, prescription, until, vignetting):
         last = _validate.place_in("until", until, len(system.surfaces)) + 1
         held, layout = held.first(last, layout), layout.first(last)
     flat, shape = spread_rays(rays, numbers)
-    if layout.standard and not _torch_private.is_transformed(*flat, *held[:5]):
+    if layout.standard and _torch_private.takes_operators(*flat, *held[:5]):
         found = Trace.apply(layout, *flat, *held[:5])
     else:
         given, ranks = flat_arguments(layout, held)

@@ -1,0 +1,300 @@
+"""Automatic design: lenses from flat plates, by a curriculum of growing aperture and field."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.learn.raytracing.system.analysis import rms_spot
+from odak.learn.raytracing.system.design import Solve, Variable, lens_design
+from odak.learn.raytracing.system.operands import Operand
+from odak.learn.raytracing.system.surfaces import optical_system, surface
+
+# Shares of aperture and field, how many designs go on from each stage, and rings of rays and fields in it.
+# Standard deviation of random curvatures in units of 1/focal length.
+SPREAD = 2.5
+CURRICULUM = (
+    (0.25, 0.6, 1.0, 2, 3),
+    (0.4, 0.7, 0.5, 2, 3),
+    (0.55, 0.8, 0.3, 3, 4),
+    (0.7, 0.85, 0.2, 3, 4),
+    (0.85, 0.9, 0.15, 3, 5),
+    (1.0, 1.0, 0.09, 4, 6),
+)
+
+
+class Stage(NamedTuple):
+    """A stage of the curriculum.
+
+    Attributes
+    ----------
+    aperture, field : float
+        Shares of the aperture and of the field.
+    rms : float
+        Root mean square of the spots of the best design, over its fields.
+    values : torch.Tensor
+        Its variables.
+    """
+
+    aperture: float
+    field: float
+    rms: float
+    values: torch.Tensor
+
+
+class AutomaticResult(NamedTuple):
+    """An automatic design.
+
+    Attributes
+    ----------
+    system : optical_system
+        The lens.
+    stages : tuple of Stage
+        Of the curriculum, the last one being the lens.
+    start : optical_system
+        The plates that it began with.
+    """
+
+    system: optical_system
+    stages: tuple[Stage, ...]
+    start: optical_system
+
+
+def automatic_design(
+    elements: Sequence[Any],
+    focal_length: float,
+    f_number: float,
+    half_field: float,
+    *,
+    aspheric_terms: int = 0,
+    wavelengths: Sequence[float] = (486.1327e-6, 587.5618e-6, 656.2725e-6),
+    glass: Sequence[float] | None = None,
+    air: Sequence[float] | None = None,
+    edge: float | None = None,
+    back: float | None = None,
+    track: float | None = None,
+    distortion: float = 0.02,
+    chief_ray_angle: float | None = None,
+    cover: tuple[Any, float] | None = None,
+    starts: int = 16,
+    iterations: int = 15,
+    polish: int = 6,
+    seed: int = 0,
+    unit: str = "mm",
+    callback: Callable[[Stage], Any] | None = None,
+) -> AutomaticResult:
+    """Design a lens from flat plates.
+
+    Parameters
+    ----------
+    elements : sequence
+        Materials of the elements in the order in which light meets them, and "stop" where the stop is: in front of an
+        element, which may be the first.
+    focal_length, f_number : float
+        Of the lens, for an object at infinity.
+    half_field : float
+        Largest field angle in degrees.
+    aspheric_terms : int
+        Number of coefficients of r⁴, r⁶, … of each surface; with them the conic constants vary too.
+    wavelengths : sequence of float
+        In `unit`.
+    glass, air : pair of float, optional
+        Least and largest thickness of elements and of gaps on the axis; by default from 0.02 to 0.2 and from 0.002 to
+        0.3 focal lengths.
+    edge : float, optional
+        Least thickness of elements and gaps at the edge of the beam and half way to it; by default the least of `air`.
+    back : float, optional
+        Least distance from the last vertex to the image; by default a tenth of the focal length.
+    track : float, optional
+        Largest distance from the first vertex to the image.
+    distortion : float
+        Largest distortion.
+    chief_ray_angle : float, optional
+        Largest angle of the chief rays in the image in degrees.
+    cover : pair, optional
+        Material and thickness of a plane plate in front of the image.
+    starts : int
+        Number of random bendings that the first stage begins with.
+    iterations : int
+        Steps of Levenberg and Marquardt's method in each stage.
+    polish : int
+        Runs at the end in which the fields with the larger spots are given more weight.
+    seed : int
+        Of the random numbers: the same seed gives the same lens.
+    unit : str
+        Unit of all lengths.
+    callback : callable, optional
+        Told of each :class:`Stage`.
+
+    Returns
+    -------
+    AutomaticResult
+        The lens, its surfaces with the semi-diameters of the beam.
+
+    Raises
+    ------
+    ValueError
+        If an argument is out of range, or rays are lost in all designs of a stage.
+
+    Notes
+    -----
+    The curriculum of Yang et al., Nature Communications 15, 6568 (2024), doi 10.1038/s41467-024-50835-7: aperture and
+    field grow from a fifth to their full size. Here each stage is solved by least squares rather than by gradient
+    descent, several designs side by side, the best of which go on.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import automatic_design, first_order
+    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, iterations=3, polish=1)
+    >>> abs(float(first_order(found.system).focal_length) - 100) < 1
+    True
+    """
+    f = float(_validate.number("focal_length", focal_length, positive=True))
+    speed = float(_validate.number("f_number", f_number, positive=True))
+    angle = float(_validate.number("half_field", half_field, least=0))
+    if angle >= 80:
+        raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
+    terms = _validate.integer("aspheric_terms", aspheric_terms)
+    starts, seed = _validate.integer("starts", starts, minimum=1), _validate.integer("seed", seed)
+    iterations = _validate.integer("iterations", iterations, minimum=1)
+    polish = _validate.integer("polish", polish)
+    glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
+    air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
+    edge = air[0] if edge is None else float(_validate.number("edge", edge, least=0))
+    back = 0.1 * f if back is None else float(_validate.number("back", back, least=0))
+    system, bent, gaps = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)
+    start = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)[0]
+    limit = 1 / (0.15 * f)
+    last = len(system.surfaces) - 1
+    variables = [
+        Variable("curvature", bent[1:], -limit, limit),
+        Variable("thickness", [i for i in gaps if i in bent[::2]], *glass),
+        Variable("thickness", [i for i in gaps if i not in bent[::2]], *air),
+        Variable("thickness", last, -0.1 * f, 0.1 * f),
+    ]
+    solves = [Solve("focal_length", bent[0], f), Solve("marginal_height", last)]
+    if terms:
+        variables += [
+            Variable("conic", bent, -30.0, 10.0),
+            Variable("coefficients", bent, terms=range(1, terms + 1)),
+        ]
+    first = 0 if 0 in bent else min(bent)
+    between = list(range(first, last))
+    height = f * math.tan(math.radians(angle))
+    fixed = [
+        Operand(_bending, weight=0.1 * f, lower=-limit * f, upper=limit * f, options={"surface": bent[0], "f": f}),
+        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": (0.5, 0.75, 1.0)}),
+        Operand("thickness", lower=back if cover is None else 0.3 * back, options={"surfaces": [last]}),
+    ]
+    if angle:
+        fixed.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * distortion, upper=0.9 * distortion))
+    if track is not None:
+        fixed.append(Operand("total_track", upper=float(_validate.number("track", track)), options={"first": first}))
+    if chief_ray_angle is not None:
+        fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=float(chief_ray_angle)))
+    generator = torch.Generator().manual_seed(seed)
+    values: Any = None
+    stages = []
+
+    def set_stage(aperture: float, field: float, count: int) -> None:
+        system.aperture = aperture * f / speed
+        shares = [0.0] if not angle else [math.sqrt(k / (count - 1)) for k in range(count)]
+        system.fields = tuple((0.0, math.degrees(math.atan(math.tan(math.radians(angle)) * field * s))) for s in shares)
+
+    def describe(weights, rings: int) -> lens_design:
+        spot = Operand("spot", options={"fields": weights})
+        return lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
+
+    for aperture, field, share, rings, count in CURRICULUM:
+        set_stage(aperture, field, count)
+        design = describe(None, rings)
+        if values is None:
+            values = _random_starts(design, starts, f, generator)
+        values, loss = _run(design, values, iterations)
+        kept = loss.argsort()[: max(1, math.ceil(share * starts))]
+        values = values[kept]
+        design.apply(values[0])
+        stages.append(_stage(system, aperture, field, values[0]))
+        if callback is not None:
+            callback(stages[-1])
+    weights = torch.ones(len(system.fields), dtype=torch.float64)
+    for _ in range(polish):
+        design = describe(weights.tolist(), rings)
+        values, loss = _run(design, values, 2 * iterations)
+        design.apply(values[loss.argmin()])
+        sizes = rms_spot(system, "rings", 8, vignetting=False).detach()
+        values = design.values[None]
+        weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
+        weights = weights / weights.square().mean().sqrt()
+    if polish:
+        stages.append(_stage(system, 1.0, 1.0, design.values))
+        if callback is not None:
+            callback(stages[-1])
+    for item, size in zip(system.surfaces, design.heights, strict=True):
+        item.semi_diameter = 1.001 * float(size)
+    return AutomaticResult(system, tuple(stages), start)
+
+
+def _bending(system, prescription, surface: int, f: float) -> torch.Tensor:
+    """Return a curvature in units of 1/f."""
+    return f * prescription.curvature[..., surface]
+
+
+def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
+    """Return flat plates and a stop, the surfaces that may bend, and the surfaces in front of variable thicknesses."""
+    if isinstance(elements, str) or not any(isinstance(item, str) and item == "stop" for item in elements):
+        raise ValueError('elements must be materials and one "stop"')
+    elements = list(elements)
+    if elements.count("stop") > 1 or elements[-1] == "stop":
+        raise ValueError('elements must hold one "stop", in front of a material')
+    thick = (glass[0] * glass[1]) ** 0.5
+    gap = min(max(air[0], 0.05 * f), air[1])
+    zeros = [0.0] * (terms + 1 if terms else 0)
+    row: list[surface] = []
+    bent: list[int] = []
+    for item in elements:
+        if isinstance(item, str) and item == "stop":
+            row.append(surface(thickness=air[0] if not row else gap, stop=True))
+            continue
+        bent += [len(row), len(row) + 1]
+        row.append(surface(curvature=0.0, coefficients=zeros, thickness=thick, material=item))
+        row.append(surface(curvature=0.0, coefficients=zeros, thickness=gap))
+    gaps = list(range(len(row) - 1))
+    if cover is not None:
+        gaps.append(len(row) - 1)
+        row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
+    row[-1].thickness.fill_(f)
+    system = optical_system(row, 1.0, wavelengths=list(wavelengths), fields=[0.0], unit=unit)
+    return system, bent, gaps
+
+
+def _random_starts(design: lens_design, count: int, f: float, generator) -> torch.Tensor:
+    """Return starts ``[N, V]`` with random curvatures that lose no ray, less and less bent until enough do."""
+    columns, found, spread = design.columns["curvature"], [], SPREAD
+    while sum(len(part) for part in found) < count:
+        values = design.values.expand(4 * count, -1).clone()
+        drawn = torch.randn(4 * count, len(columns), dtype=torch.float64, generator=generator)
+        values[:, columns] = spread / f * drawn
+        values = values.clamp(design.lower, design.upper)
+        with torch.no_grad():
+            design.heights = design.clear_heights(values)
+            found.append(values[torch.isfinite(design.residuals(values)).all(-1)])
+        spread *= 0.8
+    return torch.cat(found)[:count]
+
+
+def _run(design: lens_design, values: torch.Tensor, iterations: int):
+    """Return the ends of a run from several starts, and their merits; edges are judged where the beam is."""
+    for _ in range(2):
+        with torch.no_grad():
+            design.heights = design.clear_heights(values)
+        found = design._minimised(values, max(1, iterations // 2), damping=1e-2)
+        values = found.x
+    return values, found.loss
+
+
+def _stage(system, aperture: float, field: float, values: torch.Tensor) -> Stage:
+    rms = rms_spot(system, "rings", 6, vignetting=False).detach()
+    return Stage(aperture, field, float(rms.square().mean().sqrt()), values.clone())

@@ -1,0 +1,685 @@
+"""Lens design: variables with bounds, pickups and solves, optimised by exact Jacobians; real glasses; restarts."""
+
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.catalog import material, nearest_materials
+from odak.catalog.dispersion import cauchy_through, model_glass
+from odak.catalog.materials import MICROMETRES
+from odak.learn.raytracing.system.operands import (
+    Operand,
+    View,
+    checked_operands,
+    clear_heights,
+    merit_residuals,
+    values_of,
+)
+from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
+from odak.learn.raytracing.system.paraxial import entrance_pupil, matrix, signed_indices
+from odak.learn.raytracing.system.pupils import AIMS, pupil_of
+from odak.learn.raytracing.system.surfaces import Prescription, checked_system
+
+VARIED = ("curvature", "conic", "thickness", "coefficients", "index", "shift", "tilt", "glass")
+COPIED = ("curvature", "conic", "thickness", "coefficients")
+SOLVES = ("focal_length", "marginal_height", "edge_thickness")
+
+
+class Variable(NamedTuple):
+    """Numbers of surfaces that may change; of a number that a solve gives, what is added to it.
+
+    Attributes
+    ----------
+    name : str
+        "curvature", "conic", "thickness", "coefficients", "index" (of what is behind the surface, the same for all
+        wavelengths), "shift", "tilt", or "glass": index n_d and Abbe number V_d of a model glass behind the surface.
+    surfaces : int or sequence of int
+        Of which surfaces.
+    lower, upper : float or sequence of float, optional
+        Bounds, one or one for each term; of glass for n_d and V_d, by default (1.44, 20) and (1.95, 85).
+    terms : sequence of int, optional
+        Which coefficients (0 is that of r²) or which of x, y (and z); all by default.
+    """
+
+    name: str
+    surfaces: Any
+    lower: Any = None
+    upper: Any = None
+    terms: Any = None
+
+
+class Pickup(NamedTuple):
+    """A number that follows that of another surface: scale·number + offset.
+
+    Attributes
+    ----------
+    name : str
+        "curvature", "conic", "thickness" or "coefficients".
+    surface, source : int
+        The surface that follows, and the one that it follows.
+    scale, offset : float
+        As above.
+    """
+
+    name: str
+    surface: int
+    source: int
+    scale: float = 1.0
+    offset: float = 0.0
+
+
+class Solve(NamedTuple):
+    """A number that holds a first-order or an edge condition exactly.
+
+    Attributes
+    ----------
+    kind : str
+        "focal_length": the surface's curvature gives the system this focal length. "marginal_height": its thickness
+        brings the paraxial marginal ray to this height at the next surface or the image, 0 for the paraxial focus.
+        "edge_thickness": its thickness gives this distance to the next surface, along z, at `height`.
+    surface : int
+        Whose number is solved for.
+    value : float
+        As above.
+    height : float, optional
+        Distance from the axis of the edge.
+    """
+
+    kind: str
+    surface: int
+    value: float = 0.0
+    height: float | None = None
+
+
+class DesignResult(NamedTuple):
+    """How an optimisation ended.
+
+    Attributes
+    ----------
+    merit : float
+        Half the sum of squares at the end.
+    history : tuple of float
+        The same at the start and after each step.
+    converged : bool
+        Whether it ended because nothing changed any more.
+    values : torch.Tensor
+        The variables at the end, ``[V]``.
+    """
+
+    merit: float
+    history: tuple[float, ...]
+    converged: bool
+    values: torch.Tensor
+
+
+class lens_design:
+    """A system with what may change of it and what it is judged by.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system; :meth:`optimise` and :meth:`apply` change it in place.
+    operands : sequence of Operand or str
+        What it is judged by; names alone are operands with the target 0.
+    variables : sequence of Variable
+        What may change.
+    pickups : sequence of Pickup
+        Numbers that follow others, applied in order after the variables.
+    solves : sequence of Solve
+        Numbers that hold conditions, applied in order after the pickups: a solve for the focal length comes before one
+        for the image distance.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples` that spots and wavefronts are judged by, or points ``[P, 2]``.
+    count : int
+        Count of :func:`pupil_samples`.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a description is malformed or names what the system does not have.
+
+    Notes
+    -----
+    The Jacobian is exact and costs one pass, however many variables and residuals there are: directions of all
+    variables are carried forward together, and through the surfaces, where the work is, each ray's own derivatives are
+    taken backward at once.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Operand, Solve, Variable, lens_design, optical_system, surface
+    >>> lens = optical_system([surface(80.0, thickness=4.0, material="N-BK7"), surface(-120.0, thickness=90.0)], 20.0)
+    >>> design = lens_design(
+    ...     lens,
+    ...     ["spot"],
+    ...     [Variable("curvature", 0)],
+    ...     solves=[Solve("focal_length", 1, 100.0), Solve("marginal_height", 1)],
+    ... )
+    >>> design.optimise().converged, round(float(lens.surfaces[0].radius))
+    (True, 61)
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        operands: Any,
+        variables: Any,
+        *,
+        pickups: Sequence[Pickup] = (),
+        solves: Sequence[Solve] = (),
+        pupil: Any = "rings",
+        count: int = 4,
+        aim: str = "paraxial",
+    ):
+        self.system = checked_system(system)
+        self.operands = checked_operands(operands)
+        self.pupil, self.count = pupil, _validate.integer("count", count, minimum=1)
+        self.aim = _validate.one_of("aim", aim, AIMS)
+        pupil_of(pupil, self.count, system)
+        with torch.no_grad():
+            self.base = Prescription(*(v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription()))
+        self.pickups = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
+        self.solves = [self._checked_solve(item) for item in _items("solves", solves, Solve)]
+        self.solved = {(_number_of(item), item.surface) for item in self.solves}
+        self.places: dict[str, list[tuple[int, int]]] = {}
+        self.columns: dict[str, list[int]] = {}
+        values, low, high = [], [], []
+        for item in _items("variables", variables, Variable):
+            for place, term, value, bounds in self._entries(item):
+                if (place, term) in self.places.setdefault(item.name, []):
+                    raise ValueError(f"{item.name} of surface {place} is a variable twice")
+                self.places[item.name].append((place, term))
+                self.columns.setdefault(item.name, []).append(len(values))
+                values.append(value)
+                low.append(bounds[0])
+                high.append(bounds[1])
+        if not values:
+            raise ValueError("variables must hold at least one")
+        self.values, self.lower, self.upper = (torch.tensor(v, dtype=torch.float64) for v in (values, low, high))
+        if bool((self.lower > self.upper).any()):
+            raise ValueError("lower bounds of variables must be at most their upper bounds")
+        self.micrometres = torch.tensor(system.wavelengths, dtype=torch.float64) * MICROMETRES[system.unit]
+        self._check_followers()
+        for item in self.solves:
+            # The design begins as the system is: what is added is what the solve alone does not give.
+            name = _number_of(item)
+            if (item.surface, 0) in self.places.get(name, ()):
+                column = self.columns[name][self.places[name].index((item.surface, 0))]
+                number = getattr(self.prescription(self.values), name)[item.surface]
+                self.values[column] = getattr(self.base, name)[item.surface] - number
+        self.refresh()
+
+    def _entries(self, item: Variable):
+        """Yield surface, term, value and bounds of all numbers of a variable."""
+        name = _validate.one_of("name of a variable", item.name, VARIED)
+        count = len(self.system.surfaces)
+        for place in _listed(item.surfaces):
+            place = _validate.place_in("surfaces of a variable", place, count)
+            values = [0.0] if (name, place) in self.solved else self._now(name, place)
+            terms = range(len(values)) if item.terms is None else _listed(item.terms)
+            for j, term in enumerate(terms):
+                term = _validate.place_in("terms of a variable", term, len(values))
+                usual = ((1.44, 20.0), (1.95, 85.0)) if name == "glass" else ((-torch.inf,), (torch.inf,))
+                sides = [
+                    default[j if len(default) > 1 else 0]
+                    if side is None
+                    else float(
+                        _validate.number("bound of a variable", _listed(side)[j if len(_listed(side)) > 1 else 0])
+                    )
+                    for side, default in ((item.lower, usual[0]), (item.upper, usual[1]))
+                ]
+                yield place, term, float(values[term]), sides
+
+    def _now(self, name: str, place: int) -> list[float]:
+        """Return the numbers of a surface as they are."""
+        item: Any = self.system.surfaces[place]
+        if name == "glass":
+            if item.material is None or isinstance(item.material, str):
+                raise ValueError(f"glass of surface {place} must be a material of the catalogue to vary")
+            return [float(item.material.index(0.5875618)), float(item.material.abbe_number())]
+        if name == "index":
+            if item.material is not None:
+                raise ValueError(f"index of surface {place} cannot vary: its material is not a number")
+            return [float(self.base.index[self.system.reference, place + 1])]
+        if name in ("curvature", "conic", "coefficients") and item.own_shape is not None:
+            raise ValueError(f"{name} of surface {place} cannot vary: it is a {item.own_shape.kind.__name__}")
+        if name in ("shift", "tilt"):
+            return [float(v) for v in getattr(item, name)]
+        if name == "coefficients":
+            if not item.coefficients.numel():
+                raise ValueError(f"coefficients of surface {place} are empty; give it zeros to vary")
+            return [float(v) for v in item.coefficients]
+        return [float(getattr(self.base, name)[place])]
+
+    def _checked_pickup(self, item: Pickup) -> Pickup:
+        count = len(self.system.surfaces)
+        name = _validate.one_of("name of a pickup", item.name, COPIED)
+        places = [_validate.place_in("surface of a pickup", place, count) for place in (item.surface, item.source)]
+        scale, offset = (float(_validate.number("scale of a pickup", v)) for v in (item.scale, item.offset))
+        return Pickup(name, places[0], places[1], scale, offset)
+
+    def _checked_solve(self, item: Solve) -> Solve:
+        kind = _validate.one_of("kind of a solve", item.kind, SOLVES)
+        place = _validate.place_in("surface of a solve", item.surface, len(self.system.surfaces))
+        value = float(_validate.number("value of a solve", item.value))
+        if kind == "edge_thickness" and item.height is None:
+            raise ValueError("a solve for the edge thickness needs the height of the edge")
+        if kind == "focal_length" and value == 0:
+            raise ValueError("value of a solve for the focal length must not be 0")
+        height = None if item.height is None else float(_validate.number("height of a solve", item.height, least=0))
+        return Solve(kind, place, value, height)
+
+    def _check_followers(self) -> None:
+        taken = {(name, place) for name, places in self.places.items() for place, _ in places} - self.solved
+        for item in (*self.pickups, *self.solves):
+            name = item.name if isinstance(item, Pickup) else _number_of(item)
+            if (name, item.surface) in taken:
+                raise ValueError(f"{name} of surface {item.surface} is given twice: by a variable, pickup or solve")
+            taken.add((name, item.surface))
+
+    def refresh(self) -> None:
+        """Take the clear semi-diameters, at which edges are judged, from the rays of the system as it is now."""
+        given = [item.semi_diameter for item in self.system.surfaces]
+        if not any(operand.kind == "edge_thickness" for operand in self.operands):
+            self.heights = None
+        elif all(value is not None for value in given):
+            self.heights = torch.tensor(given, dtype=torch.float64)
+        else:
+            self.heights = self.clear_heights(self.values)
+
+    def clear_heights(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the largest distance from the axis of rays on each surface, ``[..., S]``, for values ``[..., V]``."""
+        return clear_heights(self.system, self.prescription(values), aim=self.aim)
+
+    def prescription(self, values: torch.Tensor) -> Prescription:
+        """Return the numbers of the system for values of the variables.
+
+        Parameters
+        ----------
+        values : torch.Tensor
+            ``[..., V]``.
+
+        Returns
+        -------
+        Prescription
+            With the axes ``[...]`` as a batch of systems; pickups and solves applied.
+        """
+        values, p = self._checked(values), self.base
+        for name, places in self.places.items():
+            chosen = values[..., self.columns[name]]
+            if name == "glass":
+                p = p._replace(index=self._glass_indices(p.index, chosen, places))
+                continue
+            old = p.index if name == "index" else getattr(p, name)
+            if old is None:
+                count = 2 if name == "shift" else max(2, *(len(item.tilt) for item in self.system.surfaces))
+                old = torch.zeros(len(self.system.surfaces), count, dtype=torch.float64)
+            p = p._replace(**{name: _placed(old, chosen, places, name)})
+        for item in self.pickups:
+            own = getattr(p, item.name)
+            axis = -2 if item.name == "coefficients" else -1
+            followed = own.select(axis, item.source) * item.scale + item.offset
+            p = p._replace(**{item.name: _set(own, item.surface, followed, axis)})
+        for item in self.solves:
+            name, added = _number_of(item), getattr(p, _number_of(item))[..., item.surface]
+            p = _SOLVERS[item.kind](self.system, p, item)
+            if (item.surface, 0) in self.places.get(name, ()):
+                # What stood there was the variable, which is added to what the solve gives.
+                p = p._replace(
+                    **{name: _set(getattr(p, name), item.surface, getattr(p, name)[..., item.surface] + added, -1)}
+                )
+        return p
+
+    def _checked(self, values: Any) -> torch.Tensor:
+        """Return values of the variables in float64 after checking how many they are."""
+        values = _validate.real("values", values)
+        if not isinstance(values, torch.Tensor) or values.ndim < 1 or values.shape[-1] != len(self.values):
+            raise ValueError(
+                f"values must be a tensor [..., {len(self.values)}], got {getattr(values, 'shape', values)}"
+            )
+        return values.double()
+
+    def _glass_indices(self, index, chosen, places):
+        """Return the indices with those of model glasses in the columns of some surfaces."""
+        squared = self.micrometres**2
+        for j in range(0, len(places), 2):
+            a, b, c = cauchy_through(chosen[..., j, None], chosen[..., j + 1, None])
+            index = _set(index, places[j][0] + 1, a + b / squared + c / squared**2, -1)
+        return index
+
+    def view(self, values: torch.Tensor) -> View:
+        """Return the system at some values of the variables, ``[..., V]``, for operands."""
+        glass, values = None, self._checked(values)
+        if "glass" in self.places:
+            shape = (*values.shape[:-1], len(self.system.surfaces), 2)
+            zero = torch.zeros(shape, dtype=torch.float64)
+            glass = _placed(zero, values[..., self.columns["glass"]], self.places["glass"], "glass")
+        heights = self.heights
+        if heights is not None and heights.ndim > 1:
+            # One row for each of several designs, each of which may be asked for at several values.
+            heights = heights.reshape(len(heights), *(1,) * (values.ndim - 2), -1)
+        return View(self.system, self.prescription(values), self.pupil, self.count, self.aim, heights, glass)
+
+    def residuals(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the residuals ``[..., R]`` at values ``[..., V]``; NaN where a ray is lost."""
+        return merit_residuals(self.operands, self.view(values))
+
+    def linearised(self, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the residuals ``[..., R]`` and their exact Jacobian ``[..., R, V]`` at values ``[..., V]``."""
+        return linearised_forward(self.residuals, self._checked(values))
+
+    def report(self) -> list[tuple[Operand, torch.Tensor, float]]:
+        """Return each operand with its values and its share of the merit, for the variables as they are."""
+        with torch.no_grad():
+            view = self.view(self.values)
+            found = []
+            for operand in self.operands:
+                values = values_of(operand, view)
+                found.append((operand, values, 0.5 * float(operand.residuals(values).square().sum())))
+        return found
+
+    def optimise(
+        self,
+        iterations: int = 50,
+        *,
+        damping: float = 1e-2,
+        tolerance: float = 1e-9,
+        rounds: int = 1,
+        callback: Callable[[int, float], bool | None] | None = None,
+    ) -> DesignResult:
+        """Minimise the merit by Levenberg and Marquardt's method, and change the system.
+
+        Parameters
+        ----------
+        iterations : int
+            Steps at most, in each round.
+        damping, tolerance
+            As in :func:`levenberg_marquardt`.
+        rounds : int
+            Runs one after the other; before each the clear semi-diameters are taken anew.
+        callback : callable, optional
+            Told of each step, ``callback(number, merit)``; ends the run by returning True.
+
+        Returns
+        -------
+        DesignResult
+            Within a round the merit never rises.
+
+        Raises
+        ------
+        ValueError
+            If rays are lost at the start.
+        """
+        history: list[float] = []
+        _validate.integer("rounds", rounds, minimum=1)
+        _validate.function_or_none("callback", callback)
+        for _ in range(rounds):
+            found = self._minimised(
+                self.values[None],
+                iterations,
+                damping,
+                tolerance,
+                None if callback is None else lambda number, loss: callback(number, float(loss[0])),
+            )
+            history += [float(loss[0]) for loss in found.history]
+            self.apply(found.x[0])
+        return DesignResult(history[-1], tuple(history), found.converged, self.values)
+
+    def _minimised(self, starts, iterations: int, damping: float = 1e-2, tolerance: float = 1e-9, callback=None):
+        """Minimise from several starts ``[N, V]`` side by side."""
+        _validate.integer("iterations", iterations, minimum=1)
+        _validate.number("damping", damping, positive=True)
+        _validate.number("tolerance", tolerance, least=0)
+
+        def losses(candidates):
+            with torch.no_grad():
+                return 0.5 * self.residuals(candidates).square().sum(-1)
+
+        return least_squares(
+            self.linearised,
+            losses,
+            starts,
+            lower=self.lower,
+            upper=self.upper,
+            iterations=iterations,
+            damping=damping,
+            tolerance=tolerance,
+            callback=callback,
+            ladder=LADDER,
+        )
+
+    def restarts(self, count: int = 16, spread: float = 0.2, seed: int = 0, iterations: int = 30) -> DesignResult:
+        """Optimise from random starts side by side, keep the best end if it is better, and change the system.
+
+        Parameters
+        ----------
+        count : int
+            Number of starts; the first is the system as it is.
+        spread : float
+            Standard deviation of the starts, relative to the numbers: those within bounds on both sides are spread over
+            their range, others by their own size or, if larger, the mean of those of their kind.
+        seed : int
+            Of the random numbers: the same seed gives the same result.
+        iterations : int
+            Steps at most from each start.
+
+        Returns
+        -------
+        DesignResult
+            Of the best one.
+        """
+        count = _validate.integer("count", count, minimum=1)
+        spread = float(_validate.number("spread", spread, positive=True))
+        generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+        scale = self.values.abs()
+        for columns in self.columns.values():
+            scale[columns] = torch.maximum(scale[columns], scale[columns].mean())
+        bounded = torch.isfinite(self.upper - self.lower)
+        scale = torch.where(bounded, self.upper - self.lower, scale)
+        drawn = torch.randn(count, len(scale), dtype=torch.float64, generator=generator)
+        drawn[0] = 0.0
+        found = self._minimised(self.values + spread * scale * drawn, iterations)
+        best = int(found.loss.argmin())
+        self.apply(found.x[best])
+        history = tuple(float(loss[best]) for loss in found.history)
+        return DesignResult(history[-1], history, found.converged, self.values)
+
+    def apply(self, values: torch.Tensor) -> None:
+        """Write values of the variables, and what follows from them, to the system.
+
+        Parameters
+        ----------
+        values : torch.Tensor
+            ``[V]``.
+        """
+        with torch.no_grad():
+            self.values = self._checked(values).detach().clone()
+            p = self.prescription(self.values)
+            followers = {"curvature": set(), "conic": set(), "thickness": set(), "coefficients": set()}
+            for name, places in self.places.items():
+                followers.setdefault(name, set()).update(place for place, _ in places)
+            for item in self.pickups:
+                followers[item.name].add(item.surface)
+            for item in self.solves:
+                followers[_number_of(item)].add(item.surface)
+            for name, places in followers.items():
+                for place in sorted(places):
+                    self._write(name, place, p)
+            self.base = p
+        self.refresh()
+
+    def _write(self, name: str, place: int, p: Prescription) -> None:
+        item: Any = self.system.surfaces[place]
+        if name == "glass":
+            j = next(j for j, (i, _) in enumerate(self.places["glass"]) if i == place)
+            nd, vd = (float(self.values[self.columns["glass"][j + k]]) for k in (0, 1))
+            item.material = model_glass(nd, vd)
+        elif name == "index":
+            item.index.copy_(p.index[self.system.reference, place + 1])
+        elif name == "curvature":
+            if "radius_value" in dict(item.named_buffers()) | dict(item.named_parameters()):
+                value = p.curvature[place]
+                if value == 0:
+                    raise ValueError(f"curvature of surface {place} became 0, and it is held as a radius")
+                item.radius_value.copy_(1 / value)
+            else:
+                item.curvature_value.copy_(p.curvature[place])
+        elif name == "coefficients":
+            item.coefficients.copy_(p.coefficients[place, : item.coefficients.numel()])
+        else:
+            held = getattr(item, name)
+            held.copy_(getattr(p, name)[place][: held.numel()] if held.ndim else getattr(p, name)[place])
+
+    def substitute_glasses(
+        self, makers: Iterable[str] = ("schott",), candidates: int = 3, iterations: int = 20
+    ) -> tuple[str, ...]:
+        """Replace the variable glasses by real ones, one after the other, and optimise the rest after each.
+
+        Parameters
+        ----------
+        makers : iterable of str
+            Of :func:`odak.catalog.glass_makers`.
+        candidates : int
+            How many of the nearest glasses are tried for each surface; that of the lowest merit stays.
+        iterations : int
+            Steps at most after each substitution.
+
+        Returns
+        -------
+        tuple of str
+            The names, in the order of the surfaces. The variables of glass are gone afterwards.
+
+        Notes
+        -----
+        The surface whose model glass is nearest to a real one is taken first.
+        """
+        candidates = _validate.integer("candidates", candidates, minimum=1)
+        makers = tuple(_validate.texts("makers", makers))
+        _validate.integer("iterations", iterations, minimum=1)
+        chosen: dict[int, str] = {}
+        while "glass" in self.places:
+            apart = []
+            for j in range(0, len(self.places["glass"]), 2):
+                nd, vd = (float(self.values[self.columns["glass"][j + k]]) for k in (0, 1))
+                names = nearest_materials(nd, vd, candidates, makers)
+                first = material(names[0])
+                apart.append((((first.nd - nd) / 0.01) ** 2 + (first.vd - vd) ** 2, self.places["glass"][j][0], names))
+            _, place, names = min(apart)
+            found = []
+            for name in names:
+                trial = self._with_glass(place, name)
+                result = trial._minimised(trial.values[None], iterations)
+                found.append((float(result.loss[0]), name, result.x[0]))
+            _, name, values = min(found, key=lambda item: item[:2])
+            chosen[place] = name
+            held = self._with_glass(place, name)
+            self.system.surfaces[place].material = material(name)
+            self.__dict__.update(held.__dict__)
+            self.apply(values)
+        return tuple(chosen[place] for place in sorted(chosen))
+
+    def _with_glass(self, place: int, name: str) -> "lens_design":
+        """Return the same design with a real glass behind a surface in place of the variable one."""
+        found = object.__new__(lens_design)
+        found.__dict__.update(self.__dict__)
+        taken = {c for c, (i, _) in zip(self.columns["glass"], self.places["glass"], strict=True) if i == place}
+        kept = [c for c in range(len(self.values)) if c not in taken]
+        found.columns = {
+            key: [kept.index(c) for c in columns if c not in taken] for key, columns in self.columns.items()
+        }
+        found.places = dict(self.places) | {"glass": [entry for entry in self.places["glass"] if entry[0] != place]}
+        if not found.places["glass"]:
+            del found.places["glass"], found.columns["glass"]
+        found.values, found.lower, found.upper = (v[kept] for v in (self.values, self.lower, self.upper))
+        index = material(name).index(self.micrometres)
+        found.base = self.base._replace(index=_set(self.base.index, place + 1, index, -1))
+        return found
+
+
+def _number_of(item: Solve) -> str:
+    """Return which number of its surface a solve gives."""
+    return "curvature" if item.kind == "focal_length" else "thickness"
+
+
+def _items(name: str, values: Any, kind: type) -> list:
+    listed = [values] if isinstance(values, kind) else list(values) if isinstance(values, Iterable) else [values]
+    if not all(isinstance(item, kind) for item in listed):
+        raise TypeError(f"{name} must be a sequence of {kind.__name__}, got {values!r:.80}")
+    return listed
+
+
+def _listed(values: Any) -> list:
+    return list(values) if isinstance(values, Iterable) else [values]
+
+
+def _placed(old: torch.Tensor, chosen: torch.Tensor, places: list, name: str) -> torch.Tensor:
+    """Return numbers with those chosen, ``[..., n]``, in their places."""
+    if name == "index":
+        for j, (place, _) in enumerate(places):
+            old = _set(old, place + 1, chosen[..., j, None], -1)
+        return old
+    deep = name in ("coefficients", "shift", "tilt", "glass")
+    tail = old.shape[-2:] if deep else old.shape[-1:]
+    where = torch.tensor([place * tail[-1] + term if deep else place for place, term in places])
+    spread = torch.nn.functional.one_hot(where, tail.numel()).to(old)
+    kept = old.reshape(*old.shape[: old.ndim - len(tail)], -1) * (1 - spread.sum(0))
+    return (kept + chosen @ spread).unflatten(-1, tail)
+
+
+def _set(whole: torch.Tensor, place: int, value: torch.Tensor, axis: int) -> torch.Tensor:
+    """Return numbers with one of them, along an axis counted from the end, replaced."""
+    shape = torch.broadcast_shapes(whole.select(axis, 0).shape, value.shape)
+    whole = whole.expand(*shape[: len(shape) + axis + 1], whole.shape[axis], *shape[len(shape) + axis + 1 :])
+    parts = list(whole.unbind(axis))
+    parts[place] = value.expand(shape)
+    return torch.stack(parts, axis)
+
+
+def _solve_focal_length(system, p: Prescription, item: Solve) -> Prescription:
+    """Return the numbers with a curvature for the focal length: element C of the whole is linear in the power."""
+    one = p.at(system.reference)
+    index = signed_indices(system, one)
+    i, count = item.surface, len(system.surfaces)
+    before, behind = matrix(one, index, 0, i, gap=True), matrix(one, index, i + 1, count)
+    if i + 1 < count:
+        gap = p.thickness[..., i] / index[..., i + 1]
+        # What follows the surface begins with the gap behind it.
+        behind = behind._replace(b=behind.b + behind.a * gap, d=behind.d + behind.c * gap)
+    power = (behind.c * before.a + behind.d * before.c + 1 / item.value) / (behind.d * before.a)
+    curvature = power / (index[..., i + 1] - index[..., i])
+    if p.coefficients.shape[-1]:
+        curvature = curvature - 2 * p.coefficients[..., i, 0]
+    return p._replace(curvature=_set(p.curvature, i, curvature, -1))
+
+
+def _solve_marginal_height(system, p: Prescription, item: Solve) -> Prescription:
+    """Return the numbers with a thickness behind which the marginal ray has a height."""
+    one = p.at(system.reference)
+    index = signed_indices(system, one)
+    to = matrix(one, index, 0, item.surface + 1)
+    pupil = entrance_pupil(system, prescription=one)
+    far = system.at_infinity
+    height, slope = (pupil.reach, 0 * pupil.reach) if far else (system.object_distance * pupil.reach, pupil.reach)
+    y = to.a * height + to.b * index[..., 0] * slope
+    nu = to.c * height + to.d * index[..., 0] * slope
+    thickness = (item.value - y) * index[..., item.surface + 1] / nu
+    return p._replace(thickness=_set(p.thickness, item.surface, thickness, -1))
+
+
+def _solve_edge_thickness(system, p: Prescription, item: Solve) -> Prescription:
+    """Return the numbers with a thickness that leaves a distance at the edge."""
+    i, height = item.surface, torch.tensor(item.height, dtype=torch.float64)
+    thickness = item.value + p.shape(i).sag(0 * height, height).height
+    if i + 1 < len(system.surfaces):
+        thickness = thickness - p.shape(i + 1).sag(0 * height, height).height
+    return p._replace(thickness=_set(p.thickness, i, torch.as_tensor(thickness), -1))
+
+
+_SOLVERS = {
+    "focal_length": _solve_focal_length,
+    "marginal_height": _solve_marginal_height,
+    "edge_thickness": _solve_edge_thickness,
+}

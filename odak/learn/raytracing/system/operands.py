@@ -1,0 +1,333 @@
+"""Operands of a merit function: numbers that a design is judged by, with their targets, bounds and weights."""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache, cached_property
+from typing import Any, NamedTuple
+
+import torch
+
+from odak import _validate
+from odak.catalog import glass_makers, material, material_names
+from odak.learn.raytracing.system.analysis import Wavefront, distortion, lateral_color, wavefront
+from odak.learn.raytracing.system.huygens import huygens_point_spread_function, modulation_at
+from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
+from odak.learn.raytracing.system.pupils import launch, pupil_of
+from odak.learn.raytracing.system.surfaces import Prescription, is_break
+from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
+
+
+class Operand(NamedTuple):
+    """A number, or several, that a system is judged by.
+
+    Attributes
+    ----------
+    kind : str or callable
+        A name of :data:`OPERANDS`, an attribute of :class:`FirstOrder` ("focal_length", "f_number",
+        "back_focal_distance", …), or a function ``(system, prescription)`` that returns a tensor ``[...]`` or
+        ``[..., n]``, the first axes those of the batch of systems.
+    target : float, optional
+        What it should be. 0 if there are no bounds either.
+    weight : float
+        The merit is half the sum of (weight·(value − target))².
+    lower, upper : float, optional
+        Bounds; a value within them costs nothing, one beyond costs its distance from the nearer bound.
+    options : mapping
+        Keyword arguments of the kind, as `surfaces` of a thickness or `frequency` of the modulation transfer.
+    """
+
+    kind: Any
+    target: float | None = None
+    weight: float = 1.0
+    lower: float | None = None
+    upper: float | None = None
+    options: Mapping = {}
+
+    def residuals(self, values: torch.Tensor) -> torch.Tensor:
+        """Return what the values ``[..., n]`` cost: the merit is half the sum of the squares."""
+        parts = []
+        if self.target is not None or (self.lower is None and self.upper is None):
+            parts.append(values - (self.target or 0.0))
+        if self.lower is not None:
+            parts.append((self.lower - values).clamp_min(0.0))
+        if self.upper is not None:
+            parts.append((values - self.upper).clamp_min(0.0))
+        return self.weight * torch.cat(parts, -1)
+
+
+class View:
+    """A system at given numbers, whose rays are traced once for all operands.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription
+        Its numbers, perhaps of a batch of systems.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]``.
+    count : int
+        Count of :func:`pupil_samples`.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+    heights : torch.Tensor, optional
+        Clear semi-diameters of the surfaces, ``[S]`` or ``[..., S]``, for the thickness at the edge.
+    glass : torch.Tensor, optional
+        n_d and V_d behind each surface, ``[..., S, 2]``, where glasses vary.
+    """
+
+    def __init__(
+        self,
+        system: Any,
+        prescription: Prescription,
+        pupil: Any = "rings",
+        count: int = 4,
+        aim: str = "paraxial",
+        heights: torch.Tensor | None = None,
+        glass: torch.Tensor | None = None,
+    ):
+        self.system, self.prescription, self.heights, self.glass = system, prescription, heights, glass
+        self.options = {"prescription": prescription, "aim": aim}
+        self.points = pupil_of(pupil, count, system)
+
+    @cached_property
+    def first_order(self) -> FirstOrder:
+        """First-order properties at the reference wavelength."""
+        return first_order(self.system, prescription=self.prescription)
+
+    @cached_property
+    def _all(self) -> Traced:
+        points = torch.cat([torch.zeros_like(self.points[:1]), self.points])
+        rays = launch(self.system, points, **self.options)
+        return trace(self.system, rays, prescription=self.prescription, vignetting=False)
+
+    @property
+    def traced(self) -> Traced:
+        """Rays of all fields and wavelengths through the pupil, ``[..., W, F, P]``, not vignetted."""
+        return Traced(*(value[..., 1:] for value in self._all))
+
+    @property
+    def chief(self) -> Traced:
+        """Chief rays ``[..., F]`` of the reference wavelength."""
+        return Traced(*(value[..., self.system.reference, :, 0] for value in self._all))
+
+    @cached_property
+    def wavefront(self) -> Wavefront:
+        """Wavefronts of all fields and wavelengths."""
+        return wavefront(self.system, self.points, vignetting=False, **self.options)
+
+
+def edge_thicknesses(view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,)) -> torch.Tensor:
+    """Return thicknesses along z between neighbouring surfaces at a distance from the axis, ``[..., n]``.
+
+    Parameters
+    ----------
+    view : View
+        The system.
+    surfaces : sequence of int, optional
+        Surfaces in front of the thicknesses; all but the last by default.
+    heights : float or sequence of float, optional
+        Distance from the axis for each; by default the larger of the clear semi-diameters of both neighbours.
+    shares : sequence of float
+        Shares of these distances at which the thickness is taken.
+    """
+    p = view.prescription
+    count = p.thickness.shape[-1]
+    places = _places(surfaces, count, range(count - 1))
+    if heights is None:
+        if view.heights is None:
+            raise ValueError("edge_thickness needs heights, or semi-diameters of the surfaces on both sides")
+        clear = torch.nn.functional.pad(view.heights, (0, 1))
+        each = [torch.maximum(clear[..., i], clear[..., i + 1]) for i in places]
+    else:
+        each = [torch.as_tensor(h, dtype=torch.float64) for h in _spread(heights, len(places))]
+    found = []
+    for i, height in zip(places, each, strict=True):
+        for share in shares:
+            y = share * height
+            gap = p.thickness[..., i] - p.shape(i).sag(0 * y, y).height
+            if i + 1 < count:
+                gap = gap + p.shape(i + 1).sag(0 * y, y).height
+            found.append(gap)
+    return torch.stack(torch.broadcast_tensors(*found), -1)
+
+
+def _places(surfaces, count: int, default: Iterable[int]) -> list[int]:
+    if surfaces is None:
+        return list(default)
+    listed = list(surfaces) if isinstance(surfaces, Iterable) else [surfaces]
+    return [_validate.place_in("surfaces", place, count) for place in listed]
+
+
+def _spread(values, count: int) -> list:
+    values = list(values) if isinstance(values, Iterable) else [values] * count
+    if len(values) != count:
+        raise ValueError(f"heights must be one or one for each of {count} surfaces, got {len(values)}")
+    return values
+
+
+def _thickness(view: View, surfaces: Any = None) -> torch.Tensor:
+    thickness = view.prescription.thickness
+    places = _places(surfaces, thickness.shape[-1], range(thickness.shape[-1]))
+    return thickness[..., places]
+
+
+def _total_track(view: View, first: int = 0) -> torch.Tensor:
+    """From a vertex, the first one's by default, to the image plane along the axis."""
+    return view.prescription.thickness[..., first:].sum(-1, keepdim=True)
+
+
+def _weighted(values: torch.Tensor, fields: Any, axis: int) -> torch.Tensor:
+    """Multiply values by one weight for each field along an axis."""
+    if fields is None:
+        return values
+    weights = torch.as_tensor(fields, dtype=values.dtype, device=values.device)
+    return values * weights.reshape(-1, *(1,) * (-axis - 1))
+
+
+def _spot(view: View, fields: Any = None) -> torch.Tensor:
+    """Distances from the centroid of each field, all wavelengths; their squares sum to Σ rms², by field weights."""
+    traced, found = view.traced, []
+    number = traced.x.shape[-3] * traced.x.shape[-1]
+    for value in (traced.x, traced.y):
+        around = (value - value.mean((-3, -1), keepdim=True)) / number**0.5
+        found.append(_weighted(around, fields, -2).flatten(-3))
+    return torch.cat(found, -1)
+
+
+def _wavefront(view: View, fields: Any = None) -> torch.Tensor:
+    """Path differences from their mean in wavelengths; their squares sum to Σ rms² of all fields and wavelengths."""
+    path = view.wavefront.path
+    around = (path - path.mean(-1, keepdim=True)) / path.shape[-1] ** 0.5
+    return _weighted(around, fields, -2).flatten(-3)
+
+
+def _modulation(view: View, frequency: float, axis: str = "y", samples: int = 24) -> torch.Tensor:
+    """Modulation transfer at a frequency in cycles per unit of length, at all wavelengths and fields."""
+    spread = huygens_point_spread_function(view.system, samples, 2 * samples, vignetting=False, **view.options)
+    return modulation_at(spread, frequency, axis).flatten(-2)
+
+
+def _distortion(view: View) -> torch.Tensor:
+    """Relative distortion of all fields at the reference wavelength."""
+    return distortion(view.system, **view.options)[..., view.system.reference, :]
+
+
+def _lateral_color(view: View) -> torch.Tensor:
+    """Distances of the chief rays from that of the reference wavelength, at all wavelengths and fields."""
+    return lateral_color(view.system, **view.options).flatten(-2)
+
+
+def _chief_ray_angle(view: View) -> torch.Tensor:
+    """Angle of the chief rays against the axis behind the last surface in degrees, of all fields."""
+    chief = view.chief
+    across = (chief.u.square() + chief.v.square()).clamp_min(1e-30).sqrt()
+    return torch.rad2deg(torch.atan2(across, chief.w.abs()))
+
+
+def _telecentricity(view: View) -> torch.Tensor:
+    """Slopes of the chief rays against the axis behind the last surface along x and y, of all fields."""
+    chief = view.chief
+    return torch.cat([chief.u / chief.w, chief.v / chief.w], -1)
+
+
+def _glass(view: View, surfaces: Any, makers: Any = ("schott",)) -> torch.Tensor:
+    """Differences from the nearest glass of the makers' catalogues, in 0.01 of n_d and 1 of V_d."""
+    places = _places(surfaces, view.prescription.thickness.shape[-1], ())
+    if view.glass is None:
+        raise ValueError("an operand of glass needs a variable of glass")
+    known = _glass_map(tuple(_validate.texts("makers", makers)))
+    own = view.glass[..., places, :] / torch.tensor([0.01, 1.0], dtype=torch.float64)
+    nearest = known[(own.detach()[..., None, :] - known).square().sum(-1).argmin(-1)]
+    return (own - nearest).flatten(-2)
+
+
+@cache
+def _glass_map(makers: tuple[str, ...]) -> torch.Tensor:
+    """Return n_d/0.01 and V_d of all glasses of some makers, ``[n, 2]``."""
+    named = [_validate.one_of("makers", maker, glass_makers()) for maker in makers]
+    pool = [material(name) for maker in named for name in material_names(maker)]
+    return torch.tensor([[m.nd / 0.01, m.vd] for m in pool if m.nd and m.vd], dtype=torch.float64)
+
+
+OPERANDS: dict[str, Callable[..., torch.Tensor]] = {
+    "chief_ray_angle": _chief_ray_angle,
+    "distortion": _distortion,
+    "edge_thickness": edge_thicknesses,
+    "glass": _glass,
+    "lateral_color": _lateral_color,
+    "modulation": _modulation,
+    "spot": _spot,
+    "telecentricity": _telecentricity,
+    "thickness": _thickness,
+    "total_track": _total_track,
+    "wavefront": _wavefront,
+}
+
+
+def checked_operands(operands: Any) -> list[Operand]:
+    """Return operands after checking them; a name alone becomes an operand of that kind."""
+    listed = [operands] if isinstance(operands, (str, Operand)) else operands
+    if not isinstance(listed, Iterable):
+        raise TypeError(f"operands must be a sequence of Operand, got {type(operands).__name__}")
+    found = []
+    for item in listed:
+        item = Operand(item) if isinstance(item, str) else item
+        if not isinstance(item, Operand):
+            raise TypeError(f"operands must be Operand or their names, got {item!r:.80}")
+        if not callable(item.kind):
+            _validate.one_of("kind of operands", item.kind, (*OPERANDS, *FirstOrder._fields))
+        _validate.number("weight of an operand", item.weight, least=0)
+        for name in ("target", "lower", "upper"):
+            if getattr(item, name) is not None:
+                _validate.number(f"{name} of an operand", getattr(item, name))
+        if item.lower is not None and item.upper is not None and item.lower > item.upper:
+            raise ValueError(f"lower must be at most upper, got {item.lower} and {item.upper} of {item.kind!r}")
+        found.append(item)
+    if not found:
+        raise ValueError("operands must hold at least one")
+    return found
+
+
+def values_of(operand: Operand, view: View) -> torch.Tensor:
+    """Return the values of an operand, ``[..., n]``."""
+    if callable(operand.kind):
+        value = torch.as_tensor(operand.kind(view.system, view.prescription, **operand.options), dtype=torch.float64)
+        return value[..., None] if value.ndim <= len(view.prescription.batch) else value
+    if operand.kind in OPERANDS:
+        return OPERANDS[operand.kind](view, **operand.options)
+    return getattr(view.first_order, operand.kind)[..., None]
+
+
+def merit_residuals(operands: list[Operand], view: View) -> torch.Tensor:
+    """Return the residuals of all operands, ``[..., R]``."""
+    parts = [item.residuals(values_of(item, view)) for item in operands]
+    lead = torch.broadcast_shapes(*(part.shape[:-1] for part in parts))
+    return torch.cat([part.expand(*lead, part.shape[-1]) for part in parts], -1)
+
+
+def clear_heights(system, prescription: Prescription, count: int = 12, aim: str = "paraxial") -> torch.Tensor:
+    """Return the largest distance from its axis at which light meets each surface, ``[..., S]``.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription
+        Its numbers.
+    count : int
+        Rays on the rim of the pupil.
+    aim : str
+        How :func:`launch` aims.
+    """
+    turn = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
+    rays = launch(system, torch.stack([turn.sin(), turn.cos()], -1), prescription=prescription, aim=aim)
+    found = []
+    for i in range(len(system.surfaces)):
+        if is_break(system.surfaces[i]):
+            found.append(0 * found[-1] if found else torch.zeros(prescription.batch, dtype=torch.float64))
+            continue
+        hit = trace(system, rays, prescription=prescription, until=i, vignetting=False)
+        x, y, _ = in_surface_frame(system, prescription, i, hit)
+        found.append(torch.nan_to_num((x * x + y * y).sqrt(), nan=0.0).amax((-3, -2, -1)))
+    return torch.stack(found, -1)
