@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import torch
 
-from odak._torch_private import outside_functional_transforms
+from odak._torch_private import as_constant, outside_functional_transforms
 from odak.learn.raytracing.system.sequence import (
     HIT,
     Layout,
@@ -134,8 +134,9 @@ class Trace(torch.autograd.Function):
     @staticmethod
     def jvp(ctx, _, *tangents):
         """Return the tangents of x, y, z, u, v, w and path, 0 where a ray failed."""
-        *tensors, status = ctx.saved_tensors
-        by_rays, by_numbers = ray_derivatives(ctx.layout, tensors, status)
+        *tensors, status = (as_constant(value) for value in ctx.saved_tensors)
+        with outside_functional_transforms(*tensors, status):
+            by_rays, by_numbers = ray_derivatives(ctx.layout, tensors, status)
         total: Any = torch.zeros(())
         for derivative, tangent in zip(by_rays, tangents[:6], strict=True):
             total = total if tangent is None else total + derivative * tangent
@@ -290,7 +291,7 @@ def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple, tuple]:
 
 def _plain_derivatives(layout, numbers, rays, seeds, rows, by_rays, by_numbers) -> None:
     """Write the derivatives of rays that are systems of their own, by autograd through the plain operations."""
-    with outside_functional_transforms(*rays), torch.enable_grad():
+    with torch.enable_grad():
         inputs = [value.detach().clone().requires_grad_() for value in (*rays, *numbers[:5])]
         state = plain(layout, Numbers(*inputs[6:]), tuple(inputs[:6]))
         for k in range(7):

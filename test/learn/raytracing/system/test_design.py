@@ -13,6 +13,7 @@ from odak.learn.raytracing.system import (
     Solve,
     Variable,
     first_order,
+    fused,
     lens_design,
     load_system,
     optical_system,
@@ -268,3 +269,21 @@ def test_units_of_solves_near_objects():
     f = float(first_order(lens).focal_length)
     assert float(lens.surfaces[1].thickness) == pytest.approx(1 / (1 / f - 1 / 300.0), rel=1e-6)
     assert math.isfinite(f)
+
+
+def test_rays_that_the_fused_kernel_cannot_follow_have_the_same_derivatives(monkeypatch):
+    """A replay that gives up half way leaves the derivatives to autograd through the plain operations."""
+    lens = optical_system(
+        [
+            surface(30.0, coefficients=[0.0, 1e-5], thickness=4.0, material=1.6, stop=True),
+            surface(-60.0, coefficients=[0.0, 2e-5], thickness=40.0),
+        ],
+        8.0,
+        fields=[0.0, 5.0],
+    )
+    design = lens_design(lens, "spot", [Variable("curvature", [0, 1]), Variable("coefficients", [0, 1])], count=1)
+    expected = design.linearised(design.values)[1]
+    run = fused._run
+    monkeypatch.setattr(fused, "_run", lambda block, row, keep=None: None if keep is not None else run(block, row))
+    found = design.linearised(design.values)[1]
+    torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().amax()))
