@@ -1,6 +1,7 @@
 """Structure of the package: light imports, dependencies one way, one place for each thing, documented names."""
 
 import ast
+import functools
 import importlib
 import importlib.util
 import inspect
@@ -19,7 +20,7 @@ _specification = importlib.util.spec_from_file_location("structure", ROOT.parent
 structure = importlib.util.module_from_spec(_specification)
 _specification.loader.exec_module(structure)
 MODULES = structure.modules()
-IMPORTS = structure.imports()
+imports = functools.cache(structure.imports)
 PACKAGES = sorted(".".join(path.parent.relative_to(ROOT.parent).parts) for path in ROOT.rglob("__init__.pyi"))
 
 # What each part may import, besides the modules of the package itself (odak._array, odak._validate, …).
@@ -82,7 +83,7 @@ def part_of(module, parts):
 def test_dependencies_point_one_way(parts):
     wrong = {
         f"{module} imports {other}"
-        for module, imported in IMPORTS.items()
+        for module, imported in imports().items()
         for other in imported
         if (part := part_of(module, parts)) and (target := part_of(other, parts))
         if target not in {part, *parts[part]}
@@ -91,7 +92,7 @@ def test_dependencies_point_one_way(parts):
 
 
 def test_modules_do_not_import_each_other_in_a_circle():
-    assert structure.cycles(IMPORTS) == []
+    assert structure.cycles(imports()) == []
 
 
 def test_circles_are_found():

@@ -17,7 +17,9 @@ from odak.learn.raytracing.system import (
 from odak.learn.raytracing.system.drawing import COLOURS
 
 
-@pytest.mark.parametrize("name", sample_systems())
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if n == "double_gauss" else n for n in sample_systems()]
+)
 def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     assert main(["trace", name, "--output", str(tmp_path), "--rings", "3"]) == 0
     assert "focal length" in capsys.readouterr().out

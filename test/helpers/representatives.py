@@ -103,7 +103,7 @@ def _losses():
             lambda: Loss(perception.MetamericLossUniform(n_pyramid_levels=3, pooling_size=8), 64),
             LARGE,
         ),
-        "MetamerMSELoss": (lambda: Loss(perception.MetamerMSELoss(n_pyramid_levels=3), 64), LARGE),
+        "MetamerMSELoss": (lambda: Loss(perception.MetamerMSELoss(n_pyramid_levels=3, iterations=2), 64), LARGE),
         "BlurLoss": (lambda: Loss(perception.BlurLoss(), 64), LARGE),
         "CSFLoss": (lambda: Loss(perception.CSFLoss(), 64), LARGE),
         "CVDLoss": (lambda: perception.CVDLoss(), PICTURE),

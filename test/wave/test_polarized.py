@@ -208,13 +208,13 @@ def full_width(profile, step):
 def test_focal_spot_of_high_numerical_apertures(aperture, index, expected):
     pupil, geometry = x_polarized_pupil(aperture)
     geometry["index"] = index
-    step = 0.005
-    plane = (np.abs(focus_polarized(pupil, shape=(301, 301), target_dx=step, **geometry)) ** 2).sum(axis=0)
-    depths = (np.arange(801) - 400) * 0.005
+    step = 0.01
+    parts = np.abs(focus_polarized(pupil, shape=(151, 151), target_dx=step, **geometry)) ** 2
+    plane, e_z = parts.sum(axis=0), parts[2]
+    depths = (np.arange(161) - 80) * 0.025
     axis = focus_polarized(pupil, shape=(1, 1), target_dx=step, distance=depths, **geometry)
     along = (np.abs(axis[:, :, 0, 0]) ** 2).sum(axis=1)
-    e_z = np.abs(focus_polarized(pupil, shape=(301, 301), target_dx=step, **geometry)[2]) ** 2
-    found = (full_width(plane[150], step), full_width(plane[:, 150], step), full_width(along, 0.005))
+    found = (full_width(plane[75], step), full_width(plane[:, 75], step), full_width(along, 0.025))
     np.testing.assert_allclose((*found, e_z.max() / plane.max()), expected, rtol=1e-3)
 
 
