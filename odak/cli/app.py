@@ -320,6 +320,61 @@ def simulate(
 
 
 @app.command(
+    help="Calibrate an optical table by one step: exposure, settling, polarisation, phase, registration, wavefront, "
+    "distance, illumination, regions, or all (phase to illumination).\n\n"
+    "Instruments are named by the entry points of their drivers (screen, video, file-modulator, file-camera and those "
+    "of installed packages); without names, a simulated table is calibrated, whose faults a seed draws. Writes "
+    "calibration.npz, which each step takes as known and adds to, STEP.png and report.json."
+)
+def calibrate(
+    step: Annotated[str, typer.Argument(metavar="STEP", help="What to measure.")],
+    output: options.Output = Path("calibration"),
+    modulator: Annotated[str, typer.Option(metavar="NAME", help="Driver of the modulator.")] = "simulated",
+    camera: Annotated[str, typer.Option(metavar="NAME", help="Driver of the camera.")] = "simulated",
+    polariser: Annotated[str | None, typer.Option(metavar="NAME", help="Driver of the polariser's mount.")] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="INSTRUMENT.NAME=VALUE",
+            help="Option of a driver, as camera.source=0 or simulated.shape=[96,96]; may be repeated.",
+        ),
+    ] = None,
+    wavelength: Annotated[str, typer.Option(metavar="LENGTH", help="Vacuum wavelength.")] = "532nm",
+    distance: Annotated[str, typer.Option(metavar="LENGTH", help="From the modulator to the camera.")] = "20mm",
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the simulated table.")] = 0,
+    faults: Annotated[str, typer.Option(metavar="some|all", help="Faults of the simulated table.")] = "some",
+    results: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="File of the results, .npz or .h5.", show_default="in the folder"),
+    ] = None,
+    quiet: options.Quiet = False,
+) -> None:
+    """Calibrate a table; see :mod:`odak.cli.calibrate`."""
+    with _messages():
+        from odak.cli import calibrate as calibrating
+        from odak.cli.job import parse_length
+
+        if faults not in ("some", "all"):
+            raise InputError(f"--faults must be some or all, got {faults!r}")
+        lengths = {}
+        for name, text in (("wavelength", wavelength), ("distance", distance)):
+            try:
+                lengths[name] = parse_length(text)
+            except ValueError as error:
+                raise InputError(f"--{name}: {error}") from None
+            if not lengths[name] > 0:
+                raise InputError(f"--{name} must be positive, got {text!r}")
+        names = {"modulator": modulator, "camera": camera, "polariser": polariser}
+        twin = {**lengths, **calibrating.faults_of(step, faults)}
+        table = calibrating.open_table(names, option or (), seed, twin)
+        report = calibrating.run(step, table, output, **lengths, results=results)
+    if not quiet:
+        for name, value in report["found"].items():
+            typer.echo(f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+        typer.echo(f"{report['figure']}, report.json in {output}; results in {report['results']}")
+
+
+@app.command(
     help="Open an interactive page of a result: a folder of any command, a picture, a field in .npy or .pt, or a "
     "lens.\n\n"
     "The page holds all it needs and uses no network."

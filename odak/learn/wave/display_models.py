@@ -429,7 +429,7 @@ class display_model(torch.nn.Module):
         rows, columns = self.camera_shape
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
         seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
-        spread = 1.6 * self.nominal_distance * math.tan(math.asin(min(self.wavelength / (2 * self.pitch), 0.99)))
+        spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(self.wavelength / (2 * self.pitch), 0.99)))
         widths = [max(n * self.pitch / 2 + spread + far, 2 * spread) for n, far in zip(self.shape, seen, strict=True)]
         sizes = [
             _fast(s * (max(math.ceil(width / self.pitch), n) + 16)) for width, n in zip(widths, self.shape, strict=True)

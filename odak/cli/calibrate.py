@@ -1,0 +1,377 @@
+"""Calibration of an optical table for `odak calibrate`: instruments by name, steps, results, pictures and a report."""
+
+import dataclasses
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from odak import instruments
+from odak.cli.files import REPORT, writable_folder, write_json
+from odak.cli.job import InputError, did_you_mean
+from odak.cli.report import collected_warnings, versions
+from odak.instruments import Calibration
+from odak.instruments.calibration import lens_phase, spots_phase
+from odak.instruments.exposures import set_exposure
+from odak.instruments.simulated import REALISTIC
+from odak.tools.paths import replacing
+
+SIMULATED = "simulated"
+DEFINITIONS = {
+    "lengths": "In metres; phases in radians; times in seconds; angles in degrees.",
+    "residual_pixels": "Root mean square distance of the spots from the mapping of the camera, in its pixels.",
+    "wavefront_rms_waves": "Root mean square of the aberration in wavelengths, without tilt and defocus.",
+    "illumination_min": "Smallest amplitude on the modulator over the largest.",
+    "exposure": "Exposure at which the brightest pixel of a spot reaches 60 % of the range.",
+    "settling_time": "After it, a phase misses a new one by less than 0.02 rad.",
+    "angle": "Of the polariser, at which most light is modulated; contrast: over that at 90 degrees to it.",
+}
+
+
+class Table(NamedTuple):
+    """Instruments of a table; None for those that it does not have."""
+
+    modulator: Any
+    camera: Any
+    polariser: Any
+
+
+class Found(NamedTuple):
+    """What a step found: the calibration with it, numbers for the report, and a function that draws it."""
+
+    calibration: Calibration
+    numbers: dict[str, Any]
+    draw: Callable[[Figure], None]
+
+
+def faults_of(step: str, faults: str) -> dict[str, Any]:
+    """Return the parameters of a simulated table: some of its faults or all, and the one that a step measures."""
+    measured = {
+        "settling": {"time_constant": 5e-3},
+        "polarisation": {"polarisation": True},
+        "regions": {"regional": 0.05},
+    }
+    return {**(REALISTIC if faults == "all" else {}), **measured.get(step, {})}
+
+
+def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, twin: dict[str, Any]) -> Table:
+    """Return the instruments of a table.
+
+    Parameters
+    ----------
+    names : dict
+        Entry points by "modulator", "camera" and "polariser", "simulated" for a table of one's own.
+    options : sequence of str
+        ``instrument.option=value``, values as JSON or plain text.
+    seed : int
+        Seed of the simulated table.
+    twin : dict
+        Parameters of the simulated table, in place of which options may give others.
+
+    Returns
+    -------
+    Table
+        The instruments.
+
+    Raises
+    ------
+    InputError
+        If an instrument cannot be opened.
+    """
+    given: dict[str, dict[str, Any]] = {name: {} for name in (*names, SIMULATED)}
+    for text in options:
+        key, equals, value = text.partition("=")
+        place, dot, option = key.partition(".")
+        if not equals or not dot or place not in given:
+            raise InputError(f"--option must be {'|'.join(given)}.NAME=VALUE, got {text!r}")
+        try:
+            given[place][option] = json.loads(value)
+        except json.JSONDecodeError:
+            given[place][option] = value
+    simulated = [name for name, entry in names.items() if entry == SIMULATED]
+    try:
+        if simulated:
+            if len(simulated) != len([entry for entry in names.values() if entry is not None]):
+                raise InputError(f"--{simulated[0]} is simulated, the others must be too")
+            made = instruments.SimulatedTable(seed, **{**twin, **given[SIMULATED]})
+            return Table(made.modulator, made.camera, made.polariser)
+        opened = {
+            name: None if entry is None else instruments.open_instrument(entry, **given[name])
+            for name, entry in names.items()
+        }
+    except (ImportError, OSError, TypeError, ValueError) as error:
+        raise InputError(f"an instrument cannot be opened: {error}") from None
+    return Table(opened["modulator"], opened["camera"], opened["polariser"])
+
+
+def run(
+    step: str,
+    table: Table,
+    output: Path,
+    wavelength: float,
+    distance: float,
+    results: Path | None = None,
+) -> dict:
+    """Calibrate a table by one step, and write its results, a picture and a report.
+
+    Parameters
+    ----------
+    step : str
+        One of `STEPS`.
+    table : Table
+        The instruments.
+    output : Path
+        Folder to write to: ``STEP.png``, ``report.json`` and the results, which the next step takes.
+    wavelength, distance : float
+        Of the light, and from the modulator to the camera, in metres.
+    results : Path, optional
+        File of the results (``.npz`` or ``.h5``), ``calibration.npz`` in the folder by default. What it holds is taken
+        as known.
+
+    Returns
+    -------
+    dict
+        The report.
+
+    Raises
+    ------
+    InputError
+        If the step is unknown or a file cannot be used.
+    """
+    if step not in STEPS:
+        raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
+    folder = writable_folder(output)
+    path = folder / "calibration.npz" if results is None else Path(results).expanduser()
+    known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
+    if path.exists():
+        try:
+            known = instruments.load_calibration(path)
+        except (ImportError, ValueError) as error:
+            raise InputError(f"--results: {error}") from None
+        if known.amplitude.shape != tuple(table.modulator.shape) or known.wavelength != wavelength:
+            raise InputError(
+                f"--results {str(path)!r} is of another table: {list(known.amplitude.shape)} pixels at "
+                f"{known.wavelength:g} m, not {list(table.modulator.shape)} at {wavelength:g} m"
+            )
+    with collected_warnings() as texts:
+        try:
+            found = STEPS[step](table, known)
+        except RuntimeError as error:
+            raise InputError(f"the step {step} failed: {error}") from None
+    instruments.save_calibration(path, found.calibration)
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    found.draw(figure)
+    with replacing(folder / f"{step}.png") as stream:
+        figure.savefig(stream, format="png", dpi=110)
+    report = {
+        "step": step,
+        "found": found.numbers,
+        "results": str(path),
+        "figure": f"{step}.png",
+        "warnings": texts,
+        "versions": versions(),
+        "definitions": DEFINITIONS,
+    }
+    write_json(folder / REPORT, report)
+    return report
+
+
+def _phase(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance)
+    phases = instruments.measure_phase_response(*there)
+    span = float(phases[-1] - phases[0])
+    return Found(
+        dataclasses.replace(known, phases=phases),
+        {"phase_range": span, "largest_departure_from_a_line": float(_from_line(phases))},
+        lambda figure: _curves(figure, phases),
+    )
+
+
+def _regions(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.registration)
+    tables = instruments.measure_regional_response(*there)
+    ends = tables[..., -1]
+    return Found(
+        dataclasses.replace(known, regional_phases=tables),
+        {"phase_ranges": ends.tolist()},
+        lambda figure: _curves(figure, *tables.reshape(-1, tables.shape[-1])),
+    )
+
+
+def _registration(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases)
+    mapping = instruments.register_camera(*there, wavefront=known.wavefront)
+    half = 0.375 * np.array(table.modulator.shape[::-1]) * table.modulator.pitch
+    axes = [np.linspace(-h, h, 6) for h in half]
+    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    frame = table.camera.capture(2).mean(0)
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.imshow(np.sqrt(np.clip(frame, 0, None)), cmap="gray")
+        places = mapping.camera_pixels(points)
+        axis.scatter(places[:, 0], places[:, 1], s=60, facecolors="none", edgecolors="tab:orange", linewidths=0.8)
+        axis.set(xlabel="camera column", ylabel="camera row", title="Spots, and where the mapping expects them")
+
+    return Found(
+        dataclasses.replace(known, registration=mapping),
+        {"residual_pixels": mapping.residual, "distortion": mapping.distortion},
+        draw,
+    )
+
+
+def _wavefront(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    wavefront = instruments.measure_wavefront(*there, amplitude=known.amplitude)
+    waves = wavefront / (2 * np.pi)
+    return Found(
+        dataclasses.replace(known, wavefront=wavefront),
+        {"wavefront_rms_waves": float(waves.std())},
+        lambda figure: _map(figure, waves, known.pitch, "aberration (wavelengths)"),
+    )
+
+
+def _distance(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    distance = instruments.measure_distance(*there, wavefront=known.wavefront)
+    found = dataclasses.replace(known, distance=distance)
+    return Found(found, {"distance": distance}, _spot(table, known, found))
+
+
+def _illumination(table: Table, known: Calibration) -> Found:
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    amplitude = instruments.measure_illumination(*there, wavefront=known.wavefront)
+    return Found(
+        dataclasses.replace(known, amplitude=amplitude),
+        {"illumination_min": float(amplitude.min())},
+        lambda figure: _map(figure, amplitude, known.pitch, "amplitude of the illumination"),
+    )
+
+
+def _exposure(table: Table, known: Calibration) -> Found:
+    phase = lens_phase(table.modulator, known.wavelength, known.distance)
+    table.modulator.show(known.levels(phase))
+    exposure = set_exposure(table.camera)
+    frame = table.camera.capture(1)[0]
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.hist(frame.ravel(), bins=100, log=True, color="tab:blue")
+        axis.set(xlabel="counts", ylabel="pixels", title=f"Counts of a spot at {exposure:.3g} s")
+
+    top = (1 << table.camera.bits) - 1
+    return Found(known, {"exposure": exposure, "brightest_share": float(frame.max() / top)}, draw)
+
+
+def _settling(table: Table, known: Calibration) -> Found:
+    before = table.modulator.settling_time
+    longest = {} if before > 0 else {"longest": 0.2}
+    result = instruments.measure_settling(table.modulator, table.camera, known.phases, **longest)
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.plot(1e3 * result.delays, result.brightness, "o-")
+        axis.axvline(1e3 * result.settling_time, color="tab:orange", label="settled to 0.02 rad")
+        axis.set(xlabel="delay (ms)", ylabel="mean counts")
+        axis.legend()
+
+    numbers = {name: float(getattr(result, name)) for name in ("time_constant", "settling_time", "uncertainty")}
+    return Found(known, numbers, draw)
+
+
+def _polarisation(table: Table, known: Calibration) -> Found:
+    if table.polariser is None:
+        raise InputError("--polariser must be given for the step polarisation")
+    levels = known.levels(lens_phase(table.modulator, known.wavelength, known.distance))
+    result = instruments.measure_polarisation(table.modulator, table.camera, table.polariser, levels)
+
+    def draw(figure: Figure) -> None:
+        axis = figure.subplots()
+        axis.plot(result.angles, result.brightness, "o")
+        axis.axvline(result.angle % 180, color="tab:orange", label="most light modulated")
+        axis.set(xlabel="angle of the polariser (degrees)", ylabel="brightness of the spot (counts)")
+        axis.legend()
+
+    numbers = {"angle": result.angle, "uncertainty": result.uncertainty, "contrast": result.contrast}
+    return Found(known, {k: float(v) if np.isfinite(v) else None for k, v in numbers.items()}, draw)
+
+
+def _all(table: Table, known: Calibration) -> Found:
+    found = instruments.calibrate_table(table.modulator, table.camera, known.wavelength, known.distance)
+
+    def draw(figure: Figure) -> None:
+        left, middle, right = figure.subplots(1, 3)
+        left.plot(found.phases)
+        left.set(xlabel="level", ylabel="phase (rad)")
+        _draw_map(middle, found.wavefront / (2 * np.pi), found.pitch, "aberration (wavelengths)")
+        _draw_map(right, found.amplitude, found.pitch, "amplitude")
+
+    numbers = {
+        "residual_pixels": found.registration.residual,
+        "distance": found.distance,
+        "wavefront_rms_waves": float(found.wavefront.std() / (2 * np.pi)),
+        "illumination_min": float(found.amplitude.min()),
+        "phase_range": float(found.phases[-1]),
+    }
+    return Found(found, numbers, draw)
+
+
+STEPS: dict[str, Callable[[Table, Calibration], Found]] = {
+    "exposure": _exposure,
+    "settling": _settling,
+    "polarisation": _polarisation,
+    "phase": _phase,
+    "registration": _registration,
+    "wavefront": _wavefront,
+    "distance": _distance,
+    "illumination": _illumination,
+    "regions": _regions,
+    "all": _all,
+}
+
+
+def _from_line(phases: np.ndarray) -> float:
+    return np.abs(phases - np.linspace(phases[0], phases[-1], len(phases))).max()
+
+
+def _curves(figure: Figure, *tables: np.ndarray) -> None:
+    axis = figure.subplots()
+    for phases in tables:
+        axis.plot(phases)
+    axis.axhline(2 * np.pi, color="grey", linewidth=0.8, linestyle=":")
+    axis.set(xlabel="level", ylabel="phase (rad)", title="Phase of each level" + " of each region" * (len(tables) > 1))
+
+
+def _map(figure: Figure, values: np.ndarray, pitch: float, label: str) -> None:
+    _draw_map(figure.subplots(), values, pitch, label)
+
+
+def _draw_map(axis: Any, values: np.ndarray, pitch: float, label: str) -> None:
+    rows, columns = values.shape
+    extent = 1e3 * pitch / 2 * np.array([-columns, columns, rows, -rows])
+    drawn = axis.imshow(values, extent=extent)
+    axis.set(xlabel="x (mm)", ylabel="y (mm)")
+    axis.figure.colorbar(drawn, ax=axis, label=label, shrink=0.9)
+
+
+def _spot(table: Table, before: Calibration, after: Calibration) -> Callable[[Figure], None]:
+    """Return a function that draws captures of spots with the distance before and after."""
+    reach = 0.15 * min(table.modulator.shape) * table.modulator.pitch
+    points = np.array([[-reach, 0.0], [reach, 0.0], [0.0, reach]])
+    frames = []
+    for number, calibration in enumerate((after, before)):
+        phase = spots_phase(table.modulator, calibration.wavelength, calibration.distance, points)
+        table.modulator.show(calibration.levels(phase))
+        if number == 0:
+            set_exposure(table.camera)
+        frames.append(table.camera.capture(2).mean(0))
+
+    def draw(figure: Figure) -> None:
+        for axis, frame, name in zip(figure.subplots(1, 2), frames[::-1], ("before", "after"), strict=True):
+            axis.imshow(frame, cmap="gray", vmin=0, vmax=frames[0].max())
+            axis.set(xlabel="camera column", ylabel="camera row", title=f"Three spots {name}")
+
+    return draw

@@ -1,0 +1,93 @@
+"""The command `odak calibrate` on simulated tables and on drivers of the package."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from odak import instruments
+from odak.cli import main
+
+SMALL = ["--option", "simulated.shape=[40,40]", "--option", "simulated.camera_shape=[80,80]", "--distance", "5mm"]
+
+
+def calibrate(step, folder, *more):
+    code = main(["calibrate", step, "--output", str(folder), "--seed", "3", *SMALL, "--quiet", *more])
+    return code, json.loads((folder / "report.json").read_text()) if code == 0 else None
+
+
+def truth_of(**options):
+    return instruments.SimulatedTable(3, shape=(40, 40), camera_shape=(80, 80), distance=5e-3, **options).truth
+
+
+def started(folder):
+    """Write a file of results with the true response, and return the table."""
+    table = instruments.SimulatedTable(3, shape=(40, 40), camera_shape=(80, 80), distance=5e-3)
+    start = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 5e-3)
+    start = dataclasses.replace(start, phases=table.truth.phases)
+    instruments.save_calibration(folder / "calibration.npz", start)
+    return table
+
+
+def test_steps_add_to_one_file_of_results(tmp_path, capsys):
+    """Registration with a response that was set right, then the exposure; what is known stays."""
+    table = started(tmp_path)
+    for step in ("registration", "exposure"):
+        code, report = calibrate(step, tmp_path)
+        assert code == 0 and report["step"] == step and (tmp_path / f"{step}.png").stat().st_size > 3000
+    assert 0.3 < report["found"]["brightest_share"] < 0.9
+    found = instruments.load_calibration(tmp_path / "calibration.npz")
+    assert np.array_equal(found.phases, table.truth.phases)
+    pixels = np.random.default_rng(0).uniform(16, 64, (20, 2))
+    missed = found.registration.plane_points(pixels) - table.truth.plane_points(pixels, (80, 80))
+    # The aberration, which is not known yet, shifts the spots.
+    assert np.abs(missed).max() < 3 * 4e-6
+    assert capsys.readouterr().out == ""
+
+
+def test_settling_and_polarisation(tmp_path):
+    started(tmp_path)
+    code, report = calibrate("settling", tmp_path)
+    truth = truth_of(time_constant=5e-3)
+    assert code == 0 and report["found"]["time_constant"] == pytest.approx(truth.time_constant, rel=0.25)
+    code, report = calibrate("polarisation", tmp_path)
+    assert code == 0 and abs(report["found"]["angle"] - truth_of(polarisation=True).polarisation) < 1
+
+
+def test_instruments_that_do_not_open_are_named(tmp_path, capsys):
+    for arguments, message in (
+        (["nothing"], "STEP must be one of exposure"),
+        (["phase", "--modulator", "none", "--camera", "none"], "must be that of an installed driver"),
+        (["phase", "--camera", "video"], "--modulator is simulated, the others must be too"),
+        (["phase", "--option", "nonsense"], "--option must be modulator|camera|polariser|simulated.NAME=VALUE"),
+        (["phase", "--option", "simulated.nothing=1"], "an instrument cannot be opened"),
+        (["phase", "--wavelength", "-3nm"], "--wavelength must be positive"),
+        (["phase", "--wavelength", "green"], "--wavelength: 'green' is not a length"),
+        (["phase", "--faults", "none"], "--faults must be some or all"),
+    ):
+        assert main(["calibrate", *arguments, "--output", str(tmp_path)]) == 2
+        assert message in capsys.readouterr().err
+    (tmp_path / "calibration.npz").write_bytes(b"nothing")
+    assert calibrate("exposure", tmp_path)[0] == 2
+    assert "cannot be read as a calibration" in capsys.readouterr().err
+
+
+def test_results_of_another_table_are_refused(tmp_path, capsys):
+    table = instruments.SimulatedTable(3, shape=(20, 20), camera_shape=(80, 80))
+    start = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 5e-3)
+    instruments.save_calibration(tmp_path / "calibration.npz", start)
+    assert calibrate("exposure", tmp_path)[0] == 2
+    assert "is of another table: [20, 20] pixels" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_all_steps_find_the_truth(tmp_path):
+    results = tmp_path / "a.npz"
+    for step in ("phase", "registration", "wavefront", "distance", "illumination", "regions"):
+        code = main(["calibrate", step, "--output", str(tmp_path), "--seed", "5", "--results", str(results), "--quiet"])
+        assert code == 0 and (tmp_path / f"{step}.png").exists()
+    found = instruments.load_calibration(results)
+    assert found.regional_phases.shape == (3, 3, 256)
+    truth = instruments.SimulatedTable(5).truth
+    assert np.abs(found.phases - truth.phases).max() < 0.03
