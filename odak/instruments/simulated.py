@@ -342,7 +342,8 @@ class SimulatedTable:
         rows, columns = field.shape
         distance, wavelength = self.truth.distance + self.stage.position, self.laser.wavelength
         # Light that leaves the grid on one side comes back on the other, but not into what the camera sees.
-        spread = abs(distance) * np.tan(np.arcsin(min(wavelength / (2 * self._pitch), 0.9)))
+        sine = min(s, self._iris or s) * wavelength / (2 * self._pitch)
+        spread = abs(distance) * np.tan(np.arcsin(min(sine, 0.9)))
         corners = np.array([[u, v] for u in (0, self.camera.shape[1]) for v in (0, self.camera.shape[0])], float)
         seen = np.abs(self.truth.plane_points(corners, self.camera.shape)).max(0)[::-1]
         width = [

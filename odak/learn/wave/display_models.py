@@ -153,7 +153,7 @@ class display_model(torch.nn.Module):
         iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
         self._start = registration
         self._buffers_of_panel(phases, amplitude, wavefront, zernike_order, source_order, nodes)
-        self._grid(registration)
+        self._grid(registration, iris)
         sizes = {
             "brightness": 1,
             "lut": nodes - 1,
@@ -423,13 +423,14 @@ class display_model(torch.nn.Module):
         for name, value in buffers.items():
             self.register_buffer(name, torch.as_tensor(value).to(self._dtype), persistent=False)
 
-    def _grid(self, registration: Registration) -> None:
+    def _grid(self, registration: Registration, iris: float | None) -> None:
         """Choose the grid of the spectrum: light that leaves it must not come back into what the camera sees."""
         s = self.samples_per_pixel
         rows, columns = self.camera_shape
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
         seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
-        spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(self.wavelength / (2 * self.pitch), 0.99)))
+        sine = min(s, iris or s) * self.wavelength / (2 * self.pitch)
+        spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(sine, 0.9)))
         widths = [max(n * self.pitch / 2 + spread + far, 2 * spread) for n, far in zip(self.shape, seen, strict=True)]
         sizes = [
             _fast(s * (max(math.ceil(width / self.pitch), n) + 16)) for width, n in zip(widths, self.shape, strict=True)
