@@ -78,6 +78,22 @@ def tilted(device: str) -> Iterator[dict]:
     yield _row("tilted plane, 64", ours, direct_sum, "direct sum", 0.5, device)
 
 
+def tilted_against_plain(device: str) -> Iterator[dict]:
+    """Yield planes tilted about one axis and about any, again and again, against an ordinary padded propagation."""
+    for n in (256, 512):
+        field = torch.randn(n, n, dtype=torch.complex64, device=device)
+
+        def plain(field=field):
+            wave.propagate_beam(field, None, DISTANCE, PITCH, WAVELENGTH)
+
+        for about, angles in (("y", (0.0, 30.0, 0.0)), ("x", (10.0, 0.0, 0.0))):
+
+            def ours(field=field, angles=angles):
+                wave.propagate_to_tilted_plane(field, WAVELENGTH, DISTANCE, PITCH, angles)
+
+            yield _row(f"tilted plane about {about}, {n}", ours, plain, "propagate_beam", 5.0, device)
+
+
 def partial_coherence(device: str) -> Iterator[dict]:
     """Yield three wavelengths of 24 directions against as many coherent propagations, one by one."""
     field = torch.randn(256, 256, dtype=torch.complex64, device=device)
@@ -98,4 +114,4 @@ def partial_coherence(device: str) -> Iterator[dict]:
     )
 
 
-ALL = (zoom, same_grid, tilted, partial_coherence)
+ALL = (zoom, same_grid, tilted, tilted_against_plain, partial_coherence)

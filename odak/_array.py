@@ -147,6 +147,20 @@ def is_readable(value) -> bool:
     return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_symbolic(value))
 
 
+def is_wrapped(value) -> bool:
+    """Say whether torch.func or forward-mode differentiation stands for a tensor, or torch.compile is running."""
+    if not is_torch(value):
+        return False
+    from odak import _torch_private
+
+    return _torch_private.is_transformed(value)
+
+
+def has_sparse_matrices(value) -> bool:
+    """Say whether products with sparse matrices are there for an array: for NumPy and torch."""
+    return is_torch(value) or type(value).__module__ == "numpy"
+
+
 def numbers_behind(value) -> list[float] | None:
     """Return the numbers in an array as a flat list without derivatives, None under vmap and torch.compile.
 

@@ -4,11 +4,14 @@ The chirp-z transform goes between any two uniform grids exactly; runs of the fr
 transform (:class:`Line`) use fast transforms where they can; the non-uniform transform gives the spectrum anywhere.
 """
 
+import importlib
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.fft
+import scipy.sparse
 
 from odak import _array
 from odak._array import phasor_of_cycles
@@ -133,7 +136,10 @@ def from_line(spectrum, line: Line, pitch, count: int):
     """
     xp = _array.namespace(spectrum)
     positions = centred(spectrum, count, line.axis)
-    if pitch is None and line.count <= line.period:
+    if pitch is None:
+        # At whole samples frequencies a period apart are the same.
+        if line.count > line.period:
+            spectrum, line = _folded(spectrum, line)
         back = phasor_of_cycles(-(count // 2) / line.period * _indices(spectrum, line.count, line.axis), spectrum.dtype)
         result = xp.fft.ifft(spectrum * back, n=line.period, axis=line.axis)
         result = result[..., :count] if line.axis == -1 else result[..., :count, :]
@@ -143,6 +149,29 @@ def from_line(spectrum, line: Line, pitch, count: int):
     # The sum counts frequencies from the one in the middle.
     middle = (line.first + line.count // 2) / line.period
     return result * phasor_of_cycles(middle * pitch * positions, result.dtype)
+
+
+def _folded(spectrum, line: Line) -> tuple:
+    """Return a spectrum and its line, with all that is beyond a period added to the first one."""
+    xp = _array.namespace(spectrum)
+    parts = []
+    for start in range(0, line.count, line.period):
+        part = slice(start, min(start + line.period, line.count))
+        parts.append(spectrum[..., part] if line.axis == -1 else spectrum[..., part, :])
+    short = parts[-1].shape[line.axis]
+    rest = slice(short, None)
+    last = (
+        [parts[0][..., :short], parts[0][..., rest]]
+        if line.axis == -1
+        else [
+            parts[0][..., :short, :],
+            parts[0][..., rest, :],
+        ]
+    )
+    folded = xp.concat([last[0] + parts[-1], last[1]], axis=line.axis)
+    for part in parts[1:-1]:
+        folded = folded + part
+    return folded, Line(line.axis, line.first, line.period, line.period)
 
 
 # Taps along an axis: the spreading error is about 10^(1 − taps) for twofold oversampling.
@@ -203,9 +232,7 @@ def spectrum_along(field, cycles, axis: int):
     if axis == -2:
         field, cycles = xp.matrix_transpose(field), xp.matrix_transpose(cycles)
         return xp.matrix_transpose(spectrum_along(field, cycles, -1))
-    taps = _TAPS["complex128" if field.dtype == xp.complex128 else "complex64"]
-    size = max(scipy.fft.next_fast_len(2 * field.shape[-1]), 2 * taps)
-    fine = xp.fft.fft(_wrap(field / _window_transform(field, -1, size, taps), -1, size), axis=-1)
+    fine, size, taps = _fine_spectrum(field)
     # Continued by its beginning, so that no index has to go round.
     fine = xp.concat([fine, fine[..., :taps]], axis=-1)
     batch, width = np.broadcast_shapes(tuple(fine.shape[:-1]), tuple(cycles.shape[:-1])), size + taps
@@ -221,6 +248,69 @@ def spectrum_along(field, cycles, axis: int):
         weight = _window(xp.clip(aside + 2 * tap / taps, -1.0, 1.0), taps)
         result = result + xp.reshape(xp.take(flat, start + tap, axis=0), shape) * weight
     return result
+
+
+def _fine_spectrum(field):
+    """Return the spectrum along the last axis on a grid twice as fine, its length, and the taps to interpolate it."""
+    xp = _array.namespace(field)
+    taps = _TAPS["complex128" if field.dtype == xp.complex128 else "complex64"]
+    size = max(scipy.fft.next_fast_len(2 * field.shape[-1]), 2 * taps)
+    return xp.fft.fft(_wrap(field / _window_transform(field, -1, size, taps), -1, size), axis=-1), size, taps
+
+
+class InterpolatedSpectrum:
+    """The linear map of :func:`spectrum_along` at frequencies that stay, as a sparse matrix.
+
+    Parameters
+    ----------
+    cycles : numpy.ndarray
+        Frequencies in cycles per sample ``[N, Q]`` (axis -1) or ``[Q, M]`` (axis -2), one set for all fields.
+    samples : int
+        Samples of the field along the axis.
+    axis : int
+        -1 or -2.
+    double : bool
+        True for complex128.
+    """
+
+    def __init__(self, cycles: np.ndarray, samples: int, axis: int, double: bool):
+        cycles = cycles if axis == -1 else cycles.T
+        taps = _TAPS["complex128" if double else "complex64"]
+        size = max(scipy.fft.next_fast_len(2 * samples), 2 * taps)
+        place = cycles * size
+        nearest = np.ceil(place - taps / 2)
+        real = np.float64 if double else np.float32
+        places = (nearest[..., None] + np.arange(taps)).astype(np.int64)
+        weights = _window(np.clip((places - place[..., None]) * (2 / taps), -1.0, 1.0), taps).astype(real)
+        rows = np.arange(len(cycles))[:, None, None] * size
+        columns = (rows + places % size).astype(np.int32).reshape(-1)
+        starts = np.arange(0, columns.size + 1, taps, dtype=np.int32)
+        shape = (cycles.size, len(cycles) * size)
+        self.matrix = scipy.sparse.csr_matrix((weights.reshape(-1), columns, starts), shape=shape)
+        self.shape, self.axis = cycles.shape, axis
+        self.held_bytes = columns.size * (4 + weights.itemsize)
+        self._operator: Any = None
+
+    def __call__(self, field):
+        """Return the spectrum of a field ``[..., N, M]`` at the frequencies."""
+        xp = _array.namespace(field)
+        if self.axis == -2:
+            return xp.matrix_transpose(self._along_rows(xp.matrix_transpose(field)))
+        return self._along_rows(field)
+
+    def _along_rows(self, field):
+        fine = _fine_spectrum(field)[0]
+        batch = fine.shape[:-2]
+        if _array.is_torch(field):
+            if self._operator is None:
+                module = importlib.import_module("odak.learn.wave.convolution")
+                self._operator = module.sparse_operator(self.matrix)
+            result = self._operator(fine.reshape(math.prod(batch), -1))
+        else:
+            numbers = np.ascontiguousarray(fine).reshape(math.prod(batch), -1)
+            result = np.stack([(self.matrix @ one.view(numbers.real.dtype).reshape(-1, 2)) for one in numbers])
+            result = np.ascontiguousarray(result).view(fine.dtype)
+        return result.reshape(*batch, *self.shape)
 
 
 def _gather(fine, rows, columns):

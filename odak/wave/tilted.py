@@ -1,7 +1,9 @@
 """Propagation to a tilted plane: the angular spectrum in the plane's own coordinates."""
 
-from collections.abc import Sequence
-from dataclasses import replace
+import functools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -9,8 +11,15 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import AccuracyWarning, warn
-from odak.wave.fourier import spectrum_along, spectrum_at, to_line
-from odak.wave.transfer_functions import Grid, Request, check_geometry, plane_wave_transfer
+from odak.wave.fourier import InterpolatedSpectrum, Line, spectrum_along, spectrum_at, to_line
+from odak.wave.transfer_functions import (
+    Grid,
+    Request,
+    check_geometry,
+    kernels,
+    outside_inference,
+    plane_wave_transfer,
+)
 from odak.wave.windows import GUARD, Rays, Window, carry_to_offset, column, make_window, to_window
 
 # Cosine of 88 degrees.
@@ -96,35 +105,117 @@ def propagate_to_tilted_plane(
     """
     field = _array.to_complex(_validate.image("field", field))
     check_geometry(None, distance, dx, wavelength, tuple(field.shape[:-2]))
-    xp = _array.namespace(field)
-    grid = Request(dx, wavelength, distance).grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
-    axes, straight = _rotated_axes("angles", angles, grid), _is_unrotated(source_angles)
-    window = make_window(field, window_shape, window_dx, dx, offset, guard, axes)
-    if not straight:
-        grid, window = _seen_from(_rotated_axes("source_angles", source_angles, grid), grid, window)
-    rays = Rays.between(grid, window)
-    least = rays.numbers().axes[2][2].min()
-    if least < 1e-3:
-        raise ValueError(
-            f"angles and source_angles must tilt the planes by less than 90 degrees, got {angles!r}, {source_angles!r}"
-        )
-    if least < GRAZING:
+    request = Request(dx, wavelength, distance)
+    window = make_window(field, window_shape, window_dx, dx, offset, guard)
+    key = _key(field, request, window, angles, source_angles)
+    build = functools.partial(_tilted_path, field, request, window, angles, source_angles)
+    path = kernels.get(key, functools.partial(build, kept=True)) if key else build()
+    if path.least < GRAZING:
         warn(
             f"angles {angles!r} tilt the plane by more than 88 degrees: waves along it are cut off, and the field "
             "there may be wrong",
             AccuracyWarning,
         )
-    lines = rays.lines()
-    (fy, fx), transfer = _transfer(grid, window, rays, lines)
-    dy, dx = grid.pitch
-    kept = _axis_kept(angles) if straight else None
-    if kept == -2:
-        spectrum = spectrum_along(to_line(field, lines[0]), fx * dx, -1)
-    elif kept == -1:
-        spectrum = spectrum_along(to_line(field, lines[1]), fy * dy, -2)
-    else:
-        spectrum = spectrum_at(field, fy * dy, fx * dx)
-    return to_window(spectrum * transfer, lines, window, grid)
+    return to_window(path.spectrum(field) * path.transfer, path.lines, path.window, path.grid)
+
+
+@dataclass(frozen=True)
+class _Path:
+    """What leads from the spectrum of a field to its window on a tilted plane.
+
+    Attributes
+    ----------
+    grid : Grid
+        The grid of the field, in the coordinates of its plane.
+    window : Window
+        The window, in the same coordinates.
+    lines : tuple of Line
+        Frequencies along its rows and columns.
+    spectrum : callable
+        Returns the spectrum of a field at the frequencies that become those of the lines.
+    transfer : array
+        Factor of each of them.
+    least : float
+        Cosine of the angle between the planes.
+    """
+
+    grid: Grid
+    window: Window
+    lines: tuple[Line, Line]
+    spectrum: Callable
+    transfer: Any
+    least: float
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes that the path takes in the store of kernels."""
+        return 16 * math.prod(self.transfer.shape) + getattr(self.spectrum, "held_bytes", 0)
+
+
+def _key(field, request: Request, window: Window, angles, source_angles) -> tuple | None:
+    """Return what names a path in the store of kernels, None if it is not known as numbers or the field is traced."""
+    plain = all(isinstance(value, (tuple, list)) for value in (angles, source_angles)) and all(
+        isinstance(value, (int, float)) for value in (*angles, *source_angles)
+    )
+    known = plain and request.is_plain() and window.is_plain() and not _array.is_wrapped(field)
+    if not known:
+        return None
+    xp, device = _array.namespace(field), str(_array.device_of(field))
+    geometry = (request.geometry, window, tuple(angles), tuple(source_angles))
+    return ("tilted", tuple(field.shape[-2:]), geometry, xp.__name__, device, str(field.dtype))
+
+
+def _tilted_path(field, request: Request, window: Window, angles, source_angles, kept: bool = False) -> _Path:
+    """Return the path of a field to a tilted plane; one that is kept interpolates by a matrix where it can."""
+    xp, shape = _array.namespace(field), tuple(field.shape[-2:])
+    with outside_inference(xp):
+        grid = request.grid(shape, xp, _array.device_of(field), field.dtype)
+        straight = _is_unrotated(source_angles)
+        window = replace(window, axes=_rotated_axes("angles", angles, grid))
+        if not straight:
+            grid, window = _seen_from(_rotated_axes("source_angles", source_angles, grid), grid, window)
+        rays = Rays.between(grid, window)
+        least = float(rays.numbers().axes[2][2].min())
+        if least < 1e-3:
+            raise ValueError(
+                "angles and source_angles must tilt the planes by less than 90 degrees, "
+                f"got {angles!r}, {source_angles!r}"
+            )
+        lines = rays.lines()
+        (fy, fx), transfer = _transfer(grid, window, rays, lines)
+        dy, dx = grid.pitch
+        axis = _axis_kept(angles) if straight else None
+        spectrum = _spectrum_at_axis(axis, lines, fy * dy, fx * dx, field, kept)
+    return _Path(grid, window, lines, spectrum, transfer, least)
+
+
+def _spectrum_at_axis(axis: int | None, lines, cycles_y, cycles_x, field, kept: bool) -> Callable:
+    """Return the function that takes a field to its spectrum; the frequencies along `axis` stay on a line."""
+    if axis is None:
+        return lambda field: spectrum_at(field, cycles_y, cycles_x)
+    line, cycles, other = (lines[0], cycles_x, -1) if axis == -2 else (lines[1], cycles_y, -2)
+    on_cpu = "cpu" in str(_array.device_of(field)).lower()
+    if kept and cycles.ndim == 2 and on_cpu and _array.has_sparse_matrices(field):
+        matrix = InterpolatedSpectrum(np.asarray(cycles), field.shape[other], other, _array.is_double(field))
+        return _Composed(line, matrix)
+    return lambda field: spectrum_along(to_line(field, line), cycles, other)
+
+
+@dataclass(frozen=True)
+class _Composed:
+    """Transform along one axis and interpolation along the other."""
+
+    line: Line
+    matrix: InterpolatedSpectrum
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes of the matrix."""
+        return self.matrix.held_bytes
+
+    def __call__(self, field):
+        """Return the spectrum of a field."""
+        return self.matrix(to_line(field, self.line))
 
 
 def _is_zero(value) -> bool:

@@ -368,6 +368,8 @@ class KernelCache:
 
 
 def _bytes_of(kernel) -> int:
+    if hasattr(kernel, "held_bytes"):
+        return kernel.held_bytes
     # The array API has no `nbytes`; every number held is a double or a pair of floats, unless it says 128.
     return math.prod(kernel.shape) * (16 if "128" in str(kernel.dtype) else 8)
 
@@ -450,7 +452,7 @@ class Request:
         return bool(np.max(_numbers(self.wavelength)) * math.hypot(*highest) >= 1)
 
     @functools.cached_property
-    def _geometry(self) -> tuple | None:
+    def geometry(self) -> tuple | None:
         """Return the lengths in a form that can be looked up, None if they are not known as numbers."""
         if not self.is_plain():
             return None
@@ -458,12 +460,12 @@ class Request:
 
     def transfer_function(self, build: Callable, shape: tuple[int, int], xp, device, dtype):
         """Return `build(grid)`, kept for the next call when the geometry is known as numbers."""
-        if self._geometry is None:
+        if self.geometry is None:
             return build(self.grid(shape, xp, device, dtype))
-        key = (build, shape, self._geometry, self.scale, self.samples, xp.__name__, str(device), str(dtype))
+        key = (build, shape, self.geometry, self.scale, self.samples, xp.__name__, str(device), str(dtype))
 
         def fresh():
-            with _outside_inference(xp):
+            with outside_inference(xp):
                 return build(self.grid(shape, xp, device, dtype))
 
         return kernels.get(key, fresh)
@@ -489,7 +491,7 @@ def _column(value, xp, device):
     return xp.reshape(array, (*array.shape, 1, 1))
 
 
-def _outside_inference(xp):
+def outside_inference(xp):
     """Return a context in which a tensor made may later be used by autograd, whatever mode the caller is in."""
     if "torch" not in xp.__name__:
         return nullcontext()

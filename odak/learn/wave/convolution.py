@@ -7,7 +7,9 @@ operator with the conjugate kernel. Nothing but the kernel is saved for the back
 import itertools
 import math
 import threading
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -323,3 +325,43 @@ def _buffer(name: str, shape, dtype) -> torch.Tensor:
 def release_memory() -> None:
     """Give back the memory that this thread keeps between transforms."""
     _scratch.__dict__.clear()
+
+
+def sparse_operator(matrix: Any) -> Callable:
+    """Return the linear map of a real sparse matrix for complex tensors.
+
+    Parameters
+    ----------
+    matrix : scipy.sparse.csr_matrix
+        Real ``[M, N]``.
+
+    Returns
+    -------
+    callable
+        Takes complex ``[batch, N]`` on the CPU to ``[batch, M]``; differentiable any number of times.
+    """
+    held: dict[bool, torch.Tensor] = {}
+
+    def product(fields, adjoint):
+        if adjoint not in held:
+            one = matrix.T.tocsr() if adjoint else matrix
+            parts = (torch.from_numpy(part) for part in (one.indptr, one.indices, one.data))
+            with warnings.catch_warnings(), torch.inference_mode(False):
+                # That sparse tensors are in beta.
+                warnings.filterwarnings("ignore", "Sparse CSR tensor support")
+                held[adjoint] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
+        columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
+        result = (held[adjoint] @ columns).reshape(-1, len(fields), 2).transpose(0, 1)
+        return torch.view_as_complex(result.contiguous())
+
+    class Product(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx, fields, adjoint):
+            ctx.adjoint = adjoint
+            return product(fields, adjoint)
+
+        @staticmethod
+        def backward(ctx, gradient):
+            return Product.apply(gradient, not ctx.adjoint), None
+
+    return lambda fields: Product.apply(fields, False)
