@@ -10,15 +10,57 @@ _SKIPPED = ("torch", "array_api_compat")
 
 
 class OdakWarning(UserWarning):
-    """Base class of all warnings of the package."""
+    """Base class of all warnings of the package.
+
+    Examples
+    --------
+    All warnings of the package as errors:
+
+    >>> import warnings
+    >>> import odak
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", odak.OdakWarning)
+    ...     try:
+    ...         ray = odak.raytracing.create_ray([0, 0, 0], [45, 45, 45])
+    ...     except odak.AccuracyWarning:
+    ...         print("not a unit vector")
+    not a unit vector
+    """
 
 
 class SamplingWarning(OdakWarning):
-    """A field, a kernel or a surface is sampled too coarsely, or a method is used outside its range of validity."""
+    """A field, a kernel or a surface is sampled too coarsely, or a method is used outside its range of validity.
+
+    Examples
+    --------
+    Fresnel's transfer function far beyond the critical distance N·dx²/λ, here 0.1 mm:
+
+    >>> import warnings
+    >>> import numpy as np
+    >>> import odak
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     field = odak.wave.propagate_beam(np.ones((16, 16)), None, 0.1, 2e-6, 532e-9, "TR Fresnel")
+    >>> caught[0].category is odak.SamplingWarning
+    True
+    """
 
 
 class AccuracyWarning(OdakWarning):
-    """A result is less accurate than its caller would expect, or an input does not have the property it should have."""
+    """A result is less accurate than its caller would expect, or an input does not have the property it should have.
+
+    Examples
+    --------
+    Angles whose cosines do not make a unit vector:
+
+    >>> import warnings
+    >>> import odak
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     ray = odak.raytracing.create_ray([0, 0, 0], [45, 45, 45])
+    >>> caught[0].category is odak.AccuracyWarning
+    True
+    """
 
 
 class ConvergenceWarning(OdakWarning):

@@ -82,6 +82,17 @@ class Calibration:
         Mapping of the camera.
     regional_phases : numpy.ndarray, optional
         Phase of each level in regions of the modulator, ``[region rows, region columns, levels]``.
+
+    Examples
+    --------
+    Without a calibration, phases are spread evenly over the levels:
+
+    >>> import numpy as np
+    >>> from odak.instruments import Calibration, SimulatedTable
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), camera_shape=(40, 48))
+    >>> assumed = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+    >>> int(assumed.levels(np.full((32, 32), np.pi))[0, 0])
+    128
     """
 
     wavelength: float
@@ -95,12 +106,12 @@ class Calibration:
 
     @classmethod
     def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float) -> "Calibration":
-        """Return what is assumed of a table before it is calibrated: no faults.
+        """Return the nominal properties of a table, without faults.
 
         Parameters
         ----------
         modulator : Modulator
-            The modulator; its levels are taken to be spread evenly over a turn.
+            The modulator; its levels are taken to be spread evenly over 2π.
         camera : Camera
             The camera, taken to be aligned.
         wavelength : float
@@ -783,6 +794,18 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
         ``.npz`` file, or ``.h5`` or ``.hdf5`` file, which needs h5py (``pip install odak[instruments]``).
     calibration : Calibration
         The results.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.instruments import Calibration, SimulatedTable, load_calibration, save_calibration
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), camera_shape=(40, 48))
+    >>> assumed = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "table.npz")
+    ...     save_calibration(name, assumed)
+    ...     load_calibration(name).distance
+    0.02
     """
     if not isinstance(calibration, Calibration):
         raise TypeError(f"calibration must be a Calibration, got {type(calibration).__name__}")
@@ -831,6 +854,18 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
         If there is no such file.
     ValueError
         If it is not a calibration; the message names it.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.instruments import Calibration, SimulatedTable, load_calibration, save_calibration
+    >>> table = SimulatedTable(seed=1, shape=(32, 32), camera_shape=(40, 48))
+    >>> assumed = Calibration.nominal(table.modulator, table.camera, 532e-9, 20e-3)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "table.npz")
+    ...     save_calibration(name, assumed)
+    ...     load_calibration(name).wavelength
+    5.32e-07
     """
     path = validate_path(path, [".npz", *SUFFIXES])
     if not os.path.exists(path):

@@ -52,6 +52,17 @@ class Registration:
         Rows and columns of the camera.
     residual : float
         Root mean square distance of the measured spots from the mapping, in pixels.
+
+    Examples
+    --------
+    A camera that is aligned and centred sees the axis with its middle pixel:
+
+    >>> import numpy as np
+    >>> from odak.instruments import Registration
+    >>> registration = Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, (480, 640))
+    >>> points = registration.plane_points(np.asarray([[320.0, 240.0], [330.0, 240.0]]))
+    >>> [round(float(value) * 1e6, 3) for value in points[1] - points[0]]
+    [40.0, 0.0]
     """
 
     homography: np.ndarray

@@ -268,6 +268,15 @@ class plot2dshow(_Images):
         Spacing between columns, as a fraction of the width of the plot.
     vertical_spacing : float
         Spacing between rows, as a fraction of the height of the plot.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.visualize.plotly import plot2dshow
+    >>> figure = plot2dshow()
+    >>> figure.add_field(np.eye(8))
+    >>> len(figure.fig.data)
+    1
     """
 
     def __init__(
@@ -415,6 +424,17 @@ class detectorshow(_Images):
     -----
     Amplitude, intensity and spectrum have a perceptually uniform colour scale, ``settings["color scale"]``. That of the
     phase, ``settings["phase color scale"]``, is cyclic from −180° to 180°, so that equal phases have equal colours.
+
+    Examples
+    --------
+    Amplitude and phase of one field:
+
+    >>> import numpy as np
+    >>> from odak.visualize.plotly import detectorshow
+    >>> figure = detectorshow()
+    >>> figure.add_field(np.ones((8, 8), dtype=complex))
+    >>> len(figure.fig.data)
+    2
     """
 
     def __init__(

@@ -92,17 +92,20 @@ def automatic_design(
     elements : sequence
         Materials of the elements in the order in which light meets them, and "stop" where the stop is: in front of an
         element, which may be the first.
-    focal_length, f_number : float
-        Of the lens, for an object at infinity.
+    focal_length : float
+        Focal length of the lens.
+    f_number : float
+        Focal length over the diameter of the entrance pupil, for an object at infinity.
     half_field : float
         Largest field angle in degrees.
     aspheric_terms : int
         Number of coefficients of r⁴, r⁶, … of each surface; with them the conic constants vary too.
     wavelengths : sequence of float
-        In `unit`.
-    glass, air : pair of float, optional
-        Least and largest thickness of elements and of gaps on the axis; by default from 0.02 to 0.2 and from 0.002 to
-        0.3 focal lengths.
+        Vacuum wavelengths, in `unit`.
+    glass : pair of float, optional
+        Least and largest thickness of elements on the axis; by default from 0.02 to 0.2 focal lengths.
+    air : pair of float, optional
+        Least and largest thickness of gaps on the axis; by default from 0.002 to 0.3 focal lengths.
     edge : float, optional
         Least thickness of elements and gaps at the edge of the beam and half way to it; by default the least of `air`.
     back : float, optional
@@ -122,11 +125,11 @@ def automatic_design(
     polish : int
         Runs at the end in which the fields with the larger spots are given more weight.
     seed : int
-        Of the random numbers: the same seed gives the same lens.
+        Seed of the random numbers: the same seed gives the same lens.
     unit : str
         Unit of all lengths.
     callback : callable, optional
-        Told of each :class:`Stage`.
+        Called with each :class:`Stage`.
 
     Returns
     -------
