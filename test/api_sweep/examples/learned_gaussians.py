@@ -67,6 +67,12 @@ BY_NAME = {
         "save_path": Build(lambda folder: folder / "gaussians.pt"),
         "load_path": Build(_flat_file),
     },
+    "odak.learn.wave.complex_3d_gaussians.densify": {
+        "gradients": tensor(4),
+        "threshold": 0.5,
+        "split_scale": 1.0,
+    },
+    "odak.learn.wave.complex_3d_gaussians.prune": {"least_opacity": 0.1, "largest_scale": 10.0},
     "odak.learn.wave.complex_3d_gaussians": {
         "init_type": "random",
         "num_points": 4,

@@ -268,3 +268,52 @@ def test_broken_and_hostile_files_are_refused(tmp_path):
         with pytest.raises(ValueError, match=r"scene\.pth"):
             load(path)
     assert not (tmp_path / "done").exists()
+
+
+def test_clones_show_what_their_original_did():
+    model = gaussians(5)
+    with torch.no_grad():
+        model.pre_act_opacities.copy_(torch.tensor([-2.0, 0.0, 1.0, 3.0, 0.5]))
+    opacity, means = model.pre_act_opacities.sigmoid(), model.means.clone()
+    model.make_trainable()
+    origin = model.densify(torch.tensor([0.0, 2.0, 0.0, 3.0, 0.5]), 1.0, split_scale=1.0)
+    assert origin.tolist() == [0, 1, 2, 3, 4, 1, 3]
+    assert torch.equal(model.means, means[origin])
+    now = model.pre_act_opacities.detach().sigmoid()
+    for original, copy in ((1, 5), (3, 6)):
+        assert float((1 - now[original]) * (1 - now[copy])) == pytest.approx(float(1 - opacity[original]), rel=1e-5)
+    assert torch.allclose(now[[0, 2, 4]], opacity[[0, 2, 4]])
+    model.check_if_trainable()
+    assert model.pre_act_quats.shape == (7, 4)
+
+
+def test_split_gaussians_are_drawn_from_their_original():
+    model = gaussians(4000)
+    with torch.no_grad():
+        model.means.zero_()
+        model.pre_act_scales.copy_(torch.tensor([2.0, 0.5, 1.0]).log().expand(4000, 3))
+        model.pre_act_quats.copy_(torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5]).expand(4000, 4))
+    model.densify(torch.ones(4000), 0.5, split_scale=1.0, seed=1)
+    assert len(model) == 8000
+    # A quarter turn about z: the long axis lies along y.
+    assert model.means.std(0).tolist() == pytest.approx([0.5, 2.0, 1.0], rel=0.04)
+    assert model.pre_act_scales[0].exp().tolist() == pytest.approx([2 / 1.6, 0.5 / 1.6, 1 / 1.6])
+    again = gaussians(4)
+    other = gaussians(4)
+    for one in (again, other):
+        one.densify(torch.ones(4), 0.5, split_scale=1e-6, seed=7)
+    assert torch.equal(again.means, other.means)
+
+
+def test_pruning_takes_faint_and_large_ones():
+    model = gaussians(4)
+    with torch.no_grad():
+        model.pre_act_opacities.copy_(torch.tensor([-9.0, 1.0, 1.0, 2.0]))
+        model.pre_act_scales[2] = 5.0
+    assert model.prune().tolist() == [1, 2, 3]
+    assert model.prune(largest_scale=1.0).tolist() == [0, 2]
+    assert float(model.pre_act_opacities[1]) == 2.0
+    with pytest.raises(ValueError, match="leave no Gaussian"):
+        model.prune(least_opacity=1.0)
+    with pytest.raises(ValueError, match="one for each Gaussian"):
+        model.densify(torch.ones(5), 1.0, 1.0)

@@ -24,6 +24,8 @@ _INIT_TYPES = {"gaussians": "load_path", "random": "num_points", "point": "point
 _SOFTNESS = 0.3
 _MARGIN = 1.3
 _AWAY = 1e6
+# By how much the halves of a split Gaussian are smaller.
+_SPLIT = 1.6
 
 
 class complex_3d_gaussians(nn.Module):
@@ -152,6 +154,124 @@ class complex_3d_gaussians(nn.Module):
     def make_trainable(self) -> None:
         """Let all parameters require gradients."""
         self.requires_grad_(True)
+
+    def densify(
+        self, gradients: torch.Tensor, threshold: float, split_scale: float, *, seed: int | None = None
+    ) -> torch.Tensor:
+        """Double the Gaussians whose places are still in dispute: small ones are cloned, large ones split.
+
+        Parameters
+        ----------
+        gradients : torch.Tensor
+            How much the loss asks each centre to move, ``[N]``: norms of the gradients of `means`, averaged over steps.
+        threshold : float
+            Gaussians of larger gradients are doubled.
+        split_scale : float
+            Gaussians with a larger standard deviation along any axis are split in two, drawn from the Gaussian, of
+            1/1.6 of its size; others are cloned in place.
+        seed : int, optional
+            Makes the places of split Gaussians reproducible.
+
+        Returns
+        -------
+        torch.Tensor
+            The number of the former Gaussian that each one now comes from ``[M]``: kept ones first, then the new ones.
+            Of an optimizer's state the same rows can be taken.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If the gradients are not one for each Gaussian, or a number is out of range.
+
+        Notes
+        -----
+        Kerbl et al., ACM Trans. Graph. 42, 139 (2023), section 5.2. The two halves of one Gaussian of opacity o have
+        the opacity 1 − √(1 − o), so that together they let through as much as it did (Rota Bulò et al., ECCV 2024).
+        The parameters become new tensors: make the optimizer anew.
+
+        Examples
+        --------
+        >>> import torch
+        >>> from argparse import Namespace
+        >>> from odak.learn.wave import complex_3d_gaussians
+        >>> gaussians = complex_3d_gaussians("random", "cpu", num_points=4, args_prop=Namespace(num_planes=2))
+        >>> gaussians.densify(torch.tensor([0.0, 2.0, 0.0, 0.0]), 1.0, split_scale=1.0).tolist()
+        [0, 1, 2, 3, 1]
+        """
+        gradients = shaped("gradients", gradients, "N")
+        if len(gradients) != len(self):
+            raise ValueError(f"gradients must be {len(self)} numbers, one for each Gaussian, got {len(gradients)}")
+        _validate.real("gradients", gradients)
+        threshold = float(_validate.number("threshold", threshold))
+        split_scale = float(_validate.number("split_scale", split_scale, positive=True))
+        draw = torch.Generator()
+        draw.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
+        with torch.no_grad():
+            doubled = gradients.to(self.means.device) > threshold
+            large = doubled & (self.pre_act_scales.exp().amax(1) > split_scale)
+            origin = torch.cat([torch.arange(len(self), device=doubled.device), doubled.nonzero()[:, 0]])
+            values = {name: getattr(self, name)[origin] for name in NAMES}
+            # logit(1 − √(1 − o)), o = σ(a), for both halves.
+            through = torch.sigmoid(-values["pre_act_opacities"]).sqrt()
+            halved = torch.log1p(-through) - through.log()
+            values["pre_act_opacities"] = torch.where(doubled[origin], halved, values["pre_act_opacities"])
+            split = large[origin]
+            quats, scales = functional.normalize(values["pre_act_quats"], dim=-1), values["pre_act_scales"].exp()
+            steps = torch.randn(len(origin), 3, generator=draw).to(scales) * scales
+            moved = (quaternion_to_rotation_matrix(quats) @ steps[..., None])[..., 0]
+            values["means"] = values["means"] + torch.where(split[:, None], moved, 0.0)
+            smaller = values["pre_act_scales"] - math.log(_SPLIT)
+            values["pre_act_scales"] = torch.where(split[:, None], smaller, values["pre_act_scales"])
+            self._become(values)
+        return origin
+
+    def prune(self, least_opacity: float = 0.005, largest_scale: float | None = None) -> torch.Tensor:
+        """Remove Gaussians that can hardly be seen, or are too large.
+
+        Parameters
+        ----------
+        least_opacity : float
+            Gaussians of less opacity go, 0 to 1.
+        largest_scale : float, optional
+            Gaussians with a larger standard deviation along any axis go too; none by default.
+
+        Returns
+        -------
+        torch.Tensor
+            The numbers of those that are left ``[M]``.
+
+        Raises
+        ------
+        ValueError, TypeError
+            If a number is out of range, or nothing would be left.
+
+        Examples
+        --------
+        >>> from argparse import Namespace
+        >>> from odak.learn.wave import complex_3d_gaussians
+        >>> gaussians = complex_3d_gaussians("random", "cpu", num_points=9, args_prop=Namespace(num_planes=2))
+        >>> len(gaussians.prune())
+        9
+        """
+        least_opacity = float(_validate.number("least_opacity", least_opacity))
+        if not 0 <= least_opacity <= 1:
+            raise ValueError(f"least_opacity must be 0 to 1, got {least_opacity}")
+        with torch.no_grad():
+            kept = self.pre_act_opacities.sigmoid() >= least_opacity
+            if largest_scale is not None:
+                largest_scale = float(_validate.number("largest_scale", largest_scale, positive=True))
+                kept = kept & (self.pre_act_scales.exp().amax(1) <= largest_scale)
+            if not kept.any():
+                raise ValueError(f"least_opacity {least_opacity} and largest_scale {largest_scale} leave no Gaussian")
+            rows = kept.nonzero()[:, 0]
+            self._become({name: getattr(self, name)[rows] for name in NAMES})
+        return rows
+
+    def _become(self, values) -> None:
+        """Replace the parameters by others, trainable as they were."""
+        for name, value in values.items():
+            trainable = getattr(self, name).requires_grad
+            setattr(self, name, nn.Parameter(value.detach().clone(), requires_grad=trainable))
 
     def check_if_trainable(self) -> None:
         """Raise RuntimeError unless all parameters require gradients."""
