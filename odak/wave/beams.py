@@ -13,8 +13,8 @@ import numpy as np
 import scipy.special
 
 from odak import _array, _validate
-from odak._array import Array, cast, is_array, namespace
-from odak.wave.elements import grid_positions
+from odak._array import Array, namespace
+from odak.wave.elements import grid_positions, single_numbers, spiral_parts
 
 
 def gaussian_beam(
@@ -212,7 +212,7 @@ def laguerre_gaussian_beam(
     norm = math.sqrt(2 / math.pi * math.exp(math.lgamma(p + 1) - math.lgamma(p + size + 1)))
     envelope = norm / width * _laguerre(p, size, 2 * squared) * xp.exp(-squared)
     phase = math.pi / wavelength * curvature * (x**2 + y**2) - (2 * p + size + 1) * gouy
-    spiral = _array.make_complex(*_vortex(x * 2**0.5 / width, y * 2**0.5 / width, charge))
+    spiral = _array.make_complex(*spiral_parts(x * 2**0.5 / width, y * 2**0.5 / width, charge))
     carrier = _array.phasor_of_cycles(distance / wavelength, xp.complex128) * xp.astype(xp.sqrt(power), xp.complex128)
     return carrier * xp.astype(envelope, xp.complex128) * _array.phasor(phase, xp.complex128) * spiral
 
@@ -425,15 +425,6 @@ def _laguerre(p: int, size: int, x):
     return now
 
 
-def _vortex(x, y, charge: int):
-    """Return the real and imaginary part of (x ± iy)^|charge|."""
-    real, imaginary = 1 + 0 * (x + y), 0 * (x + y)
-    sign = 1 if charge >= 0 else -1
-    for _ in range(abs(charge)):
-        real, imaginary = x * real - sign * y * imaginary, x * imaginary + sign * y * real
-    return real, imaginary
-
-
 def _pair(name: str, value) -> tuple:
     if isinstance(value, (str, bytes)) or not hasattr(value, "__len__") or len(value) != 2:
         raise ValueError(f"{name} must be two numbers (rows, columns), got {value!r:.100}")
@@ -442,16 +433,12 @@ def _pair(name: str, value) -> tuple:
 
 def _prepare(shape, dx, offset, xp, device, **numbers):
     """Return the namespace, the positions (y, x) and the checked numbers in double precision, those of `waist` last."""
-    waists = numbers.pop("waist")
-    positive = {"wavelength", "power"}
-    for name, value in numbers.items():
-        _validate.number(name, value, positive=name in positive)
-    values = [*numbers.values(), *waists]
-    arrays = [value for value in values if is_array(value)]
-    xp = namespace(*arrays) if xp is None else _validate.library("xp", xp)
-    like = arrays[0] if arrays else xp.asarray(0.0, device=device)
-    _, (y, x) = grid_positions(shape, dx, offset, xp, _array.device_of(like))
-    return xp, (y[:, 0], x[0, :]), [xp.reshape(cast(value, like, xp.float64), ()) for value in values]
+    waists = {f"waist {i}": value for i, value in enumerate(numbers.pop("waist"))}
+    for name in {"wavelength", "power"} & set(numbers):
+        _validate.number(name, numbers[name], positive=True)
+    xp, device, values = single_numbers(xp, device, **numbers, **waists)
+    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    return xp, (y[:, 0], x[0, :]), values
 
 
 def _plain_grid(shape, dx, offset, xp):

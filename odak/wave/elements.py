@@ -411,7 +411,7 @@ def circular_aperture(
     """
     _validate.number("radius", radius, positive=True)
     _validate.number("inner_radius", inner_radius, least=0)
-    xp, device, (radius, inner_radius) = _numbers(xp, device, radius=radius, inner_radius=inner_radius)
+    xp, device, (radius, inner_radius) = single_numbers(xp, device, radius=radius, inner_radius=inner_radius)
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
     distance, centre = _radius(xp, y, x)
     # Half the width of a pixel along the radius.
@@ -466,7 +466,7 @@ def rectangular_aperture(
     1.0
     """
     height, width = _validate.several("size", size, 2)
-    xp, device, (height, width) = _numbers(xp, device, **{"size[0]": height, "size[1]": width})
+    xp, device, (height, width) = single_numbers(xp, device, **{"size[0]": height, "size[1]": width})
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
 
     def inside(position, step, extent):
@@ -527,7 +527,7 @@ def axicon_phase(
     1.0
     """
     _validate.number("wavelength", wavelength, positive=True)
-    xp, device, (wavelength, angle, index) = _numbers(xp, device, wavelength=wavelength, angle=angle, index=index)
+    xp, device, (wavelength, angle, index) = single_numbers(xp, device, wavelength=wavelength, angle=angle, index=index)
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
     distance, _ = _radius(xp, y, x)
     return -2 * math.pi / wavelength * (index - 1) * xp.tan(angle * (math.pi / 180)) * distance
@@ -572,7 +572,7 @@ def spiral_phase(
     >>> round(float(phase[1, 2]), 6), round(float(phase[2, 1]) / np.pi, 6)
     (0.0, 1.0)
     """
-    xp, device, (charge,) = _numbers(xp, device, charge=charge)
+    xp, device, (charge,) = single_numbers(xp, device, charge=charge)
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
     return charge * xp.atan2(y + 0 * x, x + 0 * y)
 
@@ -626,7 +626,7 @@ def cylindrical_lens_phase(
     """
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("focal", focal, nonzero=True)
-    xp, device, (focal, wavelength, angle) = _numbers(xp, device, focal=focal, wavelength=wavelength, angle=angle)
+    xp, device, (focal, wavelength, angle) = single_numbers(xp, device, focal=focal, wavelength=wavelength, angle=angle)
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
     angle = angle * (math.pi / 180)
     return -math.pi * (x * xp.cos(angle) + y * xp.sin(angle)) ** 2 / (wavelength * focal)
@@ -688,7 +688,7 @@ def aspheric_lens_phase(
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("radius", radius, nonzero=True)
     given = {f"coefficients[{j}]": v for j, v in enumerate(_validate.several("coefficients", coefficients))}
-    xp, device, (wavelength, radius, index, conic, *powers) = _numbers(
+    xp, device, (wavelength, radius, index, conic, *powers) = single_numbers(
         xp, device, wavelength=wavelength, radius=radius, index=index, conic=conic, **given
     )
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
@@ -749,7 +749,7 @@ def metalens_phase(
     """
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("focal", focal, nonzero=True)
-    xp, device, (focal, wavelength) = _numbers(xp, device, focal=focal, wavelength=wavelength)
+    xp, device, (focal, wavelength) = single_numbers(xp, device, focal=focal, wavelength=wavelength)
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
     squared = y**2 + x**2
     # √(r² + f²) − |f| without the difference of nearly equal numbers.
@@ -918,7 +918,7 @@ def dammann_grating(
     return (1 - sign * ones) * (math.pi / 2)
 
 
-def _numbers(xp, device, **numbers):
+def single_numbers(xp, device, **numbers):
     """Return the namespace, the device and single real numbers in double precision."""
     for name, value in numbers.items():
         _validate.number(name, value)
@@ -1082,17 +1082,11 @@ def zernike_basis(
 def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
     """Yield the polynomials, formed from ρ²ᵏ and (x + iy)^m: no angle, no square root, smooth at the centre."""
     shape = _validate.size("nx, ny", (nx, ny))
-    is_pair = isinstance(dx, Iterable) and getattr(dx, "ndim", 1) != 0
-    pitches = _validate.several("dx", dx if is_pair else (dx, dx), 2, positive=True)
-    offset = _validate.several("offset", offset, 2)
+    steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
     if radius is None:
-        radius = math.hypot(*(n * pitch for n, pitch in zip(shape, pitches, strict=True))) / 2
+        radius = math.hypot(*(n * step for n, step in zip(shape, steps, strict=True))) / 2
     radius = float(_validate.real("radius", radius, positive=True))
-    y, x = (
-        ((xp.arange(n, dtype=xp.float64, device=device) - n // 2) * pitch - shift) / radius
-        for n, pitch, shift in zip(shape, pitches, offset, strict=True)
-    )
-    y, x = y[:, None], x[None, :]
+    y, x = y / radius, x / radius
     # The first corner of an even window is on the rim of its disc, but for rounding.
     inside = xp.astype(x**2 + y**2 <= 1 + 1e-12, xp.float64)
     for polynomial in zernike_modes(y, x, modes):
@@ -1104,7 +1098,7 @@ def zernike_modes(y, x, modes) -> Iterator:
     argument = 2 * (x**2 + y**2) - 1
     for n, m in modes:
         n, m = check_mode(n, m)
-        yield zernike_norm(n, m) * jacobi((n - abs(m)) // 2, abs(m), argument) * _angular(x, y, m)
+        yield zernike_norm(n, m) * jacobi((n - abs(m)) // 2, abs(m), argument) * spiral_parts(x, y, abs(m))[m < 0]
 
 
 def _pairs(name, modes) -> list[tuple]:
@@ -1118,9 +1112,10 @@ def _pairs(name, modes) -> list[tuple]:
     return pairs
 
 
-def _angular(x, y, m: int):
-    """Return ρ^|m|·cos(mθ) for m ≥ 0, ρ^|m|·sin(|m|θ) for m < 0: the real or imaginary part of (x + iy)^|m|."""
-    real, imaginary = 1.0, 0.0
-    for _ in range(abs(m)):
+def spiral_parts(x, y, charge: int):
+    """Return the real and imaginary part of (x ± iy)^|charge|, with the sign of the charge."""
+    real, imaginary = 1 + 0 * (x + y), 0 * (x + y)
+    y = y if charge >= 0 else -y
+    for _ in range(abs(charge)):
         real, imaginary = x * real - y * imaginary, x * imaginary + y * real
-    return real if m >= 0 else imaginary
+    return real, imaginary

@@ -7,10 +7,12 @@ import pytest
 from documentation import agrees, script
 
 SLOW = {
+    "guides/calibrate_a_table.md",
     "guides/design_a_display.md",
     "guides/design_a_lens.md",
     "guides/distributed_computing.md",
     "guides/learned_models.md",
+    "guides/metamers.md",
     "guides/multiplane_and_colour.md",
     "notes/accuracy.md",
 }
