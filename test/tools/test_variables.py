@@ -57,8 +57,6 @@ def test_equal_groups():
 @pytest.mark.parametrize(
     "arguments, kind, message",
     [
-        ((10.0, [1.0]), TypeError, "number_of_elements must be an integer"),
-        ((True, [1.0]), TypeError, "number_of_elements must be an integer"),
         ((10, [0.5, 0.4]), ValueError, "must sum to 1.0"),
         ((10, [1.5, -0.5]), ValueError, "between 0.0 and 1.0"),
         ((10,), ValueError, "number_of_groups must be provided"),

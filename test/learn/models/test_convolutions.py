@@ -245,18 +245,6 @@ def test_the_older_call_form_without_activation():
     assert len(models.convolution_layer(2, 2, 3, False, None).model) == 1
 
 
-@pytest.mark.parametrize("normalization", [None, 1, "batch"])
-def test_normalization_is_a_bool_or_an_activation(normalization):
-    with pytest.raises(TypeError, match="normalization must be a bool"):
-        models.double_convolution(normalization=normalization)
-
-
-@pytest.mark.parametrize("activation", [torch.relu, "relu", True])
-def test_an_activation_is_a_module(activation):
-    with pytest.raises(TypeError, match=r"activation must be a torch\.nn\.Module or None"):
-        models.convolution_layer(activation=activation)
-
-
 @pytest.mark.parametrize(
     ("make", "named"),
     [

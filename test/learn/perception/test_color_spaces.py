@@ -125,8 +125,6 @@ def test_tone_mapping(method):
     ("call", "message"),
     [
         (lambda v: p.xyz_to_lab(v, (1, 1)), "white must be three numbers"),
-        (lambda v: p.xyz_to_lms(v, "Stockman"), "cones must be one of"),
-        (lambda v: p.tone_map(v, "ACES"), "method must be one of"),
         (lambda v: p.map_to_gamut(v[:, :2]), r"image must be pictures \[..., 3, H, W\]"),
         (lambda v: p.adapt_chromatically(v, D65, (0, 1, 1)), "target_white must be positive"),
     ],

@@ -48,7 +48,6 @@ def test_gradient_reaches_the_picture():
         (torch.ones(3, 4, 4), torch.ones(4, 4), [0], ValueError, "depth_plane_positions must be two or more rising"),
         (torch.ones(3, 4, 4), torch.ones(4, 4), [0, 1, 1], ValueError, "rising numbers"),
         ([[1.0]], torch.ones(4, 4), [0, 1], TypeError, "target must be a tensor, got list"),
-        (torch.ones(3, 4, 4), None, [0, 1], TypeError, "depth must be a tensor"),
     ],
 )
 def test_refused(target, depth, positions, kind, message):

@@ -119,7 +119,6 @@ def test_gaussians_are_scipys():
         (lambda: decompose_bspline_2d(torch.rand(3, 4), [2, 2], -1.0), "regularization must be at least 0"),
         (lambda: compose_bspline_2d(torch.rand(4), torch.rand(4, 6), [2, 4]), "basis_matrix must be"),
         (lambda: decompose_wavelet_like(torch.rand(1, 4)), "image must have at least two samples"),
-        (lambda: evaluate_3d_gaussians(torch.rand(3)), "points must be a tensor"),
         (lambda: evaluate_3d_gaussians(torch.rand(1, 3), torch.rand(2, 3), torch.rand(3, 3)), "as many rows, or one"),
     ],
 )

@@ -130,7 +130,6 @@ FRAME = torch.ones(4, 4)
     [
         (lambda: tools.total_variation_loss(torch.ones(3)), ValueError, r"frame must be \[H, W\]"),
         (lambda: tools.total_variation_loss(torch.ones(0, 3)), ValueError, "none empty"),
-        (lambda: tools.total_variation_loss(FRAME.to(torch.complex64)), TypeError, "frame must be a real tensor"),
         (lambda: tools.spatial_gradient([[1.0]]), TypeError, "frame must be a real tensor, got list"),
         (lambda: tools.multi_scale_total_variation_loss(FRAME, 4), ValueError, "levels must leave a sample"),
         (lambda: tools.multi_scale_total_variation_loss(FRAME, 0), ValueError, "levels must be at least 1"),
@@ -141,18 +140,14 @@ FRAME = torch.ones(4, 4)
         (lambda: tools.weber_contrast(FRAME, [0, 2, 0], [0, 1, 0, 1]), ValueError, "roi_high must be"),
         (lambda: tools.michelson_contrast(FRAME, [0, 1, 0, 1], [0, 5, 0, 1]), ValueError, "roi_low must lie inside"),
         (lambda: tools.michelson_contrast(FRAME, [0, 1, 0, 1], [2, 2, 0, 1]), ValueError, "not be empty"),
-        (lambda: tools.wrapped_mean_squared_error(FRAME, FRAME, "none"), ValueError, "reduction must be one of"),
         (
             lambda: tools.wrapped_mean_squared_error(FRAME, FRAME[:2]),
             ValueError,
             "and ground_truth must have one",
         ),
-        (lambda: tools.wrapped_mean_squared_error(FRAME, 0.0), TypeError, "ground_truth must be a real tensor"),
         (lambda: tools.psnr(FRAME, FRAME[:1]), ValueError, "one shape"),
         (lambda: tools.psnr(FRAME, FRAME, 0), ValueError, "peak_value must be positive"),
         (lambda: tools.circular_binary_mask(0, 4, 1), ValueError, "px must be at least 1"),
-        (lambda: tools.circular_binary_mask(4, 4, math.nan), ValueError, "r must be finite"),
-        (lambda: tools.circular_binary_mask(4.5, 4, 1), TypeError, "px must be an integer"),
     ],
 )
 def test_refused(call, kind, message):

@@ -278,8 +278,6 @@ def test_hologram_optimised_through_the_model_is_better_on_the_modulator():
         ({"crosstalk": -1.0}, ValueError, "crosstalk must be at least 0"),
         ({"crosstalk": torch.ones(4)}, ValueError, "odd length"),
         ({"fill_factor": 1.1}, ValueError, "fill_factor must be between 0 and 1"),
-        ({"zero_order": "no"}, TypeError, "zero_order must be a number"),
-        ({"zero_order": complex("nan")}, ValueError, "zero_order must be finite"),
         ({"samples_per_pixel": 0}, ValueError, "samples_per_pixel must be at least 1"),
         ({"aberration": np.zeros((4, 4))}, TypeError, "aberration must be a torch.Tensor"),
         ({"amplitude": torch.ones(4)}, ValueError, "amplitude must have at least 2 axes"),
