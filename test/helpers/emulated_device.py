@@ -6,6 +6,7 @@ It finds what a GPU would: operations that mix devices, results on the wrong dev
 import collections
 import traceback
 from pathlib import Path
+from unittest import mock
 
 import torch
 from torch.overrides import TorchFunctionMode
@@ -18,9 +19,10 @@ NAME = "meta"
 DEVICE = torch.device(NAME)
 PACKAGE = str(Path(odak.__file__).parent)
 aten = torch.ops.aten
-# Copies between devices, and numbers as indices, are allowed.
-_MIXING = {aten.copy_.default, aten._to_copy.default}
-_FACTORIES = ("device", "dtype", "requires_grad")
+# CUDA takes indices of the CPU, and copies between devices are what they are for.
+_MIXING = {aten.copy_, aten._to_copy, aten.index, aten.index_put, aten.index_put_, aten._index_put_impl_}
+
+_NUMBERS = (bool, int, float, complex)
 
 # How often each line of the package read a number back.
 reads: collections.Counter = collections.Counter()
@@ -58,10 +60,12 @@ class Emulated(torch.Tensor):
         keywords = dict(keywords or {})
         tensors = [leaf for leaf in tree_leaves((arguments, keywords)) if isinstance(leaf, torch.Tensor)]
         strangers = [tuple(t.shape) for t in tensors if not isinstance(t, Emulated) and t.ndim > 0]
-        if strangers and function not in _MIXING:
+        if strangers and function.overloadpacket not in _MIXING:
             raise DeviceMismatch(f"{function} of the device with tensors of the CPU, {strangers}")
         if function is aten._local_scalar_dense.default:
             reads[_line()] += 1
+        if function is aten.copy_.default and _same_memory(*arguments[:2]):
+            return arguments[0]
         here = isinstance(tensors[0], Emulated)
         if keywords.get("device") is not None:
             here = is_emulated(keywords["device"])
@@ -76,6 +80,14 @@ class Emulated(torch.Tensor):
 
 def _held(tensor):
     return tensor.held
+
+
+def _same_memory(one, other) -> bool:
+    """Say whether two tensors are the same view, as in ``x[i] += 1``, which torch knows by its storage."""
+    if not (isinstance(one, Emulated) and isinstance(other, Emulated)):
+        return False
+    one, other = one.held, other.held
+    return (one.data_ptr(), one.shape, one.stride()) == (other.data_ptr(), other.shape, other.stride())
 
 
 def is_emulated(device) -> bool:
@@ -103,18 +115,50 @@ class Lift(torch.autograd.Function):
         return gradient.held if isinstance(gradient, Emulated) else gradient
 
 
+def _of_the_cpu(kind: type) -> type:
+    """Return a class whose objects are those of `kind` for the CPU, whatever the device asked for."""
+
+    class Meta(type):
+        def __call__(cls, device="cpu", **options):
+            return kind("cpu", **options)
+
+        def __instancecheck__(cls, value):
+            return isinstance(value, kind)
+
+    return Meta(kind.__name__, (), {})
+
+
 class EmulatedDevice(TorchFunctionMode):
-    """Within this context `device="meta"` makes emulated tensors."""
+    """Within this context `device="meta"` makes emulated tensors; generators and autocast are those of the CPU."""
+
+    def __enter__(self):
+        self._patches = [
+            mock.patch.object(torch, "Generator", _of_the_cpu(torch.Generator)),
+            mock.patch.object(torch, "autocast", _of_the_cpu(torch.autocast)),
+        ]
+        for patch in self._patches:
+            patch.start()
+        return super().__enter__()
+
+    def __exit__(self, *reason):
+        for patch in self._patches:
+            patch.stop()
+        return super().__exit__(*reason)
 
     def __torch_function__(self, function, types, arguments=(), keywords=None):
         keywords, name = dict(keywords or {}), getattr(function, "__name__", "")
         if name in ("to", "cuda") and isinstance(arguments[0], torch.Tensor):
             return self._moved(function, name, list(arguments), keywords)
-        if name in ("__setitem__", "where", "masked_fill", "masked_fill_"):
-            # Of numbers torch would make tensors of the device without asking.
-            arguments = tuple(
-                torch.tensor(value) if type(value) in (bool, int, float, complex) else value for value in arguments
-            )
+        # Of numbers torch would make tensors of the device without asking.
+        if name == "__setitem__" and type(arguments[2]) in _NUMBERS:
+            arguments = (*arguments[:2], torch.tensor(arguments[2], dtype=arguments[0].dtype))
+        if name in ("where", "masked_fill", "masked_fill_"):
+            arguments = tuple(torch.tensor(value) if type(value) in _NUMBERS else value for value in arguments)
+        if name == "tolist" and isinstance(arguments[0], Emulated):
+            reads[_line()] += 1
+            return arguments[0].held.tolist()
+        if name == "new_tensor" and isinstance(arguments[0], Emulated):
+            return Lift.apply(torch.tensor(arguments[1], dtype=keywords.get("dtype", arguments[0].dtype)))
         device = keywords.get("device")
         if device is None or not is_emulated(device):
             return function(*arguments, **keywords)
