@@ -1,4 +1,4 @@
-"""An emulated device: tensors that are not on the CPU as far as the package can see, hold their numbers on the CPU, and refuse tensors of the CPU.
+"""An emulated device: tensors that keep their numbers on the CPU, seem to be elsewhere, and refuse those of the CPU.
 
 It finds what a GPU would: operations that mix devices, results on the wrong device, and numbers that are read back.
 """
@@ -75,7 +75,9 @@ class Emulated(torch.Tensor):
             return results
         # An operation in place returns the tensor it changed.
         known = {id(tensor.held): tensor for tensor in tensors if isinstance(tensor, Emulated)}
-        return tree_map_only(torch.Tensor, lambda tensor: known[id(tensor)] if id(tensor) in known else Emulated(tensor), results)
+        return tree_map_only(
+            torch.Tensor, lambda tensor: known[id(tensor)] if id(tensor) in known else Emulated(tensor), results
+        )
 
 
 def _held(tensor):

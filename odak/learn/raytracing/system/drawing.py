@@ -185,9 +185,10 @@ def _profile(item, frame, height: float) -> np.ndarray:
     z = np.zeros_like(y)
     if item is not None and not is_break(item):
         with torch.no_grad():
-            sag = item.shape.sag(torch.zeros(POINTS, dtype=torch.float64), torch.from_numpy(y))
-        kept = sag.defined.numpy()
-        y, z = y[kept], sag.height.numpy()[kept]
+            place = torch.from_numpy(y).to(item.curvature.device)
+            sag = item.shape.sag(torch.zeros_like(place), place)
+        kept = sag.defined.cpu().numpy()
+        y, z = y[kept], sag.height.cpu().numpy()[kept]
     points = np.stack([np.zeros_like(y), y, z], -1) @ matrix.T + origin
     return points[:, [2, 1]]
 
@@ -398,7 +399,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
             spots = spot_diagram(system, "grid", 2 * samples, aim=aim, prescription=numbers)
             radii, energy = encircled_energy(spots)
             size = max(float(spots.largest.nan_to_num().max()), 1e-12)
-            frequency = torch.linspace(0, min(cutoff, 2 / size), 100, dtype=torch.float64)
+            frequency = torch.linspace(0, min(cutoff, 2 / size), 100, dtype=torch.float64, device=spots.x.device)
             curves = [
                 [(frequency, _geometric_transfer(value[0, i], frequency)) for value in (spots.y, spots.x)]
                 for i in range(len(system.fields))
@@ -408,6 +409,8 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
             radii, energy = (value[0] for value in encircled_energy(spread))
             both = [modulation_transfer_function(spread, axis) for axis in ("y", "x")]
             curves = [[(f[0, i], m[0, i]) for f, m in both] for i in range(len(system.fields))]
+    curves = [[(frequency.cpu(), transfer.cpu()) for frequency, transfer in pair] for pair in curves]
+    radii, energy = radii.cpu(), energy.cpu()
     for i, pair in enumerate(curves):
         for (frequency, transfer), style in zip(pair, ("-", "--"), strict=True):
             label = _field_label(system, i) if style == "-" else None

@@ -722,7 +722,7 @@ def accommodation_response(
     shift = 0.0 if curve >= 0 else max(-1.0, min(1.0, 0.5 * (below - above) / curve))
     accommodation = tried[best] + shift * steps[0]
     vergence = float((eye_refraction(waves, pupil_diameter, accommodation) * shares).sum())
-    return AccommodationResponse(vergence, accommodation, torch.tensor(tried, dtype=torch.float64), found)
+    return AccommodationResponse(vergence, accommodation, found.new_tensor(tried), found)
 
 
 def _band_contrast(light, pitch):

@@ -665,8 +665,8 @@ def _kind(curvature: torch.Tensor, coefficients: torch.Tensor) -> type[Shape]:
 
 
 def _any(value: torch.Tensor) -> bool:
-    """Return whether any number is not zero; True for numbers under a transform, which cannot be read."""
-    if not is_readable(value) and not value.is_cuda:
+    """Return whether any number is not zero; True where they cannot be read, as on a GPU without waiting for it."""
+    if value.numel() == 0 or not is_readable(value):
         return value.numel() > 0
     return bool(value.detach().any())
 

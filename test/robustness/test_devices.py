@@ -1,0 +1,119 @@
+"""Everything public of odak.learn on an emulated device: no tensor of the CPU gets in, and few numbers are read."""
+
+import inspect
+import tempfile
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import emulated_device
+import pytest
+import torch
+from api_sweep import contract, samples, walk
+from emulated_device import DEVICE, Emulated, EmulatedDevice, on_device
+from torch.utils._pytree import tree_leaves
+
+import odak.learn.wave
+import odak.tools
+
+CALLABLES = {path: call for path, call in walk.public_callables().items() if path.startswith("odak.learn.")}
+# What the emulation itself cannot do.
+NOT_EMULATED = (
+    "*.load_weights",  # torch.load puts what it reads on real devices
+    "*.load_gaussians",
+    "*.torch_load",
+    "*.train",  # gradients that are not defined become zeros on the device, which only a real one has
+    "*.fit",
+    "*.optimize",
+    "*.field_curvature",
+    "*.field_figure",
+    "*.report_figures",
+    "odak.learn.wave.Scene.*",  # cameras are objects of their own, with a `to`
+)
+# How often one call may read numbers back at one place: checks of arguments, figures and files; nothing in a loop over
+# pixels, rays or iterations.
+MOST_READS = 50
+
+
+@pytest.fixture(autouse=True)
+def one_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def arguments(path, declared, folder):
+    """Return the valid arguments of a call, on the device."""
+    found = {name: on_device(value) for name, value in samples.arguments(path, declared, folder).items()}
+    for value in found.values():
+        if isinstance(value, torch.nn.Module):
+            value.to(DEVICE)
+    return found | ({"device": DEVICE} if "device" in found else {})
+
+
+def bound(path, declared, folder):
+    """Return the function of a call, for a method that of an object on the device."""
+    owner_path = path.rpartition(".")[0]
+    owner = CALLABLES.get(owner_path)
+    if not inspect.isclass(owner):
+        return declared
+    made = contract.call(owner, arguments(owner_path, owner, folder))
+    if isinstance(made, torch.nn.Module):
+        made = made.to(DEVICE)
+    return getattr(made, declared.__name__)
+
+
+def is_emulated(path):
+    return samples.is_called(path) and not any(fnmatchcase(path, pattern) for pattern in NOT_EMULATED)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", [path for path in CALLABLES if is_emulated(path)])
+def test_on_a_device(path):
+    declared = CALLABLES[path]
+    folder = Path(tempfile.mkdtemp(dir="."))
+    emulated_device.reads.clear()
+    with EmulatedDevice():
+        function = bound(path, declared, folder)
+        given = arguments(path, declared, folder)
+        result = contract.call(function, given)
+    there = [leaf for leaf in tree_leaves(given) if isinstance(leaf, Emulated) and leaf.ndim]
+    if (there or "device" in given) and not hasattr(function, "__self__"):
+        results = [leaf for leaf in tree_leaves(result) if isinstance(leaf, torch.Tensor) and leaf.ndim]
+        assert all(isinstance(leaf, Emulated) for leaf in results)
+    often = {line: count for line, count in emulated_device.reads.items() if count > MOST_READS}
+    assert not often
+
+
+def test_the_emulation_finds_what_a_gpu_would():
+    with EmulatedDevice():
+        there = torch.rand(4, 4, device=DEVICE)
+        with pytest.raises(emulated_device.DeviceMismatch, match="tensors of the CPU"):
+            there + torch.rand(4, 4)
+        assert isinstance(there.to(torch.complex64) * 2, Emulated) and isinstance(torch.ones(3).to(there), Emulated)
+        assert not isinstance(there.cpu(), Emulated)
+        emulated_device.reads.clear()
+        float(there.sum())
+        assert sum(emulated_device.reads.values()) == 1
+
+
+def test_a_propagation_on_a_device():
+    field = torch.randn(16, 12, dtype=torch.complex64)
+    geometry = (None, 1e-3, 8e-6, 532e-9, "Angular Spectrum", None, [True, False, True])
+    expected = odak.learn.wave.propagate_beam(field, *geometry)
+    emulated_device.reads.clear()
+    with EmulatedDevice():
+        there = on_device(field).requires_grad_()
+        result = odak.learn.wave.propagate_beam(there, *geometry)
+        result.abs().sum().backward()
+    assert isinstance(result, Emulated) and isinstance(there.grad, Emulated)
+    torch.testing.assert_close(result.held, expected)
+    assert not emulated_device.reads
+
+
+def test_gradient_descent_reads_a_number_at_the_end_only():
+    emulated_device.reads.clear()
+    with EmulatedDevice():
+        target = torch.rand(16, 16, device=DEVICE)
+        phase, _ = odak.learn.wave.stochastic_gradient_descent(
+            target, 532e-9, 1e-3, 8e-6, n_iteration=10, progress=False
+        )
+    assert isinstance(phase, Emulated)
+    assert max(emulated_device.reads.values()) <= 2
