@@ -159,7 +159,7 @@ class lens_design:
     ...     solves=[Solve("focal_length", 1, 100.0), Solve("marginal_height", 1)],
     ... )
     >>> design.optimise().converged, round(float(lens.surfaces[0].radius))
-    (True, 61)
+    (True, 60)
     """
 
     def __init__(
