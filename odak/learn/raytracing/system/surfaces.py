@@ -169,7 +169,6 @@ class surface(torch.nn.Module):
         self.own_gradient = None
         if gradient is not None:
             self.own_gradient = _Parameters("gradient", _checked("gradient", gradient, Gradient))
-        self.own_coating = None if coating is None else _Films(_checked("coating", coating, Coating))
         _hold(self, "thickness", _validate.real("thickness", thickness))
         _hold(self, "shift", _several("shift", shift, (2,)))
         _hold(self, "tilt", _several("tilt", tilt, (2, 3)))
@@ -179,8 +178,8 @@ class surface(torch.nn.Module):
             self.material = None
         if gradient is not None and self.material == MIRROR:
             raise ValueError("gradient belongs to the medium behind a surface that refracts, not to a mirror")
-        if coating is not None and coating.substrate is not None and self.material != MIRROR:
-            raise ValueError("substrate of a coating belongs to mirrors: of other surfaces it is the medium behind")
+        self.own_coating: _Films | None = None
+        self.coating = coating
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
             self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
@@ -221,8 +220,17 @@ class surface(torch.nn.Module):
 
     @property
     def coating(self) -> Coating | None:
-        """Thin films on the surface, of the thicknesses as they are."""
+        """Thin films on the surface, of the thicknesses as they are; may be assigned."""
         return None if self.own_coating is None else self.own_coating.build()
+
+    @coating.setter
+    def coating(self, value: Coating | None) -> None:
+        if value is None:
+            self.own_coating = None
+            return
+        if _checked("coating", value, Coating).substrate is not None and self.material != MIRROR:
+            raise ValueError("substrate of a coating belongs to mirrors: of other surfaces it is the medium behind")
+        self.own_coating = _Films(value)
 
     @property
     def limit(self) -> Any:
