@@ -86,12 +86,16 @@ def tilted_against_plain(device: str) -> Iterator[dict]:
         def plain(field=field):
             wave.propagate_beam(field, None, DISTANCE, PITCH, WAVELENGTH)
 
-        for about, angles in (("y", (0.0, 30.0, 0.0)), ("x", (10.0, 0.0, 0.0))):
+        for about, angles, bound in (
+            ("y", (0.0, 30.0, 0.0), 5.0),
+            ("x", (10.0, 0.0, 0.0), 5.0),
+            ("x and y", (10.0, 20.0, 0.0), None),
+        ):
 
             def ours(field=field, angles=angles):
                 wave.propagate_to_tilted_plane(field, WAVELENGTH, DISTANCE, PITCH, angles)
 
-            yield _row(f"tilted plane about {about}, {n}", ours, plain, "propagate_beam", 5.0, device)
+            yield _row(f"tilted plane about {about}, {n}", ours, plain, "propagate_beam", bound, device)
 
 
 def partial_coherence(device: str) -> Iterator[dict]:

@@ -259,58 +259,87 @@ def _fine_spectrum(field):
 
 
 class InterpolatedSpectrum:
-    """The linear map of :func:`spectrum_along` at frequencies that stay, as a sparse matrix.
+    """The linear map of :func:`spectrum_along` or :func:`spectrum_at` at frequencies that stay, by a sparse matrix.
 
     Parameters
     ----------
-    cycles : numpy.ndarray
-        Frequencies in cycles per sample ``[N, Q]`` (axis -1) or ``[Q, M]`` (axis -2), one set for all fields.
-    samples : int
-        Samples of the field along the axis.
-    axis : int
-        -1 or -2.
+    cycles_y, cycles_x : numpy.ndarray or None
+        Frequencies in cycles per sample ``[P, Q]``, one set for all fields; None for the axis that is a frequency
+        already, whose index is that of the result.
+    shape : tuple of int
+        Rows and columns of the field.
     double : bool
         True for complex128.
+    needed : numpy.ndarray
+        Boolean ``[P, Q]``: the result is zero elsewhere.
     """
 
-    def __init__(self, cycles: np.ndarray, samples: int, axis: int, double: bool):
-        cycles = cycles if axis == -1 else cycles.T
+    def __init__(self, cycles_y, cycles_x, shape: tuple[int, int], double: bool, needed: np.ndarray):
+        self.transposed = cycles_x is None
+        if self.transposed:
+            cycles_x, shape, needed = cycles_y.T, shape[::-1], needed.T
+        self.both = not self.transposed and cycles_y is not None
         taps = _TAPS["complex128" if double else "complex64"]
-        size = max(scipy.fft.next_fast_len(2 * samples), 2 * taps)
-        place = cycles * size
-        nearest = np.ceil(place - taps / 2)
+        sizes = [max(scipy.fft.next_fast_len(2 * n), 2 * taps) for n in shape]
         real = np.float64 if double else np.float32
-        places = (nearest[..., None] + np.arange(taps)).astype(np.int64)
-        weights = _window(np.clip((places - place[..., None]) * (2 / taps), -1.0, 1.0), taps).astype(real)
-        rows = np.arange(len(cycles))[:, None, None] * size
-        columns = (rows + places % size).astype(np.int32).reshape(-1)
-        starts = np.arange(0, columns.size + 1, taps, dtype=np.int32)
-        shape = (cycles.size, len(cycles) * size)
-        self.matrix = scipy.sparse.csr_matrix((weights.reshape(-1), columns, starts), shape=shape)
-        self.shape, self.axis = cycles.shape, axis
-        self.held_bytes = columns.size * (4 + weights.itemsize)
+        places, weights = _taps_of(cycles_x[needed] * sizes[1], taps, real)
+        rows, self.tap_weights = np.nonzero(needed)[0], None
+        if self.both:
+            first, down = _taps_of(cycles_y[needed] * sizes[0], taps, real)
+            rows = first[:, 0] % sizes[0]
+            self.tap_weights = np.zeros((taps, needed.size), dtype=real)
+            self.tap_weights[:, needed.reshape(-1)] = down.T
+        columns = (rows[:, None] * sizes[1] + places % sizes[1]).astype(np.int32).reshape(-1)
+        starts = np.concatenate([[0], np.cumsum(needed.reshape(-1)) * taps]).astype(np.int32)
+        lines = sizes[0] if self.both else len(needed)
+        self.matrix = scipy.sparse.csr_matrix(
+            (weights.reshape(-1), columns, starts), shape=(needed.size, lines * sizes[1])
+        )
+        self.shape, self.sizes = needed.shape, sizes
+        self.held_bytes = columns.size * (4 + weights.itemsize) + (self.tap_weights.nbytes if self.both else 0)
         self._operator: Any = None
 
     def __call__(self, field):
-        """Return the spectrum of a field ``[..., N, M]`` at the frequencies."""
+        """Return the spectrum ``[..., P, Q]`` of a field."""
         xp = _array.namespace(field)
-        if self.axis == -2:
-            return xp.matrix_transpose(self._along_rows(xp.matrix_transpose(field)))
-        return self._along_rows(field)
+        if self.transposed:
+            field = xp.matrix_transpose(field)
+        if not self.both:
+            fine = _fine_spectrum(field)[0]
+            flat = xp.reshape(fine, (-1, math.prod(fine.shape[-2:])))
+            result = xp.reshape(self._product(flat), (*fine.shape[:-2], *self.shape))
+            return xp.matrix_transpose(result) if self.transposed else result
+        taps, size = len(self.tap_weights), math.prod(self.sizes)
+        for axis, n in zip((-2, -1), self.sizes, strict=True):
+            field = _wrap(field / _window_transform(field, axis, n, taps), axis, n)
+        fine = xp.reshape(xp.fft.fftn(field, axes=(-2, -1)), (-1, size))
+        # The same matrix serves each tap along rows, on the spectrum moved by a row.
+        fine = xp.concat([fine, fine[:, : (taps - 1) * self.sizes[1]]], axis=-1)
+        return xp.reshape(self._product(fine), (*field.shape[:-2], *self.shape))
 
-    def _along_rows(self, field):
-        fine = _fine_spectrum(field)[0]
-        batch = fine.shape[:-2]
-        if _array.is_torch(field):
+    def _product(self, flat):
+        if _array.is_torch(flat):
             if self._operator is None:
                 module = importlib.import_module("odak.learn.wave.convolution")
-                self._operator = module.sparse_operator(self.matrix)
-            result = self._operator(fine.reshape(math.prod(batch), -1))
-        else:
-            numbers = np.ascontiguousarray(fine).reshape(math.prod(batch), -1)
-            result = np.stack([(self.matrix @ one.view(numbers.real.dtype).reshape(-1, 2)) for one in numbers])
-            result = np.ascontiguousarray(result).view(fine.dtype)
-        return result.reshape(*batch, *self.shape)
+                self._operator = module.sparse_operator(self.matrix, self.tap_weights, self.sizes[1])
+            return self._operator(flat)
+        return np.stack([self._product_of_one(np.ascontiguousarray(one)) for one in flat])
+
+    def _product_of_one(self, flat):
+        columns, inside, result = flat.view(flat.real.dtype).reshape(-1, 2), self.matrix.shape[1], 0.0
+        for term in range(len(self.tap_weights) if self.both else 1):
+            start = term * self.sizes[1]
+            part = self.matrix @ columns[start : start + inside]
+            result = result + (part * self.tap_weights[term][:, None] if self.both else part)
+        return np.ascontiguousarray(result).view(flat.dtype)[..., 0]
+
+
+def _taps_of(place, taps: int, dtype):
+    """Return the indices of the fine frequencies near those asked for, ``[points, taps]``, and the window's values."""
+    nearest = np.ceil(place - taps / 2)
+    indices = nearest[:, None] + np.arange(taps)
+    values = _window(np.clip((indices - place[:, None]) * (2 / taps), -1.0, 1.0), taps)
+    return indices.astype(np.int64), values.astype(dtype)
 
 
 def _gather(fine, rows, columns):

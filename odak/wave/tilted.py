@@ -185,20 +185,37 @@ def _tilted_path(field, request: Request, window: Window, angles, source_angles,
         (fy, fx), transfer = _transfer(grid, window, rays, lines)
         dy, dx = grid.pitch
         axis = _axis_kept(angles) if straight else None
-        spectrum = _spectrum_at_axis(axis, lines, fy * dy, fx * dx, field, kept)
+        spectrum = _spectrum_of_path(axis, lines, (fy * dy, fx * dx), field, transfer if kept else None)
     return _Path(grid, window, lines, spectrum, transfer, least)
 
 
-def _spectrum_at_axis(axis: int | None, lines, cycles_y, cycles_x, field, kept: bool) -> Callable:
-    """Return the function that takes a field to its spectrum; the frequencies along `axis` stay on a line."""
-    if axis is None:
-        return lambda field: spectrum_at(field, cycles_y, cycles_x)
-    line, cycles, other = (lines[0], cycles_x, -1) if axis == -2 else (lines[1], cycles_y, -2)
-    on_cpu = "cpu" in str(_array.device_of(field)).lower()
-    if kept and cycles.ndim == 2 and on_cpu and _array.has_sparse_matrices(field):
-        matrix = InterpolatedSpectrum(np.asarray(cycles), field.shape[other], other, _array.is_double(field))
+def _spectrum_of_path(axis: int | None, lines, cycles, field, transfer) -> Callable:
+    """Return the function that takes a field to its spectrum at frequencies (y, x); those along `axis` are a line's.
+
+    Where `transfer` is given, the path is kept, and a sparse matrix interpolates the spectrum where that is not zero.
+    """
+    cycles_y, cycles_x = cycles
+    line = None if axis is None else lines[0 if axis == -2 else 1]
+    matrix = None
+    if transfer is not None and transfer.ndim == 2 and _fits(transfer, field):
+        size = np.abs(np.asarray(transfer))
+        y, x = (None if axis == own else np.asarray(c) for own, c in ((-2, cycles_y), (-1, cycles_x)))
+        shape = (size.shape[0] if axis == -2 else field.shape[-2], size.shape[1] if axis == -1 else field.shape[-1])
+        matrix = InterpolatedSpectrum(y, x, shape, _array.is_double(field), size > 1e-13 * size.max())
+    if line is None:
+        return matrix or (lambda field: spectrum_at(field, cycles_y, cycles_x))
+    if matrix is not None:
         return _Composed(line, matrix)
-    return lambda field: spectrum_along(to_line(field, line), cycles, other)
+    one, other = (cycles_x, -1) if axis == -2 else (cycles_y, -2)
+    return lambda field: spectrum_along(to_line(field, line), one, other)
+
+
+def _fits(transfer, field) -> bool:
+    """Say whether a matrix can be used for a field, and be kept with others in the store of kernels."""
+    # Taps along both axes, an index and a weight or two each.
+    largest = math.prod(transfer.shape) * (14 * 20 if _array.is_double(field) else 8 * 12)
+    on_cpu = "cpu" in str(_array.device_of(field)).lower()
+    return on_cpu and _array.has_sparse_matrices(field) and largest < kernels.maximum_bytes // 2
 
 
 @dataclass(frozen=True)

@@ -228,3 +228,23 @@ def test_what_is_no_rotation_is_refused():
         propagate_to_tilted_plane(patch(), WAVELENGTH, 1e-3, DX, 2 * np.eye(3))
     with pytest.raises(ValueError, match="less than 90 degrees"):
         propagate_to_tilted_plane(patch(), WAVELENGTH, 1e-3, DX, (0, 50, 0), source_angles=(0, -50, 0))
+
+
+@pytest.mark.parametrize("angles", [(0.0, 30.0, 0.0), (-20.0, 0.0, 0.0), (10.0, 20.0, 30.0)])
+def test_kept_paths_are_those_that_are_not_kept(angles, random):
+    field = random.normal(size=(2, 9, 12)) + 1j * random.normal(size=(2, 9, 12))
+    traced = torch.tensor(1e-3, dtype=torch.float64, requires_grad=True)
+    tensor = torch.from_numpy(field)
+    # A distance that requires a gradient has no stored path.
+    expected = propagate_to_tilted_plane(tensor, WAVELENGTH, traced, DX, angles).detach().numpy()
+    for _ in range(2):
+        found = propagate_to_tilted_plane(field, WAVELENGTH, 1e-3, DX, angles)
+        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+        same = propagate_to_tilted_plane(tensor, WAVELENGTH, 1e-3, DX, angles)
+        np.testing.assert_allclose(same.numpy(), expected, atol=1e-10 * np.abs(expected).max())
+    single = propagate_to_tilted_plane(tensor.to(torch.complex64), WAVELENGTH, 1e-3, DX, angles)
+    assert relative_error(single.numpy(), expected) < 1e-5
+    held = tensor.clone().requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda u: propagate_to_tilted_plane(u, WAVELENGTH, 1e-3, DX, angles), held, fast_mode=True
+    )
