@@ -58,13 +58,13 @@ beside = beside / beside.amax((1, 2), keepdim=True)
 print("PSNR (dB):", [round(float(psnr(*pair)), 1) for pair in zip(seen, targets)])
 
 # %%
-figure, axes = plt.subplots(3, 3, figsize=(12, 8.2), sharex=True, sharey=True)
+figure, axes = plt.subplots(3, 3, figsize=(11, 7.4), sharex=True, sharey=True)
 extent = [-0.77, 0.77, 0.51, -0.51]
 rows = ("target", targets), ("hologram of three views", seen), ("of one view", beside)
 for line, (name, lights) in zip(axes, rows):
     for axis, light, place in zip(line, lights, places):
         drawn = axis.imshow(light.clamp(0, 1), cmap="gray", extent=extent)
-        axis.set_title(f"{name}, pupil at {1e3 * place[1]:+.0f} mm", fontsize=11)
+        axis.set_title(f"{name}, pupil at {1e3 * place[1]:+.0f} mm", fontsize=10)
         axis.axvline(0, color="tab:orange", lw=0.6, ls=":")
     line[0].set_ylabel("y (mm)")
 for axis in axes[-1]:

@@ -82,8 +82,8 @@ def stochastic_gradient_descent(
         "adam" or "lbfgs".
     initial_phase : torch.Tensor or str, optional
         Phase to start from, in radians, of the target's shape, ``[frames, …]`` with several frames; or one of
-        :data:`STARTS` by name, see :func:`starting_phase`. Normal noise of standard deviation 1 by default. "double
-        phase" is recommended, together with ``scale=True``.
+        :data:`STARTS` by name, see :func:`starting_phase`. Normal noise of standard deviation 1 by default. "gs" is
+        recommended, together with ``scale=True``: it was the fastest in all measurements from 512 × 512 pixels on.
     seed : int, optional
         Makes the random start reproducible; by default torch's own generator draws it.
     scale : bool
