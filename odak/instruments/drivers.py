@@ -12,7 +12,7 @@ from odak.tools.paths import replacing, validate_path
 
 __all__ = ["FileCamera", "FileModulator", "ScreenModulator", "VideoCamera"]
 
-# Codes of OpenCV's properties of a camera that switch off what would change an exposure behind one's back.
+# Codes of OpenCV's properties that switch off the automatic control of exposure, gain and white balance.
 _MANUAL_EXPOSURE = 1.0
 
 
@@ -160,7 +160,7 @@ class VideoCamera:
         return np.stack(frames)
 
     def close(self) -> None:
-        """Give the camera back."""
+        """Release the camera."""
         self._stream.release()
 
 

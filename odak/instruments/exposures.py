@@ -64,7 +64,7 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
         brightest = float(camera.capture(1).max())
         if 0.8 * level * top < brightest < 1.1 * level * top:
             break
-        # A saturated pixel does not tell by how much; a dark one may be nothing but its offset.
+        # A saturated pixel gives a lower bound only; a dark one may be its offset alone.
         camera.exposure *= (
             0.25 if brightest >= SATURATED * top else float(np.clip(level * top / max(brightest, 1), 0.1, 10))
         )

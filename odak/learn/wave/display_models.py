@@ -43,7 +43,7 @@ FINER = 3
 
 
 class display_model(torch.nn.Module):
-    r"""What a camera counts of a pattern on a display: source, modulator, light path and camera, all differentiable.
+    r"""Differentiable model of a display and a camera: source, modulator, light path and sensor.
 
     The phase of a level is that of a look-up table, times a factor that varies over the panel. Fringing fields smooth
     it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the source multiply
@@ -358,7 +358,7 @@ class display_model(torch.nn.Module):
             int64 ``[..., rows, columns]``.
         """
         phase = self._checked(phase)
-        # Whole numbers cannot say that there was none to round.
+        # Integers cannot represent NaN.
         _validate.real("phase", phase)
         rising, order = torch.sort(self.table().detach())
         middles = (rising[1:] + rising[:-1]) / 2
@@ -794,7 +794,7 @@ class _Data:
         return cls(torch.as_tensor(captures.levels.astype(np.int64)), *tensors, captures.positions.tolist(), noise)
 
     def residual(self, model: Callable, k: int, pixels: torch.Tensor | None = None) -> torch.Tensor:
-        """Return what the model differs by from the mean of capture k, in standard deviations of its noise."""
+        """Return the difference of the model from the mean of capture k, in standard deviations of its noise."""
         seen = model(self.levels[k], self.positions[k], pixels).flatten()
         chosen = slice(None) if pixels is None else pixels
         return (seen - self.counts[k, chosen]) / self.deviations[k, chosen]
@@ -805,7 +805,7 @@ class _Data:
 
 @torch.no_grad()
 def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tensor]) -> None:
-    """Set the brightness of a model to that of the captures."""
+    """Set the overall scale of a model to that of the captures."""
     above = below = 0.0
     for k, pixels in enumerate(chosen):
         seen, weight = model(data.levels[k], data.positions[k], pixels), data.deviations[k, pixels] ** -2

@@ -28,7 +28,7 @@ SOLVES = ("focal_length", "marginal_height", "edge_thickness")
 
 
 class Variable(NamedTuple):
-    """Numbers of surfaces that may change; of a number that a solve gives, what is added to it.
+    """Numbers of surfaces that an optimisation may change; of a number that a solve gives, the term added to it.
 
     Attributes
     ----------
@@ -41,6 +41,13 @@ class Variable(NamedTuple):
         Bounds, one or one for each term; of glass for n_d and V_d, by default (1.44, 20) and (1.95, 85).
     terms : sequence of int, optional
         Which coefficients (0 is that of r²) or which of x, y (and z); all by default.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Variable
+    >>> radii = Variable("curvature", [0, 1], lower=-0.05, upper=0.05)
+    >>> radii.name, radii.upper
+    ('curvature', 0.05)
     """
 
     name: str
@@ -61,6 +68,15 @@ class Pickup(NamedTuple):
         The surface that follows, and the one that it follows.
     scale, offset : float
         As above.
+
+    Examples
+    --------
+    The second radius is the negative of the first:
+
+    >>> from odak.learn.raytracing.system import Pickup
+    >>> symmetric = Pickup("curvature", surface=1, source=0, scale=-1.0)
+    >>> symmetric.scale * 0.02 + symmetric.offset
+    -0.02
     """
 
     name: str
@@ -85,6 +101,15 @@ class Solve(NamedTuple):
         As above.
     height : float, optional
         Distance from the axis of the edge.
+
+    Examples
+    --------
+    The curvature of surface 1 gives the system a focal length of 100, its thickness the paraxial focus:
+
+    >>> from odak.learn.raytracing.system import Solve
+    >>> solves = [Solve("focal_length", 1, 100.0), Solve("marginal_height", 1)]
+    >>> [solve.value for solve in solves]
+    [100.0, 0.0]
     """
 
     kind: str
@@ -94,7 +119,7 @@ class Solve(NamedTuple):
 
 
 class DesignResult(NamedTuple):
-    """How an optimisation ended.
+    """Result of an optimisation.
 
     Attributes
     ----------
@@ -115,7 +140,7 @@ class DesignResult(NamedTuple):
 
 
 class lens_design:
-    """A system with what may change of it and what it is judged by.
+    """Optimisation problem of a system: its operands, variables, pickups and solves.
 
     Parameters
     ----------
@@ -204,7 +229,7 @@ class lens_design:
         self.micrometres = torch.tensor(system.wavelengths, dtype=torch.float64) * MICROMETRES[system.unit]
         self._check_followers()
         for item in self.solves:
-            # The design begins as the system is: what is added is what the solve alone does not give.
+            # The design starts from the present system: the variable is the difference from the value of the solve.
             name = _number_of(item)
             if (item.surface, 0) in self.places.get(name, ()):
                 column = self.columns[name][self.places[name].index((item.surface, 0))]
@@ -327,7 +352,7 @@ class lens_design:
             name, added = _number_of(item), getattr(p, _number_of(item))[..., item.surface]
             p = _SOLVERS[item.kind](self.system, p, item)
             if (item.surface, 0) in self.places.get(name, ()):
-                # What stood there was the variable, which is added to what the solve gives.
+                # The entry held the variable, which is added to the value of the solve.
                 p = p._replace(
                     **{name: _set(getattr(p, name), item.surface, getattr(p, name)[..., item.surface] + added, -1)}
                 )

@@ -527,6 +527,16 @@ def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str
         "paraxial" or "real", how :func:`launch` aims.
     figures : dict, optional
         From :func:`report_figures`, where they are at hand.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import lens_report, load_system
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "singlet.html")
+    ...     lens_report(load_system("singlet"), name, figures={})
+    ...     os.path.getsize(name) > 1000
+    True
     """
     checked_system(system)
     path, aim = _text("path", path), _validate.one_of("aim", aim, AIMS)

@@ -275,7 +275,7 @@ def eye_wavefront(
     accommodation: float = 0.0,
     vergence: float = 0.0,
 ) -> torch.Tensor:
-    """Return how much the light of a point on the axis lags behind a sphere about its place on the retina.
+    """Return the optical path difference of a point on the axis from a sphere about its position on the retina.
 
     Parameters
     ----------
@@ -404,6 +404,15 @@ def eye_transfer_function(
     -----
     Autocorrelation of the pupil function (Goodman, Introduction to Fourier Optics, 2005, section 6.3). The eye is taken
     to be the same over the picture, as it is around its axis.
+
+    Examples
+    --------
+    It is 1 at frequency zero:
+
+    >>> from odak.learn.raytracing.system import eye_transfer_function
+    >>> transfer = eye_transfer_function([32, 32], 2e-4, 532e-9)
+    >>> tuple(transfer.shape), round(float(transfer[0, 0, 0]), 6)
+    ((1, 32, 17), 1.0)
     """
     rows, columns = _validate.size("size", size)
     pitch = float(_validate.number("pitch", pitch, positive=True))
@@ -459,7 +468,7 @@ def retinal_image(
     pupil_diameter: float = 4.0,
     accommodation: float = 0.0,
 ) -> torch.Tensor:
-    """Return the image on the retina of pictures that shine at one or several distances.
+    """Return the image on the retina of luminous pictures at one or several distances.
 
     Parameters
     ----------
@@ -561,7 +570,7 @@ def retinal_field(
     accommodation: float = 0.0,
     pupil_position: Sequence[float] = (0.0, 0.0),
 ) -> RetinalField:
-    """Return the light on the retina of a coherent field in the entrance pupil: of a hologram, say.
+    """Return the field on the retina of a coherent field in the entrance pupil, such as that of a hologram.
 
     Parameters
     ----------
@@ -626,7 +635,7 @@ def retinal_field(
 
 
 class AccommodationResponse(NamedTuple):
-    """How an eye would focus.
+    """Accommodation of an eye in front of a picture or a focal stack.
 
     Attributes
     ----------
@@ -726,7 +735,7 @@ def accommodation_response(
 
 
 def _band_contrast(light, pitch):
-    """Return the root mean square of what a picture holds within the band that drives accommodation, over its mean."""
+    """Return the root mean square of a picture within the band that drives accommodation, over its mean."""
     rows, columns = light.shape[-2:]
     degrees = math.degrees(pitch)
     y = torch.fft.fftfreq(rows, degrees, dtype=torch.float64, device=light.device)

@@ -123,6 +123,17 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     -------
     torch.Tensor
         ``[..., W, F]``. All frequencies that the image resolves are those of :func:`modulation_transfer_function`.
+
+    Examples
+    --------
+    Contrast falls with frequency:
+
+    >>> from odak.learn.raytracing.system import modulation_at, optical_system, point_spread_function, surface
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> spread = point_spread_function(optical_system([parabola], aperture=20.0), 32, 128)
+    >>> low, high = (float(modulation_at(spread, frequency)[0, 0]) for frequency in (50.0, 150.0))
+    >>> bool(low > high > 0)
+    True
     """
     if not isinstance(spread, Spread):
         raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")

@@ -185,7 +185,7 @@ def _fields_of(system, ideal: torch.Tensor, prescription) -> torch.Tensor:
 
 
 def _chief(system, options) -> torch.Tensor:
-    """Return where chief rays land, ``[W, F, 2]``."""
+    """Return the intersections of chief rays with the sensor, ``[W, F, 2]``."""
     found = trace_fields(system, CENTRE, **options, vignetting=False)
     if is_readable(found.status) and not bool(found.arrived.all()):
         raise ValueError("shape is larger than the image of the lens: chief rays do not arrive")
@@ -232,7 +232,7 @@ def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
 
 
 def _by_rays(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return where rays land, ``[W, F, P, 2]``, and their shares of the light, ``[W, F, P]``."""
+    """Return intersections of rays with the sensor, ``[W, F, P, 2]``, and their shares of the power, ``[W, F, P]``."""
     rays = launch(system, "rings", count, **options)
     found = trace(system, rays, prescription=options["prescription"])
     place = torch.stack([torch.where(found.arrived, value, 0.0) for value in (found.x, found.y)], -1)
@@ -366,7 +366,7 @@ def expose_sensor(
     pattern: str | None = None,
     seed: int | None = 0,
 ) -> torch.Tensor:
-    """Return what a sensor reads: photon and read noise, saturation, steps of the converter, a mosaic of colours.
+    """Return the counts of a sensor, with photon and read noise, saturation, quantisation and a colour mosaic.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
 
 
 class Operand(NamedTuple):
-    """A number, or several, that a system is judged by.
+    """Number, or several numbers, that enter the merit of a system.
 
     Attributes
     ----------
@@ -34,6 +34,15 @@ class Operand(NamedTuple):
         Bounds; a value within them costs nothing, one beyond costs its distance from the nearer bound.
     options : mapping
         Keyword arguments of the kind, as `surfaces` of a thickness or `frequency` of the modulation transfer.
+
+    Examples
+    --------
+    A focal length of 100, and a back focal distance of at least 80:
+
+    >>> from odak.learn.raytracing.system import Operand
+    >>> operands = [Operand("focal_length", 100.0), Operand("back_focal_distance", lower=80.0)]
+    >>> [operand.kind for operand in operands]
+    ['focal_length', 'back_focal_distance']
     """
 
     kind: Any
@@ -44,7 +53,7 @@ class Operand(NamedTuple):
     options: Mapping = {}
 
     def residuals(self, values: torch.Tensor) -> torch.Tensor:
-        """Return what the values ``[..., n]`` cost: the merit is half the sum of the squares."""
+        """Return the residuals of the values ``[..., n]``: the merit is half the sum of their squares."""
         parts = []
         if self.target is not None or (self.lower is None and self.upper is None):
             parts.append(values - (self.target or 0.0))
