@@ -236,7 +236,8 @@ def fitting(**arrays) -> tuple[int, ...]:
 
 def one_device(**arrays) -> None:
     """Raise ValueError that names torch's tensors if they live on several devices; numbers on the CPU go with any."""
-    places = {name: value.device for name, value in arrays.items() if is_torch(value) and not _is_cpu_number(value)}
+    tensors = {name: value for name, value in arrays.items() if is_torch(value)}
+    places = {name: v.device for name, v in tensors.items() if v.ndim or v.device.type != "cpu"}
     first, *others = places.values() or [None]
     if any(place != first for place in others):
         told = ", ".join(f"{name} {device}" for name, device in places.items())
@@ -250,10 +251,6 @@ def alike(**arrays) -> None:
     if any(shape != first for shape in others):
         raise ValueError(f"{' and '.join(shapes)} must have one shape, got {' and '.join(map(str, shapes.values()))}")
     one_device(**arrays)
-
-
-def _is_cpu_number(tensor) -> bool:
-    return tensor.ndim == 0 and tensor.device.type == "cpu"
 
 
 def flag(name: str, value) -> bool:

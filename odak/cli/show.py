@@ -59,11 +59,17 @@ def run(path: str, page: Path) -> Path:
     if source.is_dir():
         body = _folder(source)
     elif source.suffix.lower() in PICTURES and source.is_file():
-        body = _figures([_picture_figure(source)])
+        from odak.cli.target import read_picture
+
+        picture = read_picture(source, "FILE").double()
+        body = _figures([_field_figure(picture.mean(0).numpy(), source.name)])
     elif source.suffix.lower() in (".npy", ".pt") and source.is_file():
         body = _figures([_field_figure(_load(source), source.name)])
     elif source.suffix.lower() in LENSES or not source.suffix:
-        body = _figures([_lens_figure(path)])
+        from odak.cli.trace import read_system
+        from odak.visualize.plotly import system_show
+
+        body = _figures([system_show(read_system(path)[0], show=False).fig])
     elif not source.is_file():
         raise InputError(f"FILE not found: {str(source)!r}")
     else:
@@ -92,16 +98,12 @@ def _folder(folder: Path) -> str:
         f"<figcaption>{html.escape(path.name)}</figcaption></figure>"
         for path in sorted(pictures, key=lambda path: path.name != "comparison.png")
     ]
-    pitch, wavelength = _scales(report)
+    settings = report.get("bench") or report.get("parameters") or {}
+    pitch, wavelength = settings.get("pixel_pitch"), settings.get("wavelength")
     figures = [_field_figure(_load(path), path.name, pitch, wavelength) for path in fields]
     patterns = report.get("pattern", {}).get("files", []) if isinstance(report, dict) else []
     figures += [_pattern_figure(folder / name, pitch) for name in patterns if (folder / name).is_file()]
     return "\n".join([*parts, _figures(figures)])
-
-
-def _scales(report: dict) -> tuple[float | None, float | None]:
-    settings = report.get("bench") or report.get("parameters") or {}
-    return settings.get("pixel_pitch"), settings.get("wavelength")
 
 
 def _table(report: dict) -> str:
@@ -164,13 +166,6 @@ def _field_figure(values: np.ndarray, title: str, pitch: float | None = None, wa
     return field_show(values, pitch, wavelength, title=title, show=False).fig
 
 
-def _picture_figure(path: Path):
-    from odak.cli.target import read_picture
-
-    picture = read_picture(path, "FILE").double()
-    return _field_figure(picture.mean(0).numpy(), path.name)
-
-
 def _pattern_figure(path: Path, pitch: float | None):
     from odak.cli.files import load_pattern, stored_bits
     from odak.visualize.plotly import field_show
@@ -178,13 +173,6 @@ def _pattern_figure(path: Path, pitch: float | None):
     values, step = _smaller(np.exp(1j * load_pattern(path, stored_bits(path)).numpy()))
     pitch = None if pitch is None else pitch * step
     return field_show(values, pitch, quantities=["phase"], title=path.name, show=False).fig
-
-
-def _lens_figure(name: str):
-    from odak.cli.trace import read_system
-    from odak.visualize.plotly import system_show
-
-    return system_show(read_system(name)[0], show=False).fig
 
 
 def _figures(figures: list) -> str:

@@ -90,17 +90,13 @@ def gradient_descent_1d(
     bar = tqdm(range(steps), disable=not progress)
     for _ in bar:
         if vectorized:
-            gradient = _all_points(gradient_function(x, y, function, parameters), len(parameters), len(x))
+            gradients, wanted = np.asarray(gradient_function(x, y, function, parameters)), (len(parameters), len(x))
+            if gradients.shape != wanted:
+                raise ValueError(f"gradient_function must return {list(wanted)} when vectorized, got {gradients.shape}")
+            gradient = gradients.sum(axis=-1)
         else:
             gradient = sum(gradient_function(a, b, function, parameters) for a, b in zip(x, y, strict=True))
         parameters = parameters - learning_rate / len(x) * np.asarray(gradient)
         if progress:
             bar.set_description(f"Loss: {loss_function(y, function(x, parameters)):.4g}")
     return parameters
-
-
-def _all_points(gradient, count: int, points: int) -> np.ndarray:
-    gradient = np.asarray(gradient)
-    if gradient.shape != (count, points):
-        raise ValueError(f"gradient_function must return [{count}, {points}] when vectorized, got {gradient.shape}")
-    return gradient.sum(axis=-1)

@@ -109,26 +109,22 @@ def run_packed(jobs: Sequence[bytes], code: bytes, threads: int | None = None) -
     list of Outcome
         One per task; results and exceptions are packed.
     """
-    address, limit = _worker()
+    from distributed import get_worker
+
+    worker = get_worker()
+    limit = getattr(worker.memory_manager, "memory_limit", None)
     outcomes = []
     for job in jobs:
         process = getattr(_local, "process", None)
         if process is None or not process.alive():
             process = _local.process = _Process(limit)
         outcome = process.compute(job, code, threads)
-        outcome.worker = address
+        outcome.worker = worker.address
         outcomes.append(outcome)
     return outcomes
 
 
 _local = threading.local()
-
-
-def _worker() -> tuple[str, int | None]:
-    from distributed import get_worker
-
-    worker = get_worker()
-    return worker.address, getattr(worker.memory_manager, "memory_limit", None)
 
 
 class _Process:

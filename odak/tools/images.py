@@ -405,7 +405,9 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
     result = img.astype(np.result_type(img, np.float64))
     for axis, size in sorted(((0, height), (1, width)), key=lambda pair: pair[1] / img.shape[pair[0]]):
         if size != img.shape[axis]:
-            result = _resample(result, axis, *_taps(img.shape[axis], size))
+            index, weight = _taps(img.shape[axis], size)
+            along = [-1 if i == axis else 1 for i in range(img.ndim)]
+            result = sum(result.take(i, axis) * w.reshape(along) for i, w in zip(index.T, weight.T, strict=True))
     return np.rint(result).astype(img.dtype) if img.dtype.kind in "bui" else result.astype(img.dtype)
 
 
@@ -422,9 +424,3 @@ def _taps(source, target):
         index = np.floor(start) + np.arange(int(np.ceil(step)) + 1)
         weight = np.clip(np.minimum(index + 1, end) - np.maximum(index, start), 0, None) / step
     return np.clip(index, 0, source - 1).astype(np.intp), weight
-
-
-def _resample(image, axis, index, weight):
-    along = [1] * image.ndim
-    along[axis] = -1
-    return sum(image.take(i, axis) * w.reshape(along) for i, w in zip(index.T, weight.T, strict=True))

@@ -525,18 +525,11 @@ def generate_bandlimits(size: Sequence[int] = (512, 512), levels: int = 9) -> np
     rows, columns = _validate.size("size", size)
     masks = np.zeros((_validate.integer("levels", levels, minimum=1), rows, columns))
     for i, mask in enumerate(masks):
-        (top, bottom, inner_top, inner_bottom), (left, right, inner_left, inner_right) = (
-            _edges(n, i) for n in (rows, columns)
-        )
-        mask[top:bottom, left:right] = 1
-        mask[inner_top:inner_bottom, inner_left:inner_right] = 0
+        sides = [(n // 2, n // 2 ** (i + 1)) for n in (rows, columns)]
+        mask[tuple(slice(centre - reach, centre + reach) for centre, reach in sides)] = 1
+        mask[tuple(slice(int(centre - reach / 2), int(centre + reach / 2)) for centre, reach in sides)] = 0
     return masks
 
 
 def _nested(lengths):
     return [_nested(lengths[1:]) for _ in range(lengths[0])] if lengths else 0
-
-
-def _edges(n: int, level: int) -> tuple[int, int, int, int]:
-    centre, reach = n // 2, n // 2 ** (level + 1)
-    return centre - reach, centre + reach, int(centre - reach / 2), int(centre + reach / 2)

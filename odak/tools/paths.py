@@ -65,7 +65,13 @@ def validate_path(
     if len(absolute) > LONGEST_PATH:
         raise ValueError(f"{name} exceeds maximum length: {len(absolute)} characters, at most {LONGEST_PATH}")
     if allowed_extensions is not None:
-        _check_extension(absolute, allowed_extensions, name)
+        accepted = sorted(
+            {"." + entry.lower().removeprefix(".") for entry in texts("allowed_extensions", allowed_extensions)}
+        )
+        if (found := extension_of(absolute)) not in accepted:
+            raise ValueError(
+                f"Extension {found!r} is not allowed for {name} {absolute!r}; accepted: {' '.join(accepted)}"
+            )
     return absolute
 
 
@@ -173,14 +179,6 @@ def _text(name, value):
     if "\0" in text:
         raise ValueError(f"Null bytes are not allowed in {name}, got {text!r}")
     return text
-
-
-def _check_extension(path, allowed, name):
-    accepted = sorted({"." + entry.lower().removeprefix(".") for entry in texts("allowed_extensions", allowed)})
-    if extension_of(path) not in accepted:
-        raise ValueError(
-            f"Extension {extension_of(path)!r} is not allowed for {name} {path!r}; accepted: {' '.join(accepted)}"
-        )
 
 
 @contextmanager

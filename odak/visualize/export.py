@@ -178,8 +178,10 @@ class PLY_object:
         number = np.arange(z.size).reshape(z.shape)
         here, right, below, across = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
         faces = np.stack([here, right, across, here, across, below], axis=-1).reshape(-1, 3)
-        points, faces = _finite(points.reshape(-1, 3), faces)
-        self._append(points, faces, color, smooth=True)
+        points = points.reshape(-1, 3)
+        good = np.isfinite(points).all(-1)
+        renumbered = np.cumsum(good) - 1
+        self._append(points[good], renumbered[faces[good[faces].all(-1)]], color, smooth=True)
 
     def save_PLY(self, savefn: str | os.PathLike = "out.ply", text: bool = True) -> None:
         """Write a PLY file.
@@ -337,13 +339,6 @@ def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     across = np.cross(helper, along)
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
     return across, np.cross(along, across)
-
-
-def _finite(points: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return a mesh without the points that are not finite and the triangles at them."""
-    good = np.isfinite(points).all(-1)
-    number = np.cumsum(good) - 1
-    return points[good], number[faces[good[faces].all(-1)]]
 
 
 def _with_normals(places: np.ndarray, faces: np.ndarray, smooth: bool) -> tuple:

@@ -77,20 +77,16 @@ def fit(vertices: torch.Tensor, faces: torch.Tensor, leaves: torch.Tensor) -> Tr
     scale = torch.where(radius > 0, 1 / radius, 1.0)
     corners = to_frame(vertices, centre, scale)[faces[leaves.clamp(min=0)]]
     solid = (leaves >= 0) & triangle_normal(corners).isfinite().all(dim=-1)
-    return Tree(centre, scale, leaves.t().contiguous(), _corner_table(corners, solid), _box_tables(corners, solid))
+    held = torch.where(solid[..., None, None], corners, torch.nan)
+    turns = torch.stack([held[..., ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)])
+    # [axis, leaf, slot, corner, component] → [component, corner, slot, axis, leaf]
+    table = turns.permute(4, 3, 2, 0, 1).reshape(9 * solid.shape[1], 3 * len(solid))
+    return Tree(centre, scale, leaves.t().contiguous(), table, _box_tables(corners, solid))
 
 
 def to_frame(points: torch.Tensor, centre: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
     """Return points in units of the mesh's radius about its centre, rounded once to their own precision."""
     return ((points.double() - centre) * scale).to(points.dtype)
-
-
-def _corner_table(corners: torch.Tensor, solid: torch.Tensor) -> torch.Tensor:
-    count, slots = solid.shape
-    corners = torch.where(solid[..., None, None], corners, torch.nan)
-    turns = [corners[..., ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)]
-    # [axis, leaf, slot, corner, component] → [component, corner, slot, axis, leaf]
-    return torch.stack(turns).permute(4, 3, 2, 0, 1).reshape(9 * slots, 3 * count)
 
 
 def _box_tables(corners: torch.Tensor, solid: torch.Tensor) -> list[torch.Tensor]:
@@ -212,7 +208,12 @@ def _search(tree: Tree, beam: Beam, cap: int) -> torch.Tensor:
         elif level < len(tree.boxes):
             stack.append((level + 1, *_children(tree.boxes[level], beam, best, ray, node)))
         else:
-            best, face = _nearest_leaf_first(tree, beam, best, face, ray, node, entry)
+            # The leaf that each ray enters first comes up front: the others are then mostly too far.
+            earliest = torch.full_like(best, torch.inf, dtype=entry.dtype).scatter_reduce_(0, ray, entry, "amin")
+            up_front = entry <= earliest.index_select(0, ray)
+            best, face = _leaves(tree, beam, best, face, ray, node, up_front)
+            later = ~up_front & (entry <= best.index_select(0, ray).float())
+            best, face = _leaves(tree, beam, best, face, ray, node, later)
     return face
 
 
@@ -229,14 +230,6 @@ def _children(table: torch.Tensor, beam: Beam, best: torch.Tensor, ray, node):
     child, pair = (enter <= leave).nonzero(as_tuple=True)
     node = node.index_select(0, pair).mul_(len(enter)).add_(child)
     return ray.index_select(0, pair), node, enter.reshape(-1).index_select(0, child.mul_(len(ray)).add_(pair))
-
-
-def _nearest_leaf_first(tree: Tree, beam: Beam, best, face, ray, node, entry):
-    """Return the best distances and faces after the leaves of a list, the leaf that each ray enters first up front."""
-    earliest = torch.full_like(best, torch.inf, dtype=entry.dtype).scatter_reduce_(0, ray, entry, "amin")
-    up_front = entry <= earliest.index_select(0, ray)
-    best, face = _leaves(tree, beam, best, face, ray, node, up_front)
-    return _leaves(tree, beam, best, face, ray, node, ~up_front & (entry <= best.index_select(0, ray).float()))
 
 
 def _leaves(tree: Tree, beam: Beam, best, face, ray, node, chosen):
@@ -385,7 +378,8 @@ def evaluate(
         # From the frame's corners, as in the tree: no face is hit whose normal does not exist.
         normal = geometry.triangle_normal(corners.permute(2, 1, 0)).gather(1, back)
     else:
-        normal = _interpolated(weights, normals[chosen], hit)
+        known, shares = torch.where(hit[:, None, None], normals[chosen], 1.0), torch.where(hit[:, None], weights, 1.0)
+        normal = geometry.unit((shares[..., None] * known).sum(dim=1))
     distance, point, normal = (geometry.masked(value, hit) for value in (distance, point, normal))
     return MeshHit(
         distance,
@@ -402,12 +396,6 @@ def misses(rays: torch.Tensor) -> MeshHit:
     none = torch.full_like(rays[:, 0], torch.nan)
     face = torch.full((len(rays),), -1, dtype=torch.int64, device=rays.device)
     return MeshHit(none[:, 0], none, none, face, none, intersections.status_array(face >= 0))
-
-
-def _interpolated(weights: torch.Tensor, normals: torch.Tensor, hit: torch.Tensor) -> torch.Tensor:
-    normals = torch.where(hit[:, None, None], normals, 1.0)
-    weights = torch.where(hit[:, None], weights, 1.0)
-    return geometry.unit((weights[..., None] * normals).sum(dim=1))
 
 
 EMBREE_HINT = "backend 'embree' needs the package embreex: pip install odak[mesh]"

@@ -48,7 +48,7 @@ def read_torch_file(path: str | os.PathLike, device: torch.device | str | None =
     try:
         if _check(name):
             # Mapped memory cannot grow: a tensor that claims more than there is, is refused before anything is read.
-            torch.load(name, map_location=_where_it_is, weights_only=True, mmap=True)
+            torch.load(name, map_location=lambda storage, _: storage, weights_only=True, mmap=True)
         # Indices beyond a sparse tensor's size would be followed into other memory when it is used.
         with torch.sparse.check_sparse_tensor_invariants():
             found = torch.load(name, map_location=device, weights_only=True)
@@ -129,10 +129,6 @@ def _refuse_odd_tensor(tensor: torch.Tensor, meta: bool) -> None:
     for part in parts:
         if part.numel() * part.element_size() > part.untyped_storage().nbytes():
             raise ValueError(f"it holds a tensor of shape {list(part.shape)}, longer than its data; store a copy of it")
-
-
-def _where_it_is(storage, location):
-    return storage
 
 
 def _check(name: str) -> bool:

@@ -180,7 +180,10 @@ def histogram_loss(
     0.0
     """
     bins = _validate.integer("bins", bins, minimum=1)
-    low, high = _checked_limits(limits)
+    limits = _validate.numbers(_validate.real("limits", limits))
+    if len(limits) != 2 or not limits[0] < limits[1]:
+        raise ValueError(f"limits must be two rising numbers, got {limits}")
+    low, high = limits
     soft = _validate.flag("soft", soft)
     frame, ground_truth = _as_batch("frame", frame), _as_batch("ground_truth", ground_truth)
     _validate.one_device(frame=frame, ground_truth=ground_truth)
@@ -349,13 +352,6 @@ def _as_batch(name, frame):
         raise ValueError(f"{name} must be [H, W], [C, H, W] or [B, C, H, W], none empty; got {tuple(frame.shape)}")
     frame = frame if frame.is_floating_point() else frame.float()
     return frame.reshape((1,) * (4 - frame.ndim) + tuple(frame.shape))
-
-
-def _checked_limits(limits):
-    limits = _validate.numbers(_validate.real("limits", limits))
-    if len(limits) != 2 or not limits[0] < limits[1]:
-        raise ValueError(f"limits must be two rising numbers, got {limits}")
-    return limits
 
 
 def _same_shape(name, value, other_name, other):

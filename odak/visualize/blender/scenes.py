@@ -203,7 +203,10 @@ class Views:
         distance, fitting = _fit(points - target, axes, fov, size)
         location = np.add(target, np.multiply(distance, axes[2])).tolist() if location is None else aside
         width = fitting if width is None else positive("width", width)
-        return Camera(location, axes, projection, fov, width, None if clip is None else _clip(clip))
+        limits = None if clip is None else [positive("clip", value) for value in pair("clip", clip)]
+        if limits is not None and limits[0] >= limits[1]:
+            raise ValueError(f"clip must be the nearest and the farthest distance, got {list(clip)}")
+        return Camera(location, axes, projection, fov, width, limits)
 
     def _resolution(self, resolution) -> tuple[int, int]:
         return self.resolution if resolution is None else _validate.size("resolution", resolution)
@@ -248,13 +251,6 @@ def _fit(points: np.ndarray, axes, fov: float, size) -> tuple[float, float]:
     half = 1.05 * np.maximum(np.abs(seen[:, 0]), np.abs(seen[:, 1]) * columns / rows)
     distance = (seen[:, 2] + half / math.tan(math.radians(fov) / 2)).max(initial=1e-3 * np.abs(seen).max(initial=0.0))
     return float(distance) or 1.0, 2 * float(half.max(initial=0.0)) or 1.0
-
-
-def _clip(clip) -> list[float]:
-    near, far = (positive("clip", value) for value in pair("clip", clip))
-    if near >= far:
-        raise ValueError(f"clip must be the nearest and the farthest distance, got {list(clip)}")
-    return [near, far]
 
 
 # Smallest picture that Blender renders.

@@ -216,7 +216,12 @@ def show(figure) -> str | None:
     path = _next_page()
     # plotly.js (5 MB) is written once beside the pages of this process.
     write_html(figure, path, plotlyjs="directory")
-    _place_library(path.parent)
+    script = path.with_name("plotly.min.js")
+    if not script.exists():
+        from plotly.offline import get_plotlyjs
+
+        with replacing(str(script)) as stream:
+            stream.write(get_plotlyjs().encode())
     logger.info("Figure written to %s", path)
     if can_open():
         webbrowser.open(path.as_uri())
@@ -239,15 +244,6 @@ def _next_page() -> Path:
     if _folder is None or not _folder.is_dir():
         _folder = Path(tempfile.mkdtemp(prefix="odak_pictures_"))
     return _folder / f"picture_{len(list(_folder.glob('*.html'))) + 1}.html"
-
-
-def _place_library(folder: Path) -> None:
-    from plotly.offline import get_plotlyjs
-
-    script = folder / "plotly.min.js"
-    if not script.exists():
-        with replacing(str(script)) as stream:
-            stream.write(get_plotlyjs().encode())
 
 
 def text(name: str, value) -> Any:
