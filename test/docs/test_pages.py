@@ -7,6 +7,7 @@ import pytest
 from documentation import agrees, script
 
 SLOW = {
+    "guides/a_hologram_in_a_lens.md",
     "guides/calibrate_a_table.md",
     "guides/design_a_display.md",
     "guides/design_a_lens.md",
@@ -14,6 +15,8 @@ SLOW = {
     "guides/learned_models.md",
     "guides/metamers.md",
     "guides/multiplane_and_colour.md",
+    "guides/pictures_through_a_lens.md",
+    "guides/polarised_rays.md",
     "notes/accuracy.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}
