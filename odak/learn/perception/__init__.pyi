@@ -74,6 +74,10 @@ from .metameric import MetamericLoss as MetamericLoss
 from .metameric import MetamericLossUniform as MetamericLossUniform
 from .metameric import MetamerMSELoss as MetamerMSELoss
 from .metameric import uniform_blur as uniform_blur
+from .observers import MetamericFailure as MetamericFailure
+from .observers import individual_cone_fundamentals as individual_cone_fundamentals
+from .observers import metameric_failure as metameric_failure
+from .observers import sample_observers as sample_observers
 from .pyramids import FrequencySteerablePyramid as FrequencySteerablePyramid
 from .pyramids import SpatialSteerablePyramid as SpatialSteerablePyramid
 from .pyramids import crop_steerable_pyramid_filters as crop_steerable_pyramid_filters

@@ -18,7 +18,7 @@ from odak.learn.perception.util import check_loss_inputs, check_values
 # Contrast threshold over frequency and eccentricity, T = T₀·exp(α·f·(e + e₂)/e₂): Geisler and Perry, Proc. SPIE 3299,
 # 294 (1998).
 LEAST_CONTRAST, DECAY, HALVING = 1 / 64, 0.106, 2.3
-# Kernels of S-CIELAB, weights and spreads in degrees: Zhang and Wandell, J. Soc. Inf. Disp. 5, 61 (1997), table 1.
+# Kernels of S-CIELAB, weights and spreads in degrees: Zhang and Wandell, J. Soc. Inf. Disp. 5, 61 (1997).
 RED_GREEN, BLUE_YELLOW = ((0.531, 0.0392), (0.330, 0.494)), ((0.488, 0.0536), (0.371, 0.386))
 # Just noticeable difference in CIELAB: Mahy, Van Eycken and Oosterlinck, Color Res. Appl. 19, 105 (1994).
 JUST_NOTICEABLE = 2.3

@@ -11,6 +11,7 @@ from odak.learn.perception import (
     MetamericLossUniform,
     SpatialSteerablePyramid,
     get_steerable_pyramid_filters,
+    sample_observers,
 )
 
 PICTURE, OTHER = tensor(1, 3, 32, 32), tensor(1, 3, 32, 32, seed=9)
@@ -150,6 +151,20 @@ BY_CALL = {
     f"{HERE}.MetamericLossUniform.metameric_loss_stats": {
         "statsmap_a": _uniform_statistics(3),
         "statsmap_b": _uniform_statistics(9),
+    },
+    f"{HERE}.individual_cone_fundamentals": {
+        "wavelengths": [450.0, 550.0],
+        "lens": 1.7,
+        "macular": 0.3,
+        "densities": [0.5, 0.5, 0.4],
+        "shifts": [0.0, 1.0, 0.0],
+    },
+    f"{HERE}.sample_observers": {"number": 2, "wavelengths": [450.0, 550.0]},
+    f"{HERE}.metameric_failure": {
+        "primaries": torch.eye(3, 5, dtype=torch.float64),
+        "reference": torch.ones(5, dtype=torch.float64),
+        "observers": Build(lambda _: sample_observers(2, [430.0, 480.0, 530.0, 580.0, 630.0])),
+        "wavelengths": [430.0, 480.0, 530.0, 580.0, 630.0],
     },
     f"{HERE}.foveated_budget": {"edges": [0.0, 5.0, 20.0]},
     f"{HERE}.highest_frequency": {"eccentricity": 3.0},

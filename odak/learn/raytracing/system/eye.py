@@ -18,7 +18,7 @@ from odak.raytracing import components as vec
 from odak.raytracing.gradients import Gradient
 from odak.wave.transfer_functions import phasor_of_cycles
 
-# Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm; Navarro et al. 1985, table 3.
+# Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm: Navarro et al. 1985.
 NAVARRO_INDICES = {
     "cornea": (1.3975, 1.3807, 1.37405, 1.3668),
     "aqueous": (1.3593, 1.3422, 1.3354, 1.3278),
@@ -80,7 +80,7 @@ def navarro_eye(
 
     Notes
     -----
-    Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985), tables 1 to 4; the depth of the vitreous,
+    Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985); the depth of the vitreous,
     16.3203 mm, and the retina are those of Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999). Dispersion
     after Herzberger, as there. Power 60.4 dioptres. The lens has one index; the parameter A is not exactly the vergence
     that is in focus: :func:`eye_refraction` gives that.
@@ -176,7 +176,7 @@ def liou_brennan_eye(
 
     Notes
     -----
-    Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997), tables 2 and 3: power 60.35 dioptres, length 23.95 mm. The
+    Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997): power 60.35 dioptres, length 23.95 mm. The
     lens is two media of graded index with a plane between them; rays in it are those of the ray equation.
 
     Examples
@@ -253,7 +253,7 @@ def _medium(name, added=0.0):
         sum(index * row[term] for index, row in zip(indices, HERZBERGER, strict=True)) for term in range(4)
     )
     formula = {"A": (constant, square), "P": (0.0, 2.0), "B": tuple(poles)}
-    return Material(f"{name} of the eye", "herzberger", formula, RANGE, "air", "Navarro et al. (1985), table 3")
+    return Material(f"{name} of the eye", "herzberger", formula, RANGE, "air", "Navarro et al. (1985)")
 
 
 @functools.lru_cache(maxsize=512)

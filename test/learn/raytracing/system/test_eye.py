@@ -25,7 +25,7 @@ GREEN = 550e-9
 
 
 def test_published_indices_power_and_length():
-    # Navarro et al. (1985), table 1: indices at 589.3 nm; power and axial length in the text.
+    # Navarro et al. (1985): indices at 589.3 nm; power and axial length in the text.
     published = {"cornea": 1.376, "aqueous": 1.3374, "lens": 1.42, "vitreous": 1.336}
     for name, index in published.items():
         assert float(_medium(name).index(0.5893)) == pytest.approx(index, abs=1.1e-4)
@@ -42,7 +42,7 @@ def test_published_indices_power_and_length():
 
 
 def test_liou_and_brennan():
-    # Their table 4: equivalent power 60.35 dioptres, axial length 23.95 mm; its focus lies on the retina.
+    # Their abstract: equivalent power 60.35 dioptres, axial length 23.95 mm; its focus lies on the retina.
     found = first_order(liou_brennan_eye())
     assert 1000 / float(found.focal_length) == pytest.approx(60.35, abs=0.05)
     assert pytest.approx(23.95) == 0.50 + 3.16 + 1.59 + 2.43 + 16.27
