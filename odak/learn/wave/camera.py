@@ -7,7 +7,7 @@ import torch
 from odak import _validate
 from odak.learn._tensors import tensor
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.slm import on_samples, panel_map
+from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
 
@@ -95,6 +95,14 @@ class simulated_camera(torch.nn.Module):
         Bits of the converter, 1 to 16; None for one without levels.
     seed : int, optional
         Makes the noise reproducible, on one device.
+    iris_radius : float, optional
+        Radius in metres of a round iris in the focal plane of a lens; open by default.
+    iris_focal_length : float, optional
+        Focal length in metres of that lens.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1, as in
+        :func:`odak.learn.wave.stochastic_gradient_descent`; by default pixels are points, unless there is an iris and
+        `slm` has a fill factor.
 
     Raises
     ------
@@ -134,6 +142,9 @@ class simulated_camera(torch.nn.Module):
         read_noise: float = 0.0,
         bits: int | None = None,
         seed: int | None = None,
+        iris_radius: float | None = None,
+        iris_focal_length: float | None = None,
+        pixel_fill: float | None = None,
     ):
         super().__init__()
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
@@ -151,6 +162,10 @@ class simulated_camera(torch.nn.Module):
         self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)
         if bits is not None and bits > 16:
             raise ValueError(f"bits must be at most 16, got {bits}")
+        self.cutoff = iris_cutoff(self.wavelength, iris_radius, iris_focal_length)
+        self.pixel_fill = None
+        if pixel_fill is not None or self.cutoff is not None:
+            self.pixel_fill = checked_fill(pixel_fill, self.slm, self.cutoff is not None)
         self.seed, self._generator = None if seed is None else _validate.integer("seed", seed), None
 
     def light(self, phase: torch.Tensor) -> torch.Tensor:
@@ -174,7 +189,13 @@ class simulated_camera(torch.nn.Module):
         if self.aberration is not None:
             field = field * on_samples("aberration", unit_phasor(self.aberration).to(field), field.shape, s)
         field = propagate_within_window(
-            field, self.distance, self.pixel_pitch / s, self.wavelength, self.propagation_type
+            field,
+            self.distance,
+            self.pixel_pitch / s,
+            self.wavelength,
+            self.propagation_type,
+            self.cutoff,
+            self.pixel_fill if s == 1 else None,
         )
         light = intensity(field)
         return light if s == 1 else light.unflatten(-2, (-1, s)).unflatten(-1, (-1, s)).mean((-3, -1))

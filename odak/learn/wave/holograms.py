@@ -18,7 +18,7 @@ from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
 from odak.learn.wave.fields import generate_complex_field, intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
-from odak.learn.wave.slm import pixel_fill_of
+from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
 from odak.wave import phase_retrieval
 from odak.wave.convolution import convolve
@@ -163,7 +163,7 @@ def stochastic_gradient_descent(
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
     frames = _validate.integer("frames", frames, minimum=1)
-    cutoff = _cutoff(wavelength, iris_radius, iris_focal_length)
+    cutoff = iris_cutoff(wavelength, iris_radius, iris_focal_length)
     shape = tuple(target.shape) if frames == 1 else (frames, *target.shape)
     lengths: dict[str, Any] = {
         "distance": distance,
@@ -177,12 +177,7 @@ def stochastic_gradient_descent(
     modulate = unit_phasor if slm is None else slm
     if (samples := getattr(slm, "samples_per_pixel", 1)) != 1:
         raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
-    if pixel_fill is None:
-        fill = pixel_fill_of(slm, cutoff is not None)
-    else:
-        fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
-        if fill > 1:
-            raise ValueError(f"pixel_fill must be at most 1, got {pixel_fill!r}")
+    fill = checked_fill(pixel_fill, slm, cutoff is not None)
     reconstruct = functools.partial(propagate_within_window, cutoff=cutoff, pixel_fill=fill, **lengths)
     loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
 
@@ -214,18 +209,6 @@ def stochastic_gradient_descent(
     with torch.no_grad():
         hologram = modulate(phase)
         return hologram, reconstruct(hologram)  # type: ignore[call-arg]
-
-
-def _cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:
-    """Return the cut-off of an iris in cycles per metre after checking its lengths; None without an iris."""
-    if (iris_radius is None) != (iris_focal_length is None):
-        raise ValueError("iris_radius and iris_focal_length must be given together")
-    if iris_radius is None:
-        return None
-    _validate.real("iris_radius", iris_radius, positive=True)
-    _validate.real("iris_focal_length", iris_focal_length, positive=True)
-    _validate.number("wavelength", wavelength)
-    return float(iris_radius / (wavelength * iris_focal_length))
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -611,7 +594,7 @@ def double_phase_hologram(
     _validate.real("distance", distance)
     _validate.real("pixel_pitch", pixel_pitch, positive=True)
     check_has_kernel(propagation_type)
-    cutoff = _cutoff(wavelength, iris_radius, iris_focal_length)
+    cutoff = iris_cutoff(wavelength, iris_radius, iris_focal_length)
     if not _validate.flag("iris", iris):
         if cutoff is not None:
             raise ValueError("iris_radius excludes iris=False")

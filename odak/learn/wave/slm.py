@@ -607,3 +607,25 @@ def pixel_fill_of(slm, has_iris: bool) -> float | None:
             AccuracyWarning,
         )
     return float(slm.fill_factor)  # type: ignore[arg-type]
+
+
+def checked_fill(pixel_fill: float | None, slm, has_iris: bool) -> float | None:
+    """Return the share of a pixel's area that emits: the one given, or that of a modulator; None for points."""
+    if pixel_fill is None:
+        return pixel_fill_of(slm, has_iris)
+    fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+    if fill > 1:
+        raise ValueError(f"pixel_fill must be at most 1, got {pixel_fill!r}")
+    return fill
+
+
+def iris_cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:
+    """Return the cut-off of an iris in cycles per metre after checking its lengths; None without an iris."""
+    if (iris_radius is None) != (iris_focal_length is None):
+        raise ValueError("iris_radius and iris_focal_length must be given together")
+    if iris_radius is None:
+        return None
+    _validate.real("iris_radius", iris_radius, positive=True)
+    _validate.real("iris_focal_length", iris_focal_length, positive=True)
+    _validate.number("wavelength", wavelength)
+    return float(iris_radius / (wavelength * iris_focal_length))

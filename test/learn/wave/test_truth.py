@@ -168,3 +168,27 @@ def test_a_camera_loop_that_gets_worse_says_so_and_returns_its_best():
     scale = (image * target).sum() / image.square().sum()
     assert float((scale * image - target).square().mean()) == pytest.approx(min(losses), rel=1e-3)
     assert losses[-1] > 1.1 * min(losses)
+
+
+def test_a_camera_behind_the_iris_of_the_model_with_real_pixels():
+    """What the loop ends with is what a panel of square pixels shows behind the iris."""
+    size, distance, wavelength, fill = (32, 40), 1e-3, COLOURS[1], 9 / 16
+    target = picture(*size)
+    iris = {"iris_radius": 2.8e-3, "iris_focal_length": 0.1}
+    panel = wave.spatial_light_modulator(bits=None, fill_factor=fill, dead_area_amplitude=0.0)
+    camera = wave.simulated_camera(wavelength, distance, PITCH, slm=panel, full_well=None, exposure=0.1, **iris)
+    hologram, _ = wave.stochastic_gradient_descent(
+        target, wavelength, distance, PITCH, slm=panel, camera=camera, n_iteration=40, scale=True,
+        initial_phase="flat", learning_rate=0.2, progress=False, **iris,
+    )  # fmt: skip
+    phase, cutoff = hologram.angle(), 2.8e-3 / (wavelength * 0.1)
+    # Eight samples along a pixel, six of them lit, and the light at the middles of pixels.
+    line = np.tile([0, 1, 1, 1, 1, 1, 1, 0], max(size))
+    drawn = np.kron(np.exp(1j * phase.numpy()), np.ones((8, 8))) * line[: 8 * size[0], None] * line[: 8 * size[1]]
+    light = abs(physics.unwrapped_propagation(drawn, distance, PITCH / 8, wavelength, cutoff, padding=8)) ** 2
+    middles = light.reshape(size[0], 8, size[1], 8)[:, 3:5, :, 3:5].mean((1, 3))
+    end = decibels(camera(phase), target)
+    assert abs(decibels(middles, target) - end) < 0.3
+    # A camera that knows neither iris nor pixels sees another picture.
+    blind = wave.simulated_camera(wavelength, distance, PITCH, full_well=None, exposure=0.1)
+    assert abs(decibels(blind(phase), target) - decibels(middles, target)) > 0.5
