@@ -105,9 +105,7 @@ def propagate_through_medium(
     step = _Step(field, dx, dz, wavelength, method, reference, levels, float(absorber))
     if is_torch(field):
         return _through_tensors(step, field, slices)
-    for medium in slices:
-        field = step(field, medium)
-    return field
+    return step.through(field, slices)
 
 
 class _Step:
@@ -124,26 +122,34 @@ class _Step:
         self.kernels: dict[Any, Any] = {}
         self.warned = False
 
-    def __call__(self, field, medium):
-        xp = self.xp
-        real, imaginary = _parts(medium, self)
-        if self.method == "split-step":
-            reference = self.reference
-            if reference is None:
-                reference = xp.mean(real)
-            reference = cast(reference, field, xp.float64)
-            field = convolve(field, self._kernel(reference, 0.5))
-            cycles = (real - reference) * (self.dz / self.wavelength)
-            self._check(cycles)
-            field = convolve(field * phasor_of_cycles(cycles, self.dtype), self._kernel(reference, 0.5))
-        else:
-            field = self._by_plane_waves(field, real)
-        if imaginary is not None:
-            loss = xp.exp(-2 * math.pi * imaginary * (self.dz / self.wavelength))
-            field = field * xp.astype(loss, _array.real_dtype(field))
-        if self.damping is not None:
-            field = field * self.damping
-        return field
+    def through(self, field, slices: Iterable):
+        """Return the field behind some slices; split-step joins the second half of each with the first of the next."""
+        behind = None
+        for medium in slices:
+            real, imaginary = _parts(medium, self)
+            if self.method == "split-step":
+                reference = self._reference_of(real)
+                half = self._kernel(reference, 0.5)
+                field = convolve(field, half if behind is None else behind * half)
+                field, behind = self._refracted(field, real, reference), half
+            else:
+                field = self._by_plane_waves(field, real)
+            if imaginary is not None:
+                loss = self.xp.exp(-2 * math.pi * imaginary * (self.dz / self.wavelength))
+                field = field * self.xp.astype(loss, _array.real_dtype(field))
+            if self.damping is not None:
+                field = field * self.damping
+        return field if behind is None else convolve(field, behind)
+
+    def _reference_of(self, real):
+        reference = self.xp.mean(real) if self.reference is None else self.reference
+        return cast(reference, real, self.xp.float64)
+
+    def _refracted(self, field, real, reference):
+        """Return the field with the delay of a slice relative to its reference index."""
+        cycles = (real - reference) * (self.dz / self.wavelength)
+        self._check(cycles)
+        return field * phasor_of_cycles(cycles, self.dtype)
 
     def _by_plane_waves(self, field, real):
         """Return each sample propagated by the plane waves of its own index, interpolated between a few indices."""
@@ -255,19 +261,15 @@ def _through_tensors(step: _Step, field, slices):
     slices = list(slices)
     traced = [field, step.dz, step.wavelength, *(v for v in (step.reference, *slices) if isinstance(v, torch.Tensor))]
     if not (torch.is_grad_enabled() and any(value.requires_grad for value in traced)):
-        for medium in slices:
-            field = step(field, medium)
-        return field
+        return step.through(field, slices)
     from torch.utils.checkpoint import checkpoint
 
-    def through(field, *group):
-        for medium in group:
-            field = step(field, medium)
-        return field
+    def group(field, *slices):
+        return step.through(field, slices)
 
     length = max(1, math.isqrt(len(slices)))
     for start in range(0, len(slices), length):
-        field = checkpoint(through, field, *slices[start : start + length], use_reentrant=False)
+        field = checkpoint(group, field, *slices[start : start + length], use_reentrant=False)
     return field
 
 

@@ -1,0 +1,163 @@
+"""Predicted against actual errors of "auto", and vector fields, media and first-order systems against propagations."""
+
+import itertools
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from measure import interleave
+
+import odak
+from odak.learn import wave
+
+WAVELENGTH, PITCH = 532e-9, 8e-6
+PITCHES, SIZES, SHARES = (8e-6, 1e-6, 4e-7), (24, 48), (-0.3, 1.0, 3.0)
+# Below this the sums that judge are no more accurate than what they judge.
+JUDGED_TO = 2e-12
+
+
+def _exact(field: np.ndarray, distance: float, dx: float) -> np.ndarray:
+    """Return the angular spectrum's sum on grids 12, 24 and 48 times wider, extrapolated (Romberg)."""
+    results = []
+    for padding in (12, 24, 48):
+        shape = tuple(padding * n for n in field.shape)
+        squared = np.fft.fftfreq(shape[0], dx)[:, None] ** 2 + np.fft.fftfreq(shape[1], dx) ** 2
+        axial = np.sqrt((1 / WAVELENGTH**2 - squared).astype(np.complex128))
+        axial = axial.conj() if distance < 0 else axial
+        # Less the phase of the axial wave, whose whole cycles would take digits.
+        cycles = math.fmod(distance, WAVELENGTH) / WAVELENGTH - distance * squared / (axial + 1 / WAVELENGTH)
+        spectrum = np.fft.fft2(field, shape) * np.exp(2j * np.pi * cycles)
+        results.append(np.fft.ifft2(spectrum)[: field.shape[0], : field.shape[1]])
+    first, second = ((4 * fine - coarse) / 3 for coarse, fine in itertools.pairwise(results))
+    return (16 * second - first) / 15
+
+
+def _fields(n: int) -> dict[str, np.ndarray]:
+    """Return a smooth, a rough, a sharp and a slanting field of n × n samples."""
+    x = np.arange(n) - n // 2
+    window = np.cos(np.pi / 2 * np.clip(np.abs(x) * 4 / n - 1, 0, 1)) ** 2
+    return {
+        "Gaussian": np.exp(-(x[:, None] ** 2 + x**2) / (n / 8) ** 2) + 0j,
+        "random phase": np.exp(2j * np.pi * np.random.default_rng(0).random((n, n))),
+        "slit": ((np.abs(x) < n / 10) & (np.abs(x) < n / 4)[:, None]) + 0j,
+        "tilted plane wave": np.exp(2j * np.pi * 0.2 * x) * window * window[:, None],
+    }
+
+
+def predicted_error(device: str) -> Iterator[dict]:
+    """Yield, for each kind of field, the extremes of predicted over actual error, over pitches, sizes and distances."""
+    del device  # in double precision on the CPU
+    worst: dict[str, list] = {}
+    for dx, n, share in itertools.product(PITCHES, SIZES, SHARES):
+        distance = share * n * dx**2 / WAVELENGTH
+        for kind, field in _fields(n).items():
+            exact = _exact(field, distance, dx)
+            found = odak.wave.propagate_beam(field, None, distance, dx, WAVELENGTH, "auto")
+            report = odak.wave.sampling_report(field.shape, dx, WAVELENGTH, distance, field=field)
+            actual = np.linalg.norm(found - exact) / np.linalg.norm(exact)
+            ratio = (report.predicted_error + JUDGED_TO) / (actual + JUDGED_TO)
+            worst.setdefault(kind, []).append((ratio, actual))
+    for kind, rows in worst.items():
+        ratios, errors = zip(*rows, strict=True)
+        for name, ratio, bound in (("largest", max(ratios), 10.0), ("actual over", 1 / min(ratios), 1.0)):
+            yield {
+                "task": f"{name} predicted error, {kind}",
+                "ours_arrays": max(errors),
+                "floor": "actual error",
+                "ratio": ratio,
+                "bound": bound,
+            }
+
+
+def _row(task: str, ours, floor, name: str, bound: float | None, device: str) -> dict:
+    timings = interleave({"ours": ours, "floor": floor}, 7, device)
+    best = {key: timing.best for key, timing in timings.items()}
+    return {
+        "task": task,
+        "ours_s": best["ours"],
+        "floor_s": best["floor"],
+        "floor": name,
+        "ratio": best["ours"] / best["floor"],
+        "bound": bound,
+    }
+
+
+def choice(device: str) -> Iterator[dict]:
+    """Yield "auto" against the same propagation by name: what the choice costs in a loop."""
+    for n in (128, 512):
+        field = torch.randn(n, n, dtype=torch.complex64, device=device)
+
+        def by(name, field=field):
+            wave.propagate_beam(field, None, 0.05, PITCH, WAVELENGTH, name)
+
+        def chosen(by=by):
+            by("auto")
+
+        def named(by=by):
+            by("Bandlimited Angular Spectrum")
+
+        yield _row(f"auto, {n}", chosen, named, "propagate_beam", 1.1, device)
+
+
+def vector(device: str) -> Iterator[dict]:
+    """Yield a polarised field against two bare padded pairs of transforms and against two scalar propagations."""
+    n = 512
+    field = torch.randn(2, n, n, dtype=torch.complex64, device=device)
+    padded = torch.randn(2 * n, 2 * n, dtype=torch.complex64, device=device)
+
+    def ours():
+        wave.propagate_beam(field, None, 0.02, PITCH, WAVELENGTH)
+
+    def scalars():
+        for component in field:
+            wave.propagate_beam(component, None, 0.02, PITCH, WAVELENGTH)
+
+    def bare():
+        for _ in range(2):
+            torch.fft.ifft2(torch.fft.fft2(padded))
+
+    yield _row("polarised field, 512", ours, bare, "4 fft2", 1.3, device)
+    yield _row("polarised field, 512", ours, scalars, "2 scalar", 1.2, device)
+
+
+def media(device: str) -> Iterator[dict]:
+    """Yield slices of a medium by both methods against the bare transforms of an unpadded propagation."""
+    n, slices = 256, 16
+    field = torch.randn(n, n, dtype=torch.complex64, device=device)
+    index = 1 + 0.02 * torch.rand(slices, n, n, device=device)
+    glass = torch.where(index > 1.01, 1.5, 1.0)
+
+    def bare():
+        for _ in range(slices):
+            torch.fft.ifft2(torch.fft.fft2(field))
+
+    def split():
+        wave.propagate_through_medium(field, index, 1e-6, 1e-6, WAVELENGTH, reference=1.01)
+
+    def waves():
+        wave.propagate_through_medium(field, glass, 1e-6, 1e-6, WAVELENGTH, "wave propagation")
+
+    yield _row("split-step, 16 slices, 256", split, bare, "32 fft2", 3.0, device)
+    # Two indices take one transform there and one back for each: 48 of them.
+    yield _row("wave propagation, 16 slices of two indices, 256", waves, bare, "32 fft2", None, device)
+
+
+def first_order(device: str) -> Iterator[dict]:
+    """Yield a first-order system against the bare transforms of a padded propagation of the same size."""
+    n = 512
+    field = torch.randn(n, n, dtype=torch.complex64, device=device)
+    padded = torch.randn(2 * n, 2 * n, dtype=torch.complex64, device=device)
+    matrix = ((-0.5, 0.1), (-10.0, 0.0))
+
+    def ours():
+        wave.propagate_abcd(field, matrix, PITCH, WAVELENGTH)
+
+    def bare():
+        torch.fft.ifft2(torch.fft.fft2(padded))
+
+    assert math.isclose(matrix[0][0] * matrix[1][1] - matrix[0][1] * matrix[1][0], 1.0)
+    yield _row("first-order system, 512", ours, bare, "2 fft2", 3.0, device)
+
+
+ALL = (predicted_error, choice, vector, media, first_order)
