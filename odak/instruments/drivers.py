@@ -12,7 +12,7 @@ from odak.tools.paths import replacing, validate_path
 
 __all__ = ["FileCamera", "FileModulator", "ScreenModulator", "VideoCamera"]
 
-# Codes of OpenCV's properties that switch off the automatic control of exposure, gain and white balance.
+# Value of OpenCV's property CAP_PROP_AUTO_EXPOSURE that switches automatic exposure off.
 _MANUAL_EXPOSURE = 1.0
 
 
