@@ -200,7 +200,6 @@ BY_CALL = {
     "odak.tools.random_sample_point_cloud": {"point_cloud": CLOUD, "no": 3, "p": [0.1, 0.2, 0.3, 0.4]},
     "odak.tools.read_PLY": {"fn": MESH},
     "odak.tools.read_PLY_point_cloud": {"filename": MESH},
-    "odak.tools.resize_image": {"img": numbers(8, 8), "target_size": [4, 6]},
     "odak.tools.save_dictionary": {"settings": {"a": 1.0}, "filename": unwritten("a.json")},
     "odak.tools.save_image": {"fn": unwritten("a.png"), "img": numbers(8, 8) * 255, "cmin": 0.0, "cmax": 255.0},
     "odak.tools.shell_command": {"cmd": ["python", "--version"]},
