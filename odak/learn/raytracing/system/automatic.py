@@ -1,5 +1,6 @@
 """Automatic design: lenses from flat plates, by a curriculum of growing aperture and field."""
 
+import copy
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -34,14 +35,14 @@ class Stage(NamedTuple):
         Shares of the aperture and of the field.
     rms : float
         Root mean square of the spots of the best design, over its fields.
-    values : torch.Tensor
-        Its variables.
+    system : optical_system
+        A copy of it, with the aperture and the fields of the stage.
     """
 
     aperture: float
     field: float
     rms: float
-    values: torch.Tensor
+    system: optical_system
 
 
 class AutomaticResult(NamedTuple):
@@ -210,18 +211,20 @@ def automatic_design(
         spot = Operand("spot", options={"fields": weights})
         return lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
 
+    reached = (0.0, 0.0)
     for aperture, field, share, rings, count in CURRICULUM:
-        set_stage(aperture, field, count)
-        design = describe(None, rings)
-        if values is None:
-            values = _random_starts(design, starts, f, generator)
-        values, loss = _run(design, values, iterations)
-        kept = loss.argsort()[: max(1, math.ceil(share * starts))]
-        values = values[kept]
-        design.apply(values[0])
-        stages.append(_stage(system, aperture, field, values[0]))
-        if callback is not None:
-            callback(stages[-1])
+        while reached != (aperture, field):
+            reached = _nearer(set_stage, describe, values, reached, (aperture, field), rings, count)
+            design = describe(None, rings)
+            if values is None:
+                values = _random_starts(design, starts, f, generator)
+            values, loss = _run(design, values, iterations)
+            kept = loss.argsort()[: max(1, math.ceil(share * starts))]
+            values = values[kept]
+            design.apply(values[0])
+            stages.append(_stage(system, *reached))
+            if callback is not None:
+                callback(stages[-1])
     weights = torch.ones(len(system.fields), dtype=torch.float64)
     for _ in range(polish):
         design = describe(weights.tolist(), rings)
@@ -232,7 +235,7 @@ def automatic_design(
         weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
         weights = weights / weights.square().mean().sqrt()
     if polish:
-        stages.append(_stage(system, 1.0, 1.0, design.values))
+        stages.append(_stage(system, 1.0, 1.0))
         if callback is not None:
             callback(stages[-1])
     for item, size in zip(system.surfaces, design.heights, strict=True):
@@ -273,6 +276,24 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
     return system, bent, gaps
 
 
+def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> tuple[float, float]:
+    """Return shares of aperture and field on the way to a goal at which a design loses no ray, and set them."""
+    if values is None:
+        set_stage(*goal, count)
+        return goal
+    way = 1.0
+    for _ in range(6):
+        tried = goal if way == 1.0 else (here[0] + way * (goal[0] - here[0]), here[1] + way * (goal[1] - here[1]))
+        set_stage(*tried, count)
+        design = describe(None, rings)
+        with torch.no_grad():
+            design.heights = design.clear_heights(values)
+            if bool(torch.isfinite(design.residuals(values)).all(-1).any()):
+                return tried
+        way /= 2
+    raise ValueError(f"rays are lost in all designs beyond shares {here} of aperture and field: try another seed")
+
+
 def _random_starts(design: lens_design, count: int, f: float, generator) -> torch.Tensor:
     """Return starts ``[N, V]`` with random curvatures that lose no ray, less and less bent until enough do."""
     columns, found, spread = design.columns["curvature"], [], SPREAD
@@ -298,6 +319,6 @@ def _run(design: lens_design, values: torch.Tensor, iterations: int):
     return values, found.loss
 
 
-def _stage(system, aperture: float, field: float, values: torch.Tensor) -> Stage:
+def _stage(system, aperture: float, field: float) -> Stage:
     rms = rms_spot(system, "rings", 6, vignetting=False).detach()
-    return Stage(aperture, field, float(rms.square().mean().sqrt()), values.clone())
+    return Stage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(system))
