@@ -1,9 +1,15 @@
 """Captures, their noise, and their files."""
 
+import importlib.util
+from importlib.resources import files
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from odak import instruments
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def captured(count=4, patterns=5):
@@ -64,3 +70,24 @@ def test_files_that_reach_outside_of_themselves_are_refused(tmp_path):
         store["more"] = h5py.ExternalLink("elsewhere.h5", "/secret")
     with pytest.raises(ValueError, match="'more' is not an array of numbers within the file"):
         instruments.load_captures(tmp_path / "a.h5")
+
+
+def test_the_captures_of_the_package_are_those_that_its_script_makes():
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    path = files("odak") / "assets" / "simulated_captures.h5"
+    captures = instruments.load_captures(path)
+    script = ROOT / "scripts" / "make_simulated_captures.py"
+    if not script.exists():
+        pytest.skip("an installed package has no scripts")
+    specification = importlib.util.spec_from_file_location("make_simulated_captures", script)
+    made = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(made)
+    assert len(captures) == 10 and np.array_equal(captures.levels, made.patterns(10))
+    table = made.table()
+    table.camera.exposure = captures.exposure
+    table.modulator.show(captures.levels[3])
+    again = table.camera.capture(2).astype(float)
+    # Shot noise of another draw.
+    slope, floor = captures.noise()
+    variance = slope * np.clip(captures.means()[3], 0, None) + floor
+    assert np.mean((again.mean(0) - captures.dark - captures.means()[3]) ** 2 / variance) == pytest.approx(1, abs=0.15)
