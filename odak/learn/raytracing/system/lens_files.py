@@ -58,6 +58,7 @@ _SYSTEM = {
     "unit",
     "name",
     "source",
+    "telecentric",
 }
 
 
@@ -167,6 +168,7 @@ def system_to_dict(system: optical_system) -> dict:
         "fields": [list(field) for field in system.fields],
         "object_distance": finite,
         **({} if system.image is None else {"image": _shape(system.image)}),
+        **({"telecentric": True} if system.telecentric else {}),
         "surfaces": surfaces,
     }
 
@@ -541,6 +543,9 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
         kind, points = _field_points(head, math.isinf(distance), notes)
+        names["telecentric"] = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
+        if _count(head, 1) and not names["telecentric"]:
+            notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
         factor = 1.0 if kind == 0 else context.scale
         points = [(x * factor, y * factor) for x, y in points]
 
@@ -759,8 +764,6 @@ def _field_points(head, far: bool, notes: list) -> tuple[int, list[tuple[float, 
             "FTYP must be 0 (angles, object at infinity), 1 (object heights, object near), 2 or 3 (image heights), "
             f"got {kind}"
         )
-    if _count(head, 1):
-        notes.append("the telecentric flag of FTYP is not used: rays are aimed at the entrance pupil")
     x, y = (_numbers(head.get(key)) for key in ("XFLN", "YFLN"))
     count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(_pairs(x, y)) if any(pair))])
     return kind, _pairs(x, y)[:count] or [(0.0, 0.0)]
@@ -880,7 +883,7 @@ def _zmx_text(system) -> str:
     makers = sorted({maker.upper() for maker, colon, _ in makers if colon} | {"SCHOTT"})
     lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM"]
     lines += [f"GCAT {' '.join(makers)}", _APERTURES[system.aperture_type].format(repr(size)).strip()]
-    lines += [f"FTYP {kind} 0 {len(system.fields)} {len(system.wavelengths)} 0 0 0"]
+    lines += [f"FTYP {kind} {int(system.telecentric)} {len(system.fields)} {len(system.wavelengths)} 0 0 0"]
     lines += [
         f"{key} " + " ".join(repr(field[axis] * factor) for field in system.fields)
         for axis, key in enumerate(("XFLN", "YFLN"))

@@ -205,7 +205,7 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
         return EntrancePupil(distance, reach, reach, 0 * n, (reach * before.a).abs(), middle)
     # Height in the stop of the axial ray of slope 1.
     to_stop = before.a * system.object_distance + n * before.b
-    bend = before.a / to_stop
+    bend = 0 * to_stop if system.telecentric else before.a / to_stop
     reach = _near_reach(system, whole, n, bend, to_stop)
     middle = _middle(system, p, to_stop)
     return EntrancePupil(distance, (reach / bend).abs(), reach, bend, (reach * to_stop).abs(), middle)
@@ -511,6 +511,7 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
         object_distance=system.object_distance,
         image=system.image,
         unit=system.unit,
+        telecentric=system.telecentric,
         name=f"{system.name}, ghost of surfaces {second} and {first}",
         source=system.source,
     )

@@ -159,7 +159,7 @@ def through_pupil(system, points: torch.Tensor, fields: torch.Tensor, prescripti
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     pupil = entrance_pupil(system, prescription=numbers)
     place = places_of(pupil, points)
-    if aim == "real":
+    if aim == "real" and not system.telecentric:
         return through_places(system, fields, pupil, *aimed(system, numbers, pupil, points, fields))
     return through_places(system, fields, pupil, *place)
 

@@ -756,6 +756,7 @@ class optical_system(torch.nn.Module):
         unit: str = "mm",
         name: str = "",
         source: str = "",
+        telecentric: bool = False,
     ):
         super().__init__()
         surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
@@ -791,6 +792,9 @@ class optical_system(torch.nn.Module):
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")
         if self.at_infinity and any(abs(angle) >= 90 for field in self.fields for angle in field):
             raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
+        self.telecentric = _validate.flag("telecentric", telecentric)
+        if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
+            raise ValueError('telecentric needs a near object, and an aperture given as "NA" or "stop"')
         self.image = _image(image)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 

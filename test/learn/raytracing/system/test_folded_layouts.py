@@ -12,6 +12,7 @@ from odak.learn.raytracing.system import (
     layout_figure,
     optical_system,
     polarized_trace,
+    read_zmx,
     rms_spot,
     surface,
     system_from_dict,
@@ -19,6 +20,7 @@ from odak.learn.raytracing.system import (
     trace,
     trace_fields,
     wavefront,
+    write_zmx,
 )
 from odak.raytracing import RayStatus
 from odak.raytracing.apertures import CircularAperture
@@ -192,3 +194,25 @@ def test_a_doubly_passed_lens_with_glass():
     lens = (index - 1) * (1 / faces[0] - 1 / faces[1])
     power = 2 * lens + 2 / 500.0
     assert abs(float(first_order(optical_system(items, 5.0)).focal_length) * power - 1) < 1e-6
+
+
+def test_telecentric_objects_send_parallel_chief_rays(tmp_path):
+    """The flag of FTYP: chief rays along the axis, cones of the same aperture; JSON and .zmx keep it."""
+    lens = optical_system(
+        [surface(40.0, thickness=4.0, material="N-BK7", stop=True), surface(-40.0, thickness=90.0)],
+        0.05,
+        "NA",
+        object_distance=60.0,
+        fields=[0.0, 3.0],
+        telecentric=True,
+    )
+    rays = launch(lens, "y", 3)
+    assert float(rays.v[0, :, 1].abs().max()) == 0.0
+    assert torch.allclose(rays.v[0, :, 2], torch.tensor(0.05, dtype=F64), atol=1e-12)
+    assert bool(torch.isinf(first_order(lens).entrance_pupil_diameter))
+    write_zmx(lens, tmp_path / "lens.zmx")
+    for again in (system_from_dict(system_to_dict(lens)), read_zmx(tmp_path / "lens.zmx")[0]):
+        assert again.telecentric
+        assert torch.allclose(trace_fields(again).y, trace_fields(lens).y, atol=1e-10)
+    with pytest.raises(ValueError, match="telecentric needs a near object"):
+        optical_system([surface(40.0)], 5.0, telecentric=True)
