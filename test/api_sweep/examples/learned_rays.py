@@ -19,6 +19,7 @@ from odak.learn.raytracing.system import (
     wavefront,
     write_zmx,
 )
+from odak.raytracing.gradients import RadialGradient
 
 HERE = "odak.learn.raytracing"
 # Numbers that half precision holds.
@@ -35,6 +36,11 @@ def _lens():
 
 def _wave_lens():
     return optical_system([surface(5.0, material=1.5, thickness=0.2), surface(thickness=9.8)], aperture=0.1)
+
+
+def _rod():
+    rod = surface(thickness=2.0, material=1.5, gradient=RadialGradient([-0.01]))
+    return optical_system([rod, surface()], aperture=1.0)
 
 
 def _spread():
@@ -224,6 +230,8 @@ BY_CALL = {
     f"{HERE}.system.coordinate_break": {"tilt": [0.0, 1.0, 2.0], "return_to": None},
     f"{HERE}.system.coordinate_break.vary": {"name": "thickness"},
     f"{HERE}.system.trace": {"until": 1},
+    f"{HERE}.system.curved_paths": {"system": Build(lambda _: _rod()), "rays": Build(lambda _: launch(_rod(), "y", 3))}
+    | {"place": 0, "ends": tensor(1, 1, 3, 3), "count": 2},
     f"{HERE}.system.encircled_energy": {"found": Build(lambda _: spot_diagram(_lens(), count=2)), "radii": [0.1, 0.2]},
     f"{HERE}.system.fans_figure": {"count": 5},
     f"{HERE}.system.path_fan": {"count": 5},

@@ -78,6 +78,7 @@ from .surfaces import optical_system as optical_system
 from .surfaces import surface as surface
 from .tracing import Rays as Rays
 from .tracing import Traced as Traced
+from .tracing import curved_paths as curved_paths
 from .tracing import ray_paths as ray_paths
 from .tracing import trace as trace
 from .waves import ExitField as ExitField

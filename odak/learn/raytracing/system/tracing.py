@@ -272,15 +272,40 @@ def curved_paths(system: Any, rays: Rays, place: int, ends: torch.Tensor, count:
     -------
     torch.Tensor
         ``[W, F, P, count + 1, 3]``, NaN for rays that are lost.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If there is no such medium, or an argument is of another form, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import curved_paths, launch, optical_system, ray_paths, surface
+    >>> from odak.raytracing.gradients import RadialGradient
+    >>> rod = surface(thickness=5.0, material=1.6, gradient=RadialGradient([-0.09]))
+    >>> system = optical_system([rod, surface()], aperture=1.0)
+    >>> rays = launch(system, "y", 3)
+    >>> tuple(curved_paths(system, rays, 0, ray_paths(system, rays)[..., 2, :], 8).shape)
+    (1, 1, 3, 9, 3)
     """
+    checked_system(system)
+    place = _validate.place_in("place", place, len(system.surfaces))
+    count = _validate.integer("count", count, minimum=1)
+    if not isinstance(rays, Rays):
+        raise TypeError(f"rays must be Rays, got {type(rays).__name__}")
+    if system.surfaces[place].gradient is None:
+        raise ValueError(f"place must be a surface with a graded index behind it, got {place}")
+    if not isinstance(ends, torch.Tensor) or not ends.is_floating_point() or ends.shape[-1:] != (3,):
+        raise TypeError("ends must be a tensor [W, F, P, 3] of real numbers")
     numbers = system.prescription()
     layout = layout_of(system.surfaces, numbers, system.image)
     sequence = layout.first(place + 1)._replace(actions=layout.actions[: place + 1])
-    shape = _shape(rays, numbers)
-    flat = [value.expand(shape).reshape(math.prod(shape[:-2]), math.prod(shape[-2:])) for value in rays]
-    state = plain_trace(
-        sequence, *flat, *flat_arguments(sequence, numbers.numbers(system.image).first(place + 1, layout))[0]
-    )
+    flat, shape = spread_rays(rays, numbers)
+    if tuple(ends.shape) != (*shape, 3):
+        raise ValueError(f"ends must be {[*shape, 3]}, got {list(ends.shape)}")
+    flat, ends = [value.double() for value in flat], ends.double()
+    given, _ = flat_arguments(sequence, numbers.numbers(system.image).first(place + 1, layout))
+    state = plain_trace(sequence, *flat, *given)
     matrices, origins = system.frames(own=False)
     local = ((ends - origins[place]) @ matrices[place]).reshape(*state.x.shape, 3)
     lost = ~torch.isfinite(local).all(-1) | (state.status != HIT)

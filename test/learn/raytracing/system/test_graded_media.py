@@ -9,6 +9,7 @@ import torch
 
 from odak.learn.raytracing.system import (
     coordinate_break,
+    curved_paths,
     first_order,
     launch,
     layout_figure,
@@ -21,7 +22,6 @@ from odak.learn.raytracing.system import (
     trace,
     trace_fields,
 )
-from odak.learn.raytracing.system.tracing import curved_paths
 from odak.raytracing import RayStatus
 from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
 
