@@ -63,7 +63,7 @@ class SamplingReport(Criteria):
     band_limit : tuple of float
         Highest alias-free frequency of the angular-spectrum kernel (Matsushima and Shimobaba 2009, eq. 13).
     kept_band : tuple of float
-        Share of the grid's band that lies below `band_limit`, 0 to 1.
+        Share of the grid's waves that travel whose frequency lies below `band_limit`, 0 to 1.
     fresnel_number : tuple of float
         (N·dx/2)²/(λ·|z|), infinite at z = 0.
     fraunhofer_distance : float
@@ -199,7 +199,9 @@ def criteria(shape, pitch, wavelength, distance, zero_padding) -> Criteria:
         critical_distance=critical,
         response_distance=2 * max(n * d**2 for n, d in zip(shape, pitch, strict=True)) / wavelength,
         band_limit=limit,
-        kept_band=tuple(min(1.0, value / most) for value, most in zip(limit, nyquist, strict=True)),
+        kept_band=tuple(
+            min(1.0, value / min(most, 1 / wavelength)) for value, most in zip(limit, nyquist, strict=True)
+        ),
         fresnel_number=tuple(
             (n * d / 2) ** 2 / wavelength / z if z else math.inf for n, d in zip(shape, pitch, strict=True)
         ),

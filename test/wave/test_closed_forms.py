@@ -289,3 +289,14 @@ def test_the_band_limit_is_exact_for_smooth_beams(distance):
     expected = odak.wave.propagate_beam(wide, None, distance, dx, wavelength, "AS", zero_padding=padded)
     found = odak.wave.propagate_beam(beam, None, distance, dx, wavelength, "BLAS", zero_padding=padded)
     assert relative_error(found, expected[384:640, 384:640]) < 1e-7
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("pitch", [8e-6, 0.3e-6, 0.1e-6])
+@pytest.mark.parametrize("padded", [True, False])
+def test_the_band_limit_is_the_identity_at_no_distance(pitch, padded, random):
+    field = np.exp(2j * np.pi * random.random((16, 21)))
+    padding = PADDED if padded else [False, False, False]
+    for method in ("Bandlimited Angular Spectrum", "auto"):
+        result = odak.wave.propagate_beam(field, None, 0.0, pitch, WAVELENGTH, method, zero_padding=padding)
+        np.testing.assert_allclose(result, field, atol=1e-13)
