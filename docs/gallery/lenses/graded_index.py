@@ -28,9 +28,9 @@ def curves(system, rays):
 
 def fan(heights, slopes):
     """Return rays in the y–z plane that start in the plane z = 0."""
-    start = torch.stack([0 * heights, heights, 0 * heights], -1)
-    way = torch.stack([0 * slopes, slopes, (1 - slopes**2).sqrt()], -1)
-    return Rays.from_tensor(torch.stack([start, way], -2))
+    zero = 0 * heights
+    parts = (zero, heights, zero, zero, slopes, (1 - slopes**2).sqrt())
+    return Rays(*(part[None, None] for part in parts))
 
 
 g = 0.3
@@ -41,7 +41,9 @@ rod = optical_system(
 )
 # The source lies on the rim of the unit circle, the medium in a box around it.
 fish_eye = FunctionGradient.of(lambda x, y, z, n: 2 / (1 + x**2 + y**2 + (z - 1) ** 2))
-box = optical_system([surface(thickness=2.0, material=1.0, gradient=fish_eye), surface()], 1.0)
+box = optical_system(
+    [surface(thickness=2.0, material=1.0, gradient=fish_eye), surface()], 1.0
+)
 inside = torch.linspace(-0.9, 0.9, 15, dtype=torch.float64)
 found = trace(box, fan(0 * inside, inside), until=1)
 print(f"all rays meet within {found.y.abs().max().item():.0e} radii")
