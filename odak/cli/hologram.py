@@ -609,7 +609,7 @@ def _channels(target: Target, volume: Volume, powers, *stacks) -> tuple[list[dic
     channels = [
         {
             **report.measure(
-                wanted[c], target.window, sharp[0][c], sharp[1][c], tuple(float(s[c]) for s in scales[:2])
+                wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c]))
             ),
             "psnr_area_db": report.finite(
                 report.psnr((scales[2] * sharp[2])[c][target.window], wanted[c][target.window])

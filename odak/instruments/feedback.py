@@ -1,6 +1,7 @@
 """Spots of even or given brightness on an optical table, by feedback of a camera."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -148,6 +149,7 @@ def equalise_spots(
     meter = _Meter(camera, registration, points, float(_validate.number("radius", radius, positive=True)))
     places = np.column_stack([points, np.full(len(points), distance)])
     wanted, history, best = asked.copy(), [], (-1.0, np.empty(0), np.empty(0))
+    light: Any
     for turn in range(turns):
         hologram, _ = spot_hologram(
             places, modulator.shape, wavelength, modulator.pitch, _TURNS, intensities=wanted, seed=0
@@ -160,7 +162,8 @@ def equalise_spots(
         if light.min() <= 0:
             raise ValueError("points must hold light where the camera sees them; one of the spots is dark")
         light = light / light.mean()
-        history.append(float(uniformity(light)))
+        even: Any = uniformity(light)
+        history.append(float(even))
         if history[-1] > best[0]:
             best = (history[-1], levels, light)
         wanted = wanted / light

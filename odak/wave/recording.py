@@ -75,9 +75,9 @@ def reference_wave(
     steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
     _validate.number("wavelength", wavelength, positive=True)
     _validate.number("amplitude", amplitude)
-    tilts = angles if _array.is_array(angles) else _validate.several("angles", angles, 2)
-    if _array.is_array(angles) and tuple(angles.shape) != (2,):
-        raise ValueError(f"angles must be two, those along rows and columns; got {tuple(angles.shape)}")
+    tilts: Any = angles if _array.is_array(angles) else _validate.several("angles", angles, 2)
+    if _array.is_array(angles) and tuple(tilts.shape) != (2,):
+        raise ValueError(f"angles must be two, those along rows and columns; got {tuple(tilts.shape)}")
     _validate.real("angles", tilts)
     xp, device, dtype = _array.placement(wavelength, tilts, amplitude, xp=xp, device=device, dtype=dtype)
     wavelength, amplitude = (_array.converted(value, xp, device, xp.float64) for value in (wavelength, amplitude))

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 
@@ -158,7 +159,7 @@ def eyebox_hologram(
 
     with torch.no_grad():
         like = modulate(phase)[0]
-        eyes = [
+        eyes: Any = [
             eye_transfer(
                 like, pixel_pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k]
             )

@@ -208,7 +208,8 @@ def stochastic_gradient_descent(
     )
     with torch.no_grad():
         hologram = modulate(phase)
-        return hologram, reconstruct(hologram)  # type: ignore[call-arg]
+        shown: Any = reconstruct(hologram)  # type: ignore[call-arg]
+        return hologram, shown
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -286,7 +287,9 @@ def starting_phase(
         return 2 * math.pi * drawn(torch.rand)
     phase = torch.zeros_like(target)
     if name == "double phase":
-        field = propagate_within_window(target.clamp_min(0).sqrt() + 0j, -distance, dx, wavelength, propagation_type)
+        field: Any = propagate_within_window(
+            target.clamp_min(0).sqrt() + 0j, -distance, dx, wavelength, propagation_type
+        )
         phase = encode_double_phase(field)
     elif name != "flat":
         for axis, n in ((-2, target.shape[-2]), (-1, target.shape[-1])):
@@ -609,16 +612,18 @@ def double_phase_hologram(
             f"checkerboard lie over the image; {passes}",
             AccuracyWarning,
         )
-    lengths = {"dx": pixel_pitch, "wavelength": wavelength, "propagation_type": propagation_type, "cutoff": cutoff}
+    lengths: dict[str, Any] = {"dx": pixel_pitch, "wavelength": wavelength, "cutoff": cutoff}
+    lengths["propagation_type"] = propagation_type
     phase = torch.zeros_like(target)
     if image_phase is not None:
         phase = _validate.image("image_phase", floating("image_phase", image_phase)).to(target)
         _validate.real("image_phase", phase)
         if _validate.fitting(target=target, image_phase=phase) != tuple(target.shape):
             raise ValueError(f"image_phase must fit the target {list(target.shape)}, got {list(phase.shape)}")
-    there = propagate_within_window(target.sqrt() * unit_phasor(phase), distance=-distance, **lengths)
+    there: Any = propagate_within_window(target.sqrt() * unit_phasor(phase), distance=-distance, **lengths)
     hologram = unit_phasor(encode_double_phase(there))
-    return hologram, propagate_within_window(hologram, distance=distance, **lengths)
+    shown: Any = propagate_within_window(hologram, distance=distance, **lengths)
+    return hologram, shown
 
 
 def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
