@@ -1,20 +1,27 @@
-"""Run the benchmarks and print a table: ``python benchmarks [GROUP …] [--device cuda] [--json FILE]``.
+"""Run the benchmarks and print a table: ``python benchmarks [GROUP …] [--device cuda] [--store]``.
 
 A group is a module of this folder that has a tuple ``ALL``; all of them by default.
 
-Each row is a task, our time, the floor it is held against, measured in the same run, and their ratio.
+Each row is a task, our time, the floor it is held against, measured in the same run, and their ratio. ``--store`` keeps
+the run in ``benchmarks/history``; each run is compared with the last one stored for the same kind of device there.
 """
 
 import argparse
+import datetime
 import importlib
 import json
+import os
 import pathlib
 import platform
+import subprocess
 import sys
 
 import torch
 
 FOLDER = pathlib.Path(__file__).parent
+HISTORY = FOLDER / "history"
+# A ratio of two times of one run; what differs by less is noise.
+NOTEWORTHY = 1.2
 GROUPS = sorted(path.stem for path in FOLDER.glob("[a-z]*.py") if path.stem != "measure")
 sys.path.insert(0, str(FOLDER))
 
@@ -25,6 +32,7 @@ def main() -> int:
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=", ".join(GROUPS))
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])
     parser.add_argument("--json", type=pathlib.Path, help="file to write the rows to")
+    parser.add_argument("--store", action="store_true", help=f"keep the run in {HISTORY.relative_to(FOLDER.parent)}")
     parser.add_argument("--threads", type=int, default=2, help="CPU threads, for us and for the floor")
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.groups) - set(GROUPS)):
@@ -37,10 +45,62 @@ def main() -> int:
             for row in benchmark(arguments.device):
                 rows.append(row)
                 print(_line(row), flush=True)
+    run = {**about(arguments.device, arguments.threads), "rows": rows}
+    text = json.dumps(run, indent=1) + "\n"
     if arguments.json:
-        about = {"device": arguments.device, "threads": arguments.threads, "torch": torch.__version__}
-        arguments.json.write_text(json.dumps({**about, "machine": platform.processor(), "rows": rows}, indent=2) + "\n")
+        arguments.json.write_text(text, encoding="utf-8")
+    for line in slower(run, last_stored(arguments.device)):
+        print(line)
+    if arguments.store:
+        HISTORY.mkdir(exist_ok=True)
+        (HISTORY / f"{run['time'].replace(':', '')}-{run['commit']}.json").write_text(text, encoding="utf-8")
     return int(any(row["bound"] is not None and row["ratio"] > row["bound"] for row in rows))
+
+
+def about(device: str, threads: int) -> dict:
+    """Return when, on what and with what a run was made."""
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=FOLDER, capture_output=True, text=True)
+    import numpy
+
+    return {
+        "time": datetime.datetime.now(datetime.timezone.utc).isoformat(timespec="seconds").removesuffix("+00:00"),
+        "commit": commit.stdout.strip() or "unknown",
+        "device": torch.cuda.get_device_name() if device == "cuda" else device,
+        "machine": _processor(),
+        "cores": os.cpu_count(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+        "threads": threads,
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "numpy": numpy.__version__,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = pathlib.Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), platform.machine())
+
+
+def last_stored(device: str) -> dict | None:
+    """Return the last run stored for a kind of device, None if there is none."""
+    for file in sorted(HISTORY.glob("*.json"), reverse=True):
+        run = json.loads(file.read_text(encoding="utf-8"))
+        if (run["device"] == "cpu") == (device == "cpu"):
+            return run
+    return None
+
+
+def slower(run: dict, stored: dict | None) -> list[str]:
+    """Return a line for each task whose ratio to its floor is more than a fifth above that of a stored run."""
+    if stored is None:
+        return []
+    former = {row["task"]: row["ratio"] for row in stored["rows"]}
+    found = [(row["task"], row["ratio"], former[row["task"]]) for row in run["rows"] if row["task"] in former]
+    lines = [f"slower: {task}: {now:.2f}, {then:.2f} before" for task, now, then in found if now > NOTEWORTHY * then]
+    return [f"compared with {stored['commit']} of {stored['time']}: {len(lines)} of {len(found)} slower", *lines]
 
 
 def _line(row: dict) -> str:
