@@ -61,7 +61,8 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     )
     shown = pixels(tmp_path / "reconstruction.png") / 255
     scaled = np.clip(report["channels"][0]["scale"] * intensity, 0, 1)
-    assert np.abs(shown - scaled).max() < 0.51 / 255 + 1e-4
+    # Rounded to a byte, and propagated with an error of 1e-4 of the norm.
+    assert np.abs(shown - scaled).max() < 0.51 / 255 + 2e-3
 
 
 @pytest.mark.parametrize("method", ["sgd", "multi-color"])
