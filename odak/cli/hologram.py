@@ -17,6 +17,7 @@ from odak.cli import files, pictures, report
 from odak.cli.job import COMPUTED_PHASES, NOISE, VOLUME_METHODS, InputError, Job, pattern_name
 from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.learn import wave
+from odak.learn.tools import zero_pad
 from odak.learn.wave import holograms
 from odak.wave import sampling_report
 from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
@@ -236,7 +237,10 @@ def _intensity_at(
         Real ``[frames, rows, columns]``.
     """
     fill = job.fill_factor if fill is None else fill
-    aperture = half_band(job.resolution, fields.device) if job.method == "double-phase" else 1.0
+    if fill is not None:
+        # The means over areas need the field around the window too.
+        fields = zero_pad(fields)
+    aperture = half_band(fields.shape, fields.device) if job.method == "double-phase" else 1.0
     lights = []
     # Frame by frame, for the memory that a full-size field takes.
     for field in fields:
@@ -247,7 +251,7 @@ def _intensity_at(
             job.pixel_pitch,
             wavelength,
             propagation_type,
-            zero_padding=[True, False, fill is None],
+            zero_padding=[True, False, True],
             aperture=aperture,
         )
         lights.append(wave.intensity(shown) if fill is None else _mean_over_areas(shown, job.resolution, fill))
