@@ -17,7 +17,14 @@ from odak.learn.raytracing.system import (
     surface,
     trace,
 )
-from odak.raytracing.gradients import FunctionGradient, RadialGradient
+from odak.raytracing.gradients import Gradient, RadialGradient
+
+
+class FishEye(Gradient):
+    """A medium of one's own: its index as a function of the place."""
+
+    def index(self, x, y, z, base):
+        return 2 / (1 + x**2 + y**2 + (z - 1) ** 2)
 
 
 def curves(system, rays):
@@ -40,9 +47,8 @@ rod = optical_system(
     1.0,
 )
 # The source lies on the rim of the unit circle, the medium in a box around it.
-fish_eye = FunctionGradient.of(lambda x, y, z, n: 2 / (1 + x**2 + y**2 + (z - 1) ** 2))
 box = optical_system(
-    [surface(thickness=2.0, material=1.0, gradient=fish_eye), surface()], 1.0
+    [surface(thickness=2.0, material=1.0, gradient=FishEye()), surface()], 1.0
 )
 inside = torch.linspace(-0.9, 0.9, 15, dtype=torch.float64)
 found = trace(box, fan(0 * inside, inside), until=1)
