@@ -40,6 +40,7 @@ WAVELENGTHS = (630e-9, 532e-9, 450e-9)
 TERMS, RAYS = 6, 24
 # Band of frequencies, in cycles per degree, whose contrast drives accommodation.
 DRIVE = (4.0, 8.0)
+TRIED = tuple(step / 4 for step in range(25))
 # Samples across the pupil, and for each wave of path from its middle to its rim.
 LEAST_SAMPLES, MOST_SAMPLES, SAMPLES_PER_WAVE = 256, 2048, 8
 # Pixels beyond the blur that pictures are continued by.
@@ -526,7 +527,7 @@ def retinal_image(
         )
     pitch = float(_validate.number("pitch", pitch, positive=True))
     rows, columns = picture.shape[-2:]
-    total = 0.0
+    total: Any = 0.0
     for index, vergence in enumerate(planes):
         blur = (eye_refraction(waves, pupil_diameter, accommodation) - vergence).abs().max()
         margin = math.ceil(float(blur) * pupil_diameter * 1e-3 / pitch) + MARGIN
@@ -661,7 +662,7 @@ def accommodation_response(
     pitch: float,
     wavelengths: float | Sequence[float] = WAVELENGTHS,
     pupil_diameter: float = 4.0,
-    accommodations: Sequence[float] = tuple(step / 4 for step in range(25)),
+    accommodations: Sequence[float] = TRIED,
     weights: Sequence[float] | None = None,
 ) -> AccommodationResponse:
     """Return the accommodation at which the retinal image of a picture or a focal stack has the most contrast.
