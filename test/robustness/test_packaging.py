@@ -57,8 +57,8 @@ def test_every_pin_names_one_version():
 
 def test_imports_are_declared():
     """What the package imports is declared in pyproject.toml, or part of Python."""
-    modules = {"pillow": "PIL", "array-api-compat": "array_api_compat", "scikit-image": "skimage", "pygame-ce": "pygame"}
-    modules |= {"opencv-python-headless": "cv2"}
+    modules = {"pillow": "PIL", "array-api-compat": "array_api_compat", "scikit-image": "skimage"}
+    modules |= {"opencv-python-headless": "cv2", "pygame-ce": "pygame"}
     brought_along = {"distributed", "cloudpickle", "psutil", "choreographer"}  # by dask[distributed] and kaleido
     declared = {modules.get(name, name) for name in declared_names()} | {"odak"} | brought_along
     found = set()
