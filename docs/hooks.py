@@ -51,17 +51,18 @@ def _finish_notebook(soup, page):
 
 
 def _resolve_links(soup, page, files):
-    """Point links to Markdown files and notebooks to the pages that are made of them."""
-    for link in soup.select(".jp-RenderedMarkdown a[href]"):
-        target, anchor = urldefrag(link["href"])
-        if urlparse(target).scheme or not target.endswith((".md", ".ipynb")):
+    """Point links to Markdown files and notebooks to the pages that are made of them, and drawings to their files."""
+    for link in soup.select(".jp-RenderedMarkdown a[href], .jp-RenderedMarkdown img[src]"):
+        key = "src" if link.name == "img" else "href"
+        target, anchor = urldefrag(link[key])
+        if urlparse(target).scheme or not target.endswith((".md", ".ipynb", ".svg")):
             continue
         path = posixpath.normpath(posixpath.join(posixpath.dirname(page.file.src_path), target))
         file = files.get_file_from_path(path)
         if file is None:
             _log.warning("%s links to %s, which is not there", page.file.src_path, target)
         else:
-            link["href"] = file.url_relative_to(page.file) + (f"#{anchor}" if anchor else "")
+            link[key] = file.url_relative_to(page.file) + (f"#{anchor}" if anchor else "")
 
 
 def _draw_equations(area):
