@@ -49,7 +49,7 @@ class Found(NamedTuple):
 
 def faults_of(step: str, faults: str) -> dict[str, Any]:
     """Return the parameters of a simulated table: some of its faults or all, and the one that a step measures."""
-    measured = {
+    measured: dict[str, dict[str, Any]] = {
         "settling": {"time_constant": 5e-3},
         "polarisation": {"polarisation": True},
         "regions": {"regional": 0.05},
@@ -268,8 +268,8 @@ def _exposure(table: Table, known: Calibration) -> Found:
 
 def _settling(table: Table, known: Calibration) -> Found:
     before = table.modulator.settling_time
-    longest = {} if before > 0 else {"longest": 0.2}
-    result = instruments.measure_settling(table.modulator, table.camera, known.phases, **longest)
+    longest = None if before > 0 else 0.2
+    result = instruments.measure_settling(table.modulator, table.camera, known.phases, longest=longest)
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()

@@ -12,6 +12,7 @@ import os
 import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -371,7 +372,7 @@ def measure_regional_response(
             return shown.astype(np.int64)
 
         half = (top + 1) // 2
-        set_exposure(camera, lambda pattern=pattern, half=half: modulator.show(pattern(half, 0)))
+        set_exposure(camera, partial(modulator.show, pattern(half, 0)))
         frame = _averaged(camera, captures)
         reach = 6
         corners = {}
@@ -874,11 +875,19 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
         arrays, header = read_hdf5(path, FORMAT, VERSION) if path.lower().endswith(SUFFIXES) else _read_npz(path)
         known = {name: arrays[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
         rows, columns = (int(n) for n in header["camera_shape"])
-        numbers = {name: float(header[name]) for name in ("wavelength", "pitch", "distance", "distortion", "residual")}
         registration = Registration(
-            known.pop("homography"), numbers.pop("distortion"), (rows, columns), numbers.pop("residual")
+            known["homography"], float(header["distortion"]), (rows, columns), float(header["residual"])
         )
-        return Calibration(**numbers, **known, registration=registration, regional_phases=arrays.get("regional_phases"))
+        return Calibration(
+            wavelength=float(header["wavelength"]),
+            pitch=float(header["pitch"]),
+            distance=float(header["distance"]),
+            phases=known["phases"],
+            amplitude=known["amplitude"],
+            wavefront=known["wavefront"],
+            registration=registration,
+            regional_phases=arrays.get("regional_phases"),
+        )
     except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error
 

@@ -216,12 +216,16 @@ def load_captures(path: str | os.PathLike) -> Captures:
     """
     arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
     try:
-        numbers = {name: float(header[name]) for name in ("wavelength", "pitch", "camera_pitch", "exposure")}
         dark = arrays.get("dark", np.zeros(()))
         found = Captures(
-            *(arrays[name] for name in ("levels", "frames", "positions")),
-            **numbers,
+            levels=arrays["levels"],
+            frames=arrays["frames"],
+            positions=arrays["positions"],
+            wavelength=float(header["wavelength"]),
+            pitch=float(header["pitch"]),
+            camera_pitch=float(header["camera_pitch"]),
             camera_bits=int(header["camera_bits"]),
+            exposure=float(header["exposure"]),
             dark=dark if dark.ndim else float(dark),
         )
     except (KeyError, TypeError, ValueError) as error:

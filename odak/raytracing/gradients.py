@@ -56,7 +56,7 @@ class Gradient:
         with torch.enable_grad():
             place = [value.view_as(value) if graph else value.detach() for value in torch.broadcast_tensors(x, y, z)]
             place = [value if value.requires_grad else value.requires_grad_() for value in place]
-            value = self.index(*place, base) ** 2
+            value = self.index(place[0], place[1], place[2], base) ** 2
             slopes = torch.autograd.grad(value.sum(), place, create_graph=graph, allow_unused=True)
         slopes = tuple(torch.zeros_like(value) if slope is None else slope for slope in slopes)
         return (value if graph else value.detach()), *slopes

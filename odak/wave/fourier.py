@@ -283,7 +283,8 @@ class InterpolatedSpectrum:
         sizes = [max(scipy.fft.next_fast_len(2 * n), 2 * taps) for n in shape]
         real = np.float64 if double else np.float32
         places, weights = _taps_of(cycles_x[needed] * sizes[1], taps, real)
-        rows, self.tap_weights = np.nonzero(needed)[0], None
+        rows = np.nonzero(needed)[0]
+        self.tap_weights: np.ndarray | None = None
         if self.both:
             first, down = _taps_of(cycles_y[needed] * sizes[0], taps, real)
             rows = first[:, 0] % sizes[0]
@@ -296,7 +297,9 @@ class InterpolatedSpectrum:
             (weights.reshape(-1), columns, starts), shape=(needed.size, lines * sizes[1])
         )
         self.shape, self.sizes = needed.shape, sizes
-        self.held_bytes = columns.size * (4 + weights.itemsize) + (self.tap_weights.nbytes if self.both else 0)
+        self.held_bytes = columns.size * (4 + weights.itemsize)
+        if self.tap_weights is not None:
+            self.held_bytes += self.tap_weights.nbytes
         self._operator: Any = None
 
     def __call__(self, field):

@@ -78,9 +78,10 @@ class LinearGrid(Grid):
         sizes = [n // 2 for n in self.shape]
         lengths = (*self.pitch, self.wavelength, self.distance)
         known = [_array.numbers_behind(value) for value in lengths]
-        if self.cutoff is not None or None in known:
+        numbers = [values[0] for values in known if values is not None]
+        if self.cutoff is not None or len(numbers) < len(known):
             return plain_rule(sizes[0]), plain_rule(sizes[1])
-        rows, columns, wavelength, distance = (values[0] for values in known)
+        rows, columns, wavelength, distance = numbers
         axes = axes_of(sizes, (rows, columns), wavelength, distance)
         return rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
 

@@ -282,7 +282,7 @@ class CSFLoss(nn.Module):
         return self.frequencies
 
 
-def sensitivity(frequency: torch.Tensor, luminance: torch.Tensor | float, size: float) -> torch.Tensor:
+def sensitivity(frequency: torch.Tensor, luminance: torch.Tensor, size: torch.Tensor | float) -> torch.Tensor:
     """Return Barten's contrast sensitivity, its arguments unchecked: see :func:`contrast_sensitivity`."""
     pupil = 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
     illuminance = math.pi * pupil**2 / 4 * luminance * (1 - (pupil / 9.7) ** 2 + (pupil / 12.4) ** 4)

@@ -1,6 +1,7 @@
 """Simulation of a display with a camera in front of it, for camera-in-the-loop optimization."""
 
 from collections.abc import Callable
+from typing import Any
 
 import torch
 
@@ -188,7 +189,7 @@ class simulated_camera(torch.nn.Module):
             field = field * on_samples("illumination", self.illumination.to(phase), field.shape, s)
         if self.aberration is not None:
             field = field * on_samples("aberration", unit_phasor(self.aberration).to(field), field.shape, s)
-        field = propagate_within_window(
+        there: Any = propagate_within_window(
             field,
             self.distance,
             self.pixel_pitch / s,
@@ -197,7 +198,7 @@ class simulated_camera(torch.nn.Module):
             self.cutoff,
             self.pixel_fill if s == 1 else None,
         )
-        light = intensity(field)
+        light = intensity(there)
         return light if s == 1 else light.unflatten(-2, (-1, s)).unflatten(-1, (-1, s)).mean((-3, -1))
 
     @torch.no_grad()

@@ -110,6 +110,36 @@ class display_model(torch.nn.Module):
     torch.Size([3, 20, 24])
     """
 
+    brightness: torch.nn.Parameter
+    lut: torch.nn.Parameter
+    response: torch.nn.Parameter
+    source: torch.nn.Parameter
+    aberration: torch.nn.Parameter
+    distance: torch.nn.Parameter
+    fringing: torch.nn.Parameter
+    fill: torch.nn.Parameter
+    reflection: torch.nn.Parameter
+    iris: torch.nn.Parameter
+    alignment: torch.nn.Parameter
+    aperture: torch.nn.Parameter
+    offset: torch.nn.Parameter
+    free_maps: torch.nn.Parameter | None
+    residual: torch.nn.Module | None
+    _phases: torch.Tensor
+    _spline: torch.Tensor
+    _amplitude: torch.Tensor
+    _wavefront: torch.Tensor
+    _modes: torch.Tensor
+    _powers: torch.Tensor
+    _smooth: torch.Tensor
+    _slope: torch.Tensor
+    _radius: torch.Tensor
+    _prefilter: torch.Tensor
+    _fine_y: torch.Tensor
+    _fine_x: torch.Tensor
+    _pixels: torch.Tensor
+    _homography: torch.Tensor
+
     def __init__(
         self,
         shape: Sequence[int],
@@ -207,7 +237,7 @@ class display_model(torch.nn.Module):
         """
         wavelength = calibration.wavelength if wavelength is None else wavelength
         scale = calibration.wavelength / wavelength
-        known = {
+        known: dict[str, Any] = {
             "phases": scale * calibration.phases,
             "amplitude": calibration.amplitude,
             "wavefront": scale * calibration.wavefront,
@@ -790,8 +820,9 @@ class _Data:
         variance = (noise[0] * np.clip(means, 0, None) + noise[1]) / captures.frames.shape[1]
         saturated = captures.frames.max(1) >= 0.98 * ((1 << captures.camera_bits) - 1)
         deviations = np.where(saturated, np.inf, np.sqrt(variance))
-        tensors = (torch.as_tensor(part).to(model._dtype).flatten(1) for part in (means, deviations))
-        return cls(torch.as_tensor(captures.levels.astype(np.int64)), *tensors, captures.positions.tolist(), noise)
+        counts, spread = (torch.as_tensor(part).to(model._dtype).flatten(1) for part in (means, deviations))
+        levels = torch.as_tensor(captures.levels.astype(np.int64))
+        return cls(levels, counts, spread, captures.positions.tolist(), noise)
 
     def residual(self, model: Callable, k: int, pixels: torch.Tensor | None = None) -> torch.Tensor:
         """Return the difference of the model from the mean of capture k, in standard deviations of its noise."""
@@ -812,7 +843,7 @@ def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tens
         above += float((seen * data.counts[k, pixels] * weight).sum())
         below += float((seen.square() * weight).sum())
     if above > 0 and below > 0:
-        model.brightness += math.log(above / below)
+        model.brightness.add_(math.log(above / below))
 
 
 def _fit_physical(model, data, chosen, iterations, chunk) -> tuple[list[float], dict[str, torch.Tensor]]:
