@@ -239,7 +239,8 @@ def automatic_design(
         stages.append(_stage(system, 1.0, 1.0))
         if callback is not None:
             callback(stages[-1])
-    for item, size in zip(system.surfaces, design.heights, strict=True):
+    heights: Any = design.heights  # never None, since the operands limit the thickness of edges
+    for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
     return AutomaticResult(system, tuple(stages), start)
 
@@ -297,7 +298,8 @@ def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> 
 
 def _random_starts(design: lens_design, count: int, f: float, generator) -> torch.Tensor:
     """Return starts ``[N, V]`` with random curvatures that lose no ray, less and less bent until enough do."""
-    columns, found, spread = design.columns["curvature"], [], SPREAD
+    found: list[torch.Tensor] = []
+    columns, spread = design.columns["curvature"], SPREAD
     while sum(len(part) for part in found) < count:
         values = design.values.expand(4 * count, -1).clone()
         drawn = torch.randn(4 * count, len(columns), dtype=torch.float64, generator=generator)

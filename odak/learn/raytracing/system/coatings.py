@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from numbers import Number
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, SupportsComplex, cast
 
 from odak import _validate
 from odak._array import Array, complex_dtype, namespace
@@ -51,7 +51,7 @@ class Coating:
     True
     """
 
-    media: tuple = ()
+    media: Sequence = ()
     thicknesses: Any = ()
     substrate: Any = None
 
@@ -143,7 +143,7 @@ def _medium(name: str, value):
         value = complex(*value)
     if isinstance(value, bool) or not isinstance(value, Number):
         raise TypeError(f"{name} must be a name, a Material or an index, got {type(value).__name__}")
-    number = complex(value)  # type: ignore[arg-type]
+    number = complex(cast(SupportsComplex, value))  # Number itself promises no conversion
     if not (0 < abs(number) < float("inf")) or number.imag < 0 or number.real < 0:
         raise ValueError(f"{name} must be an index n + iκ with n, κ ≥ 0, not 0, got {value}")
     return number if number.imag else number.real

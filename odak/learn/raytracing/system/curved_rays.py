@@ -43,10 +43,11 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
     dtype = point[0].dtype
     place: Any = torch.broadcast_tensors(*(value.double() for value in (*point, *direction)))
     base = base.double()
-    value = gradient.squared(*place[:3], base)[0]
+    x, y, z = place[:3]
+    value = gradient.squared(x, y, z, base)[0]
     exists = value.detach() > 0
     index = torch.where(exists, value, 1.0).sqrt()
-    start = torch.stack([*place[:3], *(index * part for part in place[3:]), torch.zeros_like(index)])
+    start = torch.stack([x, y, z, *(index * part for part in place[3:]), torch.zeros_like(index)])
 
     def level(at, way):
         x, y, z = at
@@ -86,8 +87,9 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
 
 def points_within(gradient: Gradient, base, rays, height, count: int) -> torch.Tensor:
     """Return points of curved rays at equal steps of t up to where z is `height`, ``[count + 1, 3, ...]``."""
-    index = gradient.squared(*rays[:3], base)[0].sqrt()
-    state = torch.stack([*rays[:3], *(index * part for part in rays[3:]), torch.zeros_like(index)])
+    x, y, z = rays[:3]
+    index = gradient.squared(x, y, z, base)[0].sqrt()
+    state = torch.stack([x, y, z, *(index * part for part in rays[3:]), torch.zeros_like(index)])
 
     def level(point, way):
         return point[2] - height, way[2], point[2].abs() + height.abs() + 1e-300

@@ -205,13 +205,16 @@ class lens_design:
         self.aim = _validate.one_of("aim", aim, AIMS)
         pupil_of(pupil, self.count, system)
         with torch.no_grad():
-            self.base = Prescription(*(v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription()))
+            held = (v.detach() if isinstance(v, torch.Tensor) else v for v in system.prescription())
+            self.base = Prescription._make(held)
         self.pickups = [self._checked_pickup(item) for item in _items("pickups", pickups, Pickup)]
         self.solves = [self._checked_solve(item) for item in _items("solves", solves, Solve)]
         self.solved = {(_number_of(item), item.surface) for item in self.solves}
         self.places: dict[str, list[tuple[int, int]]] = {}
         self.columns: dict[str, list[int]] = {}
-        values, low, high = [], [], []
+        values: list[float] = []
+        low: list[float] = []
+        high: list[float] = []
         for item in _items("variables", variables, Variable):
             for place, term, value, bounds in self._entries(item):
                 if (place, term) in self.places.setdefault(item.name, []):
@@ -299,7 +302,8 @@ class lens_design:
 
     def _check_followers(self) -> None:
         taken = {(name, place) for name, places in self.places.items() for place, _ in places} - self.solved
-        for item in (*self.pickups, *self.solves):
+        followers: list[Pickup | Solve] = [*self.pickups, *self.solves]
+        for item in followers:
             name = item.name if isinstance(item, Pickup) else _number_of(item)
             if (name, item.surface) in taken:
                 raise ValueError(f"{name} of surface {item.surface} is given twice: by a variable, pickup or solve")
@@ -340,22 +344,22 @@ class lens_design:
                 continue
             old = p.index if name == "index" else getattr(p, name)
             if old is None:
-                count = 2 if name == "shift" else max(2, *(len(item.tilt) for item in self.system.surfaces))
+                items: list[Any] = list(self.system.surfaces)
+                count = 2 if name == "shift" else max(2, *(len(item.tilt) for item in items))
                 old = torch.zeros(len(self.system.surfaces), count, dtype=torch.float64)
-            p = p._replace(**{name: _placed(old, chosen, places, name)})
+            p = _with(p, name, _placed(old, chosen, places, name))
         for item in self.pickups:
             own = getattr(p, item.name)
             axis = -2 if item.name == "coefficients" else -1
             followed = own.select(axis, item.source) * item.scale + item.offset
-            p = p._replace(**{item.name: _set(own, item.surface, followed, axis)})
+            p = _with(p, item.name, _set(own, item.surface, followed, axis))
         for item in self.solves:
             name, added = _number_of(item), getattr(p, _number_of(item))[..., item.surface]
             p = _SOLVERS[item.kind](self.system, p, item)
             if (item.surface, 0) in self.places.get(name, ()):
                 # The entry held the variable, which is added to the value of the solve.
-                p = p._replace(
-                    **{name: _set(getattr(p, name), item.surface, getattr(p, name)[..., item.surface] + added, -1)}
-                )
+                given = getattr(p, name)
+                p = _with(p, name, _set(given, item.surface, given[..., item.surface] + added, -1))
         return p
 
     def _checked(self, values: Any) -> torch.Tensor:
@@ -523,7 +527,12 @@ class lens_design:
         with torch.no_grad():
             self.values = self._checked(values).detach().clone()
             p = self.prescription(self.values)
-            followers = {"curvature": set(), "conic": set(), "thickness": set(), "coefficients": set()}
+            followers: dict[str, set[int]] = {
+                "curvature": set(),
+                "conic": set(),
+                "thickness": set(),
+                "coefficients": set(),
+            }
             for name, places in self.places.items():
                 followers.setdefault(name, set()).update(place for place, _ in places)
             for item in self.pickups:
@@ -590,7 +599,7 @@ class lens_design:
             for j in range(0, len(self.places["glass"]), 2):
                 nd, vd = (float(self.values[self.columns["glass"][j + k]]) for k in (0, 1))
                 names = nearest_materials(nd, vd, candidates, makers)
-                first = material(names[0])
+                first: Any = material(names[0])  # only materials with a published n_d and V_d are found
                 apart.append((((first.nd - nd) / 0.01) ** 2 + (first.vd - vd) ** 2, self.places["glass"][j][0], names))
             _, place, names = min(apart)
             found = []
@@ -601,7 +610,8 @@ class lens_design:
             _, name, values = min(found, key=lambda item: item[:2])
             chosen[place] = name
             held = self._with_glass(place, name)
-            self.system.surfaces[place].material = material(name)
+            item: Any = self.system.surfaces[place]
+            item.material = material(name)
             self.__dict__.update(held.__dict__)
             self.apply(values)
         return tuple(chosen[place] for place in sorted(chosen))
@@ -661,6 +671,11 @@ def _set(whole: torch.Tensor, place: int, value: torch.Tensor, axis: int) -> tor
     parts = list(whole.unbind(axis))
     parts[place] = value.expand(shape)
     return torch.stack(parts, axis)
+
+
+def _with(p: Prescription, name: str, value: Any) -> Prescription:
+    """Return a prescription with one of its fields, given by name, replaced."""
+    return p._replace(**{name: value})
 
 
 def _solve_focal_length(system, p: Prescription, item: Solve) -> Prescription:

@@ -491,13 +491,15 @@ def _vector_jacobian_product(sequence, records, gradients) -> tuple[list[torch.T
 
 def _accumulate(totals: Numbers, rows: tuple, i: int, change: SurfaceGradients) -> None:
     """Add the gradients of surface `i` to those of the systems `rows`."""
-    totals.curvature[(*rows, i)] += change.curvature
-    totals.conic[(*rows, i)] += change.conic
-    totals.distance[(*rows, i)] += change.distance
-    totals.index[(*rows, i)] += change.before
-    totals.index[(*rows, i + 1)] += change.behind
+    own, behind = (*rows, i), (*rows, i + 1)
+    totals.curvature[own] += change.curvature
+    totals.conic[own] += change.conic
+    totals.distance[own] += change.distance
+    totals.index[own] += change.before
+    totals.index[behind] += change.behind
     for j, value in enumerate(change.coefficients):
-        totals.coefficients[(*rows, i, j)] += value
+        term = (*own, j)
+        totals.coefficients[term] += value
 
 
 def _sum(value):

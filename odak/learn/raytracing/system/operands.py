@@ -96,7 +96,7 @@ class View:
         glass: torch.Tensor | None = None,
     ):
         self.system, self.prescription, self.heights, self.glass = system, prescription, heights, glass
-        self.options = {"prescription": prescription, "aim": aim}
+        self.options: dict[str, Any] = {"prescription": prescription, "aim": aim}
         self.points = pupil_of(pupil, count, system)
 
     @cached_property
@@ -331,7 +331,7 @@ def clear_heights(system, prescription: Prescription, count: int = 12, aim: str 
     """
     turn = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
     rays = launch(system, torch.stack([turn.sin(), turn.cos()], -1), prescription=prescription, aim=aim)
-    found = []
+    found: list[torch.Tensor] = []
     for i in range(len(system.surfaces)):
         if is_break(system.surfaces[i]):
             found.append(0 * found[-1] if found else torch.zeros(prescription.batch, dtype=torch.float64))

@@ -295,7 +295,8 @@ def linearised_forward(residuals: Callable, values: torch.Tensor) -> tuple[torch
         return torch.func.jvp(residuals, (values,), (direction.expand_as(values),))
 
     directions = torch.eye(values.shape[-1], dtype=values.dtype, device=values.device)
-    value, change = torch.func.vmap(along, out_dims=(None, -1))(directions)
+    out_dims: Any = (None, -1)  # None: the value, the same along all directions; the annotation of vmap lacks it
+    value, change = torch.func.vmap(along, out_dims=out_dims)(directions)
     return value.detach(), change.detach()
 
 
@@ -432,10 +433,11 @@ def tolerance(
 
 def compensated(system, numbers: Prescription, compensators, merit: Callable, iterations: int) -> Prescription:
     """Return a batch of prescriptions ``[N]`` with the compensators where the sum of the squared merits is least."""
-    entries = []
-    for pair in compensators:
-        name, place = pair if isinstance(pair, (tuple, list)) and len(pair) == 2 else (None, None)
-        _validate.one_of("name of compensators", name, COMPENSATORS)
+    entries: list[tuple[str, int, int | None]] = []
+    for given in compensators:
+        pair: Any = given if isinstance(given, (tuple, list)) and len(given) == 2 else (None, None)
+        name, place = pair
+        name = _validate.one_of("name of compensators", name, COMPENSATORS)
         place = _validate.place_in("surface of compensators", place, len(system.surfaces))
         entries += [(name, place, axis) for axis in ((0, 1) if name in ("shift", "tilt") else (None,))]
     held = {name: getattr(numbers, name) for name in (*COMPENSATORS, "coefficients", "index")}
@@ -451,7 +453,8 @@ def compensated(system, numbers: Prescription, compensators, merit: Callable, it
             own = values[name]
             unit = torch.zeros_like(own[(0,) * (own.ndim - (1 if axis is None else 2))])
             unit[(place,) if axis is None else (place, axis)] = 1.0
-            values[name] = own + x[(..., j, *(None,) * unit.ndim)] * unit
+            column = (..., j, *(None,) * unit.ndim)
+            values[name] = own + x[column] * unit
         return numbers._replace(**values)
 
     def residuals(x: torch.Tensor) -> torch.Tensor:

@@ -224,9 +224,10 @@ class _Record:
         if item.reflects and item.own_coating is None:
             one = torch.ones_like(self.absorption, dtype=self.matrix.dtype)
             return -one, one
-        cosines = [(way * normal).sum(-1).abs() for way in (k, out)]
+        cosine, cosine_behind = ((way * normal).sum(-1).abs() for way in (k, out))
         films = BARE if item.own_coating is None else item.coating
-        found = films.amplitudes(passage.before, passage.behind, *cosines, self.wavelength, self.system.unit)
+        n1, n2, unit = passage.before, passage.behind, self.system.unit
+        found = films.amplitudes(n1, n2, cosine, cosine_behind, self.wavelength, unit)
         return found[:2] if item.reflects else found[2:]
 
     def _passed(self, length):

@@ -287,8 +287,10 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
         if record is not None:
             ways = [incoming, direction, direction if normal is None else normal]
-            ways = ways if place is None else [place.leave(point, way)[1] for way in ways]
-            record(Passage(i, action, *ways, n1, n2, torch.where(status == HIT, found.distance, 0.0)))
+            if place is not None:
+                ways = [place.leave(point, way)[1] for way in ways]
+            length = torch.where(status == HIT, found.distance, 0.0)
+            record(Passage(i, action, ways[0], ways[1], ways[2], n1, n2, length))
         if place is not None:
             point, direction = place.leave(point, direction)
         if gradient is not None:

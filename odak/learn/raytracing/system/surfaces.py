@@ -522,7 +522,7 @@ class Prescription(NamedTuple):
             return value.expand(count, *tail)[place] if value.ndim > own else value
 
         axes = (1, 1, 1, 2, 2, 2, 2)
-        parts: Any = [None if value is None else one(value, own) for value, own in zip(self[:7], axes, strict=True)]
+        parts = [None if value is None else one(value, own) for value, own in zip(self[:7], axes, strict=True)]
         held = []
         for group in self._groups():
             chosen = [
@@ -532,7 +532,8 @@ class Prescription(NamedTuple):
                 for item in group or ()
             ]
             held.append(tuple(chosen) if group is not None else None)
-        return Prescription(*parts, held[0], held[1], self.wavelengths, held[2])
+        shapes, phases, gradients = held
+        return Prescription._make([*parts, shapes, phases, self.wavelengths, gradients])
 
     def requires_grad(self) -> bool:
         """Return whether a number requires a gradient."""

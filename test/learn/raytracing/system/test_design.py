@@ -247,6 +247,8 @@ def test_compensators_bring_a_defocused_lens_back():
     blurred = tolerance(triplet, off, samples=3, seed=2)
     focused = tolerance(triplet, off, samples=3, seed=2, compensators=[("thickness", 5)], iterations=5)
     assert bool((focused.merit.square().sum(-1) <= blurred.merit.square().sum(-1)).all())
+    capitals = tolerance(triplet, off, samples=3, seed=2, compensators=[("Thickness", 5)], iterations=5)
+    assert torch.equal(capitals.merit, focused.merit)
     # By hand: the image distance of least Σ rms² among a fine row of them, for the first lens.
     p = blurred.prescription.select(0)
     row = p.thickness.repeat(101, 1)
