@@ -163,7 +163,7 @@ def eye() -> Drawing:
         ("zonular fibres", (300, 372), "middle", at(5.65, -6.6)),
         ("retina", (560, 80), "start", at(centre + 8.8, 8.3)),
         ("fovea", (560, 205), "start", (fovea[0] + 7, fovea[1])),
-        ("optic nerve,\nblind spot", (540, 355), "start", at(25.3, -6.1)),
+        ("optic nerve\nblind spot", (540, 355), "start", at(25.3, -6.1)),
     ):
         first = place[1] - 5
         edge = place[0] + {"start": -3, "middle": 0, "end": 3}[anchor]
