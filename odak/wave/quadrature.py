@@ -66,7 +66,7 @@ class Axis:
 
     def displacement(self, transverse=0.0):
         """Return how many samples aside the highest frequency lands; infinite for waves that decay."""
-        axial = 1 / self.wavelength**2 - np.asarray(transverse, dtype=float) ** 2 - self.band**2
+        axial = (1 / self.wavelength) ** 2 - np.asarray(transverse, dtype=float) ** 2 - self.band**2
         if self.distance == 0:
             return 0 * axial
         with np.errstate(divide="ignore"):
@@ -191,8 +191,8 @@ def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
     frequency = np.arange(rule.count // 2 + 1) / (rule.count * axis.pitch)
     weights = rule.weights()
     if rule.tapered:
-        squared = 1 / axis.wavelength**2 - frequency**2
-        tangent = frequency / np.sqrt(np.maximum(squared, 1e-6 / axis.wavelength**2))
+        squared = (1 / axis.wavelength) ** 2 - frequency**2
+        tangent = frequency / np.sqrt(np.maximum(squared, (1e-3 / axis.wavelength) ** 2))
         half = rule.count * axis.pitch / 2
         deviation = min(math.sqrt(axis.wavelength * axis.distance / (2 * math.pi)), half / 6)
         weights = weights * scipy.special.ndtr((half - axis.distance * tangent) / deviation)
@@ -200,7 +200,7 @@ def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
     step = max(1, _SLAB // rule.count)
     for start in range(0, len(transverse), step):
         part = slice(start, start + step)
-        squared = 1 / axis.wavelength**2 - transverse[part, None] ** 2 - frequency**2
+        squared = (1 / axis.wavelength) ** 2 - transverse[part, None] ** 2 - frequency**2
         phase = np.exp(2j * np.pi * axis.distance * np.sqrt(squared.astype(np.complex128)))
         half_spectrum = phase * weights
         mirror = np.minimum(np.arange(rule.count), rule.count - np.arange(rule.count))
@@ -234,7 +234,7 @@ def _unlimited_response(axis: Axis, transverse) -> np.ndarray:
 
     ρ² = x² + z², q² = 1/λ² − f² and H₁ is the Hankel function of the first kind.
     """
-    axial = np.sqrt((1 / axis.wavelength**2 - np.asarray(transverse) ** 2).astype(np.complex128))[:, None]
+    axial = np.sqrt(((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2).astype(np.complex128))[:, None]
     rho = np.hypot(np.arange(axis.samples) * axis.pitch, axis.distance)
     return 1j * np.pi * axial * axis.distance / rho * scipy.special.hankel1(1, 2 * np.pi * axial * rho) * axis.pitch
 
@@ -247,7 +247,7 @@ def _tail_nodes(axis: Axis) -> int:
 def _decaying_tail(axis: Axis, transverse) -> np.ndarray:
     """Return the integral over the frequencies beyond the band, where all waves decay."""
     nodes, weights = np.polynomial.legendre.leggauss(_tail_nodes(axis))
-    squared = axis.band**2 - (1 / axis.wavelength**2 - np.asarray(transverse) ** 2)
+    squared = axis.band**2 - ((1 / axis.wavelength) ** 2 - np.asarray(transverse) ** 2)
     # s² is the excess over the first decay constant; beyond 40 nepers nothing is left.
     first = np.sqrt(np.maximum(squared, 0))[:, None]
     longest = 40 / (2 * np.pi * axis.distance)

@@ -61,11 +61,6 @@ def check_shape(name: str, values: torch.Tensor, axes: str, shape: tuple[int, ..
         raise ValueError(f"{name} must be {axes} = {shape}, got {tuple(values.shape)}")
 
 
-def one_source_each(frames: int, sources: int) -> torch.Tensor:
-    """Return powers ``[frames, sources]`` of one in source f mod sources of frame f, zero in the others."""
-    return torch.eye(sources).repeat(-(-frames // sources), 1)[:frames]
-
-
 def is_diagonal(power: torch.Tensor) -> bool:
     """Return whether frame f is lit by source f alone, powers being ``[frames, wavelengths]``."""
     return bool((power == torch.zeros_like(power).diagonal_scatter(power.diagonal())).all())
@@ -146,7 +141,7 @@ class propagator(display_volume):
     back_and_forth_distance : float
         Distance of the relay in metres.
     laser_channel_power : torch.Tensor, optional
-        ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default, in turn where there are more frames.
+        ``[F, C]``, see :meth:`get_laser_powers`; one source per frame by default; frames beyond the sources are dark.
     aperture : torch.Tensor, optional
         Mask ``[m, n]`` (padded by zeros) or ``[2ms, 2ns]`` in the Fourier plane, see :meth:`set_aperture`; open by
         default.
@@ -304,12 +299,12 @@ class propagator(display_volume):
         self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
 
     def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
-        """Set the channel powers ``[F, C]``: those given, or one source per frame in turn."""
+        """Set the channel powers ``[F, C]``: those given, or one source per frame."""
         self._hold_powers(channel_power, "channel_power")
 
     def _hold_powers(self, power, name):
         if power is None:
-            power = one_source_each(self.number_of_frames, self.number_of_channels)
+            power = torch.eye(self.number_of_frames, self.number_of_channels)
         self.register_buffer("channel_power", None)
         self._set_powers(power, name)
 

@@ -95,7 +95,9 @@ class Coating:
             raise ValueError("substrate is the end of the stack, which light does not come from")
         return Coating(self.media[::-1], list(terms(self.thicknesses))[::-1])
 
-    def amplitudes(self, n1, n2, cosine, cosine_behind, wavelength, unit: str = "mm") -> Amplitudes:
+    def amplitudes(
+        self, n1: Any, n2: Any, cosine: Any, cosine_behind: Any, wavelength: Any, unit: str = "mm"
+    ) -> Amplitudes:
         """Return the amplitude coefficients of rays.
 
         Parameters

@@ -27,10 +27,15 @@ from odak.learn.wave.optimizers.terms import (
     roughness,
     zero_mean,
 )
-from odak.learn.wave.propagators import one_source_each, power_method
+from odak.learn.wave.propagators import power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import Options, cosine, fingerprint, generator_from, minimise
+
+
+def one_source_each(frames: int, sources: int) -> torch.Tensor:
+    """Return powers ``[frames, sources]`` of one in source f mod sources of frame f, zero in the others."""
+    return torch.eye(sources).repeat(-(-frames // sources), 1)[:frames]
 
 
 class multi_color_hologram_optimizer:
