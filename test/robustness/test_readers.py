@@ -24,6 +24,8 @@ pytest.importorskip("resource", reason="memory and time are watched by Unix mean
 if not os.path.exists("/proc/self/clear_refs"):
     pytest.skip("the peak of memory is read from Linux' /proc", allow_module_level=True)
 
+import matplotlib  # noqa: E402
+
 from fuzz import archive_seeds, guard, mutations  # noqa: E402
 from fuzz.readers import READERS  # noqa: E402
 from odak import tools  # noqa: E402
@@ -33,6 +35,9 @@ from odak.tools.asset import read_PLY_point_cloud  # noqa: E402
 CORPUS = Path(__file__).parent / "corpus"
 FILES = sorted(path.relative_to(CORPUS) for path in CORPUS.glob("*/*"))
 CASES = 25
+# Matplotlib makes its folders when it is first used, wherever that is.
+matplotlib.get_configdir()
+matplotlib.get_cachedir()
 
 
 @pytest.fixture(autouse=True)

@@ -309,6 +309,7 @@ NOT_CALLED = {
     "odak.catalog.plane_detector.plot_field": "opens a browser",
 }
 ALLOWED = {
+    ("odak.wave.sampling_report", "field", "in single precision"): "the predicted error includes that of the precision",
     ("odak.wave.propagate_abcd", "matrix", "in half precision"): "its rounding moves the image by many wavelengths",
     ("odak.wave.aspheric_lens_phase", "radius", "a negative number"): "a surface that diverges",
     ("odak.wave.spiral_phase", "charge", "half a step"): "a fractional charge, which has a step",

@@ -165,6 +165,17 @@ def automatic_design(
     starts, seed = _validate.integer("starts", starts, minimum=1), _validate.integer("seed", seed)
     iterations = _validate.integer("iterations", iterations, minimum=1)
     polish = _validate.integer("polish", polish)
+    if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
+        raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
+    wavelengths = _validate.several("wavelengths", wavelengths, positive=True)
+    distortion = float(_validate.number("distortion", distortion, positive=True))
+    if chief_ray_angle is not None:
+        chief_ray_angle = float(_validate.number("chief_ray_angle", chief_ray_angle, positive=True))
+    if cover is not None:
+        if not isinstance(cover, Sequence) or isinstance(cover, str) or len(cover) != 2:
+            raise TypeError(f"cover must be a pair of a material and a thickness, got {cover!r:.80}")
+        cover = (cover[0], float(_validate.number("cover[1]", cover[1], positive=True)))
+    _validate.function_or_none("callback", callback)
     glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
     air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
     edge = air[0] if edge is None else float(_validate.number("edge", edge, least=0))
@@ -198,7 +209,7 @@ def automatic_design(
     if track is not None:
         fixed.append(Operand("total_track", upper=float(_validate.number("track", track)), options={"first": first}))
     if chief_ray_angle is not None:
-        fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=float(chief_ray_angle)))
+        fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=chief_ray_angle))
     generator = torch.Generator().manual_seed(seed)
     values: Any = None
     stages = []

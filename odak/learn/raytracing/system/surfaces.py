@@ -721,6 +721,9 @@ class optical_system(torch.nn.Module):
         Name of the system.
     source : str
         Where the system comes from: a book, a patent, a file.
+    telecentric : bool
+        Take the entrance pupil to be at infinity, so that chief rays of a near object are parallel to the axis; the
+        aperture must be given as "NA" or "stop". False by default.
 
     Raises
     ------
