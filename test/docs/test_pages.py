@@ -8,15 +8,21 @@ from documentation import agrees, script
 
 SLOW = {
     "guides/a_hologram_in_a_lens.md",
+    "guides/automatic_design.md",
     "guides/calibrate_a_table.md",
     "guides/design_a_display.md",
     "guides/design_a_lens.md",
     "guides/distributed_computing.md",
+    "guides/foveated_holograms.md",
+    "guides/large_fields.md",
     "guides/learned_models.md",
     "guides/metamers.md",
     "guides/multiplane_and_colour.md",
+    "guides/photographs_to_a_hologram.md",
     "guides/pictures_through_a_lens.md",
     "guides/polarised_rays.md",
+    "guides/see_results.md",
+    "guides/the_eye.md",
     "notes/accuracy.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}
