@@ -1,5 +1,6 @@
 """Array namespaces, devices and precisions: formulas written once for NumPy, PyTorch, CuPy and JAX."""
 
+import functools
 import sys
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Protocol, TypeGuard, TypeVar
@@ -197,7 +198,13 @@ def outside_graphs(function, *arguments):
     torch = sys.modules.get("torch")
     if torch is not None and torch.compiler.is_compiling():
         return torch.compiler.disable(function)(*arguments)
-    return function(*arguments)
+    # A frame that torch.compile gave up on runs as it is, but what it calls would be compiled again.
+    return _disabled(function)(*arguments) if "torch._dynamo" in sys.modules else function(*arguments)
+
+
+@functools.cache
+def _disabled(function):
+    return sys.modules["torch"].compiler.disable(function)
 
 
 def is_double(value) -> bool:

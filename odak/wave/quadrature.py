@@ -122,7 +122,7 @@ def rule_for(axis: Axis, tolerance: float) -> Rule:
     return _rule_for(Axis(axis.samples, *(float(f"{value:.3g}") for value in astuple(axis)[1:])), tolerance)
 
 
-@functools.lru_cache(maxsize=1024)
+@functools.lru_cache(maxsize=256)
 def _rule_for(axis: Axis, tolerance: float) -> Rule:
     reach, most = float(axis.displacement(axis.transverse)), _MOST_FREQUENCIES
     if not math.isfinite(reach):
@@ -152,7 +152,7 @@ def _even_fast(least: float) -> int:
     return 2 * int(scipy.fft.next_fast_len(math.ceil(least / 2)))
 
 
-@functools.lru_cache(maxsize=1024)
+@functools.lru_cache(maxsize=256)
 def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex, ...]:
     """Return what to add to the weights at the end of Σ exp(−iωk), k = 0, 1, …, so that it is 1/(iω).
 

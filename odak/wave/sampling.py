@@ -220,7 +220,7 @@ def _paraxial_error(z: float, wavelength: float, frequencies) -> float:
 LINEAR, SAMPLED = "Linear Angular Spectrum", "Rayleigh-Sommerfeld"
 
 
-@lru_cache(maxsize=1024)
+@lru_cache(maxsize=256)
 def recommend(geometries: tuple[tuple[Axis, Axis], ...], tolerance: float) -> tuple[str, float]:
     """Return the method that serves fields of flat spectrum best at all geometries, and a bound on its error."""
     linear = linear_error(geometries, tolerance)

@@ -78,7 +78,8 @@ class LightPath:
         grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
         if name == "Transfer Function Fresnel" or not sampled_response:
             if self.linear:
-                kernel = linear_kernel_of(name, cutoff, self.pixel_fill)(grid)
+                # How its integral is summed follows from the lengths as numbers.
+                kernel = _array.outside_graphs(_linear_kernel, name, cutoff, self.pixel_fill, grid)
                 return kernel * self._averaging(grid) if sampled_response else kernel
             kernel = method_named(name).kernel(grid)  # type: ignore[misc]
             kernel = kernel * self._averaging(grid) if sampled_response else kernel
@@ -100,6 +101,10 @@ class LightPath:
                     factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
             factors.append(factor)
         return (factors[0][:, None] * factors[1]).to(grid.dtype)
+
+
+def _linear_kernel(name: str, cutoff: float | None, pixel_fill: float | None, grid) -> torch.Tensor:
+    return linear_kernel_of(name, cutoff, pixel_fill)(grid)
 
 
 def plane_distances(distances, volume_depth: float, count: int, offset: float) -> torch.Tensor:
