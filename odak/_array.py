@@ -198,8 +198,13 @@ def outside_graphs(function, *arguments):
     torch = sys.modules.get("torch")
     if torch is not None and torch.compiler.is_compiling():
         return torch.compiler.disable(function)(*arguments)
-    # A frame that torch.compile gave up on runs as it is, but what it calls would be compiled again.
-    return _disabled(function)(*arguments) if "torch._dynamo" in sys.modules else function(*arguments)
+    if torch is not None:
+        from odak import _torch_private
+
+        if _torch_private.has_compiler():
+            # A frame that torch.compile gave up on runs as it is, but what it calls would be compiled again.
+            return _disabled(function)(*arguments)
+    return function(*arguments)
 
 
 @functools.cache

@@ -1,10 +1,16 @@
 """Access to the private interface of torch: transforms that are running, and the state of single tensors."""
 
+import sys
 import warnings
 from contextlib import AbstractContextManager, nullcontext
 from functools import cache
 
 import torch
+
+
+def has_compiler() -> bool:
+    """Say whether torch.compile has been used or may be in use: its module takes seconds to load."""
+    return "torch._dynamo" in sys.modules
 
 
 def is_wrapped(*tensors: torch.Tensor) -> bool:
