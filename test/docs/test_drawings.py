@@ -1,10 +1,10 @@
 """The drawings of the course agree with their script, have words, and no two labels overlap."""
 
 import itertools
+import json
 import re
 import xml.etree.ElementTree as ElementTree
 
-import nbformat
 import pytest
 from documentation import ROOT, script
 
@@ -44,8 +44,9 @@ def test_overlaps_are_found():
 def test_all_drawings_are_shown_with_words():
     shown = {}
     for path in sorted([*COURSE.glob("*.ipynb"), *COURSE.glob("*.md")]):
-        cells = nbformat.read(path, as_version=4).cells if path.suffix == ".ipynb" else None
-        text = path.read_text(encoding="utf-8") if cells is None else "\n".join(cell.source for cell in cells)
+        text = path.read_text(encoding="utf-8")
+        if path.suffix == ".ipynb":
+            text = "\n".join("".join(cell["source"]) for cell in json.loads(text)["cells"])
         for words, name in re.findall(r"!\[([^\]]*)\]\(drawings/([a-z0-9_]+)\.svg\)", text):
             shown.setdefault(name, []).append(words)
     assert set(shown) == {draw.__name__ for draw in make_drawings.DRAWINGS}
