@@ -304,10 +304,11 @@ def half_band(shape: Sequence[int], device: torch.device) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        Ones where both frequencies are within ±1/(4·pitch), zeros elsewhere.
+        Ones where both frequencies are within ±1/(4·pitch), zeros elsewhere; at the edge, the share of the frequency's
+        interval that lies within.
     """
     rows, columns = (
-        ((torch.arange(2 * n, device=device) - n).abs() <= FILTER * n).to(torch.float32) for n in shape[-2:]
+        (FILTER * n + 0.5 - (torch.arange(2 * n, device=device) - n).abs()).clamp(0, 1) for n in shape[-2:]
     )
     return rows[:, None] * columns[None, :]
 

@@ -43,6 +43,11 @@ def colour_file(tmp_path_factory):
     return path
 
 
+def stop(frequency):
+    """Return a stop for the inner half of the band, half open at its edge."""
+    return np.heaviside(1 - abs(frequency) * 32e-6 * (1 + 1e-15), 0.5)
+
+
 @pytest.mark.parametrize("method", ["sgd", "gs", "double-phase"])
 def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, tmp_path):
     options = [*SMALL] if method != "double-phase" else [part for part in SMALL if part not in ("--iterations", "5")]
@@ -51,19 +56,19 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     names = {"hologram_532nm.png", "reconstruction.png", "comparison.png", "report.json"}
     assert {path.name for path in tmp_path.iterdir()} == names
     phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
-    half_band = (lambda fy, fx: (abs(fy) <= 1 / 32e-6) & (abs(fx) <= 1 / 32e-6)) if method == "double-phase" else None
+    half_band = (lambda fy, fx: stop(fy) * stop(fx)) if method == "double-phase" else None
     intensity = angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3, half_band)
     target = picture / 255
-    # The edge of a stop falls between the frequencies of a grid.
-    exact = half_band is None
-    assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=1e-3 if exact else 0.05)
     lit = intensity[target >= 0.1 * target.max()]
-    assert report["efficiency"] == pytest.approx(intensity.sum() / intensity.size, rel=1e-4 if exact else 5e-3)
-    assert report["efficiency_lit"] == pytest.approx(lit.sum() / intensity.size, rel=1e-4 if exact else 5e-3)
+    # The hard edge of a stop diffracts light so far that some of it wraps around on the grid of the report, which is
+    # twice as large as the hologram: the judge knows no such grid.
+    decibels, relative, level = (0.02, 2e-3, 0.01) if half_band else (1e-3, 1e-4, 1e-4)
+    assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=decibels)
+    assert report["efficiency"] == pytest.approx(intensity.sum() / intensity.size, rel=relative)
+    assert report["efficiency_lit"] == pytest.approx(lit.sum() / intensity.size, rel=relative)
     shown = pixels(tmp_path / "reconstruction.png") / 255
     scaled = np.clip(report["channels"][0]["scale"] * intensity, 0, 1)
-    # Rounded to a byte, and propagated with an error of 1e-4 of the norm.
-    assert np.abs(shown - scaled).max() < 0.51 / 255 + (2e-3 if exact else 0.02)
+    assert np.abs(shown - scaled).max() < 0.51 / 255 + level
 
 
 @pytest.mark.parametrize("method", ["sgd", "multi-color"])
