@@ -66,7 +66,7 @@ def lens_phase(
 def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
     """Return r² on the grid of the older lens functions, ``[nx, ny]``: linspace(−n·dx/2, n·dx/2, n) along each axis.
 
-    The step is n·dx/(n − 1), not dx; :func:`lens_phase` has the exact grid.
+    Its step is n·dx/(n − 1) and its centre lies at the index (n − 1)/2. :func:`grid_positions` has the grid of a field.
     """
     _validate.real("dx", dx, positive=True)
     offset = _validate.several("offset", offset, 2)
@@ -94,7 +94,7 @@ def quadratic_phase_function(
     focal : float
         Focal length in metres.
     dx : float
-        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+        Pixel pitch in metres, on the grid described in the notes.
     offset : sequence of float
         Shift of the lens in pixels: `offset[1]` along x, `offset[0]` along y.
 
@@ -105,6 +105,11 @@ def quadratic_phase_function(
 
     Notes
     -----
+    Along each axis of n samples the positions are those of earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
+    n·dx/(n − 1) and the axis of the lens lies at the index (n − 1)/2. Applied to a field of pitch `dx`, whose axis is at
+    the index n // 2, the element is thus a lens of the focal length f·((n − 1)/n)², half a pixel before the axis where
+    n is even. ``exp(1j * lens_phase(shape, focal, dx, wavelength))`` is the lens on the grid of a field, centred.
+
     Earlier releases returned exp(i·k·½·sin(r²/f)), the same lens with the opposite sign for small r²/f.
 
     Examples
@@ -137,7 +142,7 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: A
     r : float
         Distance R in metres.
     dx : float
-        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+        Pixel pitch in metres, on the grid described in the notes.
     xp : module, optional
         Array namespace of the result, NumPy by default.
 
@@ -145,6 +150,12 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: A
     -------
     array
         complex128 ``[nx, ny]``.
+
+    Notes
+    -----
+    Along each axis of n samples the positions are linspace(−n·dx/2, n·dx/2, n): the step is n·dx/(n − 1) and r = 0 lies
+    at the index (n − 1)/2, half a pixel before the axis of a field where n is even. On the grid of a field the same
+    factor is ``exp(-2j * lens_phase(shape, r, dx, wavelength))``.
 
     Examples
     --------
@@ -176,7 +187,7 @@ def prism_phase_function(
     angle : float
         Tilt in degrees.
     dx : float
-        Pixel pitch in metres. The grid is the older one of :func:`squared_radius`.
+        Pixel pitch in metres, on the grid described in the notes.
     axis : str
         "x" (the phase runs from column to column) or "y" (from row to row).
     xp : module, optional
@@ -186,6 +197,12 @@ def prism_phase_function(
     -------
     array
         complex128 ``[nx, ny]``.
+
+    Notes
+    -----
+    Along the axis, of n samples, the positions x are linspace(−n·dx/2, n·dx/2, n), in steps of n·dx/(n − 1): light that
+    is sampled with the pitch `dx` leaves at the sine n/(n − 1)·sin(angle), and the phase vanishes at the index
+    (n − 1)/2. :func:`prism_grating` has the exact steps, and counts from the first sample.
 
     Examples
     --------

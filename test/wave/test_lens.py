@@ -31,6 +31,34 @@ def test_older_lens_keeps_its_grid_and_converges():
         odak.wave.quadratic_phase_function(6, 4, K, 0.0, DX)
 
 
+@pytest.mark.parametrize("shape", [(64, 65), (65, 64)])
+def test_lenses_focus_where_their_documentation_says(shape):
+    """On the axis of the field, index n // 2; the older grid at (n - 1)/2, at the distance f·((n - 1)/n)²."""
+    focal = 0.02
+    y, x = ((np.arange(n) - n // 2) * DX for n in shape)
+    beam = np.exp(-(y[:, None] ** 2 + x**2) / (10 * DX) ** 2)
+
+    def focus(lens, distance):
+        field = odak.wave.propagate_beam(
+            beam * lens, K, distance, DX, WAVELENGTH, "Angular Spectrum", zero_padding=(True, False, True)
+        )
+        power = abs(field) ** 2 / (abs(field) ** 2).sum()
+        return [float((power.sum(1 - axis) * np.arange(n)).sum()) for axis, n in enumerate(shape)]
+
+    place = focus(np.exp(1j * odak.wave.lens_phase(shape, focal, DX, WAVELENGTH)), focal)
+    np.testing.assert_allclose(place, [n // 2 for n in shape], atol=1e-6)
+    older = odak.wave.quadratic_phase_function(shape[1], shape[0], K, focal, DX)
+    np.testing.assert_allclose(odak.wave.double_convergence(*shape, K, -2 * focal, DX), older, atol=1e-9)
+    nominal = np.ones(shape, complex)
+    for axis, n in enumerate(shape):
+        position = (np.arange(n) - (n - 1) / 2) * DX
+        line = np.exp(-1j * K * position**2 / (2 * focal * ((n - 1) / n) ** 2))
+        nominal *= line[:, None] if axis == 0 else line
+    np.testing.assert_allclose(older, nominal, atol=1e-9)
+    place = focus(older, focal * (63 / 64) ** 2)
+    np.testing.assert_allclose(place, [(n - 1) / 2 for n in shape], atol=0.02)
+
+
 @pytest.mark.parametrize(("axis", "index"), [("x", 1), ("y", 0)])
 def test_prism_turns_a_plane_wave_by_its_angle(axis, index):
     angle = math.degrees(math.asin(10 * WAVELENGTH / (64 * DX)))

@@ -64,7 +64,7 @@ def quadratic_phase_function(
     focal : float
         Focal length in metres.
     dx : float
-        Pixel pitch in metres. The grid is the older linspace(−n·dx/2, n·dx/2, n); :func:`lens_phase` has the exact one.
+        Pixel pitch in metres, on the grid described in the notes.
     offset : sequence of float
         Shift of the lens in pixels: `offset[1]` along the first axis, `offset[0]` along the second.
 
@@ -72,6 +72,13 @@ def quadratic_phase_function(
     -------
     torch.Tensor
         complex64 ``[nx, ny]``.
+
+    Notes
+    -----
+    Along each axis of n samples the positions are those of earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
+    n·dx/(n − 1) and the axis of the lens lies at the index (n − 1)/2. Applied to a field of pitch `dx`, whose axis is at
+    the index n // 2, the element is thus a lens of the focal length f·((n − 1)/n)², half a pixel before the axis where
+    n is even. ``torch.exp(1j * lens_phase(shape, focal, dx, wavelength))`` is the lens on the grid of a field, centred.
 
     Examples
     --------
