@@ -34,7 +34,6 @@ NOT_EMULATED = (
 )
 # What is not ready for a device yet: numbers of the CPU are mixed in, or read back in every iteration.
 NOT_READY = (
-    "odak.learn.perception.metameric_failure",
     "odak.learn.wave.display_hologram",
     "odak.learn.wave.display_model.registration",
 )

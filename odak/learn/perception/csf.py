@@ -94,8 +94,8 @@ def unified_pupil_diameter(
 
     Notes
     -----
-    Watson and Yellott, J. Vis. 12(10), 12 (2012), equation 21: the formula of Stanley and Davies for the flux density
-    at the cornea, a tenth of it for one eye, with the effect of age after Winn and others.
+    Watson and Yellott, J. Vis. 12(10), 12 (2012), doi 10.1167/12.10.12, equation 21: the formula of Stanley and Davies
+    for the flux density at the cornea, a tenth of it for one eye, with the effect of age after Winn and others.
     :func:`odak.learn.perception.pupil_diameter` is Barten's.
 
     Examples

@@ -9,6 +9,7 @@ from odak.learn.perception import (
     illuminant_d65,
     individual_cone_fundamentals,
     metameric_failure,
+    observers,
     sample_observers,
 )
 
@@ -24,6 +25,34 @@ def test_the_default_person_is_the_standard_observer():
     assert float((found - table).abs().max()) < 0.02
     peaks = [float(WAVES[one.argmax()]) for one in found]
     assert peaks == pytest.approx([570.0, 543.0, 442.0], abs=3)
+
+
+def test_formulas_of_stockman_and_rider():
+    # Their scale factors: absorbances of maximum 1, densities of 0.35 at 460 nm and 1.7649 at 400 nm.
+    bare = individual_cone_fundamentals(WAVES, lens=0.0, macular=0.0, densities=(1e-6, 1e-6, 1e-6))
+    no_lens, no_macula = (individual_cone_fundamentals(WAVES, **{name: 0.0}) for name in ("lens", "macular"))
+    standard = individual_cone_fundamentals(WAVES)
+    at = {nm: nm - 390 for nm in (400, 460, 700)}
+    for absent, nm, density in ((no_lens, 400, 1.7649), (no_macula, 460, 0.35)):
+        # At 700 nm neither absorbs: the ratio there takes away the normalisation.
+        ratio = (absent / standard)[0, [at[nm], at[700]]].log10()
+        assert float(ratio[0] - ratio[1]) == pytest.approx(density, abs=2e-4)
+    # In quanta, the peaks of their table: L (mean of two variants), M and S absorbance.
+    quanta = bare / WAVES
+    assert [float(WAVES[one.argmax()]) for one in quanta] == pytest.approx([551.9, 529.8, 416.9], abs=0.6)
+
+
+def test_population_has_the_published_deviations(monkeypatch):
+    # Asano et al. (2016), table 5, step 2, from what each person's cones are made of.
+    given = []
+    monkeypatch.setattr(observers, "individual_cone_fundamentals", lambda _, *made: given.append(made) or WAVES[:1])
+    sample_observers(2000, [550.0], seed=3)
+    made = torch.tensor([[lens, macula, *density, *shift] for lens, macula, density, shift in given])
+    mean = torch.tensor([1.7649, 0.35, 0.5, 0.5, 0.4, 1.0, 1.0, 1.0])
+    published = torch.tensor([0.187, 0.365, 0.09, 0.09, 0.074, 2.0, 1.5, 1.3])
+    # Of the deviation of 2000 normal numbers: 1.6 % standard error.
+    assert float(((made / mean).std(0) / published - 1).abs().max()) < 0.06
+    assert float(((made / mean).mean(0) - torch.tensor([1.0] * 5 + [0.0] * 3)).abs().max()) < 0.15
 
 
 def test_densities_and_peaks_do_what_they_say():

@@ -18,14 +18,15 @@ from odak.raytracing import components as vec
 from odak.raytracing.gradients import Gradient
 from odak.wave.transfer_functions import phasor_of_cycles
 
-# Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm: Navarro et al. 1985.
+# Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm: Navarro et al. (1985), doi 10.1364/JOSAA.2.001273.
 NAVARRO_INDICES = {
     "cornea": (1.3975, 1.3807, 1.37405, 1.3668),
     "aqueous": (1.3593, 1.3422, 1.3354, 1.3278),
     "lens": (1.4492, 1.42625, 1.4175, 1.4097),
     "vitreous": (1.3565, 1.3407, 1.3341, 1.3273),
 }
-# Herzberger's a₁ … a₄, one for each of these wavelengths, over 1, λ², L and L².
+# Herzberger's a₁ … a₄, one for each of these wavelengths, over 1, λ², L and L², with L = 1/(λ² − 0.028 µm²), as in
+# Atchison and Smith, J. Opt. Soc. Am. A 22, 29 (2005), doi 10.1364/JOSAA.22.000029 (λ² of a₁ is misprinted in 1985).
 HERZBERGER = (
     (0.66147196, -0.40352796, -0.28046790, 0.03385979),
     (-4.20146383, 2.73508956, 1.50543784, -0.11593235),
@@ -81,10 +82,10 @@ def navarro_eye(
 
     Notes
     -----
-    Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985); the depth of the vitreous,
-    16.3203 mm, and the retina are those of Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999). Dispersion
-    after Herzberger, as there. Power 60.4 dioptres. The lens has one index; the parameter A is not exactly the vergence
-    that is in focus: :func:`eye_refraction` gives that.
+    Navarro, Santamaría and Bescós, J. Opt. Soc. Am. A 2, 1273 (1985), doi 10.1364/JOSAA.2.001273; the depth of the
+    vitreous, 16.3203 mm, and the retina are those of Escudero-Sanz and Navarro, J. Opt. Soc. Am. A 16, 1881 (1999), doi
+    10.1364/JOSAA.16.001881. Dispersion after Herzberger, as there. Power 60.4 dioptres. The lens has one index; the
+    parameter A is not exactly the vergence that is in focus: :func:`eye_refraction` gives that.
 
     Examples
     --------
@@ -177,8 +178,9 @@ def liou_brennan_eye(
 
     Notes
     -----
-    Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997): power 60.35 dioptres, length 23.95 mm. The
-    lens is two media of graded index with a plane between them; rays in it are those of the ray equation.
+    Liou and Brennan, J. Opt. Soc. Am. A 14, 1684 (1997), doi 10.1364/JOSAA.14.001684: power 60.35 dioptres,
+    length 23.95 mm. The lens is two media of graded index with a plane between them; rays in it are those of the ray
+    equation.
 
     Examples
     --------
