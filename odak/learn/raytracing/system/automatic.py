@@ -13,9 +13,9 @@ from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 
-# Shares of aperture and field, how many designs go on from each stage, and rings of rays and fields in it.
 # Standard deviation of random curvatures in units of 1/focal length.
 SPREAD = 2.5
+# Shares of aperture and field, how many designs go on from each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
     (0.4, 0.7, 0.5, 2, 3),
@@ -80,6 +80,7 @@ def automatic_design(
     chief_ray_angle: float | None = None,
     cover: tuple[Any, float] | None = None,
     starts: int = 16,
+    stages: int = 6,
     iterations: int = 15,
     polish: int = 6,
     seed: int = 0,
@@ -121,6 +122,8 @@ def automatic_design(
         Material and thickness of a plane plate in front of the image.
     starts : int
         Number of random bendings that the first stage begins with.
+    stages : int
+        Number of steps in which aperture and field grow, 1 to 6; 1 begins with all of both.
     iterations : int
         Steps of Levenberg and Marquardt's method in each stage.
     polish : int
@@ -163,6 +166,9 @@ def automatic_design(
         raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
     starts, seed = _validate.integer("starts", starts, minimum=1), _validate.integer("seed", seed)
+    stages = _validate.integer("stages", stages, minimum=1)
+    if stages > len(CURRICULUM):
+        raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {stages}")
     iterations = _validate.integer("iterations", iterations, minimum=1)
     polish = _validate.integer("polish", polish)
     if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
@@ -212,7 +218,7 @@ def automatic_design(
         fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=chief_ray_angle))
     generator = torch.Generator().manual_seed(seed)
     values: Any = None
-    stages = []
+    taken: list[Stage] = []
 
     def set_stage(aperture: float, field: float, count: int) -> None:
         system.aperture = aperture * f / speed
@@ -224,7 +230,7 @@ def automatic_design(
         return lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
 
     reached = (0.0, 0.0)
-    for aperture, field, share, rings, count in CURRICULUM:
+    for aperture, field, share, rings, count in CURRICULUM[-stages:]:
         while reached != (aperture, field):
             reached = _nearer(set_stage, describe, values, reached, (aperture, field), rings, count)
             design = describe(None, rings)
@@ -234,9 +240,9 @@ def automatic_design(
             kept = loss.argsort()[: max(1, math.ceil(share * starts))]
             values = values[kept]
             design.apply(values[0])
-            stages.append(_stage(system, *reached))
+            taken.append(_stage(system, *reached))
             if callback is not None:
-                callback(stages[-1])
+                callback(taken[-1])
     weights = torch.ones(len(system.fields), dtype=torch.float64)
     for _ in range(polish):
         design = describe(weights.tolist(), rings)
@@ -247,13 +253,13 @@ def automatic_design(
         weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
         weights = weights / weights.square().mean().sqrt()
     if polish:
-        stages.append(_stage(system, 1.0, 1.0))
+        taken.append(_stage(system, 1.0, 1.0))
         if callback is not None:
-            callback(stages[-1])
+            callback(taken[-1])
     heights: Any = design.heights  # never None, since the operands limit the thickness of edges
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
-    return AutomaticResult(system, tuple(stages), start)
+    return AutomaticResult(system, tuple(taken), start)
 
 
 def _bending(system, prescription, surface: int, f: float) -> torch.Tensor:
