@@ -155,7 +155,7 @@ def automatic_design(
     Examples
     --------
     >>> from odak.learn.raytracing.system import automatic_design, first_order
-    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, iterations=3, polish=1)
+    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
     >>> abs(float(first_order(found.system).focal_length) - 100) < 1
     True
     """
