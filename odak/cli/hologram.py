@@ -367,6 +367,7 @@ def _retrieve(job: Job, intensity: torch.Tensor, wavelength: float, callback: Ca
         initial_phase=starting_phase(job, intensity, wavelength),
         progress=False,
         callback=callback,
+        pixel_fill=job.fill_factor,
     )
     return hologram
 
@@ -380,6 +381,7 @@ def _double_phase(job: Job, intensity: torch.Tensor, wavelength: float) -> torch
         job.propagation_type,
         kernel_length=0,
         amplitude=intensity.sqrt(),
+        pixel_fill=job.fill_factor,
     )
     return wave.generate_complex_field(1.0, phase)
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from odak import _array
+from odak import _array, _validate
 from odak.wave.quadrature import Axis, Rule, plain_rule, rule_for
 from odak.wave.transfer_functions import Grid, alias_free_weight
 
@@ -65,9 +65,7 @@ class LinearGrid(Grid):
                 spectrum = xp.where(kept, spectrum, xp.zeros_like(spectrum))
             if self.pixel_fill is not None:
                 for frequency, pitch in ((part, self.pitch[0]), (fx, self.pitch[1])):
-                    spectrum = spectrum * xp.astype(
-                        _sinc(frequency * pitch * math.sqrt(self.pixel_fill)), spectrum.dtype
-                    )
+                    spectrum = spectrum * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), spectrum.dtype)
             lines.append(_response(spectrum * weight_x, counts[1], -1, columns))
         lines = lines[0] if len(lines) == 1 else xp.concat(lines, axis=-2)
         response = _response(lines * weight_y, counts[0], -2, rows)
@@ -102,11 +100,42 @@ def axes_of(sizes, pitches, wavelength: float, distance: float) -> tuple[Axis, A
     return Axis(rows, dy, wavelength, z, 0.5 / dx), Axis(columns, dx, wavelength, z, 0.5 / dy)
 
 
-def _sinc(cycles):
-    """Return sin(πx)/(πx), 1 at zero."""
-    xp = _array.namespace(cycles)
+def _pixel_spectrum(cycles, pixel_fill: float):
+    """Return sin(πx)/(πx), x = √fill·cycles per pixel: the spectrum along one axis of a square pixel, 1 at zero."""
+    xp, cycles = _array.namespace(cycles), cycles * math.sqrt(pixel_fill)
     angle = xp.pi * xp.where(cycles == 0, xp.ones_like(cycles), cycles)
     return xp.where(cycles == 0, xp.ones_like(cycles), xp.sin(angle) / angle)
+
+
+def pixel_aperture(field, pixel_fill: float):
+    """Return the spectrum of a field's square pixels, centred, on the grid of twice the field's size.
+
+    Parameters
+    ----------
+    field : array
+        Field ``[..., rows, columns]``, whose size, precision and device the result takes.
+    pixel_fill : float
+        Share of a pixel's area that emits.
+
+    Returns
+    -------
+    array
+        Real ``[2·rows, 2·columns]``, between 0.4 and 1.
+    """
+    xp, dtype = _array.namespace(field), _array.real_dtype(field)
+    down, across = (
+        _pixel_spectrum((xp.arange(2 * n, dtype=dtype, device=_array.device_of(field)) - n) / (2 * n), pixel_fill)
+        for n in field.shape[-2:]
+    )
+    return down[:, None] * across[None, :]
+
+
+def checked_pixel_fill(pixel_fill: float) -> float:
+    """Return the share of a pixel's area that emits, above 0 and at most 1."""
+    fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+    if fill > 1:
+        raise ValueError(f"pixel_fill must be above 0 and at most 1, got {pixel_fill!r}")
+    return fill
 
 
 def _response(half, count: int, axis: int, lags: int):

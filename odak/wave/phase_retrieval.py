@@ -10,6 +10,7 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array
 from odak.wave.fields import calculate_amplitude, calculate_phase, generate_complex_field, uniform
+from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_beam
 from odak.wave.transfer_functions import pitches
@@ -28,6 +29,8 @@ def gerchberg_saxton(
     propagation_type: str = "IR Fresnel",
     initial_phase: np.ndarray | None = None,
     seed: Any = None,
+    *,
+    pixel_fill: float | None = None,
 ) -> tuple:
     """Return a phase-only hologram of an image, by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
@@ -53,6 +56,9 @@ def gerchberg_saxton(
         Phase ``[rows, columns]`` to start the hologram from; uniform between 0 and π by default.
     seed : int or generator, optional
         Makes the random start reproducible; a generator is NumPy's, or torch's for a tensor.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The image is then that of the light up to
+        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
 
     Returns
     -------
@@ -77,30 +83,42 @@ def gerchberg_saxton(
     True
     """
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
-    return retrieve(field, range(count), distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed)
+    return retrieve(
+        *(field, range(count), distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed),
+        fill=pixel_fill,
+    )
 
 
 def retrieve(
-    field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update=None, callback=None
+    field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, callback=None, fill=None
 ):
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
-    `update(target, amplitude)` gives the next image amplitude (the target by default). `callback(turn, phase)` is
-    called after each iteration, and ends them by returning True.
+    `callback(turn, phase)` is called after each iteration, and ends them by returning True.
     """
     field = _validate.image("field", field)
-    hologram, light = _alternate(
-        [(field, distance)], turns, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update, callback
-    )
+    options = {"initial_phase": initial_phase, "seed": seed, "callback": callback, "fill": fill}
+    hologram, light = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
     return hologram, light(hologram, distance=distance)
 
 
 def _alternate(
-    planes, turns, dx, wavelength, slm_range, propagation_type, initial_phase, seed, update=None, callback=None
+    planes,
+    turns,
+    dx,
+    wavelength,
+    slm_range,
+    propagation_type,
+    initial_phase,
+    seed,
+    update=None,
+    callback=None,
+    fill=None,
 ):
     """Return the hologram of pairs of a field and its distance, and the function that propagates it.
 
-    The corrections of all planes are propagated back to the one hologram and averaged.
+    The corrections of all planes are propagated back to the one hologram and averaged. `update(target, amplitude)`
+    gives the next image amplitude, the target by default. `fill` is the share of a pixel's area that emits.
     """
     check_has_kernel(propagation_type)
     _validate.real("slm_range", slm_range, positive=True)
@@ -109,12 +127,17 @@ def _alternate(
     light = functools.partial(
         propagate_beam, k=None, dx=dx, wavelength=wavelength, propagation_type=propagation_type, zero_padding=_WINDOW
     )
+    back = light
+    if fill is not None:
+        pixels = pixel_aperture(planes[0][0], checked_pixel_fill(fill))
+        # On the way back the light is that of the modulator before its pixels, whose spectrum has no zeros.
+        light, back = functools.partial(light, aperture=pixels), functools.partial(light, aperture=1 / pixels)
     for turn in turns:
         hologram = generate_complex_field(1.0, phase)
         corrected = hologram
         for target, distance in planes:
             change = _correction(light(hologram, distance=distance), target, update)
-            corrected = corrected + light(change, distance=-distance) / len(planes)
+            corrected = corrected + back(change, distance=-distance) / len(planes)
         phase = _limit(calculate_phase(corrected), slm_range)
         if callback is not None and callback(turn, phase) is True:
             break
@@ -168,6 +191,8 @@ def gerchberg_saxton_3d(
     target_type: str = "no constraint",
     coefficients: Sequence[float] | None = None,
     seed: Array | None = None,
+    *,
+    pixel_fill: float | None = None,
 ) -> np.ndarray:
     """Return a phase-only hologram of several image planes, by alternating projections that couple them.
 
@@ -199,6 +224,9 @@ def gerchberg_saxton_3d(
         α, β, γ of "double constraint".
     seed : int or generator, optional
         Makes the random start reproducible.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The images are then those of the light up to
+        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
 
     Returns
     -------
@@ -233,7 +261,8 @@ def gerchberg_saxton_3d(
         update = _double_constraint(coefficients)
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     planes = [(fields[index, ...], distance) for index, distance in enumerate(distances)]
-    return _alternate(planes, range(count), dx, wavelength, slm_range, propagation_type, initial_phase, seed, update)[0]
+    options = {"initial_phase": initial_phase, "seed": seed, "update": update, "fill": pixel_fill}
+    return _alternate(planes, range(count), dx, wavelength, slm_range, propagation_type, **options)[0]
 
 
 def _double_constraint(coefficients):

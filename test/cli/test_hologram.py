@@ -71,7 +71,7 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     assert np.abs(shown - scaled).max() < 0.51 / 255 + level
 
 
-@pytest.mark.parametrize("method", ["sgd", "multi-color"])
+@pytest.mark.parametrize("method", ["sgd", "gs", "multi-color"])
 def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file, tmp_path):
     """A panel drawn with eight by eight samples per pixel, six by six of them lit, behind a stop for one order."""
     run(grey_file, "--output", tmp_path, "--method", method, "--quiet", *SMALL[:-4], "--fill-factor", 9 / 16,

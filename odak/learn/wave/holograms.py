@@ -22,6 +22,7 @@ from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
 from odak.wave import phase_retrieval
 from odak.wave.convolution import convolve
+from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
 
@@ -333,6 +334,7 @@ def gerchberg_saxton(
     seed: int | torch.Generator | None = None,
     progress: bool = False,
     callback: Callable | None = None,
+    pixel_fill: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram of an image by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
@@ -363,6 +365,9 @@ def gerchberg_saxton(
         Show a progress bar.
     callback : callable, optional
         ``callback(iteration, hologram_phase)`` after each iteration; returning True stops.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The image is then that of the light up to
+        1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
 
     Returns
     -------
@@ -392,8 +397,9 @@ def gerchberg_saxton(
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     progress, callback = _validate.flag("progress", progress), _validate.function_or_none("callback", callback)
     turns = tqdm(range(count), desc="hologram", disable=not progress, leave=False)
+    start = {"initial_phase": initial_phase, "seed": seed}
     return phase_retrieval.retrieve(
-        field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, callback=callback
+        field, turns, distance, dx, wavelength, slm_range, propagation_type, **start, callback=callback, fill=pixel_fill
     )
 
 
@@ -463,6 +469,8 @@ def shift_w_double_phase(
     kernel_length: int = 4,
     sigma: float = 0.5,
     amplitude: torch.Tensor | None = None,
+    *,
+    pixel_fill: float | None = None,
 ) -> torch.Tensor:
     """Return a phase-only hologram shifted in depth, its amplitude encoded by double phase.
 
@@ -485,6 +493,9 @@ def shift_w_double_phase(
         Its standard deviation in pixels.
     amplitude : torch.Tensor, optional
         Amplitude of the field; ones by default.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The field is then divided by the spectrum of such
+        pixels, which multiplies what the hologram shows; by default pixels are points.
 
     Returns
     -------
@@ -514,7 +525,8 @@ def shift_w_double_phase(
     _validate.real("pixel_pitch", pixel_pitch, positive=True)
     kernel_length, sigma = _validate.whole("kernel_length", kernel_length), _validate.real("sigma", sigma)
     field = generate_complex_field(torch.ones_like(phase) if amplitude is None else amplitude, phase)
-    field = propagate_beam(field, None, depth_shift, pixel_pitch, wavelength, propagation_type)
+    undo = {} if pixel_fill is None else {"aperture": 1 / pixel_aperture(field, checked_pixel_fill(pixel_fill))}
+    field = propagate_beam(field, None, depth_shift, pixel_pitch, wavelength, propagation_type, **undo)
     carrier = torch.tensor(-2 * math.pi * (depth_shift / wavelength % 1), dtype=torch.float64, device=phase.device)
     field = field * phasor(carrier, field.dtype)
     if kernel_length > 0 and sigma > 0:
@@ -534,6 +546,7 @@ def double_phase_hologram(
     iris: bool = True,
     iris_radius: float | None = None,
     iris_focal_length: float | None = None,
+    pixel_fill: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the double-phase hologram of an image, and what it shows behind the iris that it needs.
 
@@ -562,6 +575,9 @@ def double_phase_hologram(
         1/(4·pixel_pitch), half of the band of the pixels.
     iris_focal_length : float, optional
         Focal length in metres of that lens.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1. The field that is encoded is divided by the spectrum
+        of such pixels, and the reconstruction is what they show; by default pixels are points.
 
     Returns
     -------
@@ -621,8 +637,11 @@ def double_phase_hologram(
         if _validate.fitting(target=target, image_phase=phase) != tuple(target.shape):
             raise ValueError(f"image_phase must fit the target {list(target.shape)}, got {list(phase.shape)}")
     there: Any = propagate_within_window(target.sqrt() * unit_phasor(phase), distance=-distance, **lengths)
+    fill = None if pixel_fill is None else checked_pixel_fill(pixel_fill)
+    if fill is not None:
+        there = convolve(there, torch.fft.ifftshift(1 / pixel_aperture(there, fill)))
     hologram = unit_phasor(encode_double_phase(there))
-    shown: Any = propagate_within_window(hologram, distance=distance, **lengths)
+    shown: Any = propagate_within_window(hologram, distance=distance, pixel_fill=fill, **lengths)
     return hologram, shown
 
 

@@ -11,6 +11,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.learn._precision import in_own_precision
 from odak.learn._tensors import floating
 from odak.learn.wave.fields import unit_phasor
+from odak.wave.linear_kernels import checked_pixel_fill
 
 TURN = 2 * math.pi
 
@@ -613,10 +614,7 @@ def checked_fill(pixel_fill: float | None, slm, has_iris: bool) -> float | None:
     """Return the share of a pixel's area that emits: the one given, or that of a modulator; None for points."""
     if pixel_fill is None:
         return pixel_fill_of(slm, has_iris)
-    fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
-    if fill > 1:
-        raise ValueError(f"pixel_fill must be at most 1, got {pixel_fill!r}")
-    return fill
+    return checked_pixel_fill(pixel_fill)
 
 
 def iris_cutoff(wavelength, iris_radius, iris_focal_length) -> float | None:

@@ -65,6 +65,9 @@ class multiplane_hologram_optimizer:
         Visits of planes between two writings of that file; it is written at the end and on an interruption too.
     seed : int, optional
         Makes the random start reproducible; by default torch's own generator draws it.
+    pixel_fill : float, optional
+        Share of the area of a square pixel that emits, at most 1, see :class:`odak.learn.wave.propagator`; by default
+        pixels are points.
 
     Raises
     ------
@@ -108,6 +111,7 @@ class multiplane_hologram_optimizer:
         checkpoint: str | os.PathLike | None = None,
         checkpoint_every: int = 50,
         seed: int | None = None,
+        pixel_fill: float | None = None,
     ):
         self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
@@ -131,6 +135,7 @@ class multiplane_hologram_optimizer:
             propagator_type=propagator_type,
             back_and_forth_distance=zero_mode_distance,
             device=device,
+            pixel_fill=pixel_fill,
         )
         self.device, self.slm_resolution = self.propagator.device, self.propagator.resolution
         if isinstance(targets, torch.Tensor):
