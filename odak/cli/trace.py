@@ -115,6 +115,9 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
         report = describe(system, rings, aim) | {"ignored": ignored}
     drawn = report_figures(system, aim)
     for title, figure in drawn.items():
+        # The layout serves both files of a figure; each saving would find it twice again.
+        figure.draw_without_rendering()
+        figure.set_layout_engine("none")
         with replacing(folder / f"{title}.{figures}") as stream:
             figure.savefig(stream, format=figures, dpi=140)
     lens_report(system, folder / "report.html", aim, drawn)

@@ -51,6 +51,7 @@ def test_a_folder_gives_what_each_picture_gives(folder, tmp_path):
         assert together["psnr_db"] == alone["psnr_db"]
 
 
+@pytest.mark.xdist_group("cluster")
 def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
     count = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -68,6 +69,7 @@ def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
     assert "0 computed, 3 skipped, 0 failed" in result.stdout
 
 
+@pytest.mark.slow
 def test_over_tls(folder, tmp_path):
     pytest.importorskip("cryptography")
     assert main(["certificates", str(tmp_path / "tls")]) == 0

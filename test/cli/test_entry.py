@@ -8,15 +8,18 @@ import odak
 from odak.cli import app, main
 
 
-def test_help_needs_no_torch():
+def test_as_a_module_in_a_process_of_its_own_whose_help_needs_no_torch():
     code = (
-        "import sys\n"
+        "import runpy, sys\n"
         "from odak.cli import main\n"
         "assert main(['--help']) == 0 and main(['hologram', '--help']) == 0\n"
         "assert not {'torch', 'scipy', 'plotly'} & set(sys.modules), sorted(sys.modules)\n"
+        "sys.argv = ['odak', 'paint']\n"
+        "runpy.run_module('odak', run_name='__main__', alter_sys=True)\n"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert result.returncode == 0, result.stderr
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120)
+    assert result.returncode == 2 and "hologram" in result.stdout, result.stderr
+    assert result.stderr.startswith("odak: ") and "paint" in result.stderr and result.stderr.count("\n") == 1
 
 
 def test_help_states_units_and_defaults():

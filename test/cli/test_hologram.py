@@ -507,6 +507,7 @@ def test_a_failed_write_is_code_1_and_leaves_the_old_report(grey_file, tmp_path,
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".")]
 
 
+@pytest.mark.slow
 def test_as_a_module_in_a_process_of_its_own(grey_file, tmp_path):
     command = [sys.executable, "-m", "odak", "hologram", str(grey_file), "--output", str(tmp_path), *SMALL]
     result = subprocess.run(command, capture_output=True, text=True, timeout=120)

@@ -1,8 +1,6 @@
 """Interactive pages of results."""
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -10,8 +8,9 @@ import torch
 import typer
 from command import SMALL, run
 from PIL import Image
+from typer.testing import CliRunner
 
-from odak.cli import main
+from odak.cli import app, main
 
 
 def page_of(source, tmp_path):
@@ -74,17 +73,12 @@ def test_what_cannot_be_shown_is_named(tmp_path, capsys):
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_shells_complete_commands_options_and_names(shell):
     def complete(words):
-        environment = {"_ODAK_COMPLETE": f"complete_{shell}", "PATH": "/usr/bin"}
+        environment = {"_ODAK_COMPLETE": f"complete_{shell}"}
         if shell == "bash":
             environment |= {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
         else:
             environment |= {"_TYPER_COMPLETE_ARGS": " ".join(words), "_TYPER_COMPLETE_FISH_ACTION": "get-args"}
-        command = [
-            sys.executable,
-            "-c",
-            "import sys; sys.argv[0] = 'odak'; from odak.cli import app; app(prog_name='odak')",
-        ]
-        return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120).stdout
+        return CliRunner().invoke(app, [], prog_name="odak", env=environment).stdout
 
     assert "hologram" in complete(["odak", "holo"])
     assert "--wavelength" in complete(["odak", "hologram", "--wave"])

@@ -90,7 +90,10 @@ def stop(*programs):
 
 @functools.cache
 def cluster():
-    """Return the address of a scheduler with two workers, the same for all tests of this process."""
+    """Return the address of a scheduler with two workers, the same for all tests of this process.
+
+    Tests that use it are of one group (`xdist_group`), so that one process of pytest runs them and starts it once.
+    """
     scheduler, address = start_scheduler()
     started = [scheduler]
     atexit.register(lambda: stop(*started))

@@ -33,7 +33,10 @@ from odak.manager import Failure, TaskError, agent, backends
 from odak.manager.server import Share
 
 distributed = pytest.importorskip("distributed")
-pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system")
+pytestmark = [
+    pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system"),
+    pytest.mark.xdist_group("cluster"),
+]
 
 
 @pytest.fixture(scope="module")
