@@ -34,7 +34,7 @@ GROUPS = {
 }
 _PICTURE = re.compile(r"^# Picture: (?P<text>.+)$", re.MULTILINE)
 _THUMBNAIL = re.compile(r"^# Thumbnail: ([\d.]+)$", re.MULTILINE)
-_FRAMES = re.compile(r"^```frames (?P<name>\w+)\n(?P<text>.*)\n```$", re.MULTILINE)
+_LIVE = re.compile(r"^```(?P<kind>frames|plotly) (?P<name>\w+)\n(?P<text>.*)\n```$", re.MULTILINE)
 _BLOCK = re.compile(r"^```gallery(?: (?P<group>\w+))?\n```$", re.MULTILINE)
 
 
@@ -202,6 +202,10 @@ def on_files(files, config):
 
     for path in scripts():
         files.append(File.generated(config, f"gallery/{path.parent.name}/{path.stem}.md", content=_page(path)))
+    import plotly
+
+    script = Path(plotly.__file__).parent / "package_data" / "plotly.min.js"
+    files.append(File.generated(config, "assets/plotly.min.js", abs_src_path=str(script)))
     return files
 
 
@@ -215,21 +219,29 @@ def on_page_markdown(markdown, page, config, files):
 
     if page.file.src_path == "gallery/index.md":
         return _BLOCK.sub(expanded, markdown)
-    return _FRAMES.sub(_slider, markdown)
+    up = "../" * page.url.count("/")
+    return _LIVE.sub(lambda match: _slider(match, up) if match["kind"] == "frames" else _figure(match, up), markdown)
 
 
-def _slider(match):
+def _slider(match, up):
     """Return a figure with a slider for the frames that docs/make_frames.py computed."""
     folder = DOCS / "pictures" / "interactive"
     figure = json.loads((folder / "labels.json").read_text(encoding="utf-8"))[match["name"]]
+    middle = len(figure["labels"]) // 2
     labels = html.escape(json.dumps(figure["labels"], ensure_ascii=False), quote=True)
-    picture = f"../pictures/interactive/{match['name']}.webp"
+    picture = f"{up}pictures/interactive/{match['name']}.webp"
     return (
         f'<div class="frames" data-labels="{labels}"><div class="frame" role="img" aria-label="{match["text"]}" '
-        f'style="aspect-ratio: 480 / {figure["height"]}; background-image: url({picture})"></div>'
-        f'<input type="range" min="0" max="{len(figure["labels"]) - 1}" value="0" aria-label="{match["text"]}">'
-        f"<output>{figure['labels'][0]}</output></div>"
+        f'style="aspect-ratio: {figure["width"]} / {figure["height"]}; background-image: url({picture})"></div>'
+        f'<input type="range" min="0" max="{len(figure["labels"]) - 1}" value="{middle}" aria-label="{match["text"]}">'
+        f"<output>{figure['labels'][middle]}</output></div>"
     )
+
+
+def _figure(match, up):
+    """Return the place of a figure of plotly, which docs/assets/frames.js draws."""
+    source = f"{up}pictures/interactive/{match['name']}.json"
+    return f'<div class="plotly-figure" data-figure="{source}" role="img" aria-label="{match["text"]}"></div>'
 
 
 def on_post_build(config):

@@ -1,6 +1,7 @@
 """The built site: links resolve, pictures have words, browsers have nothing to complain of, phones can read it."""
 
 import asyncio
+import contextlib
 import functools
 import http.server
 import json
@@ -175,21 +176,101 @@ def test_browser_has_nothing_to_complain_of_and_a_phone_can_read_it(site, addres
     assert not complaints, "\n".join(complaints)
 
 
-async def walked(url):
-    """Return the report of a walk through the site in a real browser."""
+@contextlib.asynccontextmanager
+async def tab_of(url):
+    """Open a page in a real browser; give a function that evaluates JavaScript there, and the tab."""
     import choreographer
 
     from odak.visualize.plotly import find_browser
 
     async with choreographer.Browser(path=find_browser(), headless=True, enable_sandbox=False) as browser:
         tab = await browser.create_tab(url)
-        for _ in range(240):
-            await asyncio.sleep(0.5)
-            expression = {"expression": "document.documentElement.dataset.report || ''"}
-            answer = await tab.send_command("Runtime.evaluate", params=expression)
-            if answer["result"]["result"]["value"]:
-                return json.loads(answer["result"]["result"]["value"])
-    raise TimeoutError(url)
+
+        async def value(expression, attempts=1):
+            for _ in range(attempts):
+                parameters = {"expression": expression, "awaitPromise": True, "returnByValue": True}
+                answer = await tab.send_command("Runtime.evaluate", params=parameters)
+                found = answer["result"]["result"].get("value")
+                if found or attempts == 1:
+                    return found
+                await asyncio.sleep(0.5)
+            raise TimeoutError(f"{url}: {expression}")
+
+        yield value, tab
+
+
+async def walked(url):
+    """Return the report of a walk through the site in a real browser."""
+    async with tab_of(url) as (value, _):
+        return json.loads(await value("document.documentElement.dataset.report || ''", 240))
+
+
+async def explored(url):
+    """Move all sliders of a page, then point at, enlarge and recolour its figures as a reader does."""
+    found = {}
+    async with tab_of(url) as (value, tab):
+        await value("document.readyState === 'complete' && document.querySelectorAll('.frames').length > 0", 60)
+        found["sliders"] = await value("""(async () => {
+            const report = []
+            for (const figure of document.querySelectorAll(".frames")) {
+                const [slider, frame, label] = ["input", ".frame", "output"].map(name => figure.querySelector(name))
+                const labels = JSON.parse(figure.dataset.labels), before = label.textContent
+                const image = new Image()
+                image.src = getComputedStyle(frame).backgroundImage.slice(5, -2)
+                await image.decode()
+                slider.value = labels.length - 1
+                slider.dispatchEvent(new Event("input"))
+                report.push([image.naturalHeight > 0, before !== label.textContent, label.textContent === labels.at(-1),
+                    frame.style.backgroundPositionY === "100%"])
+            }
+            return report
+        })()""")
+        drawn = "[...document.querySelectorAll('.plotly-figure')].filter(f => f.querySelector('.main-svg')).length"
+        names = await value("[...document.querySelectorAll('.plotly-figure')].map(f => f.dataset.figure)")
+        for index, name in enumerate(names):
+            await value(f"document.querySelectorAll('.plotly-figure')[{index}].scrollIntoView({{block: 'center'}}), 1")
+            await value(f"{drawn} > {index}", 60)
+            found[name.rpartition("/")[2]] = True
+        await value("gd = document.querySelector('[data-figure$=\"glasses.json\"]'), 1")
+        await value("gd.scrollIntoView({block: 'center', behavior: 'instant'}), 1")
+        await asyncio.sleep(1)
+        place = """(k => {
+            const box = gd.getBoundingClientRect(), { xaxis, yaxis } = gd._fullLayout, data = gd.calcdata[0][k]
+            return [box.x + xaxis._offset + xaxis.l2p(data.x), box.y + yaxis._offset + yaxis.l2p(data.y)]
+        })"""
+
+        async def mouse(kind, x, y, **more):
+            parameters = {"type": f"mouse{kind}", "x": x, "y": y, **more}
+            await tab.send_command("Input.dispatchMouseEvent", params=parameters)
+            await asyncio.sleep(0.3)
+
+        x, y = await value(f"{place}(0)")
+        await mouse("Moved", x - 3, y)
+        await mouse("Moved", x, y)
+        found["name"] = await value("gd.data[0].text[0]")
+        found["hover"] = await value("gd.querySelector('.hovertext')?.textContent || ''", 20)
+        found["before"] = await value("gd._fullLayout.xaxis.range.slice()")
+        await mouse("Pressed", x, y, button="left", clickCount=1)
+        await mouse("Moved", x + 60, y - 60, button="left", buttons=1)
+        await mouse("Moved", x + 120, y - 90, button="left", buttons=1)
+        await mouse("Released", x + 120, y - 90, button="left", clickCount=1)
+        found["after"] = await value("gd._fullLayout.xaxis.range.slice()")
+        found["light"] = await value("gd.layout.font.color")
+        await value("document.body.setAttribute('data-md-color-scheme', 'slate'), 1")
+        await asyncio.sleep(1)
+        found["dark"] = await value("gd.layout.font.color")
+    return found
+
+
+@pytest.mark.browser
+def test_figures_can_be_explored(address):
+    pytest.importorskip("choreographer")
+    found = asyncio.run(explored(f"{address}interactive/"))
+    assert len(found["sliders"]) == 8 and all(map(all, found["sliders"])), found["sliders"]
+    assert found["name"] in found["hover"] and "Abbe number" in found["hover"]
+    (left, right), (before_left, before_right) = found["after"], found["before"]
+    assert abs(right - left) < 0.6 * abs(before_right - before_left)
+    assert found["light"] != found["dark"]
 
 
 @pytest.mark.browser
