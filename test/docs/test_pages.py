@@ -14,6 +14,7 @@ SLOW = {
     "guides/design_a_lens.md",
     "guides/distributed_computing.md",
     "guides/foveated_holograms.md",
+    "guides/from_slm_to_hologram.md",
     "guides/large_fields.md",
     "guides/learned_models.md",
     "guides/metamers.md",
