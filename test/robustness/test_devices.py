@@ -33,10 +33,7 @@ NOT_EMULATED = (
     "odak.learn.wave.Scene.*",  # cameras are objects of their own, with a `to`
 )
 # What is not ready for a device yet: numbers of the CPU are mixed in, or read back in every iteration.
-NOT_READY = (
-    "odak.learn.wave.display_hologram",
-    "odak.learn.wave.display_model.registration",
-)
+NOT_READY = ()
 # How often one call may read numbers back at one place: checks of arguments, figures and files; nothing in a loop over
 # pixels, rays or iterations.
 MOST_READS = 50

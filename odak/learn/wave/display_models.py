@@ -309,7 +309,7 @@ class display_model(torch.nn.Module):
 
     def registration(self) -> Registration:
         """Return the mapping of the camera."""
-        homography, distortion = (value.detach().double().numpy() for value in self._mapping())
+        homography, distortion = (value.detach().double().cpu().numpy() for value in self._mapping())
         return Registration(homography, float(distortion), self.camera_shape)
 
     def field(self, phase: torch.Tensor) -> torch.Tensor:
@@ -390,14 +390,21 @@ class display_model(torch.nn.Module):
         phase = self._checked(phase)
         # Integers cannot represent NaN.
         _validate.real("phase", phase)
+        return self._nearest_levels(phase, self._cycles())
+
+    def _cycles(self) -> int:
+        """Return the number of cycles of 2π, rounded up, that the look-up table reaches."""
+        return int(float(self.table().detach().amax().abs()) / (2 * math.pi)) + 1
+
+    @torch.no_grad()
+    def _nearest_levels(self, phase: torch.Tensor, cycles: int) -> torch.Tensor:
         rising, order = torch.sort(self.table().detach())
         middles = (rising[1:] + rising[:-1]) / 2
         factor = self.response_map().detach()
         wanted = torch.remainder(phase.detach(), 2 * math.pi)
         best, level = torch.full_like(wanted, math.inf), torch.zeros_like(wanted, dtype=torch.int64)
-        turns = int(float(rising[-1].abs().max()) / (2 * math.pi)) + 1
-        for turn in range(-1, turns + 1):
-            target = (wanted + 2 * math.pi * turn) / factor
+        for cycle in range(-1, cycles + 1):
+            target = (wanted + 2 * math.pi * cycle) / factor
             place = torch.bucketize(target, middles)
             apart = (rising[place] - target).abs()
             level = torch.where(apart < best, order[place], level)
@@ -418,7 +425,11 @@ class display_model(torch.nn.Module):
             Phase in radians; the levels pass the gradient straight through.
         """
         phase = self._checked(phase)
-        found = (self.table()[self.levels(phase)] * self.response_map()).detach()
+        _validate.real("phase", phase)
+        return self._quantised(phase, self._cycles())
+
+    def _quantised(self, phase: torch.Tensor, cycles: int) -> torch.Tensor:
+        found = (self.table()[self._nearest_levels(phase, cycles)] * self.response_map()).detach()
         return found + (phase - phase.detach())
 
     def _buffers_of_panel(self, phases, amplitude, wavefront, zernike_order, source_order, nodes) -> None:
@@ -686,7 +697,7 @@ def display_hologram(
     learning_rate: float = 0.1,
     phase: torch.Tensor | None = None,
     seed: int = 0,
-    callback: Callable[[int, float], bool | None] | None = None,
+    callback: Callable[[int, torch.Tensor], bool | None] | None = None,
 ) -> torch.Tensor:
     """Return the levels with which a display shows images, by gradient descent through its model.
 
@@ -708,7 +719,7 @@ def display_hologram(
     seed : int
         Seed of that noise.
     callback : callable, optional
-        ``callback(iteration, loss)`` after each step; returning True stops.
+        ``callback(iteration, loss)`` after each step, the loss being a tensor; returning True stops.
 
     Returns
     -------
@@ -734,19 +745,21 @@ def display_hologram(
         phase = torch.nn.functional.interpolate(coarse, model.shape, mode="bicubic")[0, 0]
     phase = model._checked(tensor("phase", phase).to(model._slope.device)).detach().clone().requires_grad_()
     optimizer = torch.optim.Adam([phase], lr=float(_validate.real("learning_rate", learning_rate, positive=True)))
-    best, kept = math.inf, phase.detach().clone()
+    # The best state is chosen on the device: reading the loss would wait for it in each iteration.
+    best, kept = phase.new_tensor(math.inf), phase.detach().clone()
+    cycles = model._cycles()
     for iteration in range(_validate.integer("iterations", iterations, minimum=1)):
         optimizer.zero_grad()
-        shown = model.shown(phase)
+        shown = model._quantised(phase, cycles)
         images = torch.stack([model.image(shown, place) for place in places])
         scale = (images * target).sum() / images.square().sum().clamp_min(1e-30)
         loss = (scale.detach() * images - target).square().mean()
-        if loss.item() < best:
-            best, kept = loss.item(), phase.detach().clone()
+        better = loss.detach() < best
+        best, kept = torch.where(better, loss.detach(), best), torch.where(better, phase.detach(), kept)
         (gradient,) = torch.autograd.grad(loss, [phase])
         phase.grad = gradient
         optimizer.step()
-        if callback is not None and callback(iteration, loss.item()):
+        if callback is not None and callback(iteration, loss.detach()):
             break
     levels = model.levels(kept)
     return levels.to(torch.uint8 if len(model.table()) <= 256 else torch.int32)
