@@ -93,6 +93,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.raytracing.cylinders": ("odak.learn.raytracing.boundary", "odak.learn.raytracing.primitives"),
     "odak.learn.raytracing.fields": "odak.raytracing.ray",
     "odak.learn.raytracing.implicit": "odak.learn.raytracing.surfaces",
+    "odak.learn.raytracing.recompute": "odak.raytracing.batches",
     "odak.learn.raytracing.parametric": "odak.learn.raytracing.surfaces",
     "odak.learn.raytracing.triangle_hits": "odak.learn.raytracing.triangle_search",
     "odak.raytracing.fields": "odak.raytracing.ray",

@@ -187,7 +187,11 @@ def reals(**values) -> list:
     the arrays among the arguments, as :func:`odak._array.placement` finds them. What is not a number in an array
     spreads to the result.
     """
-    xp, device, dtype = placement(*values.values())
+    given_values = list(values.values())
+    floating = all(is_torch(value) and value.is_floating_point() for value in given_values)
+    if floating and len({(value.dtype, value.device) for value in given_values}) == 1:
+        return given_values
+    xp, device, dtype = placement(*given_values)
     made = []
     for name, value in values.items():
         value = array(name, value) if is_array(value) else converted(given(name, value, rows=True), xp, device)

@@ -45,6 +45,26 @@ def triangles(name: str, value):
     return shaped(name, value, (3, 3), "[3, 3] or [m, 3, 3]")
 
 
+def rays_and_triangles(**given) -> tuple:
+    """Return rays ``[m, 2, 3]`` and triangles ``[m, 3, 3]`` or ``[1, 3, 3]``, the two arguments given by name."""
+    (ray, triangle), (name, other) = _validate.reals(**given), given
+    ray, triangle = rays(name, ray), triangles(other, triangle)
+    one_or_each(other, triangle.shape[:-2], ray)
+    return ray, triangle
+
+
+def one_or_each(name: str, batch: tuple[int, ...], ray) -> None:
+    """Raise ValueError unless surfaces are one or as many as the rays ``[..., 2, 3]``, or there is one ray."""
+    if tuple(batch) == (1,):
+        return
+    try:
+        _validate.fitting(ray=tuple(ray.shape[:-2]), surface=tuple(batch))
+    except ValueError:
+        raise ValueError(
+            f"{name} must be one or one for each of the rays {list(ray.shape[:-2])}, got {list(batch)}"
+        ) from None
+
+
 def flat_rays(name: str, value) -> np.ndarray:
     """Return one ray ``[2, 3]`` or many ``[m, 2, 3]`` as ``[m, 2, 3]``, for what is computed in NumPy alone."""
     if is_traced(value):

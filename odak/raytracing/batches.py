@@ -1,4 +1,4 @@
-"""Block-wise evaluation of large batches, in pieces that fit into a processor's cache."""
+"""Evaluation of large batches in pieces that fit into a cache, with little memory for gradients."""
 
 import sys
 from collections.abc import Callable, Sequence
@@ -89,7 +89,11 @@ def pieces(arrays: Sequence, ranks: Sequence[int], size: int | None = None) -> P
 
 
 def in_pieces(function: Callable, ranks: Sequence[int], *arrays, size: int | None = None):
-    """Return ``function(*arrays)``, computed piece by piece where the batch is large and no derivatives are recorded.
+    """Return ``function(*arrays)``, computed piece by piece where the batch is large.
+
+    Where derivatives are recorded, small batches keep their graph, as do all under forward mode, torch.func,
+    torch.compile and jax. Of a large batch of tensors only the arguments are kept, and the backward pass computes
+    `function` again, piece by piece.
 
     Parameters
     ----------
@@ -102,11 +106,20 @@ def in_pieces(function: Callable, ranks: Sequence[int], *arrays, size: int | Non
     size : int, optional
         Elements of a piece; by default as many as suit the cache.
     """
-    if needs_gradient(*arrays):
+    if not needs_gradient(*arrays):
+        # NaN marks the rays that are lost: no cause for NumPy's warnings.
+        with np.errstate(all="ignore"):
+            return _run(function, ranks, arrays, size)
+    tensors = [array for array in arrays if is_torch(array)]
+    if not tensors:
         return function(*arrays)
-    # NaN marks the rays that are lost: no cause for NumPy's warnings.
-    with np.errstate(all="ignore"):
-        return _run(function, ranks, arrays, size)
+    from odak import _torch_private
+
+    if _torch_private.is_transformed(*tensors) or (plan := pieces(arrays, ranks, size)) is None:
+        return function(*arrays)
+    from odak.raytracing.recompute import recomputed
+
+    return recomputed(function, ranks, plan, lambda function, ranks, given: _run(function, ranks, given, size), arrays)
 
 
 def _run(function, ranks, arrays, size):

@@ -9,7 +9,9 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array, namespace, placement
 from odak._warnings import ConvergenceWarning, warn
-from odak.raytracing import arguments, geometry, interfaces, intersections
+from odak.raytracing import arguments, closed_forms, geometry, interfaces
+from odak.raytracing import components as vec
+from odak.raytracing.batches import in_pieces
 from odak.raytracing.interfaces import Fresnel
 from odak.raytracing.primitives import split_cylinder
 
@@ -40,9 +42,16 @@ def reflect(input_ray: Array, normal: Array) -> Array:
     array([[ 1. ,  1. ,  1. ],
            [ 0. ,  0.6, -0.8]])
     """
-    ray, normal = _batches(("input_ray", input_ray), ("normal", normal))
-    direction = interfaces.reflect_directions(ray[..., 1, :], normal[..., 1, :])
-    return arguments.single(arguments.as_rays(normal[..., 0, :], direction))
+    return arguments.single(reflected_rays(input_ray, normal))
+
+
+def reflected_rays(input_ray, normal):
+    """Return the rays of :func:`reflect`, ``[m, 2, 3]``."""
+
+    def reflected(ray, normal):
+        return vec.join(vec.split(normal[..., 0, :]), interfaces.reflected(ray[..., 1, :], normal[..., 1, :]))
+
+    return in_pieces(reflected, (2, 2), *_batches(input_ray=input_ray, normal=normal))
 
 
 def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Array, error: float = 0.01) -> Array:
@@ -74,11 +83,20 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
     array([[0.      , 0.      , 0.      ],
            [0.      , 0.4     , 0.916515]])
     """
-    ray, normal = _batches(("vector", vector), ("normvector", normvector))
+    return arguments.single(refracted_rays(vector, normvector, n1, n2))
+
+
+def refracted_rays(vector, normvector, n1, n2):
+    """Return the rays of :func:`refract`, ``[m, 2, 3]``."""
+    ray, normal = _batches(vector=vector, normvector=normvector)
     n1, n2 = arguments.index("n1", n1, ray), arguments.index("n2", n2, ray)
-    _validate.fitting(vector=ray.shape[:-2], n1=n1, n2=n2)
-    direction, _ = interfaces.refract_directions(ray[..., 1, :], normal[..., 1, :], n1, n2)
-    return arguments.single(arguments.as_rays(normal[..., 0, :], direction))
+    _validate.fitting(vector=ray.shape[:-2], normvector=normal.shape[:-2], n1=n1, n2=n2)
+
+    def refracted(ray, normal, n1, n2):
+        direction, _, _ = interfaces.refracted(ray[..., 1, :], normal[..., 1, :], n1, n2)
+        return vec.join(vec.split(normal[..., 0, :]), direction)
+
+    return in_pieces(refracted, (2, 2, 0, 0), ray, normal, n1, n2)
 
 
 def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: complex | Array) -> Fresnel:
@@ -112,7 +130,8 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     >>> fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.round(6)
     array([0.04])
     """
-    ray, normal = _batches(("ray", ray), ("normal", normal))
+    batches = _batches(ray=ray, normal=normal)
+    ray, normal = namespace(*batches).broadcast_arrays(*batches)
     n1, n2 = arguments.index("n1", n1, ray), _validate.given("n2", n2)
     # A number keeps its digits, and may be complex.
     n2 = _array.converted(n2, *placement(ray)[:2]) if _array.is_array(n2) else n2
@@ -143,11 +162,9 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[Array, Array]:
     (array([[ 0. ,  7.5, 10. ],
            [ 0. ,  0. ,  1. ]]), array([12.5]))
     """
-    ray, points = _validate.reals(ray=ray, points=points)
-    ray, points = arguments.rays("ray", ray), arguments.triangles("points", points)
-    _validate.fitting(ray=ray.shape[:-2], points=points.shape[:-2])
-    hit = _plane_intersections(ray, points)
-    return arguments.single(arguments.as_rays(hit.point, hit.normal)), abs(hit.distance)
+    ray, points = arguments.rays_and_triangles(ray=ray, points=points)
+    normal, distance = plane_hits(ray, points)
+    return arguments.single(normal), abs(distance)
 
 
 def get_triangle_normal(triangle: Array, triangle_center: Array | None = None) -> Array:
@@ -206,14 +223,8 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
     >>> intersect_w_circle(rays, circle)[1].ravel().tolist()
     [5.0, 0.0]
     """
-    if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
-        raise TypeError(f"circle must be a list [plane, centre, radius], got {circle!r:.80}")
-    ray, plane, center, radius = _validate.reals(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
-    normal, distance = intersect_w_surface(arguments.rays("ray", ray), arguments.triangles("circle[0]", plane))
-    normal = arguments.batch(normal, 2)
-    arm = normal[..., 0, :] - arguments.vector("circle[1]", center)
-    outside = geometry.dot(arm, arm) > arguments.vector("circle[2]", radius, 1) ** 2
-    return normal if ray.ndim > 2 else normal[0, ...], namespace(arm).where(outside, 0.0, distance)
+    normal, distance = circle_hits(ray, circle)
+    return normal, abs(distance)
 
 
 def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
@@ -238,17 +249,16 @@ def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
     >>> intersect_w_triangle([[9, 9, 0], [0, 0, 1]], [[0, 0, 5], [1, 0, 5], [0, 1, 5]])
     (0, 0)
     """
-    ray, triangle = _validate.reals(ray=ray, triangle=triangle)
-    ray, triangle = arguments.rays("ray", ray), arguments.triangles("triangle", triangle)
-    _validate.fitting(ray=ray.shape[:-2], triangle=triangle.shape[:-2])
-    hit = _plane_intersections(ray, triangle)
-    xp = namespace(ray)
-    place = xp.where(hit.hit[..., None], hit.point, 0.0)
-    inside = hit.hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
+    ray, triangle = arguments.rays_and_triangles(ray=ray, triangle=triangle)
+    normal, distance = plane_hits(ray, triangle)
+    xp = namespace(distance)
+    hit = xp.isfinite(distance)
+    place = xp.where(hit[..., None], normal[..., 0, :], 0.0)
+    inside = hit & geometry.is_on_triangle(place, *(triangle[..., i, :] for i in range(3)))
     if inside.shape == (1,) and not inside[0]:
         return 0, 0
-    normal = xp.where(inside[..., None, None], arguments.as_rays(hit.point, hit.normal), math.nan)
-    return arguments.single(normal), xp.where(inside, abs(hit.distance), 0.0)
+    normal = xp.where(inside[..., None, None], normal, math.nan)
+    return arguments.single(normal), xp.where(inside, abs(distance), 0.0)
 
 
 def get_sphere_normal(point: Array, sphere: Array) -> Array:
@@ -333,11 +343,10 @@ def intersect_w_sphere(ray: Array, sphere: Array) -> tuple:
     (array([[10.,  0.,  0.],
            [-1.,  0.,  0.]]), array([12.]))
     """
-    ray, sphere = _validate.reals(ray=ray, sphere=sphere)
-    ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
-    _validate.fitting(ray=ray.shape[:-2], sphere=sphere.shape[:-1])
-    hit = intersections.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
-    return _curved(hit.point, 0.0 - hit.normal, hit)
+    rays, normals, distance, hit = sphere_hits(ray, sphere)
+    if hit.shape == (1,) and not hit[0]:
+        return False, False
+    return arguments.single(arguments.as_rays(rays[..., 0, :], 0.0 - normals[..., 1, :])), distance
 
 
 def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
@@ -362,31 +371,102 @@ def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
     >>> intersect_w_cylinder([[-20, 0, 4], [1, 0, 0]], define_cylinder([0, 0, 0], 2))[1]
     array([18.])
     """
+    _, normals, distance, hit = cylinder_hits(ray, cylinder)
+    return (False, False) if hit.shape == (1,) and not hit[0] else (arguments.single(normals), distance)
+
+
+def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = (), ranks: Sequence[int] = ()) -> tuple:
+    """Return where rays meet the planes of triangles.
+
+    Parameters
+    ----------
+    ray, triangle : array
+        ``[..., 2, 3]`` and ``[..., 3, 3]``. The planes are taken through the centres of the triangles, where rounding
+        errors of the normal count least.
+    limit : callable, optional
+        Called as ``limit(intersection, *limits)`` for each piece of a large batch.
+    limits, ranks : sequence
+        Arrays for `limit`, and how many axes of each do not belong to its batch.
+
+    Returns
+    -------
+    tuple of array
+        Normals as rays ``[..., 2, 3]``, signed distances ``[...]``, both NaN for rays along a plane, and what `limit`
+        returns.
+    """
+
+    def hits(ray, centre, normal, *limits):
+        found = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
+        given = (vec.join(found.point, found.normal), found.distance)
+        return given if limit is None else (*given, limit(found, *limits))
+
+    centre = namespace(triangle).mean(triangle, axis=-2)
+    return in_pieces(hits, (2, 1, 1, *ranks), ray, centre, geometry.triangle_normal(triangle), *limits)
+
+
+def circle_hits(ray, circle):
+    """Return where rays meet the plane of a circle: normals as rays, and signed distances, 0 outside the circle."""
+    if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
+        raise TypeError(f"circle must be a list [plane, centre, radius] of define_circle, got {circle!r:.80}")
+    given, plane, center, radius = _validate.reals(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
+    rays, plane = arguments.rays("ray", given), arguments.triangles("circle[0]", plane)
+    arguments.one_or_each("circle[0]", plane.shape[:-2], rays)
+    center, radius = arguments.points("circle[1]", center), namespace(radius).reshape(radius, (-1,))
+    arguments.one_or_each("circle[1]", center.shape[:-1], rays)
+    arguments.one_or_each("circle[2]", radius.shape, rays)
+
+    def is_outside(found, center, radius):
+        arm = vec.minus(found.point, vec.split(center))
+        return vec.dot(arm, arm) > radius * radius
+
+    normal, distance, outside = plane_hits(rays, plane, is_outside, (center, radius), (1, 0))
+    distance = namespace(distance).where(outside, 0.0, distance)
+    return normal if given.ndim > 2 else normal[0, ...], distance
+
+
+def sphere_hits(ray, sphere):
+    """Return where rays meet spheres.
+
+    Returns
+    -------
+    tuple of array
+        Rays ``[m, 2, 3]`` from the points hit, normals ``[m, 2, 3]`` (the sphere's centre and the outward unit normal),
+        distances ``[m]``, NaN for rays that miss, and which rays hit.
+    """
+    ray, sphere = _validate.reals(ray=ray, sphere=sphere)
+    ray, sphere = arguments.rays("ray", ray), arguments.shaped("sphere", sphere, (4,), "[4] or [m, 4]")
+    arguments.one_or_each("sphere", sphere.shape[:-1], ray)
+
+    def hits(ray, sphere):
+        found = closed_forms.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
+        rays = vec.join(found.point, vec.split(ray[..., 1, :]))
+        return rays, vec.join(vec.split(sphere[..., :3]), found.normal), found.distance, found.hit
+
+    return in_pieces(hits, (2, 1), ray, sphere)
+
+
+def cylinder_hits(ray, cylinder):
+    """Return the same as :func:`sphere_hits` for cylinders; normals start at the foot of the point on the axis."""
     ray, cylinder = _validate.reals(ray=ray, cylinder=cylinder)
     ray, (center, radius, axis) = arguments.rays("ray", ray), split_cylinder(cylinder)
-    _validate.fitting(ray=ray.shape[:-2], cylinder=radius)
-    hit = intersections.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
-    return _curved(hit.point - radius[..., None] * hit.normal, hit.normal, hit)
+    arguments.one_or_each("cylinder", radius.shape, ray)
+
+    def hits(ray, center, radius, axis):
+        found = closed_forms.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
+        # NaN of rays that miss must not reach the gradient of the radius.
+        outward = tuple(namespace(ray).where(found.hit, value, 0.0) for value in found.normal)
+        foot = vec.along(found.point, -radius, outward)
+        rays = vec.join(found.point, vec.split(ray[..., 1, :]))
+        return rays, vec.join(foot, found.normal), found.distance, found.hit
+
+    return in_pieces(hits, (2, 1, 0, 1), ray, center, radius, axis)
 
 
-def _curved(start, direction, hit) -> tuple:
-    if hit.distance.shape == (1,) and not hit.hit[0]:
-        return False, False
-    return arguments.single(arguments.as_rays(start, direction)), hit.distance
-
-
-def _plane_intersections(rays, triangle):
-    """Meet the planes of triangles through their centres, which rounding harms least."""
-    centre = namespace(triangle).mean(triangle, axis=-2)
-    return intersections.plane(rays[..., 0, :], rays[..., 1, :], centre, geometry.triangle_normal(triangle))
-
-
-def _batches(*named):
-    """Return sets of rays with a batch axis each, broadcast against each other."""
-    made = _validate.reals(**dict(named))
-    batches = {name: arguments.rays(name, value) for (name, _), value in zip(named, made, strict=True)}
+def _batches(**given):
+    """Return sets of rays ``[m, 2, 3]`` that fit together."""
+    batches = {name: arguments.rays(name, v) for name, v in zip(given, _validate.reals(**given), strict=True)}
     _validate.fitting(**batches)
-    return namespace(*made).broadcast_arrays(*batches.values())
+    return tuple(batches.values())
 
 
 # Distances at which a surface is looked for: from 1e-6 to 1e7, each a tenth beyond the one before.

@@ -940,7 +940,7 @@ def intersect_w_sag(
     >>> intersect_w_sag([[0, 3, -10], [0, 0, 1]], Conic(curvature=1 / 5)).distance
     array(11.)
     """
-    return placed_hits(_in_precision_of_rays, in_pieces, ray, surface, center, angles, aperture, ahead)
+    return placed_hits(_in_precision_of_rays, ray, surface, center, angles, aperture, ahead)
 
 
 def _in_precision_of_rays(ray, **others):
@@ -949,8 +949,8 @@ def _in_precision_of_rays(ray, **others):
     return [namespace(value).astype(value, dtype) for value in made]
 
 
-def placed_hits(read, evaluate, ray, surface, center, angles, aperture, ahead) -> Hit:
-    """Return what :func:`intersect_w_sag` does; `read` makes arrays of arguments, `evaluate` splits up batches."""
+def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
+    """Return what :func:`intersect_w_sag` does; `read` makes arrays of arguments."""
     kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(checked_shape("surface", surface))}
     # Surfaces without coefficients are right as they are.
     held = {name: v for name, v in kinds.items() if not (isinstance(v, (list, tuple)) and len(v) == 0)}
@@ -970,10 +970,10 @@ def placed_hits(read, evaluate, ray, surface, center, angles, aperture, ahead) -
     if "aperture" in made:
         limit = _validate.real("aperture", made["aperture"])
         _validate.fitting(ray=ray.shape[:-2], aperture=limit)
-        hit = evaluate(function, ranks, start, direction, limit, *parameters)
+        hit = in_pieces(function, ranks, start, direction, limit, *parameters)
     else:
         ranks = ranks[:2] + ranks[3:]
-        hit = evaluate(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
+        hit = in_pieces(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
     return to_global(hit, place, matrix)
 
 

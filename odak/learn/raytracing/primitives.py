@@ -89,6 +89,22 @@ cylinder_function = torch_face(
     [-4.0, 5.0]
     """,
 )
+define_circle = torch_face(
+    core.define_circle,
+    tensors=("center", "radius", "angles"),
+    through=lambda core, center, radius, angles: core(center, arguments.vector("radius", radius, 1), angles),
+    describe="""
+    Return a circle as [plane ``[3, 3]``, centre ``[3]``, radius ``[1]``].
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import define_circle
+    >>> plane, center, radius = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
+    >>> plane[:, 2].tolist(), radius.tolist()
+    ([5.0, 5.0, 5.0], [2.0])
+    """,
+)
 define_cylinder = torch_face(
     core.define_cylinder,
     tensors=("center", "radius", "rotation"),
@@ -269,33 +285,3 @@ def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
     point = arguments.shaped("point_to_check", point, (3,), "[k, m, 3]")
     _validate.fitting(point_to_check=point[..., 0], triangle=triangle[..., 0, :1])
     return within(point, point.isfinite().all(dim=-1), triangle[:, None])
-
-
-def define_circle(center: Any, radius: Any, angles: Any) -> list:
-    """Return a circle as [plane ``[3, 3]``, centre, radius ``[1]``].
-
-    Parameters
-    ----------
-    center : torch.Tensor
-        Centre of the circle, ``[3]``.
-    radius : float or torch.Tensor
-        Radius, in the unit of the centre.
-    angles : torch.Tensor
-        Degrees about X, Y and Z, applied in this order. Without tilt the circle lies in z = center[2].
-
-    Returns
-    -------
-    list
-        Three points of the plane ``[3, 3]``, the centre and the radius, as :func:`intersect_w_circle` takes them.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import define_circle
-    >>> plane, center, radius = define_circle(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([2.0]), torch.zeros(3))
-    >>> plane[:, 2].tolist(), radius.tolist()
-    ([5.0, 5.0, 5.0], [2.0])
-    """
-    place, radius = reals_of(center=center, radius=radius)
-    plane = define_plane(arguments.vector("center", place), angles)
-    return [plane, center, arguments.vector("radius", radius, 1).to(plane)]

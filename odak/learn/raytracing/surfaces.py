@@ -1,7 +1,6 @@
 """Intersections of rays with surfaces z = sag(x, y) and with level sets of functions, differentiable in both."""
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import torch
@@ -9,7 +8,6 @@ import torch
 from odak import _validate
 from odak.learn._face import torch_face
 from odak.learn._tensors import reals_of
-from odak.learn.raytracing.recompute import in_pieces
 from odak.raytracing import arguments, boundary, surfaces
 from odak.raytracing.geometry import dot, unit
 from odak.raytracing.surfaces import (
@@ -50,7 +48,7 @@ __all__ = [
 intersect_w_sag = torch_face(
     surfaces.intersect_w_sag,
     through=lambda core, ray, surface, center=None, angles=None, aperture=None, ahead=True: surfaces.placed_hits(
-        reals_of, in_pieces, ray, surface, center, angles, aperture, ahead
+        reals_of, ray, surface, center, angles, aperture, ahead
     ),
     describe="""
     Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and parameters of the surface.
@@ -87,57 +85,18 @@ intersect_w_sag = torch_face(
 )
 
 
-def intersect_parametric(
-    ray: torch.Tensor,
-    parametric_surface: Any,
-    surface_function: Callable,
-    surface_normal_function: Callable | None = None,
-    target_error: float = 0.00000001,
-    iter_no_limit: int = 100000,
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Intersect rays with a surface given as a function, at the nearest point ahead.
-
-    Parameters
-    ----------
-    ray : torch.Tensor
-        ``[2, 3]`` or ``[m, 2, 3]``.
-    parametric_surface : object
-        Handed on to both functions, with whatever tensors the surface is to be differentiated by.
-    surface_function : callable
-        ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
-        signs on its sides, in torch operations.
-    surface_normal_function : callable, optional
-        Takes the same and returns normals as rays; by default along the function's gradient.
-    target_error : float, default: 1e-8
-        Largest |surface_function| that counts as on the surface.
-    iter_no_limit : int, default: 100000
-        Largest number of refinements of the search.
-
-    Returns
-    -------
-    tuple of torch.Tensor
-        Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
-
-    Notes
-    -----
-    The search keeps no graph. Two steps of Newton's method from where it ends carry first and second derivatives, those
-    of the implicit function theorem. The search itself runs on the CPU in float64.
-
-    Examples
-    --------
-    >>> import torch
-    >>> from odak.learn.raytracing import intersect_parametric, sphere_function
-    >>> radius = torch.tensor(1.0, requires_grad=True)
-    >>> sphere = torch.cat((torch.zeros(3), radius[None]))
-    >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
-    >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
-    >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
-    [4.0, -1.0]
-    """
+def _intersect_parametric(
+    core,
+    ray,
+    parametric_surface,
+    surface_function,
+    surface_normal_function=None,
+    target_error=0.00000001,
+    iter_no_limit=100000,
+):
     _validate.number("target_error", target_error, positive=True)
     _validate.function("surface_function", surface_function)
     _validate.function_or_none("surface_normal_function", surface_normal_function)
-    (ray,) = reals_of(ray=ray)
     batch = arguments.rays("ray", ray).shape[:-2]
     rays = ray.reshape(-1, 2, 3)
     found = _search(rays, parametric_surface, surface_function, target_error, iter_no_limit)
@@ -188,3 +147,44 @@ def _gradient(rays, distance, surface, function: Callable):
         value = function(place, surface)
         (gradient,) = torch.autograd.grad(value.sum(), place, create_graph=differentiable)
     return (value if differentiable else value.detach()).to(rays.dtype), gradient
+
+
+intersect_parametric = torch_face(
+    boundary.intersect_parametric,
+    tensors=("ray",),
+    defaults={"surface_normal_function": None},
+    through=_intersect_parametric,
+    describe="""
+    Parameters
+    ----------
+    parametric_surface : object
+        Handed on to both functions, with whatever tensors the surface is to be differentiated by.
+    surface_function : callable
+        ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
+        signs on its sides, in torch operations.
+    surface_normal_function : callable, optional
+        Takes the same and returns normals as rays; by default along the function's gradient.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Distances ``[m]`` and normals ``[m, 2, 3]``, in this order; NaN, without gradient, for rays that miss.
+
+    Notes
+    -----
+    The search is that of :func:`odak.raytracing.intersect_parametric`, on the CPU in float64, and keeps no graph. Two
+    steps of Newton's method from where it ends carry first and second derivatives, those of the implicit function
+    theorem.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing import intersect_parametric, sphere_function
+    >>> radius = torch.tensor(1.0, requires_grad=True)
+    >>> sphere = torch.cat((torch.zeros(3), radius[None]))
+    >>> ray = torch.tensor([[0.0, 0.0, -5.0], [0.0, 0.0, 1.0]])
+    >>> distance, _ = intersect_parametric(ray, sphere, sphere_function)
+    >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
+    [4.0, -1.0]
+    """,
+)

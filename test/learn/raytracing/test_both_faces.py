@@ -182,7 +182,7 @@ def test_descartes_oval_images_a_point_to_a_point():
 
 
 def test_shapes_that_do_not_match_are_named():
-    with pytest.raises(ValueError, match="cylinder must hold one cylinder or one for each of 3 rays, got 2"):
+    with pytest.raises(ValueError, match=r"cylinder must be one or one for each of the rays \[3\], got \[2\]"):
         learn.intersect_w_cylinder(torch.ones(3, 2, 3), torch.ones(2, 7))
     with pytest.raises(ValueError, match=r"center \[3\], radius \[2\], rotation \[1\]"):
         learn.define_cylinder(torch.ones(3, 3), torch.ones(2))

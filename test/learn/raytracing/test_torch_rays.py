@@ -198,7 +198,7 @@ def test_precision_and_device_follow(random):
         rt.intersect_w_sphere(single, torch.ones(4, dtype=torch.complex64))
     with pytest.raises(ValueError, match=r"ray must be \[2, 3\]"):
         rt.propagate_ray(torch.zeros(3), 1.0)
-    with pytest.raises(ValueError, match="sphere must hold one sphere or one for each of 4 rays"):
+    with pytest.raises(ValueError, match=r"sphere must be one or one for each of the rays \[4\], got"):
         rt.intersect_w_sphere(single, torch.ones(3, 4))
 
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _array, _torch_private, _validate
-from odak.learn.raytracing.recompute import in_pieces
 from odak.learn.raytracing.system.curved_rays import points_within
 from odak.learn.raytracing.system.fused import Trace
 from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace
@@ -18,6 +17,7 @@ from odak.learn.raytracing.system.surfaces import (
     coordinate_break,
     layout_of,
 )
+from odak.raytracing.batches import in_pieces
 
 # Rays of a block of plain operations: its graph, a few kilobytes per ray, takes some tens of megabytes.
 BLOCK = 1 << 14
