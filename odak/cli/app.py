@@ -101,6 +101,7 @@ def hologram(
     quiet: options.Quiet = Job.quiet,
     again: options.Again = False,
     watch: options.Watch = False,
+    tiles: options.Tiles = Job.tiles,
     cluster: options.Cluster = None,
     workers: options.Workers = None,
     retries: options.Retries = 1,
@@ -123,8 +124,19 @@ def hologram(
             modulator = find_preset(preset)
             values["preset"] = preset.casefold()
             values |= {name: getattr(modulator, name) for name in {"pixel_pitch", "resolution", "bits"} - given}
-        many = cluster is not None or watch or len(images) > 1 or os.path.isdir(os.path.expanduser(images[0]))
+        if tiles:
+            if len(images) > 1 or watch or (spread["cluster"] or "local") != "local":
+                raise InputError("--tiles takes one IMAGE, without --watch and with no --cluster but local")
+            if "resolution" not in given and preset is None:
+                from odak.cli.tiles import picture_size
+
+                values["resolution"] = picture_size(images[0])
+        many = not tiles and (
+            cluster is not None or watch or len(images) > 1 or os.path.isdir(os.path.expanduser(images[0]))
+        )
         for name in sorted(given & {*spread, "tls_ca_file", "tls_cert", "tls_key"}):
+            if tiles and cluster is not None and name in ("cluster", "workers"):
+                continue
             if not many or (cluster is None and name not in ("cluster", "retries", "workers")):
                 raise InputError(f"--{name.replace('_', '-')} has no effect without --cluster")
         if many:
@@ -134,12 +146,12 @@ def hologram(
             raise typer.Exit(_many(images, values, spread, watch))
         job = Job(**values, image=images[0])
         job.check_effect(given)
-        report = _single(job, again)
+        report = _single(job, again, None if cluster is None else workers or os.cpu_count())
     if not quiet:
         _summarise(job, report)
 
 
-def _single(job: Job, again: bool) -> dict:
+def _single(job: Job, again: bool, workers: int | None) -> dict:
     from odak.cli import files
 
     report = None if again else files.finished_report(job)
@@ -147,7 +159,6 @@ def _single(job: Job, again: bool) -> dict:
         if not job.quiet:
             typer.echo(f"{job.output} holds the result of this very run already; --again computes it again")
         return report
-    from odak.cli.hologram import run
 
     def replaces(names: list[str]) -> None:
         text = f"{job.output} holds {', '.join(names)} of another run"
@@ -156,7 +167,13 @@ def _single(job: Job, again: bool) -> dict:
         elif not (again or job.quiet):
             typer.echo(f"odak: {text}, to be replaced", err=True)
 
-    return run(job, replaces)
+    if job.tiles:
+        from odak.cli import tiles
+
+        return tiles.run(job, replaces, again, workers)
+    from odak.cli import hologram
+
+    return hologram.run(job, replaces)
 
 
 @app.command(
@@ -451,10 +468,11 @@ def _many(images: list[str], values: dict, spread: dict, watch: bool) -> int:
 
 def _summarise(job: Job, report: dict) -> None:
     psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
-    typer.echo(f"PSNR {psnr}, SSIM {report['ssim']:.4f}, efficiency {report['efficiency']:.1%} (saved patterns)")
+    ssim = "" if report["ssim"] is None else f"SSIM {report['ssim']:.4f}, "
+    typer.echo(f"PSNR {psnr}, {ssim}efficiency {report['efficiency']:.1%} (saved patterns)")
     if report["seconds_per_iteration"] is not None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
-    others = ["comparison.png", *(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
+    others = [*(["comparison.png"] if ssim else []), *(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
     typer.echo(f"{', '.join([*report['pattern']['files'], *others])} in {job.output}")
 
 

@@ -11,7 +11,7 @@ import os
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from odak.cli.job import InputError, Job, depth_map_path, image_path
 from odak.tools import check_directory
@@ -89,13 +89,26 @@ def fingerprint(job: Job) -> str:
     values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
     digest.update(json.dumps(values, sort_keys=True).encode())
     for path in sources(job):
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
+        digest.update(bytes.fromhex(digest_of(path)))
     return digest.hexdigest()
 
 
 def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
     """Return the SHA-256 digest of each file."""
-    return {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for name in names}
+    return {name: digest_of(folder / name) for name in names}
+
+
+def digest_of(path: Path) -> str:
+    """Return the SHA-256 digest of a file, or of the names and contents of all files in a folder."""
+    digest = hashlib.sha256()
+    if path.is_dir():
+        for file in sorted(file for file in path.rglob("*") if file.is_file()):
+            digest.update(f"{file.relative_to(path).as_posix()} {digest_of(file)}\n".encode())
+        return digest.hexdigest()
+    with open(path, "rb") as stream:
+        while part := stream.read(1 << 20):
+            digest.update(part)
+    return digest.hexdigest()
 
 
 def sources(job: Job) -> list[Path]:
@@ -205,5 +218,9 @@ def load_pattern(path: Path, bits: int) -> "torch.Tensor":
     from odak.learn.tools import load_image
 
     white = 2 ** file_depth(bits) - 1
-    grey = torch.round(load_image(str(path), normalizeby=None).double() * white)
-    return grey * (2 * math.pi / (white + 1))
+    return phase_of(torch.round(load_image(str(path), normalizeby=None).double() * white), bits)
+
+
+def phase_of(grey: Any, bits: int) -> Any:
+    """Return the phase in radians of grey values, an array of any library, in a file of so many bits."""
+    return grey * (2 * math.pi / 2 ** file_depth(bits))

@@ -67,7 +67,7 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         images, phases = result.pop("images"), result.pop("phases")
         quality = report.overall(target, images, result["channels"])
         files.write_png(folder / "reconstruction.png", pictures.to_image(images))
-        files.write_png(folder / "comparison.png", _comparison(job, target, images, phases, names, quality))
+        files.write_png(folder / "comparison.png", comparison(job, target, images, phases, names, quality))
     summary = {
         **quality,
         **result,
@@ -94,7 +94,7 @@ def check_propagation_type(name: str) -> None:
         raise InputError(f"--propagation-type must be one of {accepted}; got {name!r}")
 
 
-def _comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict):
+def comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict):
     """Return target, reconstruction, their difference and the patterns side by side."""
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
@@ -116,14 +116,14 @@ def _verification(job: Job, target: Target) -> dict:
     points = "points: intensities at the middles of pixels that emit as points"
     squares = "squares: means over the areas of pixels, which emit as squares of the fill factor; their gaps are dark"
     return {
-        "propagation_type": [_verification_type(job, wavelength) for wavelength in target.wavelengths],
+        "propagation_type": [verification_type(job, wavelength) for wavelength in target.wavelengths],
         "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
         "aperture": filtered if job.method == "double-phase" else None,
         "pixel": {"fill_factor": job.fill_factor, "model": points if job.fill_factor is None else squares},
     }
 
 
-def _verification_type(job: Job, wavelength: float) -> str:
+def verification_type(job: Job, wavelength: float) -> str:
     """Return the propagation type whose sampling criteria hold, so that the report does not trust the optimizer's."""
     return sampling_report(job.resolution, job.pixel_pitch, wavelength, job.distance, zero_padding=True).recommended
 
@@ -157,7 +157,7 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     intensity, wavelength = target.intensity[channel].to(device), target.wavelengths[channel]
     ideal, seconds, loss = _hologram(job, intensity, wavelength)
     ideal = ideal.reshape(-1, *job.resolution)
-    method = _verification_type(job, wavelength)
+    method = verification_type(job, wavelength)
     grating = grating_phase(job.resolution, device) if job.grating else 0.0
     modulated = ideal * wave.generate_complex_field(1.0, grating).to(ideal) if job.grating else ideal
     for path, pattern in zip(paths, modulated, strict=True):

@@ -26,6 +26,8 @@ DEFAULT_INITIAL_PHASE = {
     "multiplane": "slight",
     "multi-color": "slight",
 }
+# What runs in tiles start from, see odak.wave.hologram_in_chunks.
+TILES_PHASE = "weak lens"
 GREY_WAVELENGTH = 532e-9
 COLOUR_WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 MOST_PLANES = 1024
@@ -119,6 +121,8 @@ class Job:
         Show no progress and no summary.
     preset : str, optional
         Name of the modulator that pitch, resolution and bits were taken from, one of `PRESETS`.
+    tiles : bool
+        Read, compute and judge in chunks on disk, for pictures larger than memory.
     """
 
     image: str = "photo"
@@ -145,6 +149,7 @@ class Job:
     device: str = "auto"
     quiet: bool = False
     preset: str | None = None
+    tiles: bool = False
 
     def __post_init__(self) -> None:
         """Check every parameter; the messages name the option of the command line."""
@@ -158,6 +163,8 @@ class Job:
             chosen = self.method or ("multiplane" if self.planes > 1 else "sgd")
             self._set("method", _validate.one_of("--method", chosen, METHODS))
             self._set_volume()
+            if self.tiles:
+                self._check_tiles()
             self._set_initial_phase()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
@@ -200,7 +207,26 @@ class Job:
                 raise InputError(f"--planes {self.planes} needs --depth-map, to say what lies where")
             self._set("depth_map", self.image)
 
+    def _check_tiles(self) -> None:
+        """Refuse what is not computed in chunks."""
+        if self.method not in ("sgd", "gs"):
+            raise InputError(f"--tiles needs --method sgd or gs, got {self.method!r}")
+        without = {
+            "--frames": self.frames not in (None, 1),
+            "--initial-phase": self.initial_phase not in (None, TILES_PHASE),
+            "--no-scale": not self.scale,
+            "--grating": self.grating,
+            "--fill-factor": self.fill_factor is not None,
+            "--device": self.device not in ("auto", "cpu"),
+        }
+        for name, used in without.items():
+            if used:
+                raise InputError(f"{name} cannot be used with --tiles")
+
     def _set_initial_phase(self) -> None:
+        if self.tiles:
+            self._set("initial_phase", TILES_PHASE)
+            return
         chosen = self.initial_phase
         if chosen is None:
             chosen = DEFAULT_INITIAL_PHASE[str(self.method)]
@@ -361,6 +387,8 @@ def depth_map_path(depth_map: str) -> Path:
 
 def _existing(name, value, shipped) -> Path:
     path = Path(os.path.expanduser(value))
+    if is_zarr(path):
+        return path.resolve()
     if value in shipped and not path.is_file():
         return Path(__file__).resolve().parents[1] / "assets" / shipped[value]
     if path.is_dir():
@@ -370,3 +398,8 @@ def _existing(name, value, shipped) -> Path:
             f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)}).{did_you_mean(value, shipped)}"
         )
     return path.resolve()
+
+
+def is_zarr(path: Path) -> bool:
+    """Return whether a folder holds a Zarr array."""
+    return (path / "zarr.json").is_file() or (path / ".zarray").is_file()

@@ -100,6 +100,15 @@ Preset = Annotated[
     ),
 ]
 Watch = Annotated[bool, typer.Option("--watch", help="Wait for new and changed pictures in the folders, until Ctrl-C.")]
+Tiles = Annotated[
+    bool,
+    typer.Option(
+        "--tiles",
+        help="Read, compute and judge in chunks on disk, for pictures larger than memory: TIFF, .npy and Zarr, one "
+        "pixel of the modulator for each of theirs unless --resolution is given. An interrupted run goes on. With "
+        "--cluster local, worker processes write to disk what does not fit in memory.",
+    ),
+]
 Planes = Annotated[int, typer.Option(metavar="COUNT", help="Planes that the picture is spread over, by its depth map.")]
 DepthMap = Annotated[
     str | None,

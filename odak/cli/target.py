@@ -1,7 +1,9 @@
 """Targets of a hologram: the intensity of a picture on the modulator's frame, and on planes by a depth map."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from PIL import Image
@@ -23,8 +25,8 @@ class Target:
     ----------
     path : Path
         File that the picture came from.
-    intensity : torch.Tensor
-        float32 ``[channels, rows, columns]``, 0 … 1, on the CPU.
+    intensity : torch.Tensor or dask.array.Array
+        float32 ``[channels, rows, columns]``, 0 … 1, on the CPU; of a run in tiles a Dask array.
     window : tuple of slice
         Rows and columns that the picture fills; around it the frame is black.
     wavelengths : tuple of float
@@ -32,7 +34,7 @@ class Target:
     """
 
     path: Path
-    intensity: torch.Tensor
+    intensity: Any
     window: tuple[slice, slice]
     wavelengths: tuple[float, ...]
 
@@ -91,11 +93,7 @@ def fit(
     tuple
         Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
     """
-    ratio = min(frame / side for frame, side in zip(resolution, picture.shape[-2:], strict=True))
-    fitting = (
-        min(frame, max(1, round(side * ratio))) for frame, side in zip(resolution, picture.shape[-2:], strict=True)
-    )
-    size = tuple(fitting) if size is None else size
+    size = fitting_size(picture.shape[-2:], resolution) if size is None else size
     if size != tuple(picture.shape[-2:]) and mode == "bicubic":
         picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp(0, 1)
     elif size != tuple(picture.shape[-2:]):
@@ -104,6 +102,13 @@ def fit(
     frame = torch.zeros(len(picture), *resolution)
     frame[:, rows, columns] = picture
     return frame, (rows, columns)
+
+
+def fitting_size(shape: Sequence[int], resolution: tuple[int, int]) -> tuple[int, int]:
+    """Return the largest rows and columns within a frame that have the aspect ratio of a picture."""
+    ratio = min(frame / side for frame, side in zip(resolution, shape, strict=True))
+    rows, columns = (min(frame, max(1, round(n * ratio))) for frame, n in zip(resolution, shape, strict=True))
+    return rows, columns
 
 
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:

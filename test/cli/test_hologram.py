@@ -152,6 +152,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "device": "cpu",
         "quiet": True,
         "preset": None,
+        "tiles": False,
     }
     assert report["versions"]["torch"] == torch.__version__
     assert {"odak", "numpy", "python"} <= set(report["versions"])

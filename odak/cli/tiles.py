@@ -1,0 +1,532 @@
+"""Computation of holograms of pictures larger than memory, for `odak hologram --tiles`, in chunks that lie on disk."""
+
+import json
+import math
+import os
+import shutil
+import time
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image, UnidentifiedImageError
+from PIL.TiffImagePlugin import TiffImageFile
+
+from odak.cli import files, hologram, pictures, report
+from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, InputError, Job, image_path, pattern_name
+from odak.cli.target import LUMINANCE, Target, fitting_size, read_picture
+from odak.wave import hologram_in_chunks, propagate_beam
+from odak.wave.methods import find_method
+
+SOLVERS = {"sgd": "gradient descent", "gs": "Gerchberg-Saxton"}
+# Up to this number of pixels the results are also written as PNG, for which they are held in memory.
+MOST_PIXELS_IN_PNG = 4096**2
+_DEFLATE = (8, 32946)
+
+
+def run(
+    job: Job, replaces: Callable[[list[str]], None] | None = None, again: bool = False, workers: int | None = None
+) -> dict:
+    """Compute, save, read back and verify the holograms of a picture, a chunk at a time.
+
+    The output folder receives the patterns and the intensities that they give as Zarr arrays, the state of the
+    computation (``state_<nm>nm``), from which an interrupted run or one with more iterations goes on, and
+    ``report.json``; pictures of at most `MOST_PIXELS_IN_PNG` pixels also give the files of a run in memory.
+
+    Parameters
+    ----------
+    job : Job
+        Parameters of the run.
+    replaces : callable, optional
+        Called before the computation with the names of the files that will be replaced, if there are any.
+    again : bool
+        Begin anew, without the state of an earlier run.
+    workers : int, optional
+        Number of worker processes, which write to disk what does not fit in memory; by default the threads of this
+        process compute.
+
+    Returns
+    -------
+    dict
+        The report, as written to ``report.json``.
+
+    Raises
+    ------
+    InputError
+        If the picture, the propagation type or the output folder cannot be used.
+    """
+    with report.collected_warnings() as texts:
+        start = time.perf_counter()
+        job.warn_of_doubtful_lengths()
+        folder = files.writable_folder(job.output)
+        target = load_target(job)
+        in_memory = math.prod(job.resolution) <= MOST_PIXELS_IN_PNG
+        stems = [Path(pattern_name(value)).stem for value in target.wavelengths]
+        names = [f"{stem}.png" for stem in stems] if in_memory else [f"{stem}.zarr" for stem in stems]
+        others = ["reconstruction.png", "comparison.png"] if in_memory else []
+        existing = files.files_in_the_way(folder, [*(names if in_memory else []), *others, files.REPORT])
+        if existing and replaces is not None:
+            replaces(existing)
+        with _computed_by(workers, folder):
+            channels = [_channel(job, target, index, folder, stem, again) for index, stem in enumerate(stems)]
+        errors = [channel.pop("mean_squared_error") for channel in channels]
+        quality = {"psnr_db": _decibels(sum(errors) / len(errors)), "ssim": None} | {
+            name: sum(channel[name] for channel in channels) / len(channels)
+            for name in ("efficiency", "efficiency_lit")
+        }
+        if in_memory:
+            quality["ssim"] = _write_pictures(job, target, folder, stems, channels, quality)
+    summary = {
+        **quality,
+        "channels": channels,
+        "seconds_per_iteration": None,
+        "warnings": texts,
+        "verification": {"propagation_type": [_judge(job, wavelength) for wavelength in target.wavelengths]},
+        **report.parameters_of(job, target, names, torch.device("cpu")),
+        "seconds_total": time.perf_counter() - start,
+        files.FINGERPRINT: files.fingerprint(job),
+        files.DIGESTS: files.digests(folder, [*(f"{stem}.zarr" for stem in stems), *others]),
+    }
+    files.write_json(folder / files.REPORT, summary)
+    return summary
+
+
+@contextmanager
+def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
+    """Let worker processes of this machine compute Dask arrays, which keep on disk what does not fit in memory."""
+    if workers is None:
+        yield
+        return
+    from odak.manager.server import require_dask
+
+    try:
+        require_dask("--cluster")
+    except ImportError as error:
+        raise InputError(str(error)) from None
+    from distributed import Client, LocalCluster
+
+    options = {"n_workers": workers, "threads_per_worker": 1, "host": "127.0.0.1", "dashboard_address": None}
+    with LocalCluster(**options, local_directory=str(folder / "spilled")) as cluster, Client(cluster):
+        yield
+    shutil.rmtree(folder / "spilled", ignore_errors=True)
+
+
+def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, again: bool) -> dict:
+    """Compute, quantise, store and judge the pattern of one wavelength; return its part of the report."""
+    import dask.array as da
+
+    wavelength, intensity = target.wavelengths[index], target.intensity[index]
+    state = folder / f"state_{stem.removeprefix('hologram_')}"
+    _claim(state, job, index, again)
+    options: dict[str, Any] = {
+        "propagation_type": job.propagation_type,
+        "method": SOLVERS[str(job.method)],
+        "learning_rate": job.learning_rate,
+        "progress": not job.quiet,
+    }
+    try:
+        phase = hologram_in_chunks(
+            intensity, state, job.iterations, job.distance, job.pixel_pitch, wavelength, **options
+        )
+    except ImportError as error:
+        raise InputError(str(error)) from None
+    except ValueError as error:
+        text = (
+            str(error).replace("target must", "IMAGE must").replace("propagation_type must", "--propagation-type must")
+        )
+        raise InputError(text) from None
+    kind = np.uint8 if files.file_depth(job.bits) == 8 else np.uint16
+    pattern = folder / f"{stem}.zarr"
+    _write_zarr(phase.map_blocks(_grey, job.bits, dtype=kind), pattern)
+    shown = da.exp(1j * files.phase_of(da.from_zarr(str(pattern)).astype(np.float64), job.bits)).astype(np.complex64)
+    geometry = (job.distance, job.pixel_pitch, wavelength, _judge(job, wavelength))
+    field = propagate_beam(shown, None, *geometry, zero_padding=[True, False, True])
+    light = folder / f"{stem.replace('hologram', 'reconstruction')}.zarr"
+    _write_zarr((da.absolute(field) ** 2).astype(np.float32), light)
+    image = da.from_zarr(str(light))
+    return {
+        "wavelength": wavelength,
+        "file": f"{stem}.zarr",
+        "reconstruction": light.name,
+        **_measure(intensity.rechunk(image.chunks).astype(np.float64), image.astype(np.float64), target.window),
+    }
+
+
+def _claim(state: Path, job: Job, index: int, again: bool) -> None:
+    """Make a folder the state of this picture's colour; raise InputError if it holds that of another."""
+    if again:
+        shutil.rmtree(state, ignore_errors=True)
+    identity = {
+        "picture": files.digest_of(image_path(job.image)),
+        "colour": index,
+        "grey": job.grey or len(job.wavelengths) == 1,
+        "resolution": list(job.resolution),
+    }
+    about = state / "picture.json"
+    if not about.exists():
+        state.mkdir(parents=True, exist_ok=True)
+        files.write_json(about, identity)
+    elif json.loads(about.read_text(encoding="utf-8")) != identity:
+        raise InputError(f"--output holds the state of another picture, {str(state)!r}; --again begins anew")
+
+
+def _grey(phase: np.ndarray, bits: int) -> np.ndarray:
+    """Return the grey values that stand for a phase in a file of so many bits."""
+    values = torch.from_numpy(phase)
+    levels = files.quantise(torch.polar(torch.ones_like(values), values), bits)
+    kind = np.uint8 if files.file_depth(bits) == 8 else np.uint16
+    return (levels * 2 ** (files.file_depth(bits) - bits)).numpy().astype(kind)
+
+
+def _write_zarr(array: Any, path: Path) -> None:
+    """Write a Dask array; an older one stays as it was until the new one is complete."""
+    part = path.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    array.to_zarr(str(part))
+    shutil.rmtree(path, ignore_errors=True)
+    os.replace(part, path)
+
+
+def _judge(job: Job, wavelength: float) -> str:
+    """Return the propagation type that judges the pattern: the one recommended, if it can be computed in chunks."""
+    recommended = hologram.verification_type(job, wavelength)
+    method = find_method(recommended)
+    return recommended if method is not None and method.chunked else job.propagation_type
+
+
+def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict:
+    """Return the quality of one colour, from sums over Dask arrays of the target and of the reconstruction."""
+    import dask
+
+    wanted, shown = target[window], image[window]
+    sums = {
+        "overlap": (wanted * shown).sum(),
+        "shown": (shown**2).sum(),
+        "wanted": (wanted**2).sum(),
+        "light": image.sum(),
+        "peak": target.max(),
+    }
+    (found,) = dask.compute(sums)
+    found = {name: float(value) for name, value in found.items()}
+    scale = found["overlap"] / found["shown"] if found["shown"] else 0.0
+    lit = float(image[target >= report.LIT * found["peak"]].sum().compute())
+    # The mean of (s·I − T)² at the best scale s.
+    error = max(found["wanted"] - scale * found["overlap"], 0.0) / wanted.size
+    return {
+        "psnr_db": _decibels(error),
+        "scale": scale,
+        "efficiency": found["light"] / image.size,
+        "efficiency_lit": lit / image.size,
+        "mean_squared_error": error,
+    }
+
+
+def _decibels(error: float) -> float | None:
+    return -10 * math.log10(error) if error > 0 else None
+
+
+def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict], quality) -> float:
+    """Write patterns, reconstruction and comparison as PNG, and return the structural similarity."""
+    import dask.array as da
+
+    def stored(name: str) -> torch.Tensor:
+        return torch.from_numpy(da.from_zarr(str(folder / name)).compute())
+
+    greys = [stored(channel["file"]) for channel in channels]
+    for stem, grey in zip(stems, greys, strict=True):
+        levels = grey.to(torch.int32) // 2 ** (files.file_depth(job.bits) - job.bits)
+        files.save_pattern(folder / f"{stem}.png", levels, job.bits)
+    images = torch.stack([channel["scale"] * stored(channel["reconstruction"]) for channel in channels])
+    whole = Target(target.path, torch.from_numpy(target.intensity.compute()), target.window, target.wavelengths)
+    window = (slice(None), *target.window)
+    ssim = report.ssim(images[window], whole.intensity[window])
+    files.write_png(folder / "reconstruction.png", pictures.to_image(images))
+    phases = [files.phase_of(grey.double(), job.bits) for grey in greys]
+    names = [f"{stem}.png" for stem in stems]
+    sheet = hologram.comparison(job, whole, images, phases, names, {**quality, "ssim": ssim})
+    files.write_png(folder / "comparison.png", sheet)
+    return ssim
+
+
+# --- Pictures read in parts
+
+
+def load_target(job: Job) -> Target:
+    """Return the picture of a job on the modulator's frame, its intensity a Dask array that reads it in parts.
+
+    Parameters
+    ----------
+    job : Job
+        Parameters of the run.
+
+    Raises
+    ------
+    InputError
+        If the picture is missing, unreadable, or smaller than the least frame.
+    """
+    try:
+        import dask.array as da
+    except ImportError as error:
+        raise InputError(f"--tiles needs Dask and Zarr: pip install 'odak[large]' ({error})") from None
+    path = image_path(job.image)
+    source = open_picture(path)
+    grey = job.grey or len(job.wavelengths) == 1 or source.shape[2] < 3
+    wavelengths = job.wavelengths or ((GREY_WAVELENGTH,) if grey else COLOUR_WAVELENGTHS)
+    size = fitting_size(source.shape[:2], job.resolution)
+    corner = tuple((frame - side) // 2 for frame, side in zip(job.resolution, size, strict=True))
+    fitted = _Fitted(source, str(path), size, 1 if grey else 3)
+    name = f"picture-{files.digest_of(path)}-{size}-{grey}"
+    parts = da.from_array(fitted, chunks=(1, "auto", "auto"), name=name, meta=np.empty((0, 0, 0), np.float32))
+    around = [(0, 0)] + [(c, f - s - c) for c, f, s in zip(corner, job.resolution, size, strict=True)]
+    frame = da.pad(parts, around) if any(map(any, around)) else parts
+    if len(frame) < len(wavelengths):
+        frame = da.concatenate([frame] * len(wavelengths))
+    window = tuple(slice(c, c + s) for c, s in zip(corner, size, strict=True))
+    return Target(path, frame, (window[0], window[1]), wavelengths)
+
+
+def picture_size(image: str) -> tuple[int, int]:
+    """Return rows and columns of a picture; raise InputError if it cannot be read or is too small."""
+    size = open_picture(image_path(image)).shape[:2]
+    if min(size) < SMALLEST_SIDE:
+        raise InputError(f"IMAGE must have at least {SMALLEST_SIDE} rows and columns, got {size[0]} x {size[1]}")
+    return int(size[0]), int(size[1])
+
+
+def open_picture(path: Path) -> Any:
+    """Return a picture as an object with ``shape`` (rows, columns, channels) and ``dtype`` that is read by slices.
+
+    Zarr arrays, ``.npy`` and TIFF files (uncompressed or deflated, in strips or tiles) are read where they are sliced;
+    other pictures are read whole.
+
+    Parameters
+    ----------
+    path : Path
+        Existing file, or folder of a Zarr array.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or does not hold an image.
+    """
+    suffix = path.suffix.lower()
+    found: Any
+    try:
+        if path.is_dir():
+            import zarr
+
+            found = zarr.open_array(str(path), mode="r")
+        elif suffix == ".npy":
+            found = _Numpy(str(path))
+            found.dtype  # noqa: B018 (files that cannot be mapped are refused here)
+        else:
+            found = _tiff(path) if suffix in (".tif", ".tiff") else None
+    except (OSError, ValueError, SyntaxError, KeyError) as error:
+        raise InputError(f"IMAGE {str(path)!r} cannot be read: {' '.join(str(error).split())}") from None
+    if found is None:
+        found = read_picture(path).movedim(0, -1).numpy()
+    shape = tuple(found.shape)
+    if (
+        len(shape) not in (2, 3)
+        or (len(shape) == 3 and not 1 <= shape[2] <= 4)
+        or np.dtype(found.dtype).kind not in "buf"
+    ):
+        raise InputError(
+            f"IMAGE must hold real numbers [rows, columns] or [rows, columns, 1 to 4 channels], "
+            f"got {found.dtype} of shape {shape}: {str(path)!r}"
+        )
+    return _Channels(found) if len(shape) == 2 else found
+
+
+@dataclass(frozen=True)
+class _Numpy:
+    """An array in a ``.npy`` file, mapped into memory where it is sliced."""
+
+    path: str
+
+    def __getitem__(self, index):
+        return self._mapped()[index]
+
+    def _mapped(self):
+        return np.load(self.path, mmap_mode="r", allow_pickle=False)
+
+    shape = property(lambda self: self._mapped().shape)
+    dtype = property(lambda self: self._mapped().dtype)
+
+
+@dataclass(frozen=True)
+class _Channels:
+    """A picture of one channel with an axis for it."""
+
+    source: Any
+
+    def __getitem__(self, index):
+        return np.asarray(self.source[index[0], index[1]])[..., None]
+
+    shape = property(lambda self: (*self.source.shape, 1))
+    dtype = property(lambda self: self.source.dtype)
+
+
+@dataclass(frozen=True)
+class _Tiff:
+    """A TIFF file of which only the strips or tiles that a slice needs are read.
+
+    Attributes
+    ----------
+    path : str
+        The file.
+    shape : tuple of int
+        Rows, columns, samples per pixel.
+    dtype : numpy.dtype
+        Type of a sample, in the byte order of the file.
+    part : tuple of int
+        Rows and columns of a strip or tile.
+    places : tuple
+        Offset and length in bytes of each, row by row.
+    deflated, differences : bool
+        Whether they are compressed, and whether they hold differences of neighbours (predictor 2).
+    """
+
+    path: str
+    shape: tuple[int, int, int]
+    dtype: np.dtype
+    part: tuple[int, int]
+    places: tuple[tuple[int, int], ...]
+    deflated: bool
+    differences: bool
+
+    def __getitem__(self, index):
+        (top, bottom, _), (left, right, _) = (part.indices(n) for part, n in zip(index, self.shape, strict=False))
+        found = np.empty((bottom - top, right - left, self.shape[2]), self.dtype.newbyteorder("="))
+        rows, columns = self.part
+        across = -(-self.shape[1] // columns)
+        with open(self.path, "rb") as stream:
+            for i in range(top // rows, -(-bottom // rows)):
+                for j in range(left // columns, -(-right // columns)):
+                    block = self._block(stream, i, i * across + j)
+                    y0, x0 = max(top, i * rows), max(left, j * columns)
+                    y1, x1 = min(bottom, i * rows + len(block)), min(right, (j + 1) * columns)
+                    inside = block[y0 - i * rows : y1 - i * rows, x0 - j * columns : x1 - j * columns]
+                    found[y0 - top : y1 - top, x0 - left : x1 - left] = inside
+        return found
+
+    def _block(self, stream, row: int, number: int) -> np.ndarray:
+        rows, columns = self.part
+        # The last strip ends with the picture, tiles are whole.
+        rows = min(rows, self.shape[0] - row * rows) if columns >= self.shape[1] else rows
+        size = rows * columns * self.shape[2] * self.dtype.itemsize
+        offset, length = self.places[number]
+        stream.seek(offset)
+        data = stream.read(length)
+        if self.deflated:
+            data = zlib.decompressobj().decompress(data, size)
+        if len(data) < size:
+            raise InputError(
+                f"IMAGE {self.path!r} is cut short: strip or tile {number} holds {len(data)} of {size} bytes"
+            )
+        block = np.frombuffer(data[:size], self.dtype).reshape(rows, columns, -1).astype(self.dtype.newbyteorder("="))
+        return np.cumsum(block, axis=1, dtype=block.dtype) if self.differences else block
+
+
+def _tiff(path: Path) -> _Tiff | None:
+    """Return a TIFF file that can be read in parts, None for one that Pillow has to read whole."""
+    try:
+        with TiffImageFile(path) as image:
+            tags = {tag: image.tag_v2[tag] for tag in image.tag_v2}
+            order = "<" if image.tag_v2.prefix[:2] == b"II" else ">"
+    except UnidentifiedImageError:
+        return None
+    bits, kinds = np.atleast_1d(tags.get(258, 1)), np.atleast_1d(tags.get(339, 1))
+    tiled = 322 in tags
+    offsets, counts = (np.atleast_1d(tags.get(tag, ())) for tag in ((324, 325) if tiled else (273, 279)))
+    part = (tags[323], tags[322]) if tiled else (min(tags.get(278, tags[257]), tags[257]), tags[256])
+    samples, compression, predictor = tags.get(277, 1), tags.get(259, 1), tags.get(317, 1)
+    count = math.prod(-(-side // size) for side, size in zip((tags[257], tags[256]), part, strict=True))
+    plain = (
+        len({*bits}) == len({*kinds}) == 1
+        and (int(bits[0]), int(kinds[0])) in ((8, 1), (16, 1), (32, 1), (32, 3), (64, 3))
+        and tags.get(284, 1) == 1
+        and tags.get(262) in (1, 2)
+        and compression in (1, *_DEFLATE)
+        and (predictor == 1 or (predictor == 2 and kinds[0] == 1))
+        and tags.get(274, 1) == 1
+        and len(offsets) == len(counts) == count
+    )
+    if not plain:
+        return None
+    dtype = np.dtype(f"{order}{'f' if kinds[0] == 3 else 'u'}{bits[0] // 8}")
+    places = tuple(zip(map(int, offsets), map(int, counts), strict=True))
+    shape = (int(tags[257]), int(tags[256]), int(samples))
+    return _Tiff(str(path), shape, dtype, (int(part[0]), int(part[1])), places, compression != 1, predictor == 2)
+
+
+@dataclass(frozen=True)
+class _Fitted:
+    """A picture resized (bicubic) to the window that it fills, as intensities from 0 to 1, read where it is sliced.
+
+    Attributes
+    ----------
+    source : array-like
+        From :func:`open_picture`.
+    path : str
+        Its name in messages.
+    size : tuple of int
+        Rows and columns after resizing.
+    channels : int
+        1 for the brightness, or 3.
+    """
+
+    source: Any
+    path: str
+    size: tuple[int, int]
+    channels: int
+
+    dtype = np.dtype(np.float32)
+    ndim = 3
+    shape = property(lambda self: (self.channels, *self.size))
+
+    def __getitem__(self, index):
+        if isinstance(index[0], (int, np.integer)):
+            whole = (slice(index[0], index[0] + 1), *index[1:])
+            return self[whole][0]
+        channels, *spans = (range(n)[part] for part, n in zip(index, self.shape, strict=True))
+        scales = [side / size for side, size in zip(self.source.shape, self.size, strict=False)]
+        # Bicubic interpolation reaches two samples of the coarser grid to either side.
+        margins = [math.ceil(2 * max(scale, 1)) + 1 if scale != 1 else 0 for scale in scales]
+        exact = [(span.start * scale, span.stop * scale) for span, scale in zip(spans, scales, strict=True)]
+        read = [
+            slice(max(0, math.floor(low) - margin), min(side, math.ceil(high) + margin))
+            for (low, high), margin, side in zip(exact, margins, self.source.shape, strict=False)
+        ]
+        picture = self._brightness(np.asarray(self.source[read[0], read[1]]))[..., channels.start : channels.stop]
+        if margins == [0, 0]:
+            return np.moveaxis(picture, -1, 0)
+        (top, bottom), (left, right) = (
+            (low - part.start, high - part.start) for (low, high), part in zip(exact, read, strict=True)
+        )
+        size = (len(spans[1]), len(spans[0]))
+        planes = [
+            Image.fromarray(np.ascontiguousarray(picture[..., c])).resize(
+                size, Image.Resampling.BICUBIC, box=(left, top, right, bottom)
+            )
+            for c in range(picture.shape[2])
+        ]
+        return np.clip(np.stack([np.asarray(plane) for plane in planes]), 0, 1)
+
+    def _brightness(self, values: np.ndarray) -> np.ndarray:
+        """Return stored values as float32 intensities of 1 or 3 channels, transparent parts black."""
+        if values.dtype.kind == "u":
+            values = values.astype(np.float32) / np.iinfo(values.dtype).max
+        values = values.astype(np.float32)
+        if not np.all((values >= 0) & (values <= 1)):
+            raise InputError(f"IMAGE must hold values from 0 to 1, those of {self.path!r} go beyond")
+        if values.shape[2] in (2, 4):
+            values = values[..., :-1] * values[..., -1:]
+        if values.shape[2] == 3 and self.channels == 1:
+            return values @ np.array(LUMINANCE, np.float32)[:, None]
+        return values
