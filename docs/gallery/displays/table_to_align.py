@@ -1,8 +1,9 @@
 """A table to misalign and to register
 
-A simulated table whose camera is turned, shifted, tilted and distorted, whose beam is aberrated and whose modulator does
-not respond linearly; the seed draws all of it. The calibration sees the table through the modulator and the camera alone.
-Change the seed for another table: the faults differ, the registration finds them.
+A simulated table whose camera is turned, shifted, tilted and distorted, whose beam is
+aberrated and whose modulator does not respond linearly; the seed draws all of it. The
+calibration sees the table through the modulator and the camera alone. Change the seed for
+another table: the faults differ, the registration finds them.
 """
 
 import matplotlib.pyplot as plt
