@@ -9,7 +9,6 @@ from odak.raytracing import arguments, geometry, intersections
 from odak.raytracing.geometry import (
     edge_areas,
     encloses,
-    frame_order,
     shear_of,
     sheared,
     triangle_normal,
@@ -110,8 +109,9 @@ def _octants(low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
     return sides.permute(3, 2, 0, 1).reshape(6 * low.shape[1], 8 * len(low))
 
 
-# Bytes that a pair of ray and node takes on its way: sides of eight boxes twice, entries, indices, and its children.
-PAIR_BYTES = 1024
+# Bytes of a pair of ray and node for each of its children: sides of boxes twice, distances, indices; and for each level
+# above, where the other children wait.
+PAIR_BYTES = 160
 # Pairs at a time on a CPU: their boxes stay in the cache.
 CPU_PAIRS = 32768
 
@@ -160,7 +160,7 @@ def nearest_faces(
     tree : Tree
         The triangles.
     start, direction : torch.Tensor
-        ``[m, 3]`` in the tree's frame, finite; starts near the tree.
+        ``[3, m]`` in the tree's frame, finite; starts near the tree.
     first : torch.Tensor
         Distance beyond which a hit counts, ``[m]``.
     leaving : torch.Tensor or None
@@ -169,27 +169,50 @@ def nearest_faces(
         Bytes that the search may take, whatever the number of rays.
     """
     cap = pairs_at_a_time(tree, memory_budget)
-    found = torch.full((len(start),), -1, dtype=torch.int64, device=start.device)
+    found = torch.full_like(first, -1, dtype=torch.int64)
     # A ray outside the unit sphere at its nearest point misses all boxes.
-    close = ((start * start).sum(dim=1) <= 1 + 1e-5).nonzero().flatten()
+    close = ((start * start).sum(dim=0) <= 1 + 1e-5).nonzero().flatten()
     for part in close.split(cap):
         chosen = None if leaving is None else leaving[part]
-        beam = _beam(start[part], direction[part], first[part], chosen)
+        beam = _beam(start.index_select(1, part), direction.index_select(1, part), first[part], chosen)
         found[part] = _search(tree, beam, cap)
     return found
 
 
 def _beam(start, direction, first, leaving) -> Beam:
-    axis = direction.abs().argmax(dim=1)
+    axis = dominant_axis(direction)
     single = direction.float()
-    length = single.norm(dim=1, keepdim=True)
     # No infinite slope: its product with a side at zero would be NaN.
-    tiny = torch.where(single < 0, -1e-20, 1e-20) * length
-    slope = 1 / torch.where(single.abs() < tiny.abs(), tiny, single)
-    octant = ((slope < 0) * torch.tensor([1, 2, 4], device=slope.device)).sum(dim=1)
-    slabs = torch.cat((slope, -start.float() * slope, first.float()[:, None]), dim=1).t().contiguous()
-    start, direction = (v.gather(1, frame_order(axis)).t().contiguous() for v in (start, direction))
+    slope = 1 / torch.copysign(torch.maximum(single.abs(), 1e-20 * length(single)), single)
+    # Of −0, too: its box is entered by the far side.
+    octant = (slope < 0).mul(torch.tensor([[1], [2], [4]], device=slope.device)).sum(dim=0)
+    slabs = torch.cat((slope, -start.float() * slope, first.float()[None]))
+    turn = turn_of(axis)
+    start, direction = turned(start, turn), turned(direction, turn)
     return Beam(start, torch.stack((*shear_of(direction), direction[2])), axis, octant, slabs, first, leaving)
+
+
+def dominant_axis(direction: torch.Tensor) -> torch.Tensor:
+    """Return which component of directions ``[3, m]`` is the largest, int64 ``[m]``; of equal ones the first."""
+    x, y, z = direction.detach().abs()
+    second, third = y > x, z > torch.maximum(x, y)
+    return torch.maximum(second.long(), 2 * third.long())
+
+
+def turn_of(axis: torch.Tensor) -> torch.Tensor:
+    """Return the places in flat components ``[3·m]`` with the component `axis`, ``[m]``, last, in cyclic order.
+
+    A choice of components by torch.where takes several times as long.
+    """
+    count = len(axis)
+    first = torch.where(axis == 2, 0, axis + 1)
+    second = 3 - axis - first
+    return (torch.stack((first, second, axis)) * count + torch.arange(count, device=axis.device)).reshape(-1)
+
+
+def turned(vectors: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
+    """Return vectors ``[3, m]`` with their components in the order of :func:`turn_of`."""
+    return vectors.reshape(-1).index_select(0, turn).reshape(3, -1)
 
 
 def _search(tree: Tree, beam: Beam, cap: int) -> torch.Tensor:
@@ -311,84 +334,108 @@ class Frame(NamedTuple):
     scale: torch.Tensor
 
 
+def components(rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Return starts and directions ``[3, m]`` of rays ``[m, 2, 3]``, and which are rays ``[m]``.
+
+    What is not finite or has no direction is replaced: no gradient of other rays turns NaN by it.
+    """
+    parts = torch.stack(rays.reshape(-1, 6).unbind(1)).unflatten(0, (2, 3))
+    direction = parts[1]
+    x, y, z = parts[0].detach() + direction.detach()
+    solid = torch.isfinite(x + y + z) & (_dot(direction, direction).detach() > 0)
+    if rays.is_cuda or not bool(solid.all()):
+        parts = torch.where(solid, parts, torch.tensor([[[0.0]], [[1.0]]], dtype=rays.dtype, device=rays.device))
+    return parts[0], parts[1], solid
+
+
+def _dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Return the scalar products of vectors ``[3, m]``."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def length(vectors: torch.Tensor) -> torch.Tensor:
+    """Return the lengths of vectors ``[3, m]``; `norm` over the first axis takes many times as long."""
+    return _dot(vectors, vectors).sqrt()
+
+
 def nearest_approach(frame: Frame, start: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """Return where along rays ``[m, 3]`` they come nearest to the centre, float64, in lengths of the direction."""
-    start, direction = start.double() - frame.centre, direction.double()
-    return -geometry.dot(start, direction) / geometry.dot(direction, direction)
+    """Return where along rays ``[3, m]`` they come nearest to the centre, float64, in lengths of the direction."""
+    start, direction = start.double() - frame.centre[:, None], direction.double()
+    return -_dot(start, direction) / _dot(direction, direction)
 
 
 def advanced(frame: Frame, start: torch.Tensor, direction: torch.Tensor, shift: torch.Tensor) -> torch.Tensor:
-    """Return the points `shift` along rays, in the frame and the rays' precision.
+    """Return the points ``[3, m]`` at `shift` along rays, in the frame and the rays' precision.
 
     A far start costs no digits: it is moved near the mesh in double precision first.
     """
-    moved = start.double() + shift[:, None] * direction.double()
-    return ((moved - frame.centre) * frame.scale).to(start.dtype)
+    moved = start.double() + shift * direction.double()
+    return ((moved - frame.centre[:, None]) * frame.scale).to(start.dtype)
 
 
-def turned_vertices(frame: Frame, vertices: torch.Tensor) -> torch.Tensor:
-    """Return vertices in the frame, once with each axis as their last component: ``[3·v, 3]``."""
-    placed = to_frame(vertices, *frame)
-    return torch.cat([placed[:, ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)])
+def face_table(frame: Frame, vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """Return the corners of all faces in the frame, each with three components, and the unit normals, ``[t, 12]``."""
+    corners = to_frame(vertices, *frame)[faces]
+    # Normals of the frame's corners, as in the tree: no face is hit whose normal does not exist.
+    return torch.cat((corners.flatten(1), triangle_normal(corners)), dim=1)
 
 
-def evaluate(
-    frame: Frame, turned: torch.Tensor, faces: torch.Tensor, normals, start, direction, face, shift
-) -> MeshHit:
-    """Return the hits of rays ``[m, 3]`` on faces ``[m]``, by the arithmetic of the search.
+def evaluate(frame: Frame, table: torch.Tensor, faces: torch.Tensor, normals, start, direction, face, shift) -> MeshHit:
+    """Return the hits of rays on faces, by the arithmetic of the search.
 
     Parameters
     ----------
     frame : Frame
         Frame of the search.
-    turned : torch.Tensor
-        From :func:`turned_vertices`.
+    table : torch.Tensor
+        From :func:`face_table`.
     faces : torch.Tensor
         Vertices of the faces, ``[t, 3]``, one face at least.
     normals : torch.Tensor or None
         Normals at the vertices, ``[v, 3]``; the faces' own by default.
     start, direction : torch.Tensor
-        Finite rays ``[m, 3]``, no direction zero.
+        From :func:`components`.
     face : torch.Tensor
-        Faces met, −1 for none.
+        Faces met, ``[m]``, −1 for none.
     shift : torch.Tensor
         Where along the rays the search started, float64 ``[m]``; held fixed, which changes no derivative.
     """
-    axis = direction.detach().abs().argmax(dim=1)
-    order = frame_order(axis)
-    # A ray that misses far away must not overflow: its gradient would be NaN.
-    near = torch.where((face >= 0)[:, None], advanced(frame, start, direction, shift), 0.0)
-    near = near.gather(1, order).unbind(1)
-    along = direction.gather(1, order).unbind(1)
-    chosen = faces.index_select(0, face.clamp(min=0))
-    rows = (chosen.t() + axis * (len(turned) // 3)).reshape(-1)
-    corners = turned.index_select(0, rows).t().reshape(3, 3, -1)
-    seen = [sheared(corners[:, i].unbind(), near, shear_of(along)) for i in range(3)]
+    near = advanced(frame, start, direction, shift)
+    if near.requires_grad:
+        # A ray that misses far away must not overflow: its gradient would be NaN.
+        near = torch.where(face >= 0, near, 0.0)
+    turn = turn_of(dominant_axis(direction))
+    chosen = face.clamp(min=0)
+    *corners, normal = torch.stack(table.index_select(0, chosen).unbind(1)).unflatten(0, (4, 3))
+    along, near = turned(direction, turn), turned(near, turn)
+    seen = [sheared(turned(corner, turn), near, shear_of(along)) for corner in corners]
     areas = edge_areas(*seen)
-    hit = (face >= 0) & (sum(areas) != 0)
-    total = torch.where(hit, sum(areas), 1.0)
-    weights = [area / total for area in areas]
-    reach = sum(weight * corner[2] for weight, corner in zip(weights, seen, strict=True)) / along[2]
-    distance = (shift + reach.double() / frame.scale).to(start.dtype)
-    place = sum(weight * corners[:, i] for i, weight in enumerate(weights)).t()
-    back = frame_order(torch.where(axis == 2, 2, 1 - axis))
-    point = (place.gather(1, back).double() / frame.scale + frame.centre).to(start.dtype)
-    weights = torch.stack(weights, dim=1)
-    if normals is None:
-        # From the frame's corners, as in the tree: no face is hit whose normal does not exist.
-        normal = geometry.triangle_normal(corners.permute(2, 1, 0)).gather(1, back)
-    else:
-        known, shares = torch.where(hit[:, None, None], normals[chosen], 1.0), torch.where(hit[:, None], weights, 1.0)
-        normal = geometry.unit((shares[..., None] * known).sum(dim=1))
-    distance, point, normal = (geometry.masked(value, hit) for value in (distance, point, normal))
-    return MeshHit(
-        distance,
-        point,
-        normal,
-        torch.where(hit, face, -1),
-        geometry.masked(weights, hit),
-        intersections.status_array(hit),
-    )
+    total = areas[0] + areas[1] + areas[2]
+    hit = (face >= 0) & (total != 0)
+    weights = torch.stack(areas) / torch.where(hit, total, 1.0)
+    reach = (weights[0] * seen[0][2] + weights[1] * seen[1][2] + weights[2] * seen[2][2]) / along[2]
+    distance = (shift + reach.double() / frame.scale).to(near.dtype)
+    place = weights[0] * corners[0] + weights[1] * corners[1] + weights[2] * corners[2]
+    point = (place.double() / frame.scale + frame.centre[:, None]).to(near.dtype)
+    if normals is not None:
+        known, shares = torch.where(hit[:, None, None], normals[faces[chosen]], 1.0), torch.where(hit, weights, 1.0)
+        normal = geometry.unit((shares.t()[..., None] * known).sum(dim=1)).t()
+    void = torch.where(hit, 0.0, torch.nan).to(near.dtype)
+    distance, point, normal, weights = (_or_nan(value, hit, void) for value in (distance, point, normal, weights))
+    face = torch.where(hit, face, -1)
+    return MeshHit(distance, _rows(point), _rows(normal), face, _rows(weights), intersections.status_array(hit))
+
+
+def _or_nan(value: torch.Tensor, hit: torch.Tensor, void: torch.Tensor) -> torch.Tensor:
+    """Return ``[..., m]`` with NaN for rays without a hit, whose gradients are zero; `void` is 0 or NaN accordingly."""
+    return torch.where(hit, value, torch.nan) if value.requires_grad else value + void
+
+
+def _rows(vectors: torch.Tensor) -> torch.Tensor:
+    """Return vectors ``[3, m]`` as rows ``[m, 3]``, contiguous."""
+    rows = vectors.new_empty(vectors.shape[::-1])
+    rows.t().copy_(vectors)
+    return rows
 
 
 def misses(rays: torch.Tensor) -> MeshHit:
@@ -420,6 +467,6 @@ def embree_scene(vertices: torch.Tensor, faces: torch.Tensor):
 
 def nearest_faces_by_embree(scene, start: torch.Tensor, direction: torch.Tensor, first: torch.Tensor) -> torch.Tensor:
     """Return the face that each ray meets first, int64 ``[m]``, −1 for none; arguments as in the search of the tree."""
-    start = start + first[:, None] * direction
-    found = scene.run(start.float().cpu().numpy(), direction.float().cpu().numpy())
+    start = start + first * direction
+    found = scene.run(_rows(start.float()).cpu().numpy(), _rows(direction.float()).cpu().numpy())
     return torch.from_numpy(found).to(device=start.device, dtype=torch.int64)

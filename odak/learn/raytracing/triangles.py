@@ -1,21 +1,25 @@
 """Intersections of many rays with meshes of triangles, without gaps, differentiable in rays and vertices."""
 
 import itertools
+from collections.abc import Iterable
 from typing import Any
 
 import torch
 
 from odak import _validate
 from odak.learn._tensors import reals_of, tensor
+from odak.learn._threads import each
 from odak.learn.raytracing import triangle_search
 from odak.learn.raytracing.triangle_search import (
     Frame,
     MeshHit,
     advanced,
+    components,
     evaluate,
+    face_table,
+    length,
     misses,
     nearest_approach,
-    turned_vertices,
 )
 from odak.raytracing import geometry
 from odak.tools import asset
@@ -23,6 +27,8 @@ from odak.tools import asset
 __all__ = ["MeshHit", "triangle_mesh"]
 
 BACKENDS = ("auto", "torch", "embree")
+# Rays that are not worth a thread of their own.
+SMALL = 1024
 
 
 class triangle_mesh:
@@ -89,6 +95,7 @@ class triangle_mesh:
         self.normals = _checked_normals(normals, self.vertices)
         self._leaves: torch.Tensor | None = None
         self._trees: dict = {}
+        self._tables: dict = {}
         self._scene: Any = None
 
     def moved(self, vertices: Any) -> "triangle_mesh":
@@ -185,38 +192,55 @@ class triangle_mesh:
     def _nearest(self, vertices, rays, minimum, leaving) -> MeshHit:
         with torch.no_grad():
             tree = self._fitted(vertices)
-        turned = turned_vertices(Frame(tree.centre, tree.scale), vertices)
+        frame = Frame(tree.centre, tree.scale)
         normals = self.vertex_normals() if isinstance(self.normals, str) and self.normals == "smooth" else self.normals
         normals = normals.to(vertices) if torch.is_tensor(normals) else None
-        # Pieces that stay in the cache, search and evaluation in turn.
-        size = triangle_search.pairs_at_a_time(tree, self.memory_budget)
+        table = self._table(frame, vertices)
+        embree = self._embree_scene(tree) if leaving is None and self._uses_embree(vertices) else None
+        # Pieces that stay in the cache, shared out among the threads of a CPU.
+        threads = 1 if rays.is_cuda else torch.get_num_threads()
+        budget = self.memory_budget // threads
+        size = min(triangle_search.pairs_at_a_time(tree, budget), max(-(-len(rays) // threads), SMALL))
+        size = -(-len(rays) // -(-len(rays) // size))
+        pieces = rays.split(size)
         limits = (itertools.repeat(None) if v is None else v.split(size) for v in (minimum, leaving))
-        pieces = [self._piece(tree, turned, normals, *piece) for piece in zip(rays.split(size), *limits, strict=False)]
-        return MeshHit(*map(torch.cat, zip(*pieces, strict=True)))
 
-    def _piece(self, tree, turned, normals, rays, minimum, leaving) -> MeshHit:
-        start, direction, kept = geometry.finite_rays(rays[:, 0], rays[:, 1])
-        kept = kept & (geometry.dot(direction, direction) > 0)
-        direction = torch.where(kept[:, None], direction, 1.0)
+        def search(start, direction, solid, minimum, leaving):
+            return self._search(tree, embree, budget, start, direction, solid, minimum, leaving)
+
+        def hits(rays, minimum, leaving):
+            start, direction, solid = components(rays)
+            searched = search(start, direction, solid, minimum, leaving)
+            return evaluate(frame, table, self.faces, normals, start, direction, *searched)
+
+        found: Iterable[MeshHit]
+        if torch.is_grad_enabled() and any(v is not None and v.requires_grad for v in (rays, table, normals)):
+            parts = [components(piece) for piece in pieces]
+            items = ((*(v.detach() for v in part), *limit) for part, *limit in zip(parts, *limits, strict=False))
+            found = (
+                evaluate(frame, table, self.faces, normals, start, direction, *searched)
+                for (start, direction, _), searched in zip(parts, each(search, items, threads > 1), strict=True)
+            )
+        else:
+            found = each(hits, zip(pieces, *limits, strict=False), threads > 1)
+        return MeshHit(*map(torch.cat, zip(*found, strict=True)))
+
+    def _search(self, tree, embree, budget, start, direction, solid, minimum, leaving):
+        """Return the faces met and where along the rays their search started, ``[m]``."""
         frame = Frame(tree.centre, tree.scale)
-        with torch.no_grad():
-            face, shift = self._search(tree, frame, start, direction, minimum, leaving)
-            face = torch.where(kept, face, -1)
-        return evaluate(frame, turned, self.faces, normals, start, direction, face, shift)
-
-    def _search(self, tree, frame, start, direction, minimum, leaving) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the faces met and where along the rays their search started."""
         shift = nearest_approach(frame, start, direction)
         near = advanced(frame, start, direction, shift)
         if minimum is None:
-            reach = 1 + (start - frame.centre.to(start)).norm(dim=1) * frame.scale.to(start)
-            first = 16 * geometry.epsilon(start) * reach / direction.norm(dim=1)
+            reach = 1 + length(start - frame.centre.to(start)[:, None]) * frame.scale.to(start)
+            first = 16 * geometry.epsilon(start) * reach / length(direction)
         else:
             first = minimum.double() * frame.scale
         first = (first - shift * frame.scale).to(start.dtype)
-        if leaving is None and self._uses_embree(start):
-            return triangle_search.nearest_faces_by_embree(self._embree_scene(tree), near, direction, first), shift
-        return triangle_search.nearest_faces(tree, near, direction, first, leaving, self.memory_budget), shift
+        if embree is not None:
+            face = triangle_search.nearest_faces_by_embree(embree, near, direction, first)
+        else:
+            face = triangle_search.nearest_faces(tree, near, direction, first, leaving, budget)
+        return torch.where(solid, face, -1), shift
 
     def _uses_embree(self, start: torch.Tensor) -> bool:
         fits = start.dtype == torch.float32 and start.device.type == "cpu" and triangle_search.has_embree()
@@ -231,6 +255,14 @@ class triangle_mesh:
         if vertices.dtype not in self._trees:
             self._trees[vertices.dtype] = triangle_search.fit(vertices, self.faces, self._sorted())
         return self._trees[vertices.dtype]
+
+    def _table(self, frame: Frame, vertices: torch.Tensor) -> torch.Tensor:
+        """Return corners and normals of all faces, with their graph or kept."""
+        if vertices.requires_grad and torch.is_grad_enabled():
+            return face_table(frame, vertices, self.faces)
+        if vertices.dtype not in self._tables:
+            self._tables[vertices.dtype] = face_table(frame, vertices.detach(), self.faces)
+        return self._tables[vertices.dtype]
 
     def _embree_scene(self, tree: triangle_search.Tree):
         if self._scene is None:

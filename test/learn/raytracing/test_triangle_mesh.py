@@ -324,6 +324,26 @@ def test_every_face_is_in_one_leaf():
         assert len(leaves).bit_count() == 1 and leaves.shape[1] <= triangle_search.LEAF
 
 
+@pytest.mark.parametrize("normals", ["flat", "smooth"])
+def test_threads_and_graphs_change_nothing(normals):
+    vertices, faces = soup(400, 19)
+    rays = random_rays(3000, 20)
+    threads = torch.get_num_threads()
+    found = []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            for graph in (False, True):
+                mesh = triangle_mesh(vertices.clone().requires_grad_(graph), faces, normals)
+                found.append(mesh.intersect(rays))
+                assert found[-1].point.requires_grad is graph
+    finally:
+        torch.set_num_threads(threads)
+    for hit in found[1:]:
+        for name in hit._fields:
+            torch.testing.assert_close(getattr(hit, name), getattr(found[0], name), rtol=0, atol=0, equal_nan=True)
+
+
 @pytest.mark.skipif(not triangle_search.has_embree(), reason="no embreex")
 def test_embree_finds_what_the_search_finds():
     vertices, faces = icosphere(4, torch.float32)

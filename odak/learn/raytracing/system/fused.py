@@ -10,15 +10,12 @@ intersection is differentiated by the implicit function theorem, dT = −(N·(dp
 found T does not matter.
 """
 
-import os
-import threading
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
 import torch
 
 from odak._torch_private import as_constant, outside_functional_transforms
+from odak.learn._threads import each
 from odak.learn.raytracing.system.sequence import (
     HIT,
     Layout,
@@ -614,52 +611,3 @@ def _surface_backward(e: Element, p, weight, shape):
     curvature, constant = shape[0] - _sum(weight * bowl / root), shape[1] - _sum(weight * conic / root)
     coefficients = [a - b for a, b in zip(shape[2], powers or [0.0] * len(shape[2]), strict=True)]
     return [curvature, constant, coefficients]
-
-
-_lock = threading.Lock()
-_pool: tuple[tuple[int, int], ThreadPoolExecutor] | None = None
-
-
-def each(work: Callable, items: Iterable) -> Iterator:
-    """Return ``work(*item)`` for each item, in order, computed without a graph on as many threads as torch has.
-
-    A block is too small for torch to share out among its threads: whole blocks are shared out, one thread each.
-
-    Parameters
-    ----------
-    work : callable
-        Takes the values of one item.
-    items : iterable of tuple
-        The items.
-    """
-    items = list(items)
-    count = torch.get_num_threads()
-
-    def quiet(item):
-        with torch.no_grad():
-            return work(*item)
-
-    if count == 1 or len(items) < 2:
-        return map(quiet, items)
-    return _threads(count).map(quiet, items)
-
-
-def _threads(count: int) -> ThreadPoolExecutor:
-    """Return the pool of this process; a forked child has none of its parent's threads and makes its own."""
-    global _pool
-    with _lock:
-        if _pool is None or _pool[0] != (os.getpid(), count):
-            ready = threading.Barrier(count + 1)
-            pool = ThreadPoolExecutor(count, thread_name_prefix="odak-rays", initializer=_alone, initargs=(ready,))
-            for _ in range(count):
-                pool.submit(bool)
-            ready.wait()
-            # The setting holds for the workers; that of the process is restored.
-            torch.set_num_threads(count)
-            _pool = ((os.getpid(), count), pool)
-        return _pool[1]
-
-
-def _alone(ready: threading.Barrier) -> None:
-    torch.set_num_threads(1)
-    ready.wait()

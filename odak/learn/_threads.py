@@ -1,0 +1,59 @@
+"""Work on blocks of tensors, shared out among threads."""
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import torch
+
+_lock = threading.Lock()
+_pool: tuple[tuple[int, int], ThreadPoolExecutor] | None = None
+
+
+def each(work: Callable, items: Iterable, parallel: bool = True) -> Iterator:
+    """Return ``work(*item)`` for each item, in order, computed without a graph on as many threads as torch has.
+
+    Torch shares out single operations, each of which waits for all threads: where operations are short, that takes
+    longer than they do, and many times longer on a busy machine. Here whole blocks are shared out, one thread each.
+
+    Parameters
+    ----------
+    work : callable
+        Takes the values of one item.
+    items : iterable of tuple
+        The items.
+    parallel : bool
+        Whether to share them out.
+    """
+    items = list(items)
+    count = torch.get_num_threads()
+
+    def quiet(item):
+        with torch.no_grad():
+            return work(*item)
+
+    if not parallel or count == 1 or len(items) < 2:
+        return map(quiet, items)
+    return _threads(count).map(quiet, items)
+
+
+def _threads(count: int) -> ThreadPoolExecutor:
+    """Return the pool of this process; a forked child has none of its parent's threads and makes its own."""
+    global _pool
+    with _lock:
+        if _pool is None or _pool[0] != (os.getpid(), count):
+            ready = threading.Barrier(count + 1)
+            pool = ThreadPoolExecutor(count, thread_name_prefix="odak", initializer=_alone, initargs=(ready,))
+            for _ in range(count):
+                pool.submit(bool)
+            ready.wait()
+            # The setting holds for the workers; that of the process is restored.
+            torch.set_num_threads(count)
+            _pool = ((os.getpid(), count), pool)
+        return _pool[1]
+
+
+def _alone(ready: threading.Barrier) -> None:
+    torch.set_num_threads(1)
+    ready.wait()
