@@ -127,22 +127,43 @@ def refresh(path: Path) -> int:
 
 
 def thumbnail(path: Path) -> None:
-    """Store a part of the first figure, 4:3, of its whole height: about its middle, or the share of its width given.
+    """Store a part of the first figure, 4:3: an image in it without its axes, or all of a figure that holds curves alone.
 
-    The line `# Thumbnail: 0.2` asks for the part about a fifth of the width.
+    The line `# Thumbnail: 0.2` asks for the image next to a fifth of the width instead of the largest one, and of curves
+    for the part of the whole height about it.
     """
-    from PIL import Image
+    from PIL import Image, ImageOps
 
-    image = Image.open(f"{stored(path)}_1.webp").convert("RGB")
-    width = min(image.width, round(image.height * 4 / 3))
+    figure = Image.open(f"{stored(path)}_1.webp").convert("RGB")
     share = _THUMBNAIL.search(path.read_text(encoding="utf-8"))
-    left = round((float(share[1]) if share else 0.5) * image.width - width / 2)
-    left = min(max(left, 0), image.width - width)
-    part = image.crop((left, 0, left + width, image.height))
-    part.thumbnail((480, 360), Image.LANCZOS)
-    canvas = Image.new("RGB", (480, 360), "white")
-    canvas.paste(part, ((480 - part.width) // 2, (360 - part.height) // 2))
+    boxes = _images_in(figure)
+    if boxes and share:
+        box = min(boxes, key=lambda box: abs((box[0] + box[2]) / 2 - float(share[1]) * figure.width))
+    elif boxes:
+        box = max(boxes, key=lambda box: (box[2] - box[0]) * (box[3] - box[1]))
+    else:
+        width = min(figure.width, round(figure.height * 4 / 3)) if share else figure.width
+        left = round((float(share[1]) if share else 0.5) * figure.width - width / 2)
+        left = min(max(left, 0), figure.width - width)
+        box = (left, 0, left + width, figure.height)
+    fitted = ImageOps.fit if boxes else ImageOps.pad
+    canvas = fitted(figure.crop(box), (480, 360), Image.LANCZOS, **({} if boxes else {"color": "white"}))
     canvas.save(f"{stored(path)}.webp", quality=80, method=6)
+
+
+def _images_in(figure):
+    """Return the boxes of the areas of a figure that are filled: images, but neither curves nor colour bars."""
+    import numpy as np
+    from scipy import ndimage
+
+    filled = np.asarray(figure.convert("L")) < 250
+    filled = ndimage.binary_opening(filled, np.ones((15, 15)))
+    boxes = []
+    for rows, columns in ndimage.find_objects(ndimage.label(filled)[0]):
+        height, width = rows.stop - rows.start, columns.stop - columns.start
+        if min(height, width) > 60 and 0.25 < width / height < 6 and filled[rows, columns].mean() > 0.85:
+            boxes.append((columns.start + 2, rows.start + 2, columns.stop - 2, rows.stop - 2))
+    return boxes
 
 
 def _page(path):

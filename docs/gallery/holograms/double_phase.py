@@ -69,6 +69,6 @@ for axis, (title, picture, options, extent, unit) in zip(axes, panels):
     axis.set(title=title, xlabel=f"x ({unit})")
     figure.colorbar(drawn, ax=axis, shrink=0.75)
 axes[2].add_patch(plt.Circle((0, 0), 0.25, fill=False, color="w", ls="--"))
-# Thumbnail: 0.37
+# Thumbnail: 0.9
 # Picture: Target, detail of the checkerboard of phases, spectrum with the aperture, and the image behind it
 plt.show()
