@@ -10,6 +10,7 @@ SLOW = {
     "guides/a_hologram_in_a_lens.md",
     "guides/automatic_design.md",
     "guides/calibrate_a_table.md",
+    "guides/compute_a_hologram.md",
     "guides/design_a_display.md",
     "guides/design_a_lens.md",
     "guides/distributed_computing.md",
@@ -22,9 +23,13 @@ SLOW = {
     "guides/photographs_to_a_hologram.md",
     "guides/pictures_through_a_lens.md",
     "guides/polarised_rays.md",
+    "guides/real_displays.md",
     "guides/see_results.md",
     "guides/the_eye.md",
     "notes/accuracy.md",
+    "notes/hologram_optimization.md",
+    "notes/light_transport.md",
+    "notes/metameric_loss.md",
 }
 NEED_A_BROWSER = {"guides/see_results.md"}
 NEED_BLENDER = {"guides/render_in_blender.md"}

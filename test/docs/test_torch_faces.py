@@ -8,6 +8,7 @@ griffe = pytest.importorskip("griffe")
 EXTENSION = pathlib.Path(__file__).parents[2] / "docs" / "reference.py"
 
 
+@pytest.mark.slow
 def test_a_face_has_its_signature_and_docstring_in_the_reference():
     package = griffe.load(
         "odak", search_paths=[EXTENSION.parents[1]], resolve_aliases=True, extensions=griffe.load_extensions(EXTENSION)

@@ -64,7 +64,8 @@ def test_the_corpus_is_small_and_has_every_reader():
     assert max(sizes) < 20_000 and sum(sizes) < 300_000
 
 
-@pytest.mark.parametrize("name", READERS)
+# Lines of commands trace lenses and compute holograms: test/cli holds them in the default run.
+@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow) if n == "line" else n for n in READERS])
 def test_files_found_once_are_read_or_refused_by_name(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     held = [path for path in FILES if path.parts[0] == name]

@@ -204,6 +204,7 @@ BY_NAME = {
         "model": Build(_small_display),
         "phase": tensor(16, 16),
         "target": tensor(16, 16),
+        "iterations": 2,
     },
     "odak.learn.wave.display_model": {
         "phases": torch.arange(256, dtype=torch.float64) * (2 * math.pi / 256),

@@ -250,6 +250,7 @@ BY_CALL = {
         "target": numbers(16, 16),
         "folder": Build(lambda folder: folder / "hologram"),
         "initial_phase": numbers(16, 16),
+        "n_iterations": 1,
     },
     "odak.wave.produce_phase_only_slm_pattern": {
         "hologram": field(16, 16),
