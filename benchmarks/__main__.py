@@ -48,12 +48,17 @@ def main() -> int:
     run = {**about(arguments.device, arguments.threads), "rows": rows}
     text = json.dumps(run, indent=1) + "\n"
     if arguments.json:
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(text, encoding="utf-8")
     for line in slower(run, last_stored(arguments.device)):
         print(line)
     if arguments.store:
         HISTORY.mkdir(exist_ok=True)
-        (HISTORY / f"{run['time'].replace(':', '')}-{run['commit']}.json").write_text(text, encoding="utf-8")
+        stored = HISTORY / f"{run['time'].replace(':', '')}-{run['commit']}.json"
+        stored.write_text(text, encoding="utf-8")
+        print(
+            f"stored in {stored.relative_to(FOLDER.parent)}; now run: python docs/make_pictures.py docs/notes/speed.md"
+        )
     return int(any(row["bound"] is not None and row["ratio"] > row["bound"] for row in rows))
 
 

@@ -2,9 +2,15 @@
 
 import json
 import runpy
+import sys
+import types
 from pathlib import Path
 
+import documentation
 import pytest
+import torch
+
+import odak
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "__main__.py"
 
@@ -33,6 +39,35 @@ def test_the_last_run_of_the_same_kind_of_device(script, monkeypatch, tmp_path):
     assert script["last_stored"]("cuda")["device"] == "NVIDIA"
     about = script["about"]("cpu", 2)
     assert {"time", "commit", "machine", "cores", "torch", "threads"} <= set(about)
+
+
+def test_runs_are_stored_compared_and_drawn(script, monkeypatch, tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    make_pictures = documentation.script("make_pictures")
+    names, page = script["main"].__globals__, documentation.ROOT / "docs" / "notes" / "speed.md"
+    ratios, times = iter([1.0, 1.5]), iter(["2026-01-01", "2026-01-02"])
+    row = {"task": "a task", "ours_s": 1.0, "floor_s": 1.0, "floor": "itself", "bound": 2.0}
+    module = types.ModuleType("rays")
+    module.ALL = (lambda device: [{**row, "ratio": next(ratios)}],)
+    monkeypatch.setitem(sys.modules, "rays", module)
+    monkeypatch.setitem(names, "FOLDER", tmp_path / "benchmarks")
+    monkeypatch.setitem(names, "HISTORY", tmp_path / "benchmarks" / "history")
+    about = {"commit": "abc", "device": "cpu", "machine": "a machine", "threads": 1}
+    monkeypatch.setitem(names, "about", lambda *_: {**about, "time": next(times)})
+    monkeypatch.setattr(odak, "__file__", str(tmp_path / "odak" / "__init__.py"))
+    (tmp_path / "benchmarks").mkdir()
+    threads, lines = str(torch.get_num_threads()), []
+    for _ in range(3):
+        (_, printed), (_, nothing) = make_pictures.run_page(page, tmp_path)
+        lines.append(printed.splitlines())
+        assert nothing == "" and (tmp_path / "history.png").stat().st_size > 2000
+        if len(lines) < 3:
+            monkeypatch.setattr(sys, "argv", ["benchmarks", "rays", "--store", "--threads", threads])
+            assert script["main"]() == 0
+    assert list(map(len, lines)) == [1, 1, 2] and lines[0] == ["none yet"]
+    assert lines[2][1] == "2026-01-02  abc  a machine, 1 threads, 1 tasks"
+    said = capsys.readouterr().out
+    assert "compared with abc of 2026-01-01: 1 of 1 slower\nslower: a task: 1.50, 1.00 before" in said
 
 
 @pytest.mark.parametrize("file", sorted((SCRIPT.parent / "history").glob("*.json")), ids=lambda file: file.stem)
