@@ -192,18 +192,11 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
         on_sheet = exists & (1 - (k * curvature) * height > 0) & (abs(t) < xp.inf)
         across = None if aperture is None else (x + t * dx) ** 2 + (y + t * dy) ** 2
         candidates.append((t + offset, on_sheet, height, across))
+    (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
     if select == "through":
         # The derivative of z − sag along the ray has the sign of b at the first root, the opposite one at the second.
         first = (b >= 0) == (dz > 0)
-        (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
-        candidates = [(t1, on1 & first, z1, r1), (t2, on2 & ~first, z2, r2)]
-    return _select(line, candidates, curvature, k, aperture, select)
-
-
-def _select(line, candidates, curvature, k, aperture, select) -> tuple[Intersection, Any]:
-    """Return the selected of two intersections with a conic, and which rays intersect its sheet."""
-    xp, start, direction, _, differentiable = line
-    (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
+        on1, on2 = on1 & first, on2 & ~first
     if select == "ahead":
         leaving = _starts_on(start, curvature, k, aperture)
         nearer = on1 & (abs(t1) <= abs(t2))

@@ -1,7 +1,7 @@
 """Media of graded refractive index, and rays through them by an adaptive Runge–Kutta method."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cache
 from typing import Any, ClassVar, NamedTuple
 
@@ -9,36 +9,20 @@ from odak._array import Array, is_readable, is_torch, namespace
 from odak.raytracing import components as vec
 from odak.raytracing.batches import needs_gradient
 from odak.raytracing.geometry import epsilon
-from odak.raytracing.surfaces import polynomial_in
+from odak.raytracing.surfaces import Parametric, polynomial_in
 
 # Largest relative error of a step; steps tried before a ray is given up.
 TOLERANCE, STEPS = 1e-12, 400
 
 
 @dataclass(frozen=True)
-class Gradient:
+class Gradient(Parametric):
     """Base class of graded-index media.
 
     A gradient is a frozen dataclass whose fields are its parameters. It must define :meth:`index`, or :meth:`squared`
     where the derivatives are at hand. Coordinates are those of the vertex behind which the medium lies, z along the
-    axis.
-
-    Attributes
-    ----------
-    ranks : mapping
-        Number of axes of a parameter that belong to one medium, 0 unless given.
+    axis. The class variable ``ranks`` is that of :class:`odak.raytracing.Shape`.
     """
-
-    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
-
-    @classmethod
-    def ranks_of_parameters(cls) -> tuple[int, ...]:
-        """Return how many axes of each parameter do not belong to a batch."""
-        return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
-
-    def parameters(self) -> tuple:
-        """Return the parameters in the order of the constructor."""
-        return tuple(getattr(self, field.name) for field in fields(self))
 
     def index(self, x: Array, y: Array, z: Array, base: Any) -> Any:
         """Return the index at points, `base` being that of the surface's material at the wavelength of the ray."""

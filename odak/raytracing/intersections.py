@@ -84,12 +84,12 @@ def triangle(start, direction, corners) -> Hit:
 
 def within(point, known, corners):
     """Return whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
-    return in_pieces(_within, (1, 0, 2), point, known, corners)
 
+    def inside(point, known, corners):
+        place = namespace(point).where(known[..., None], point, 0.0)
+        return known & closed_forms.encloses(*barycentric(place, corners))
 
-def _within(point, known, corners):
-    xp = namespace(point)
-    return known & closed_forms.encloses(*barycentric(xp.where(known[..., None], point, 0.0), corners))
+    return in_pieces(inside, (1, 0, 2), point, known, corners)
 
 
 def disc(start, direction, point, normal, centre, radius) -> Hit:

@@ -1,7 +1,7 @@
 """Diffractive phases of surfaces: gratings, holograms, phase polynomials and ideal lenses."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -9,31 +9,16 @@ import numpy as np
 from odak._array import Array, namespace
 from odak.raytracing import components as vec
 from odak.raytracing import interfaces
-from odak.raytracing.surfaces import grid_reader, polynomial_in, xy_polynomial, zernike_sag
+from odak.raytracing.surfaces import Parametric, grid_reader, polynomial_in, xy_polynomial, zernike_sag
 
 
 @dataclass(frozen=True)
-class Phase:
+class Phase(Parametric):
     """Base class of phases that a surface adds to a wave.
 
-    A phase is a frozen dataclass whose fields are its parameters. It must define :meth:`cycles`.
-
-    Attributes
-    ----------
-    ranks : mapping
-        Number of axes of a parameter that belong to one surface, 0 unless given.
+    A phase is a frozen dataclass whose fields are its parameters. It must define :meth:`cycles`. The class variable
+    ``ranks`` is that of :class:`odak.raytracing.Shape`.
     """
-
-    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
-
-    @classmethod
-    def ranks_of_parameters(cls) -> tuple[int, ...]:
-        """Return how many axes of each parameter do not belong to a batch."""
-        return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
-
-    def parameters(self) -> tuple:
-        """Return the parameters in the order of the constructor."""
-        return tuple(getattr(self, field.name) for field in fields(self))
 
     def cycles(self, x: Array, y: Array) -> tuple:
         """Return the phase over 2π at x, y of the vertex plane, and its derivatives by x and by y."""

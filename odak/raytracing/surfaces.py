@@ -38,7 +38,29 @@ class Sag(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Shape:
+class Parametric:
+    """Base class of shapes, phases and media: frozen dataclasses whose fields are their parameters.
+
+    Attributes
+    ----------
+    ranks : mapping
+        Number of axes of a parameter that belong to one surface, 0 unless given.
+    """
+
+    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
+
+    @classmethod
+    def ranks_of_parameters(cls) -> tuple[int, ...]:
+        """Return how many axes of each parameter do not belong to a batch."""
+        return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
+
+    def parameters(self) -> tuple:
+        """Return the parameters in the order of the constructor."""
+        return tuple(getattr(self, field.name) for field in fields(self))
+
+
+@dataclass(frozen=True)
+class Shape(Parametric):
     """Base class of the shapes of surfaces.
 
     A shape is a frozen dataclass whose fields are its parameters: numbers, or arrays that broadcast against x and y. It
@@ -70,7 +92,6 @@ class Shape:
     """
 
     closed_form: ClassVar[bool] = False
-    ranks: ClassVar[Mapping[str, int]] = {"coefficients": 1}
 
     def sag(self, x: Array, y: Array) -> Sag:
         """Return height and derivatives at x, y."""
@@ -88,15 +109,6 @@ class Shape:
     def covers(self, x: Array, y: Array) -> Any:
         """Return where the surface reaches, bool; True for everywhere."""
         return True
-
-    def parameters(self) -> tuple:
-        """Return the parameters in the order of the constructor."""
-        return tuple(getattr(self, field.name) for field in fields(self))
-
-    @classmethod
-    def ranks_of_parameters(cls) -> tuple[int, ...]:
-        """Return how many axes of each parameter do not belong to a batch."""
-        return tuple(cls.ranks.get(field.name, 0) for field in fields(cls))
 
 
 @dataclass(frozen=True)
@@ -951,7 +963,9 @@ def _in_precision_of_rays(ray, **others):
 
 def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
     """Return what :func:`intersect_w_sag` does; `read` makes arrays of arguments."""
-    kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(checked_shape("surface", surface))}
+    if not isinstance(surface, Shape):
+        raise TypeError(f"surface must be a shape such as Conic, Toroid or SplineFreeform, got {surface!r:.80}")
+    kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(surface)}
     # Surfaces without coefficients are right as they are.
     held = {name: v for name, v in kinds.items() if not (isinstance(v, (list, tuple)) and len(v) == 0)}
     placed = {"center": center, "angles": angles, "aperture": aperture}
@@ -963,52 +977,28 @@ def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
     parameters = [made.get(name, none) for name in kinds]
     matrix = rotation_matrix(arguments.vector("angles", made["angles"])) if "angles" in made else None
     place = _validate.shaped("center", made["center"], ..., 3) if "center" in made else None
+    start, direction = ray[..., 0, :], ray[..., 1, :]
     if place is not None:
-        _validate.fitting(ray=ray[..., 0, :], center=place)
-    start, direction = to_local(ray[..., 0, :], ray[..., 1, :], place, matrix)
-    function, ranks = hits_of(type(surface), _validate.flag("ahead", ahead))
+        _validate.fitting(ray=start, center=place)
+        start = start - cast(place, start)
+    if matrix is not None:
+        inverse = xp.matrix_transpose(matrix)
+        start, direction = apply_matrix(inverse, start), apply_matrix(inverse, direction)
+    kind, select = type(surface), "ahead" if _validate.flag("ahead", ahead) else "vertex"
+    limits = []
     if "aperture" in made:
-        limit = _validate.real("aperture", made["aperture"])
-        _validate.fitting(ray=ray.shape[:-2], aperture=limit)
-        hit = in_pieces(function, ranks, start, direction, limit, *parameters)
-    else:
-        ranks = ranks[:2] + ranks[3:]
-        hit = in_pieces(lambda o, d, *p: function(o, d, None, *p), ranks, start, direction, *parameters)
-    return to_global(hit, place, matrix)
+        limits = [_validate.real("aperture", made["aperture"])]
+        _validate.fitting(ray=ray.shape[:-2], aperture=limits[0])
 
+    def in_own_frame(start, direction, *numbers):
+        limit, numbers = (numbers[0], numbers[1:]) if limits else (None, numbers)
+        return as_hit(*intersection(start, direction, kind(*numbers), limit, select))
 
-def checked_shape(name: str, value) -> Shape:
-    """Return a shape after checking that it is one."""
-    if not isinstance(value, Shape):
-        raise TypeError(f"{name} must be a shape such as Conic, Toroid or SplineFreeform, got {value!r:.80}")
-    return value
-
-
-def hits_of(kind: type[Shape], ahead: bool = True):
-    """Return a function (start, direction, aperture, *parameters) → Hit in the surface's own frame, and its ranks."""
-
-    def hits(start, direction, aperture, *parameters):
-        return as_hit(*intersection(start, direction, kind(*parameters), aperture, "ahead" if ahead else "vertex"))
-
-    return hits, (1, 1, 0, *kind.ranks_of_parameters())
-
-
-def to_local(start, direction, center, matrix):
-    """Return rays in the frame of a surface that was rotated by `matrix` and moved to `center`."""
-    start = start if center is None else start - cast(center, start)
-    if matrix is None:
-        return start, direction
-    inverse = namespace(matrix).matrix_transpose(matrix)
-    return apply_matrix(inverse, start), apply_matrix(inverse, direction)
-
-
-def to_global(hit: Hit, center, matrix) -> Hit:
-    """Return a hit in the frame that :func:`to_local` came from."""
-    point, normal = hit.point, hit.normal
+    ranks = (1, 1, *(0 for _ in limits), *kind.ranks_of_parameters())
+    distance, point, normal, status = in_pieces(in_own_frame, ranks, start, direction, *limits, *parameters)
     if matrix is not None:
         point, normal = apply_matrix(matrix, point), apply_matrix(matrix, normal)
-    point = point if center is None else point + cast(center, point)
-    return Hit(hit.distance, point, normal, hit.status)
+    return Hit(distance, point if place is None else point + cast(place, point), normal, status)
 
 
 def intersection(start, direction, shape: Shape, aperture=None, select: str = "ahead"):
@@ -1153,7 +1143,12 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         noise = 16 * epsilon(t) * (abs(x) + abs(y) + abs(z) + abs(start[2]) + abs(here.height))
         settled = done | (known & (abs(error) <= noise))
         crossed = crossed | (xp.isfinite(low) & xp.isfinite(high)) | settled
-        following = _next_distance(xp, t, error, slope, best, better, low, high)
+        following = t - error / xp.where(slope == 0, 1.0, slope)
+        bracketed = xp.isfinite(low) & xp.isfinite(high)
+        usable = better & (slope != 0) & xp.isfinite(following)
+        between = (following - low) * (following - high) < 0
+        halved = xp.where(bracketed, (low + high) / 2, (t + best) / 2)
+        following = xp.where(usable & (between | ~bracketed), following, halved)
         # One step further from within the noise: it brings the error down to rounding.
         polished = t - xp.where(slope == 0, 0.0, error) / xp.where(slope == 0, 1.0, slope)
         t, done = xp.where(done, t, xp.where(settled, polished, following)), settled
@@ -1163,12 +1158,3 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         if not transformed and (step % 4 == 3 or is_readable(t)) and bool(xp.all(over)):
             break
     return t, done, crossed
-
-
-def _next_distance(xp, t, error, slope, best, better, low, high):
-    step = t - error / xp.where(slope == 0, 1.0, slope)
-    bracketed = xp.isfinite(low) & xp.isfinite(high)
-    usable = better & (slope != 0) & xp.isfinite(step)
-    between = (step - low) * (step - high) < 0
-    halved = xp.where(bracketed, (low + high) / 2, (t + best) / 2)
-    return xp.where(usable & (between | ~bracketed), step, halved)

@@ -8,7 +8,7 @@ from odak import _validate
 from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
 from odak.learn.raytracing.system.surfaces import Prescription
-from odak.learn.raytracing.system.tracing import Traced, trace
+from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
 
@@ -88,7 +88,8 @@ def spot_diagram(
     """
     reference = _validate.one_of("reference", reference, REFERENCES)
     traced = trace_fields(system, pupil, count, prescription=prescription, **options)
-    x, y, kept = _clean(traced)
+    kept = traced.arrived
+    x, y = torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0)
     number = kept.sum((-3, -1))
     if reference == "chief":
         chief = trace_fields(
@@ -140,12 +141,6 @@ def rms_spot(system: Any, pupil: Any = "rings", count: int = 6, **options: Any) 
     True
     """
     return spot_diagram(system, pupil, count, **options).rms
-
-
-def _clean(traced: Traced):
-    """Return the points with zeros where rays are lost, and which are not."""
-    kept = traced.arrived
-    return torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0), kept
 
 
 def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tuple[torch.Tensor, torch.Tensor]:

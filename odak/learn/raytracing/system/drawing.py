@@ -120,14 +120,11 @@ def _curves(system, rays) -> dict[int, np.ndarray]:
     if not graded:
         return {}
     paths = ray_paths(system, rays)
-    ends = {i: next(j for j in range(i + 1, len(system.surfaces) + 1) if not _is_break(system, j)) for i in graded}
+    breaks = {i for i, item in enumerate(system.surfaces) if is_break(item)}
+    ends = {i: next(j for j in range(i + 1, len(system.surfaces) + 1) if j not in breaks) for i in graded}
     return {
         i: curved_paths(system, rays, i, paths[..., j + 1, :])[system.reference].cpu().numpy() for i, j in ends.items()
     }
-
-
-def _is_break(system, i: int) -> bool:
-    return i < len(system.surfaces) and is_break(system.surfaces[i])
 
 
 def _with_curves(path: np.ndarray, curves: dict[int, np.ndarray], stations: int) -> np.ndarray:

@@ -172,9 +172,10 @@ def blocks(layout: Layout, numbers: Numbers, shape, dtype):
     if not count * rays:
         return
     if count == 1 or rays >= MANY:
-        lists = _as_lists(numbers)
+        # As nested lists: arithmetic with Python floats needs no broadcasting.
+        lists = [value.detach().tolist() for value in numbers[:5]]
         for row in range(count):
-            sequence = _float_elements(layout, lists, row)
+            sequence = _build(layout, *(value[row] for value in lists))
             for start in range(0, rays, block):
                 yield slice(row, row + 1), slice(start, start + block), sequence
         return
@@ -324,8 +325,7 @@ def _run(block, sequence, keep: list | None = None):
         normal, squared = _normal(x, y, z, e)
         gamma = root = None
         if e.action != "pass":
-            gamma, root = _gamma(cosine, squared, e)
-            u, v, w = _deflected(old, normal, gamma, e)
+            (u, v, w), gamma, root = _deflected(old, cosine, normal, squared, e)
         if keep is not None:
             keep.append(SurfaceRecord(*old, x, y, z, distance, cosine, gamma, root, normal, squared))
     if keep is not None:
@@ -361,7 +361,7 @@ def _intersect(x, y, u, v, w, e: Element, check: bool):
     y.addcmul_(t, v)
     z = t * w
     if e.kind is EvenAsphere:
-        _, slope, defined = _sag(torch.addcmul(x * x, y, y), e)
+        _, slope, defined = radial_sag(torch.addcmul(x * x, y, y), e.c, e.k, e.a)
         cosine = torch.addcmul(w, torch.addcmul(x * u, y, v), slope, value=-2)
         return None if check and not bool(defined.all()) else (z, t, cosine)
     return None if check and not _on_sheet(z, e) else (z, t, cosine)
@@ -382,7 +382,7 @@ def _newton(x, y, u, v, w, t, e: Element):
     for _ in range(STEPS):
         px, py = torch.addcmul(x, t, u), torch.addcmul(y, t, v)
         squared = torch.addcmul(px * px, py, py)
-        height, slope, _ = _sag(squared, e)
+        height, slope, _ = radial_sag(squared, e.c, e.k, e.a)
         along = torch.addcmul(w, px.mul_(u).addcmul_(py, v), slope, value=-2)
         step = torch.addcmul(height, t, w, value=-1).neg_().div_(along)
         t = t - step
@@ -397,7 +397,7 @@ def _normal(x, y, z, e: Element):
     if e.kind is Plane:
         return (None, None, None), None
     if e.kind is EvenAsphere:
-        _, slope, _ = _sag(torch.addcmul(x * x, y, y), e)
+        _, slope, _ = radial_sag(torch.addcmul(x * x, y, y), e.c, e.k, e.a)
         nx, ny = (slope * x).mul_(-2), (slope * y).mul_(-2)
         return (nx, ny, None), torch.addcmul(nx * nx, ny, ny).add_(1)
     nx, ny, nz = x * -e.c, y * -e.c, (z * (-e.c * (1 + e.k))).add_(1)
@@ -406,31 +406,26 @@ def _normal(x, y, z, e: Element):
     return (nx, ny, nz), torch.addcmul(nx * nx, ny, ny).addcmul_(nz, nz)
 
 
-def _gamma(cosine, squared, e: Element):
-    """Return Γ of d′ = μd + ΓN, and the root in it."""
+def _deflected(old, cosine, normal, squared, e: Element):
+    """Return d′ = μd + ΓN, Γ, and the root in it."""
     if e.action == "reflect":
-        gamma = cosine * -2
-        return (gamma if squared is None else gamma.div_(squared)), None
-    mu = e.n1 / e.n2
-    root = cosine * cosine
-    root.mul_(mu * mu)
-    root = root.add_(1 - mu * mu) if squared is None else _add(root, squared, 1 - mu * mu)
-    root.sqrt_()
-    gamma = root.clone() if e.sign > 0 else root.neg()
-    gamma = _add(gamma, cosine, -mu)
-    return (gamma if squared is None else gamma.div_(squared)), root
-
-
-def _deflected(old, normal, gamma, e: Element):
-    """Return μd + ΓN."""
-    mu = 1.0 if e.action == "reflect" else e.n1 / e.n2
+        mu, root, gamma = 1.0, None, cosine * -2
+    else:
+        mu = e.n1 / e.n2
+        root = cosine * cosine
+        root.mul_(mu * mu)
+        root = root.add_(1 - mu * mu) if squared is None else _add(root, squared, 1 - mu * mu)
+        root.sqrt_()
+        gamma = _add(root.clone() if e.sign > 0 else root.neg(), cosine, -mu)
+    if squared is not None:
+        gamma.div_(squared)
     parts = [value * mu for value in old]
     for axis, part in enumerate(parts):
         if normal[axis] is not None:
             part.addcmul_(gamma, normal[axis])
         elif axis == 2:
             part.add_(gamma)
-    return parts
+    return parts, gamma, root
 
 
 def _add(out, value, factor):
@@ -438,26 +433,10 @@ def _add(out, value, factor):
     return out.add_(value, alpha=factor) if isinstance(factor, float) else out.addcmul_(value, factor)
 
 
-def _sag(squared, e: Element):
-    """Return an asphere's height at r², its derivative by r², and its domain."""
-    return radial_sag(squared, e.c, e.k, e.a)
-
-
 def _elements(layout: Layout, numbers: Numbers, dtype: torch.dtype) -> list[Element]:
     """Return the elements of a batch as tensors ``[B, 1]`` of `dtype`, for broadcasting against rays ``[B, R]``."""
     narrow = [value.to(dtype) for value in numbers[:5]]
     return _build(layout, *[_columns(value) for value in narrow])
-
-
-def _float_elements(layout: Layout, lists: tuple, row: int) -> list[Element]:
-    """Return the elements of one system as floats, from :func:`_as_lists`."""
-    curvature, conic, distance, coefficients, index = (value[row] for value in lists)
-    return _build(layout, curvature, conic, distance, coefficients, index)
-
-
-def _as_lists(numbers: Numbers) -> tuple:
-    """Return the numbers as nested lists: arithmetic with Python floats needs no broadcasting."""
-    return tuple(value.detach().tolist() for value in numbers[:5])
 
 
 def _columns(value):

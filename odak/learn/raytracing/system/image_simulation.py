@@ -134,7 +134,7 @@ def point_spread_map(
     options = {"prescription": prescription, "fields": _fields_of(system, ideal.reshape(-1, 2), prescription)}
     real = _chief(system, options)[system.reference]
     undistort = _inverse_map(system, prescription, half, pitch)
-    points, shares = (_by_rays if kind == "rays" else _by_waves)(system, count, options)
+    points, shares = (_ray_samples if kind == "rays" else _diffraction_samples)(system, count, options)
     power = _power(system, count, options, losses) * _area(undistort, real)[:, None, :]
     axis = {**options, "fields": torch.zeros(1, 2, dtype=torch.float64)}
     middle = _power(system, count, axis, losses) * _area(undistort, torch.zeros_like(real[:1]))[:, None, :]
@@ -218,11 +218,6 @@ def _terms(points: torch.Tensor) -> torch.Tensor:
     return torch.stack([x**i * y**j for i, j in _POWERS], -1)
 
 
-def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
-    """Return the ideal points ``[..., 2]`` of real ones."""
-    return _terms(real) @ undistort.mT.to(real)
-
-
 def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     """Return the area of the ideal image per area of the real one at points ``[F, 2]``, as ``[1, F]``."""
     x, y = real.unbind(-1)
@@ -231,7 +226,12 @@ def _area(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
     return (along_x[..., 0] * along_y[..., 1] - along_x[..., 1] * along_y[..., 0]).abs()[None]
 
 
-def _by_rays(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
+def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
+    """Return the ideal points ``[..., 2]`` of real ones."""
+    return _terms(real) @ undistort.mT.to(real)
+
+
+def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
     """Return intersections of rays with the sensor, ``[W, F, P, 2]``, and their shares of the power, ``[W, F, P]``."""
     rays = launch(system, "rings", count, **options)
     found = trace(system, rays, prescription=options["prescription"])
@@ -248,7 +248,7 @@ def _ring_weights(count: int) -> torch.Tensor:
     return weights
 
 
-def _by_waves(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
+def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the samples of diffraction images: their places and shares of the light."""
     spread = point_spread_function(system, 8 * count, 16 * count, **options)
     n = spread.intensity.shape[-1]
@@ -342,16 +342,16 @@ def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tenso
     ).reshape(*picture.shape[:-2], *real.shape[:2])
     size = [n + 2 * (kernel - 1) for n in (rows, columns)]
     total: Any = 0.0
-    hats = [_hats(ideal[..., axis], spread.kernels.shape[2 - axis]) for axis in (1, 0)]
-    for i, up in enumerate(hats[0]):
-        for j, along in enumerate(hats[1]):
+    weights = [_linear_weights(ideal[..., axis], spread.kernels.shape[2 - axis]) for axis in (1, 0)]
+    for i, up in enumerate(weights[0]):
+        for j, along in enumerate(weights[1]):
             part = torch.fft.rfft2(distorted * (up * along), s=size)
             total = total + part * torch.fft.rfft2(spread.kernels[:, i, j], s=size)
     found = torch.fft.irfft2(total, s=size)
     return found[..., kernel - 1 : kernel - 1 + rows, kernel - 1 : kernel - 1 + columns].to(picture.dtype)
 
 
-def _hats(place: torch.Tensor, count: int) -> list[torch.Tensor]:
+def _linear_weights(place: torch.Tensor, count: int) -> list[torch.Tensor]:
     """Return the weights of points at −1 … 1 by linear interpolation."""
     scaled = (place.clamp(-1, 1) + 1) / 2 * (count - 1)
     return [(1 - (scaled - i).abs()).clamp(min=0) for i in range(count)]

@@ -243,7 +243,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
     step = 1e-4 * pupil.reach[..., None, None, None]
 
     def errors(px, py, share=1.0, part=1.0):
-        rays = through_places(system, _scaled_fields(system, fields, share), pupil, px, py)
+        rays = through_places(system, fields if isinstance(share, float) else fields * share[..., None], pupil, px, py)
         x, y, kept = at_stop(system, numbers, rays)
         return x - part * radius * points[..., 0], y - part * radius * points[..., 1], kept
 
@@ -262,13 +262,6 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
 
     x, y = newton_step(missed, safe[0], safe[1], step)
     return torch.where(found, x, torch.inf), torch.where(found, y, torch.inf)
-
-
-def _scaled_fields(system, fields: torch.Tensor, share):
-    """Return field points at a fraction of the way from the axis, per ray."""
-    if isinstance(share, float):
-        return fields
-    return fields * share[..., None]
 
 
 def _solve(errors, x, y, step, radius, *way, rounds: int = 12):

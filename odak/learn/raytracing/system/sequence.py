@@ -100,7 +100,9 @@ class Numbers(NamedTuple):
 
     def first(self, count: int, layout: Layout) -> "Numbers":
         """Return the numbers of the first surfaces."""
-        others = sum(_other_count(layout, i) for i in range(count))
+        kinds = [kind for kind in layout.kinds[:count] if kind not in STANDARD]
+        kinds += [kind for given in (layout.phases, layout.media) for kind in given[:count] if kind is not None]
+        others = sum(len(kind.ranks_of_parameters()) for kind in kinds)
         placed = [None if value is None else value[:, :count] for value in (self.shift, self.tilt)]
         parts: Any = [value[:, :count] for value in self[:4]]
         parts += [self.index[:, : count + 1], self.wavelength, *placed, self.others[:others]]
@@ -132,12 +134,6 @@ class State(NamedTuple):
     status: torch.Tensor
 
 
-def _other_count(layout: Layout, i: int) -> int:
-    kinds = [None if layout.kinds[i] in STANDARD else layout.kinds[i]]
-    kinds += [given[i] for given in (layout.phases, layout.media) if given]
-    return sum(len(kind.ranks_of_parameters()) for kind in kinds if kind is not None)
-
-
 def flat_arguments(layout: Layout, numbers: Numbers) -> tuple[list[torch.Tensor], list[int]]:
     """Return the numbers as tensors ``[B, 1, …]`` for :func:`plain_trace`, and how many axes follow the batch's two."""
     tensors: Any = [value[:, None] for value in numbers[:5]]
@@ -147,14 +143,6 @@ def flat_arguments(layout: Layout, numbers: Numbers) -> tuple[list[torch.Tensor]
         ranks += [0, 2, 2]
     tensors += [value[:, None] for value in numbers.others]
     return tensors, ranks + [value.ndim - 1 for value in numbers.others]
-
-
-def initial_status(rays) -> torch.Tensor:
-    """Return statuses of rays as they start: those that are not finite are lost."""
-    total: Any = sum(rays)
-    status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
-    # Rays that could not be aimed have infinite direction cosines.
-    return torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
 
 
 class Passage(NamedTuple):
@@ -212,7 +200,10 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
     if layout.placed or any(layout.phases):
         wavelength, shift, tilt, *rest = rest
     others = iter(rest)
-    status = initial_status(rays)
+    total: Any = sum(rays)
+    status = torch.where(torch.isfinite(total), HIT, int(RayStatus.MISS))
+    # Rays that could not be aimed have infinite direction cosines.
+    status = torch.where(torch.isinf(rays[5]), int(RayStatus.NOT_AIMED), status).to(torch.int8)
     x, y, z, u, v, w = (torch.where(status == HIT, value, float(i == 5)) for i, value in enumerate(rays))
     point, direction, path = (x, y, z), (u, v, w), torch.zeros_like(x + distance[..., 0])
     status = status.expand(path.shape)
@@ -263,7 +254,8 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
         point, direction = _on_axis(status, sign, found.point, direction)
         limit = layout.limits[i]
         if limit is not None:
-            inside = _passes(limit, point[0], point[1])
+            x, y = point[:2]
+            inside = x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
             status = _with_event(status, inside, RayStatus.VIGNETTED)
         incoming, normal, n2 = direction, None, index[..., i + 1]
         if action != "pass" or phase is not None:
@@ -315,10 +307,6 @@ def _shape(kind, curvature, conic, coefficients, others) -> Shape:
 
 def _rebuilt(kind, others):
     return None if kind is None else kind(*(next(others) for _ in kind.ranks_of_parameters()))
-
-
-def _passes(limit, x, y):
-    return x * x + y * y <= limit * limit if isinstance(limit, float) else limit.passes(x, y)
 
 
 def _with_event(status, good, otherwise):
@@ -433,7 +421,7 @@ def placement(shift, tilt, order=None) -> Frame:
         coordinate break "shift": shifted, then rotated about x, the new y and the new z. "tilt": rotated about z, the
         new y and the new x, then shifted along the new axes.
     """
-    (ca, cb, cc), (sa, sb, sc) = (_split(value) for value in _cos_sin(tilt))
+    (ca, cb, cc), (sa, sb, sc) = (_split(value) for value in (tilt.cos(), tilt.sin()))
     rx = [[1.0, 0.0, 0.0], [0.0, ca, -sa], [0.0, sa, ca]]
     ry = [[cb, 0.0, sb], [0.0, 1.0, 0.0], [-sb, 0.0, cb]]
     rz = [[cc, -sc, 0.0], [sc, cc, 0.0], [0.0, 0.0, 1.0]]
@@ -443,10 +431,6 @@ def placement(shift, tilt, order=None) -> Frame:
     if order == "tilt":
         origin = tuple(_dot(row, origin) for row in matrix)
     return Frame(matrix, origin)
-
-
-def _cos_sin(angle):
-    return (angle.cos(), angle.sin())
 
 
 def _split(value) -> tuple:
