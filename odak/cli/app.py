@@ -247,7 +247,7 @@ def metamer(
     mode: options.PoolingMode = "quadratic",
     levels: options.Levels = 5,
     orientations: options.Orientations = 2,
-    iterations: options.Refinements = 60,
+    iterations: options.Refinements = 40,
     joint: options.Joint = False,
     nominal_width: options.NominalWidth = False,
     seed: options.NoiseSeed = 0,

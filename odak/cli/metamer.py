@@ -60,7 +60,7 @@ class MetamerJob:
     mode: str = "quadratic"
     levels: int = 5
     orientations: int = 2
-    iterations: int = 60
+    iterations: int = 40
     joint: bool = False
     nominal_width: bool = False
     seed: int = 0

@@ -1,5 +1,6 @@
 """Statistics of pairs of steerable bands, across channels, orientations, scales and places; textures made from them."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -8,6 +9,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak.learn.perception.color_matrices import as_pictures
+from odak.learn.perception.pooling import Sampler, is_blocked, sampled_planes
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 from odak.learn.perception.util import check_values
 
@@ -20,6 +22,10 @@ TEXTURE_SHIFTS = tuple((i, j) for i in range(4) for j in range(-3, 4) if i > 0 o
 TEXTURE_ITERATIONS = 300
 # Weights in the distance of textures: moments of pixels, few numbers, against bands, many.
 PIXEL_WEIGHT = 10.0
+
+# Power of the frequency by which the descent weights changes of a picture, and the frequency in cycles per pixel below
+# which it weights them alike.
+STEEPNESS, SLOWEST = 0.4, 0.02
 
 Pool = Callable[[torch.Tensor], torch.Tensor]
 
@@ -64,71 +70,178 @@ def joint_maps(
     Nat. Neurosci. 14, 1195 (2011). A pair's covariance is divided by the geometric mean of its two deviations, which
     gives it the unit of a band, as means and deviations have. Scales and phases are those of one orientation.
     """
-    complex_bands = [
-        torch.complex(bands[:, 0].contiguous(), maker.quadrature(level[:, :1])[:, 0].contiguous())
-        for bands, level in zip(groups, low, strict=False)
-    ]
+    kept = list(zip(groups, low, pools, strict=False))
+    # Parts of the first channel's complex bands, and their moduli.
+    real = [bands[:, 0] for bands, _, _ in kept]
+    imaginary = [maker.quadrature(passed[:, :1])[:, 0] for _, passed, _ in kept]
+    moduli = [(one**2 + other**2 + POWER_FLOOR).sqrt() for one, other in zip(real, imaginary, strict=True)]
+    maps = []
+    for level, (bands, passed, pool) in enumerate(kept):
+        channels, count = bands.shape[1:3]
+        values, pairs = [bands.flatten(1, 2), moduli[level]], _pairs_within(channels, count)
+        if level + 1 < len(kept):
+            one, other, modulus = real[level + 1], imaginary[level + 1], moduli[level + 1]
+            # The square of a complex number over its modulus has twice its phase.
+            coarse = torch.cat([modulus, (one**2 - other**2) / modulus, 2 * one * other / modulus], 1)
+            values.append(functional.interpolate(coarse, bands.shape[-2:], mode="bilinear", align_corners=False))
+            first, last = channels * count, (channels + 1) * count
+            pairs.append([(slice(first, last), slice(last, last + count))])
+            pairs.append([(slice(count), slice(last + part * count, last + (part + 1) * count)) for part in (1, 2)])
+        # The low-pass varies about its mean, so that its size does not enter.
+        compared = torch.cat([moduli[level], passed[:, :1]], 1)
+        found = _correlated(pool, [pair for kind in pairs for pair in kind], shifts, compared, values)
+        lengths = [sum(two.stop - two.start for _, two in kind) for kind in pairs]
+        maps.append([one for one in found.split([*lengths, compared.shape[1] * len(shifts)], 1) if one.shape[1]])
+    return maps
+
+
+def _pairs_within(channels, count):
+    """Return which values of a level pair up, as two slices each: across channels, and across orientations.
+
+    Orientation k of channel c is value c·K + k; the moduli follow.
+    """
+    moduli, end = channels * count, (channels + 1) * count
     return [
-        _level_maps(groups, low, complex_bands, level, pool, shifts)
-        for level, pool in zip(range(len(groups)), pools, strict=False)
-    ]
-
-
-def _level_maps(groups, low, complex_bands, level, pool, shifts):
-    bands, here = groups[level], complex_bands[level]
-    channels, count = bands.shape[1:3]
-    modulus = _modulus(here)
-    # Channel c of orientation k is value c·K + k, the moduli follow.
-    values, start = [bands.flatten(1, 2), modulus], channels * count
-    kinds = [
         [
-            (one * count + k, two * count + k)
+            (slice(one * count, (one + 1) * count), slice(two * count, (two + 1) * count))
             for one in range(channels)
             for two in range(one + 1, channels)
-            for k in range(count)
         ],
-        [(start + one, start + two) for one in range(count) for two in range(one + 1, count)],
+        [(slice(moduli, end - step), slice(moduli + step, end)) for step in range(1, count)],
     ]
-    if level + 1 < len(groups):
-        coarse = complex_bands[level + 1]
-        doubled = coarse * coarse / _modulus(coarse)
-        parts = torch.cat([_modulus(coarse), doubled.real, doubled.imag], 1)
-        values.append(functional.interpolate(parts, bands.shape[-2:], mode="bilinear", align_corners=False))
-        first = start + count
-        kinds.append([(start + k, first + k) for k in range(count)])
-        kinds.append([(k, first + part * count + k) for part in (1, 2) for k in range(count)])
-    # The low-pass varies about its mean, so that its size does not enter.
-    compared = torch.cat([modulus, low[level][:, :1]], 1)
-    differences = [(compared - _shifted(compared, shift)) ** 2 for shift in shifts]
-    pairs = [pair for kind in kinds for pair in kind]
-    pooled = _correlated(torch.cat(values, 1), pairs, differences, pool)
-    found = pooled.split([len(kind) for kind in kinds] + [compared.shape[1] * len(shifts)], 1)
-    return [one for one in found if one.shape[1]]
 
 
-def _correlated(values, pairs, differences, pool):
+def _correlated(pool, slices, shifts, compared, values):
     """Return the pooled covariances of pairs over their deviations' geometric mean, and roots of pooled differences."""
-    one, two = (torch.tensor([pair[side] for pair in pairs], device=values.device) for side in (0, 1))
-    count = values.shape[1]
-    pooled = pool(torch.cat([values, values**2, values[:, one] * values[:, two], *differences], 1))
-    mean, power, product, squared = pooled.split([count, count, len(pairs), sum(d.shape[1] for d in differences)], 1)
-    deviation = (power - mean**2).clamp_min(POWER_FLOOR).sqrt()
-    covariance = product - mean[:, one] * mean[:, two]
-    scale = (deviation[:, one] * deviation[:, two]).sqrt()
-    return torch.cat([covariance / scale, squared.clamp_min(POWER_FLOOR).sqrt()], 1)
+    if isinstance(pool, Sampler) and pool.levels and is_blocked(compared):
+        return _Correlations.apply(pool, slices, shifts, compared, *values)
+    return _plainly_correlated(pool, slices, shifts, compared, *values)
 
 
-def _modulus(values):
-    return (values.real**2 + values.imag**2 + POWER_FLOOR).sqrt()
+def _plainly_correlated(pool, slices, shifts, compared, *values):
+    values = torch.cat(values, 1)
+    products = torch.cat([values[:, one] * values[:, two] for one, two in slices], 1)
+    differences = [(compared - neighbours) ** 2 for neighbours in _neighbours(compared, shifts)]
+    sizes = [values.shape[1]] * 2 + [products.shape[1], compared.shape[1] * len(shifts)]
+    mean, power, product, squared = pool(torch.cat([values, values**2, products, *differences], 1)).split(sizes, 1)
+    # One over the root of each deviation.
+    scale = (power - mean**2).clamp_min(POWER_FLOOR) ** -0.25
+    expected = torch.cat([mean[:, one] * mean[:, two] for one, two in slices], 1)
+    scales = torch.cat([scale[:, one] * scale[:, two] for one, two in slices], 1)
+    return torch.cat([(product - expected) * scales, squared.clamp_min(POWER_FLOOR).sqrt()], 1)
 
 
-def _shifted(picture, shift):
-    """Return a picture shifted by rows and columns, its last pixels repeated at the borders."""
-    down, right = shift
-    pads = (max(right, 0), max(-right, 0), max(down, 0), max(-down, 0))
-    padded = functional.pad(picture, pads, mode="replicate")
+class _Correlations(torch.autograd.Function):
+    """The same on a CPU: on planes ``[H, B, N, W]``, which samplers read fastest, with the gradient written out."""
+
+    @staticmethod
+    def forward(context, pool, slices, shifts, compared, *values):
+        context.rest = pool, slices, shifts
+        rows, columns = compared.shape[-2:]
+        sizes = [one.shape[1] for one in values]
+        context.sizes = [sum(sizes)] * 2 + [sum(two.stop - two.start for _, two in slices)]
+        context.sizes.append(compared.shape[1] * len(shifts))
+        planes = compared.new_empty(rows, len(compared), sum(context.sizes), columns)
+        value, power, product, squared = planes.split(context.sizes, 2)
+        for part, given in zip(value.split(sizes, 2), values, strict=True):
+            part.copy_(given.permute(2, 0, 1, 3))
+        torch.mul(value, value, out=power)
+        for place, one, two in _places(slices):
+            torch.mul(value[:, :, one], value[:, :, two], out=product[:, :, place])
+        for part, neighbours in zip(squared.split(compared.shape[1], 2), _neighbours(compared, shifts), strict=True):
+            torch.sub(compared.permute(2, 0, 1, 3), neighbours.permute(2, 0, 1, 3), out=part).square_()
+        pooled = sampled_planes(planes.flatten(1, 2), pool).view_as(planes)
+        mean, power, _, _ = pooled.split(context.sizes, 2)
+        # The variance, then one over the root of the deviation.
+        power.addcmul_(mean, mean, value=-1)
+        varies = power > POWER_FLOOR
+        scale = power.clamp_min_(POWER_FLOOR).sqrt_().rsqrt_()
+        found = pooled[:, :, 2 * context.sizes[0] :]
+        for place, one, two in _places(slices):
+            part = found[:, :, place].addcmul_(mean[:, :, one], mean[:, :, two], value=-1)
+            part.mul_(scale[:, :, one]).mul_(scale[:, :, two])
+        found[:, :, context.sizes[2] :].clamp_min_(POWER_FLOOR).sqrt_()
+        if any(context.needs_input_grad):
+            context.save_for_backward(compared, *values, value.clone(), pooled, varies)
+        return found.permute(1, 2, 0, 3).clone(memory_format=torch.preserve_format)
+
+    @staticmethod
+    def backward(context, outer):
+        compared, *values, value, pooled, varies = context.saved_tensors
+        pool, slices, shifts = context.rest
+        if torch.is_grad_enabled():
+            # Derivatives of the gradient are wanted: computed again by differentiable operations.
+            found = _plainly_correlated(pool, slices, shifts, compared, *values)
+            return (None,) * 3 + torch.autograd.grad(found, (compared, *values), outer, create_graph=True)
+        mean, scale, covariance, root = pooled.split(context.sizes, 2)
+        outer = outer.permute(2, 0, 1, 3)
+        gradient = torch.empty_like(pooled)
+        by_mean, by_power, by_product, by_squared = gradient.split(context.sizes, 2)
+        gradient[:, :, : 2 * context.sizes[0]].zero_()
+        for place, one, two in _places(slices):
+            part = torch.mul(scale[:, :, one], scale[:, :, two], out=by_product[:, :, place])
+            part.mul_(outer[:, :, place])
+            by_mean[:, :, one].addcmul_(part, mean[:, :, two], value=-1)
+            by_mean[:, :, two].addcmul_(part, mean[:, :, one], value=-1)
+            for side in (one, two):
+                by_power[:, :, side].addcmul_(covariance[:, :, place], outer[:, :, place])
+        # A scale is the variance to the power of −1/4; 0 where the variance is clipped.
+        by_power.mul_(scale.square().square_()).mul_(-0.25).mul_(varies)
+        by_mean.addcmul_(mean, by_power, value=-2)
+        torch.div(outer[:, :, context.sizes[2] :], root, out=by_squared).mul_(
+            0.5 * (root > root.new_tensor(POWER_FLOOR).sqrt())
+        )
+        by_mean, by_power, by_product, by_squared = (
+            sampled_planes(gradient.flatten(1, 2), pool, adjoint=True).view_as(pooled).split(context.sizes, 2)
+        )
+        total = by_mean.addcmul_(value, by_power, value=2)
+        for place, one, two in _places(slices):
+            total[:, :, one].addcmul_(by_product[:, :, place], value[:, :, two])
+            total[:, :, two].addcmul_(by_product[:, :, place], value[:, :, one])
+        parts = total.permute(1, 2, 0, 3).split([one.shape[1] for one in values], 1)
+        return None, None, None, _neighbours_gradient(compared, shifts, by_squared.permute(1, 2, 0, 3)), *parts
+
+
+def _places(slices):
+    """Return, for each pair of slices, where its products are, and the two."""
+    ends = list(itertools.accumulate((two.stop - two.start for _, two in slices), initial=0))
+    return [(slice(start, end), *pair) for (start, end), pair in zip(itertools.pairwise(ends), slices, strict=True)]
+
+
+def _neighbours(picture, shifts):
+    """Return, for each shift, a picture shifted by rows and columns, its last pixels repeated at the borders."""
     rows, columns = picture.shape[-2:]
-    return padded[..., max(-down, 0) : max(-down, 0) + rows, max(-right, 0) : max(-right, 0) + columns]
+    left, right, top, bottom = _margins(shifts)
+    padded = functional.pad(picture, (left, right, top, bottom), mode="replicate")
+    return [
+        padded[..., top - down : top - down + rows, left - along : left - along + columns] for down, along in shifts
+    ]
+
+
+def _margins(shifts):
+    down, along = zip(*shifts, strict=True)
+    return max(0, *along), max(0, *(-one for one in along)), max(0, *down), max(0, *(-one for one in down))
+
+
+def _neighbours_gradient(picture, shifts, gradient):
+    """Return the gradient by a picture of its squared differences from :func:`_neighbours`."""
+    rows, columns = picture.shape[-2:]
+    left, right, top, bottom = _margins(shifts)
+    neighbours = _neighbours(picture, shifts)
+    total = torch.zeros_like(picture)
+    beside = picture.new_zeros(*picture.shape[:2], rows + top + bottom, columns + left + right)
+    for part, neighbour, (down, along) in zip(gradient.split(picture.shape[1], 1), neighbours, shifts, strict=True):
+        change = (picture - neighbour).mul_(part)
+        total.add_(change)
+        beside[..., top - down : top - down + rows, left - along : left - along + columns].sub_(change)
+    # Repeated pixels are added to the ones that they repeat.
+    for axis, before, length in ((-2, top, rows), (-1, left, columns)):
+        inside = beside.narrow(axis, before, length)
+        inside.narrow(axis, 0, 1).add_(beside.narrow(axis, 0, before).sum(axis, keepdim=True))
+        after = beside.shape[axis] - before - length
+        inside.narrow(axis, length - 1, 1).add_(beside.narrow(axis, before + length, after).sum(axis, keepdim=True))
+        beside = inside
+    return total.add_(beside).mul_(2)
 
 
 def texture_statistics(
@@ -340,26 +453,42 @@ def descended(
     -------
     torch.Tensor
         In the shape of the start.
+
+    Notes
+    -----
+    The variables are the change of the picture with its spectrum divided by a power of the frequency. Bands of low
+    frequencies have few samples, each of which counts the more in the mean over a level: without the division the
+    descent is steep along them and flat along the others, and takes more than twice as many evaluations.
     """
     if not iterations:
         return held(picture)
+    rows, columns = picture.shape[-2:]
+    along = (torch.fft.fftfreq(rows)[:, None], torch.fft.rfftfreq(columns))
+    weights = (along[0] ** 2 + along[1] ** 2 + SLOWEST**2) ** (STEEPNESS / 2)
+    weights = weights.to(picture.device, picture.dtype)
+
+    def weighted(values):
+        return torch.fft.irfft2(torch.fft.rfft2(values) * weights, (rows, columns))
+
     with torch.enable_grad():
-        free = held(picture).detach().requires_grad_()
-        unit = distance(free.detach()).detach().clamp_min(torch.finfo(free.dtype).tiny)
+        start = held(picture).detach()
+        change = torch.zeros_like(start, memory_format=torch.contiguous_format).requires_grad_()
+        unit = distance(start).detach().clamp_min(torch.finfo(start.dtype).tiny)
         optimizer = torch.optim.LBFGS(
-            [free], max_iter=iterations, max_eval=iterations, tolerance_grad=0, tolerance_change=0,
+            [change], max_iter=iterations, max_eval=iterations, tolerance_grad=0, tolerance_change=0,
             history_size=10, line_search_fn="strong_wolfe",
         )  # fmt: skip
 
         def evaluate():
+            free = (start + weighted(change.detach())).requires_grad_()
             inside = held(free)
             # A penalty outside the bounds keeps the gradient from vanishing there.
             value = (distance(inside) + (free - inside).square().mean()) / unit
-            # L-BFGS takes contiguous gradients only.
-            free.grad = torch.autograd.grad(value, free)[0].contiguous()
+            # The weighting is symmetric, so that it is its own adjoint; L-BFGS takes contiguous gradients only.
+            change.grad = weighted(torch.autograd.grad(value, free)[0]).contiguous()
             if progress is not None:
                 progress()
             return value
 
         optimizer.step(evaluate)
-    return held(free.detach())
+    return held(start + weighted(change.detach()))

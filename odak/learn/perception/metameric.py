@@ -33,7 +33,7 @@ FOVEA_SHARPNESS = 10
 RADIAL_OFFSET, RADIAL_POWER = 1.1, 4
 RMS_FLOOR = 1e-6
 # Evaluations of the distance by which a metamer is made.
-METAMER_ITERATIONS = 60
+METAMER_ITERATIONS = 40
 # Pixels: smaller pooling regions would only take memory.
 FINEST = 1 / 64
 

@@ -20,7 +20,7 @@ from odak.learn.perception.color_matrices import is_plain
 VARIANCE_FLOOR = 1e-7
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
 # enough that calls cost little.
-COLUMNS, STRIP, CHUNK = 32, 1 << 14, 1 << 16
+COLUMNS, STRIP, CHUNK = 16, 1 << 12, 1 << 18
 
 
 class Block(NamedTuple):
@@ -298,10 +298,7 @@ class _Sampled(torch.autograd.Function):
 
     @staticmethod
     def forward(planes, sampler, adjoint):
-        result = torch.empty_like(planes)
-        for chunk in plane_chunks(sampler, planes):
-            (_sample_adjoint if adjoint else _sample)(planes[:, chunk], sampler, result[:, chunk])
-        return result
+        return sampled_planes(planes, sampler, adjoint)
 
     @staticmethod
     def setup_context(context, inputs, output):
@@ -312,22 +309,40 @@ class _Sampled(torch.autograd.Function):
         return _Sampled.apply(gradient, context.sampler, not context.adjoint), None, None
 
 
-def _sample(planes, sampler, result):
-    memory = strip_memory(sampler, planes, planes.shape[1])
-    coarse = sampler.coarse(sampler.levels[0].halve(planes))
-    for strip in sampler.strips:
-        total = torch.mul(planes[strip.rows], strip.fine, out=result[strip.rows])
-        strip.add(total[:, None], coarse, memory[: len(total), None])
+def sampled_planes(planes: torch.Tensor, sampler: Sampler, adjoint: bool = False) -> torch.Tensor:
+    """Return planes ``[H, P, W]`` sampled in strips, or the adjoint of that, without a graph.
 
+    Parameters
+    ----------
+    planes : torch.Tensor
+        ``[H, P, W]`` on a CPU.
+    sampler : Sampler
+        Of pictures of this size, with levels.
+    adjoint : bool
+        Apply the adjoint of the linear map.
 
-def _sample_adjoint(planes, sampler, result):
-    memory = strip_memory(sampler, planes, planes.shape[1])
-    totals = [planes.new_zeros(level.enlarged.shape[1], *planes.shape[1:]) for level in sampler.levels]
-    for strip in sampler.strips:
-        part = planes[strip.rows]
-        torch.mul(part, strip.fine, out=result[strip.rows])
-        strip.add_adjoint(part[:, None], totals, memory[: len(part), None])
-    sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), result)
+    Returns
+    -------
+    torch.Tensor
+        In the shape of the planes.
+    """
+    result = torch.empty_like(planes)
+    for chunk in plane_chunks(sampler, planes):
+        part, target = planes[:, chunk], result[:, chunk]
+        memory = strip_memory(sampler, part, part.shape[1])
+        if adjoint:
+            totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
+            for strip in sampler.strips:
+                rows = part[strip.rows]
+                torch.mul(rows, strip.fine, out=target[strip.rows])
+                strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
+            sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
+        else:
+            coarse = sampler.coarse(sampler.levels[0].halve(part))
+            for strip in sampler.strips:
+                total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
+                strip.add(total[:, None], coarse, memory[: len(total), None])
+    return result
 
 
 def _halved(size):

@@ -19,7 +19,7 @@ from odak.learn.perception import (
     uniform_blur,
 )
 from odak.learn.perception.foveation import _level
-from odak.learn.perception.joint_statistics import NEIGHBOURS, joint_maps
+from odak.learn.perception.joint_statistics import NEIGHBOURS, descended, joint_maps
 from odak.learn.perception.pooling import MipSampler
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
@@ -167,10 +167,44 @@ def test_the_loss_of_pairs_in_strips_is_that_of_whole_maps(kind):
     assert float(loss(image, target)) != float(whole)
 
 
+def test_pairs_in_strips_are_those_of_plain_operations():
+    pictures = noise(2, 3, 24, 32)
+    pictures[:, :, :10, :12] = 0.4  # without variance
+    maker = SpatialSteerablePyramid(False, 3, 5, 3, "cropped")
+    level = torch.linspace(0, 3, 24, dtype=torch.float64)[:, None].expand(24, 32)
+    pools = [MipSampler(level[:: 2**step, :: 2**step] / (step + 1), torch.float64) for step in range(2)]
+    found, gradients = [], []
+    for chosen in (pools, [pool.plainly for pool in pools]):
+        given = pictures.clone().requires_grad_()
+        groups, low = maker.stacked_bands(given, 3)
+        found.append([one for maps in joint_maps(groups[1:], low, chosen, maker) for one in maps])
+        weights = [noise(*one.shape, seed=index) for index, one in enumerate(found[-1])]
+        total = sum((one * weight).sum() for one, weight in zip(found[-1], weights, strict=True))
+        gradients.append(torch.autograd.grad(total, given)[0])
+    for one, other in zip(*found, strict=True):
+        torch.testing.assert_close(one, other)
+    torch.testing.assert_close(*gradients, rtol=1e-6, atol=1e-8)
+
+
+def test_the_descent_finds_the_least_squares_solution():
+    # Steep along low frequencies, as the distances between pyramids are: four times as much at each octave down.
+    target = noise(1, 1, 32, 48, seed=6)
+    frequency = torch.hypot(torch.fft.fftfreq(32, dtype=torch.float64)[:, None], torch.fft.rfftfreq(48).double())
+    steep = frequency.clamp_min(0.02) ** -2
+
+    def distance(picture):
+        return (torch.fft.rfft2(picture - target).abs().square() * steep).mean()
+
+    made = descended(torch.zeros_like(target), lambda picture: picture, distance, 40, None)
+    assert float(distance(made)) < 1e-6 * float(distance(torch.zeros_like(target)))
+    assert float((made - target).abs().max()) < 0.02
+
+
 def test_gradients_of_the_loss_of_pairs():
     loss = MetamericLoss(**VIEW, n_pyramid_levels=2, joint=True, use_l2_foveal_loss=False)
     image, target = noise(1, 1, 16, 16).requires_grad_(), noise(1, 1, 16, 16, seed=1)
     assert torch.autograd.gradcheck(lambda one: loss(one, target, [0.2, 0.4]), image, fast_mode=True)
+    assert torch.autograd.gradgradcheck(lambda one: loss(one, target, [0.2, 0.4]), image, fast_mode=True)
 
 
 def edge_picture():
