@@ -1,6 +1,10 @@
 """What the ranks of the tests of `odak.learn.wave.devices` do, each in a process of its own."""
 
 import torch
+
+# Second derivatives import it. Where a group of processes exists by then, default arguments of its modules keep the
+# group and its threads beyond `destroy_process_group`, and the process may abort at its end.
+import torch._dynamo
 import torch.distributed as dist
 
 from odak.learn.wave import across_ranks, propagate_beam
