@@ -33,7 +33,7 @@ def arguments(path: str, function: Callable, folder: Path) -> dict[str, Any]:
     """Return valid arguments for the call `path`, made anew; LookupError where one is not known."""
     found = {}
     for parameter in parameters_of(function):
-        value = sample(path, parameter, folder, example(function))
+        value = sample(path, parameter, folder, function)
         if value is MISSING:
             raise LookupError(f"test/api_sweep/examples has no valid {parameter.name!r} for {path}")
         found[parameter.name] = value
@@ -74,12 +74,14 @@ def example(function: Callable) -> dict[str, Any]:
     return found
 
 
-def sample(path: str, parameter: inspect.Parameter, folder: Path, shown: dict[str, Any]) -> Any:
+def sample(path: str, parameter: inspect.Parameter, folder: Path, function: Callable) -> Any:
     """Return a valid value for one argument, or MISSING: from the tables, its default, or what the example shows."""
     for table in (examples.BY_CALL.get(path, {}), *_by_prefix(examples.BY_NAME, path, {})):
         if parameter.name in table:
             return _made(table[parameter.name], folder)
-    value = shown.get(parameter.name, MISSING) if parameter.default is parameter.empty else parameter.default
+    # Examples run under a profiler, which takes long: only where nothing else gives the value.
+    required = parameter.default is parameter.empty
+    value = example(function).get(parameter.name, MISSING) if required else parameter.default
     return _made(value, folder)
 
 
