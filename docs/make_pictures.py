@@ -20,6 +20,7 @@ from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
 PICTURES = DOCS / "pictures"
+LARGE = 120_000  # bytes
 _FENCE = re.compile(
     r"^(?P<indent> *)```(?P<language>\w+)[^\n]*\n(?P<body>.*?)^(?P=indent)```$", re.MULTILINE | re.DOTALL
 )
@@ -103,8 +104,22 @@ def refresh(path: Path) -> list[str]:
         found = sorted(Path(folder).rglob("*.png"))
         for picture in found:
             target.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(picture, target / picture.name)
+            store(picture, target / picture.name)
     return [picture.name for picture in found]
+
+
+def store(picture: Path, target: Path) -> None:
+    """Copy a picture, with 256 colours if it is large and then becomes smaller."""
+    from PIL import Image
+
+    shutil.copyfile(picture, target)
+    if target.stat().st_size > LARGE:
+        with Image.open(picture) as image:
+            smaller = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+        stream = io.BytesIO()
+        smaller.save(stream, "png", optimize=True)
+        if stream.tell() < target.stat().st_size:
+            target.write_bytes(stream.getvalue())
 
 
 def main(arguments: list[str]) -> None:
