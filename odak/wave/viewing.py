@@ -11,8 +11,9 @@ from odak.wave.elements import zernike_modes
 from odak.wave.transfer_functions import pitches
 
 _AXES = (-2, -1)
-# From the centre of rotation to the entrance pupil (Fry and Hill, Am. J. Optom. 39, 581 (1962): 13.5 mm to the cornea,
-# less 3 mm to the pupil).
+# From the centre of rotation to the entrance pupil, which is 3 mm behind the cornea: 13.5 mm to the cornea lies between
+# the 14.7 mm of horizontal and the 12.0 mm of vertical rotations of emmetropes in Fry and Hill, Am. J. Optom. 39, 581
+# (1962) and 40, 707 (1963).
 ROTATION_RADIUS = 10.5e-3
 
 

@@ -82,7 +82,8 @@ def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     >>> round(xyz_to_lab(grey)[0, 0].item(), 2)
     49.5
     """
-    x, y, z = _cube_root(_relative(image, white)).unbind(-3)
+    image = as_pictures("image", image)
+    x, y, z = _cube_root(image / _column(_white(white), image)).unbind(-3)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
 
 
@@ -623,11 +624,6 @@ def _white(white, name="white"):
 
 def _column(white, like):
     return constant(tuple(white.tolist()), like.dtype, like.device)[:, None, None]
-
-
-def _relative(image, white):
-    image = as_pictures("image", image)
-    return image / _column(_white(white), image)
 
 
 def _cube_root(relative):

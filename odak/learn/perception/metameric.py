@@ -429,21 +429,21 @@ class MetamericLoss(_StatisticsLoss):
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
             return [None] * len(sizes)
         key = (tuple(image.shape), geometry, self._options(), image.dtype, image.device)
-        if self._masks is None or self._masks[0] != key:
-            with torch.inference_mode(False), torch.no_grad():
-                self._masks = (key, self._new_masks(image, sizes))
-        return self._masks[1]
-
-    def _new_masks(self, image, sizes):
-        levels = [blur.lod_map for blur in self.blurs[:-1]]
-        if self.use_fullres_l0:
-            return [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
-        fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
-        fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
-        self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
-        masks = [1 - fovea]
-        for size in sizes[1:]:
-            masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
+        if self._masks is not None and self._masks[0] == key:
+            return self._masks[1]
+        masks: list[torch.Tensor | None]
+        with torch.inference_mode(False), torch.no_grad():
+            levels = [blur.lod_map for blur in self.blurs[:-1]]
+            if self.use_fullres_l0:
+                masks = [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
+            else:
+                fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
+                fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
+                self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
+                masks = [1 - fovea]
+                for size in sizes[1:]:
+                    masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
+        self._masks = (key, masks)
         return masks
 
 
@@ -839,7 +839,11 @@ class MetamerMSELoss(nn.Module):
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)
         geometry = inner._geometry(gaze)
-        levels = partial(_level_map, geometry=geometry, nominal_width=inner.nominal_width, device=image.device)
+        kind = {"nominal_width": inner.nominal_width, "dtype": torch.float64, "device": image.device}
+
+        def levels(size):
+            return level_map(tuple(size), *geometry, **kind)
+
         iterations = self.iterations if iterations is None else iterations
         return inner._metamer(image, geometry, levels, seed, iterations, progress)
 
@@ -1043,10 +1047,6 @@ def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tens
             total = total + extreme * weight
         bounds.append(sign * total)
     return bounds[0], bounds[1]
-
-
-def _level_map(size, geometry, nominal_width, device):
-    return level_map(tuple(size), *geometry, nominal_width=nominal_width, dtype=torch.float64, device=device)
 
 
 def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:

@@ -211,13 +211,12 @@ def _fundamentals(nm, lens, macular, densities, shifts):
         moves = [(1.0, shift)]
         if name == "L":
             moves = [(L_SCALE * share, shift + step) for share, step in zip(SHARES, (0.0, VARIANT), strict=True)]
-        absorbance = sum(share * 10 ** _series(_log_angle(nm, peak, move), series) for share, move in moves)
+        angle = (torch.log10(nm) - LOG_START + math.log10(peak)) / LOG_STEP
+        absorbance = sum(
+            share * 10 ** _series(angle - math.log10(peak + move) / LOG_STEP, series) for share, move in moves
+        )
         found.append(nm * (1 - 10 ** (-density * absorbance)) * 10**-filters)
     return torch.stack(found)
-
-
-def _log_angle(nm, peak, shift):
-    return (torch.log10(nm) - LOG_START + math.log10(peak / (peak + shift))) / LOG_STEP
 
 
 def _density(nm, series, start, end):

@@ -17,6 +17,7 @@ from odak.learn.raytracing.system.surfaces import optical_system, surface
 from odak.raytracing import components as vec
 from odak.raytracing.gradients import Gradient
 from odak.wave.transfer_functions import phasor_of_cycles
+from odak.wave.viewing import ROTATION_RADIUS
 
 # Indices of the media at 365.0, 486.1, 656.3 and 1014.0 nm: Navarro et al. (1985), doi 10.1364/JOSAA.2.001273.
 NAVARRO_INDICES = {
@@ -435,7 +436,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     steepest = float(lag.diff().abs().max()) * (RAYS - 1) / wave
     count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
     line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
-    pupil = _pupil(line, line, [wave], diameter, accommodation, vergence)[0]
+    pupil = _pupil(line[:, None], line, [wave], diameter, accommodation, vergence)[0]
     transfer = torch.fft.fft(torch.fft.fft2(pupil).abs().square().sum(0)).real[: count + 1]
     place = (frequency * (wave / width * count)).clamp(max=count)
     # Cubic interpolation between four samples; the function is even, and zero beyond the last.
@@ -451,13 +452,18 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     )
 
 
-def _pupil(y, x, waves, diameter, accommodation, vergence):
-    """Return the pupil function over places y and x in metres, complex128 ``[W, y, x]``."""
-    radius = torch.hypot(y[:, None], x)
+def _pupil(y, x, waves, diameter, accommodation, vergence, direction=(0.0, 0.0)):
+    """Return the pupil function over places y ``[rows, 1]`` and x ``[columns]`` in metres, complex128 ``[W, …]``.
+
+    The eye looks along `direction`, its cosines along y and x; light along it meets the places.
+    """
+    along = y * direction[0] + x * direction[1]
+    # Distance of such light from the axis.
+    radius = (y**2 + x**2 - along**2).clamp_min(0).sqrt()
     edge = diameter / 2e3
-    step = max(abs(float(axis[1] - axis[0])) if len(axis) > 1 else edge for axis in (y, x))
+    step = max((float(axis[1] - axis[0]) if len(axis) > 1 else edge) for axis in (y.flatten(), x))
     # Samples on the rim count by the share of them that lies inside.
-    share = ((edge - radius) / step + 0.5).clamp(0, 1)
+    share = ((edge - radius) / abs(step) + 0.5).clamp(0, 1)
     lag = eye_wavefront(radius.clamp(max=edge), waves, diameter, accommodation, vergence)
     cycles = lag / torch.tensor(waves, dtype=torch.float64, device=lag.device)[:, None, None]
     return phasor_of_cycles(cycles, torch.complex128) * share
@@ -572,6 +578,7 @@ def retinal_field(
     pupil_diameter: float = 4.0,
     accommodation: float = 0.0,
     pupil_position: Sequence[float] = (0.0, 0.0),
+    rotation: Sequence[float] = (0.0, 0.0),
 ) -> RetinalField:
     """Return the field on the retina of a coherent field in the entrance pupil, such as that of a hologram.
 
@@ -590,11 +597,15 @@ def retinal_field(
     pupil_position : sequence of float
         Of the pupil's middle in the field (x to the right, y downwards), in metres: the eye moves in the eyebox, its
         axis parallel to the field's.
+    rotation : sequence of float
+        Angles in degrees (to the right, downwards), within ±60, by which the eye is then turned about its centre of
+        rotation, 10.5 mm behind the entrance pupil.
 
     Returns
     -------
     RetinalField
-        Differentiable in the field.
+        Differentiable in the field. Of a turned eye the middle sample is the direction in which it looks, and samples
+        are equally spaced in the direction cosines of the field, `pitch` being their step.
 
     Raises
     ------
@@ -606,6 +617,9 @@ def retinal_field(
     The field times the pupil function, whose phase is :func:`eye_wavefront`, is transformed to angles. A field in a
     plane further away is first brought to the pupil by :func:`odak.learn.wave.propagate_beam`. The
     pitch of the retinal image is the wavelength over the side of the field.
+
+    The pupil of a turned eye lies to the side and further back: the field is propagated to its middle by the angular
+    spectrum, as one period of a periodic field. Light in the direction of the gaze fills the pupil.
 
     Examples
     --------
@@ -624,11 +638,27 @@ def retinal_field(
     pitch = float(_validate.number("pitch", pitch, positive=True))
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]
     right, down = (float(value) for value in _validate.several("pupil_position", pupil_position, 2))
+    across, downwards = (float(angle) for angle in _validate.several("rotation", rotation, 2))
+    if max(abs(across), abs(downwards)) > 60:
+        raise ValueError(f"rotation must be two angles within ±60 degrees, got {tuple(rotation)}")
+    across, downwards = math.radians(across), math.radians(downwards)
+    cosines = math.sin(downwards), math.sin(across) * math.cos(downwards)
+    ahead = math.cos(across) * math.cos(downwards)
     y, x = (
-        (torch.arange(n, dtype=torch.float64, device=field.device) - n // 2) * pitch - shift
-        for n, shift in ((rows, down), (columns, right))
+        (torch.arange(n, dtype=torch.float64, device=field.device) - n // 2) * pitch - shift - ROTATION_RADIUS * cosine
+        for n, shift, cosine in ((rows, down, cosines[0]), (columns, right, cosines[1]))
     )
-    pupil = _pupil(y, x, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0)[0].to(field.dtype)
+    pupil = _pupil(y[:, None], x, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0, cosines)[0]
+    if (across, downwards) != (0.0, 0.0):
+        # A wave from the direction of the gaze has a constant phase in the pupil, and its power over the pupil's area.
+        tilt = (y[:, None] * cosines[0] + x * cosines[1]) / wavelength
+        pupil = pupil * phasor_of_cycles(tilt, torch.complex128) * math.sqrt(ahead)
+        fy, fx = (torch.fft.fftfreq(n, pitch, dtype=torch.float64, device=field.device) for n in (rows, columns))
+        squared = wavelength**-2 - fy[:, None] ** 2 - fx**2
+        cycles = ROTATION_RADIUS * (1 - ahead) * squared.clamp_min(0).sqrt()
+        transfer = phasor_of_cycles(cycles, torch.complex128) * (squared > 0)
+        field = torch.fft.ifft2(torch.fft.fft2(field) * transfer.to(field.dtype))
+    pupil = pupil.to(field.dtype)
     axes = (-2, -1)
     # Light that travels towards positive x comes from negative angles: the transform turns it upright.
     spectrum = torch.fft.ifft2(torch.fft.ifftshift(field * pupil, axes), norm="ortho")

@@ -181,6 +181,42 @@ def test_light_from_the_right_is_seen_at_the_right_and_power_is_kept():
     assert float(moved.field.abs().square().sum()) == pytest.approx(float(seen.field.abs().square().sum()), rel=0.02)
 
 
+def test_a_turned_eye_sees_in_the_middle_what_it_looks_at():
+    # Along its gaze an eye sees as an eye at rest does along the axis: a point of the same shape and power.
+    n, pitch = 512, 8e-6
+    rest = retinal_field(torch.ones(n, n, dtype=torch.complex128), pitch, GREEN, 2.0).field.abs().square()
+    for right, down in ((1.5, 0.0), (-1.0, 1.2)):
+        a, b = math.radians(right), math.radians(down)
+        line = (torch.arange(n, dtype=torch.float64) - n // 2) * pitch
+        # Light from the right travels to the left.
+        path = line * math.sin(a) * math.cos(b) + line[:, None] * math.sin(b)
+        wave = torch.exp(-2j * math.pi / GREEN * path)
+        seen = retinal_field(wave, pitch, GREEN, 2.0, rotation=(right, down)).field.abs().square()
+        assert float((seen - rest).abs().max()) < 2e-3 * float(rest.max())
+        assert float(seen.sum()) == pytest.approx(float(rest.sum()), rel=2e-3)
+
+
+def test_the_centre_of_rotation_is_behind_the_pupil():
+    # A point 5 mm to the right at 100 mm: the gaze is on it where the centre, 10.5 mm behind the pupil, points at it;
+    # turned by the angle at which the pupil at rest sees it, the gaze has gone past it.
+    n, pitch, side, ahead, radius = 900, 4e-6, 5e-3, 0.1, 10.5e-3
+    line = (torch.arange(n, dtype=torch.float64) - n // 2) * pitch
+    distance = ((line - side) ** 2 + line[:, None] ** 2 + ahead**2).sqrt()
+    wave = torch.exp(2j * math.pi / GREEN * (distance - ahead))
+    toward = math.atan(side / (ahead + radius))
+    focus = 1 / (math.hypot(side, ahead + radius) - radius) - float(eye_refraction(GREEN, 2.0))
+    for angle in (toward, math.atan(side / ahead)):
+        seen = retinal_field(wave, pitch, GREEN, 2.0, focus, rotation=(math.degrees(angle), 0.0))
+        row, column = divmod(int(seen.field.abs().argmax()), n)
+        # From the middle of the turned pupil, in direction cosines of the field.
+        pupil = radius * math.sin(angle), radius * (math.cos(angle) - 1)
+        away = side - pupil[0], ahead - pupil[1]
+        expected = away[0] / math.hypot(*away) - math.sin(angle)
+        assert row == n // 2
+        assert (column - n // 2) * seen.pitch[1] == pytest.approx(expected, abs=1.5 * seen.pitch[1])
+    assert expected < -20 * seen.pitch[1]
+
+
 def test_accommodation_follows_a_plane_and_lands_between_two():
     noise = torch.rand(1, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     tried = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
@@ -197,7 +233,10 @@ def test_gradients_reach_the_picture_and_the_field():
     picture = torch.rand(1, 8, 8, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(lambda one: retinal_image(one, 1.0, 1e-3, [GREEN]), picture, fast_mode=True)
     field = torch.rand(8, 8, dtype=torch.complex128, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda one: retinal_field(one, 5e-4, GREEN).field, field, fast_mode=True)
+    for turned in ((0.0, 0.0), (4.0, -3.0)):
+        assert torch.autograd.gradcheck(
+            lambda one, turned=turned: retinal_field(one, 5e-4, GREEN, rotation=turned).field, field, fast_mode=True
+        )
 
 
 def test_pupil_sizes():
@@ -224,6 +263,8 @@ def test_wrong_arguments():
         retinal_image(torch.rand(2, 1, 8, 8), 1.0, 1e-3)
     with pytest.raises(TypeError, match="complex"):
         retinal_field(torch.rand(8, 8), 1e-4, GREEN)
+    with pytest.raises(ValueError, match="rotation"):
+        retinal_field(torch.ones(8, 8, dtype=torch.complex64), 1e-4, GREEN, rotation=(70.0, 0.0))
     with pytest.raises(ValueError, match="eyes"):
         unified_pupil_diameter(10.0, eyes=3)
     assert REFERENCE == 589.3e-9
