@@ -36,8 +36,9 @@ def python_command(code: str, *arguments: str) -> list[str]:
     arguments : str
         Arguments, in ``sys.argv[1:]``.
     """
+    home = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
     # Option -P would do, but Python 3.10 does not have it; -I passes through multiprocessing as well.
-    return [sys.executable, "-I", "-c", f"{_search_path()}{_PACKAGE.format(home=_home())}{code}", *arguments]
+    return [sys.executable, "-I", "-c", f"{_search_path()}{_PACKAGE.format(home=home)}{code}", *arguments]
 
 
 def other_python_command(python: str, code: str, *arguments: str) -> list[str]:
@@ -60,7 +61,3 @@ def current_folder() -> str | None:
 def _search_path() -> str:
     given = [os.path.abspath(entry) if os.path.exists(entry) else entry for entry in sys.path if entry]
     return _START.format(given=given, here=current_folder())
-
-
-def _home() -> str:
-    return os.path.dirname(os.path.dirname(os.path.abspath(__file__)))

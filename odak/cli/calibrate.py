@@ -182,10 +182,13 @@ def run(
 def _phase(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance)
     phases = instruments.measure_phase_response(*there)
-    span = float(phases[-1] - phases[0])
+    line = np.linspace(phases[0], phases[-1], len(phases))
     return Found(
         dataclasses.replace(known, phases=phases),
-        {"phase_range": span, "largest_departure_from_a_line": float(_from_line(phases))},
+        {
+            "phase_range": float(phases[-1] - phases[0]),
+            "largest_departure_from_a_line": float(np.abs(phases - line).max()),
+        },
         lambda figure: _curves(figure, phases),
     )
 
@@ -331,10 +334,6 @@ STEPS: dict[str, Callable[[Table, Calibration], Found]] = {
     "regions": _regions,
     "all": _all,
 }
-
-
-def _from_line(phases: np.ndarray) -> float:
-    return np.abs(phases - np.linspace(phases[0], phases[-1], len(phases))).max()
 
 
 def _curves(figure: Figure, *tables: np.ndarray) -> None:

@@ -5,12 +5,13 @@ import html
 import io
 import json
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from odak.cli.files import FINGERPRINT, REPORT
+from odak.cli.files import FINGERPRINT, REPORT, load_pattern, stored_bits
 from odak.cli.job import InputError
 from odak.tools.paths import replacing
 
@@ -102,7 +103,13 @@ def _folder(folder: Path) -> str:
     pitch, wavelength = settings.get("pixel_pitch"), settings.get("wavelength")
     figures = [_field_figure(_load(path), path.name, pitch, wavelength) for path in fields]
     patterns = report.get("pattern", {}).get("files", []) if isinstance(report, dict) else []
-    figures += [_pattern_figure(folder / name, pitch) for name in patterns if (folder / name).is_file()]
+    figures += [
+        _field_figure(
+            np.exp(1j * load_pattern(path, stored_bits(path)).numpy()), path.name, pitch, quantities=["phase"]
+        )
+        for path in (folder / name for name in patterns)
+        if path.is_file()
+    ]
     return "\n".join([*parts, _figures(figures)])
 
 
@@ -151,28 +158,22 @@ def _load(path: Path) -> np.ndarray:
     return values
 
 
-def _smaller(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return every n-th sample of a field that is too large for a page, and n."""
-    step = -(-max(values.shape[-2:]) // LARGEST_SIDE)
-    return values[..., ::step, ::step], step
-
-
-def _field_figure(values: np.ndarray, title: str, pitch: float | None = None, wavelength: float | None = None):
+def _field_figure(
+    values: np.ndarray,
+    title: str,
+    pitch: float | None = None,
+    wavelength: float | None = None,
+    quantities: Sequence[str] | None = None,
+):
+    """Return a figure of a field, of which only every n-th sample is drawn where it is too large for a page."""
     from odak.visualize.plotly import field_show
 
-    values, step = _smaller(values)
+    step = -(-max(values.shape[-2:]) // LARGEST_SIDE)
+    values = values[..., ::step, ::step]
     pitch = None if pitch is None else pitch * step
     title = title if step == 1 else f"{title}, every sample number {step}"
-    return field_show(values, pitch, wavelength, title=title, show=False).fig
-
-
-def _pattern_figure(path: Path, pitch: float | None):
-    from odak.cli.files import load_pattern, stored_bits
-    from odak.visualize.plotly import field_show
-
-    values, step = _smaller(np.exp(1j * load_pattern(path, stored_bits(path)).numpy()))
-    pitch = None if pitch is None else pitch * step
-    return field_show(values, pitch, quantities=["phase"], title=path.name, show=False).fig
+    chosen = {} if quantities is None else {"quantities": quantities}
+    return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig
 
 
 def _figures(figures: list) -> str:

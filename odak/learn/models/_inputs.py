@@ -121,12 +121,3 @@ def images(
         wanted = f"[B, {'C' if count is None else count}, H, W]"
         raise ValueError(f"{name} must be {wanted} with H and W of at least {smallest}, got {shape}")
     return value
-
-
-def same_batch(**pairs: torch.Tensor) -> None:
-    """Check that two batches are of one size, or that the second holds one image."""
-    (first, one), (second, other) = pairs.items()
-    if other.shape[0] not in (1, one.shape[0]):
-        raise ValueError(
-            f"{second} must hold as many images as {first}, {one.shape[0]}, or one; got {list(other.shape)}"
-        )

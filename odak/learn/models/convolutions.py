@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.models._inputs import channels, images, kernel, same_batch, with_older_form
+from odak.learn.models._inputs import channels, images, kernel, with_older_form
 
 _RELU = nn.ReLU()
 
@@ -477,7 +477,8 @@ class global_transformations(nn.Module):
         second: Any = self.global_feature_2[0]
         x1 = images("x1", x1, second.in_features, second.weight)
         x2 = images("x2", x2, first.in_features, first.weight)
-        same_batch(x1=x1, x2=x2)
+        if x2.shape[0] not in (1, x1.shape[0]):
+            raise ValueError(f"x2 must hold as many images as x1, {x1.shape[0]}, or one; got {list(x2.shape)}")
         scale = self.global_feature_1(x2.mean(dim=(2, 3)))
         offset = self.global_feature_2(scale)
         return x1 * scale[:, :, None, None] + offset[:, :, None, None]

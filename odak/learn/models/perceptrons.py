@@ -404,7 +404,10 @@ class multi_layer_perceptron(nn.Module):
         uniform_flag: bool = True,
     ):
         super().__init__()
-        self.dimensions = _dimensions(dimensions)
+        whole = isinstance(dimensions, (list, tuple)) and all(type(n) is int and n > 0 for n in dimensions)
+        if not whole or len(dimensions) < 2:
+            raise ValueError(f"dimensions must be a list of at least two positive integers, got {dimensions!r}")
+        self.dimensions = list(dimensions)
         self.model_type = _validate.one_of("model_type", model_type, _TYPES)
         self.siren_multiplier = _validate.real("siren_multiplier", siren_multiplier, positive=True)
         self.bias = bias = _validate.flag("bias", bias)
@@ -460,10 +463,3 @@ class multi_layer_perceptron(nn.Module):
             layer.weight.uniform_(-limit, limit)
             if layer.bias is not None:
                 layer.bias.uniform_(-1 / math.sqrt(inputs), 1 / math.sqrt(inputs))
-
-
-def _dimensions(dimensions) -> list[int]:
-    whole = isinstance(dimensions, (list, tuple)) and all(type(n) is int and n > 0 for n in dimensions)
-    if not whole or len(dimensions) < 2:
-        raise ValueError(f"dimensions must be a list of at least two positive integers, got {dimensions!r}")
-    return list(dimensions)

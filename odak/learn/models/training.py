@@ -263,8 +263,9 @@ class TrainingRun:
             self.history.finished = True
             self._save()
         finally:
-            if not self.history.finished or self.validation is not None or self.patience is not None:
-                self._take_best()
+            judged = self.validation is not None or self.patience is not None
+            if self.best is not None and (judged or not self.history.finished):
+                self.model.load_state_dict(self.best)
             self.model.eval()
 
     def _over(self) -> bool:
@@ -287,7 +288,10 @@ class TrainingRun:
         if judged < self.history.best_loss:
             self.history.best_epoch, self.history.best_loss = self.done, judged
             self.best = copy.deepcopy(self.model.state_dict())
-        self._schedule(judged)
+        if isinstance(self.scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau):
+            self.scheduler.step(judged)
+        elif self.scheduler is not None:
+            self.scheduler.step()
         self.randomness, self.torn = self._random_state(), False
         bar.set_postfix(loss=f"{judged:.3g}", best=f"{self.history.best_loss:.3g}", refresh=False)
         if self.callback is not None:
@@ -334,16 +338,6 @@ class TrainingRun:
             found = list(value.shape) if isinstance(value, torch.Tensor) else type(value).__name__
             raise TypeError(f"loss(model, batch) must be a tensor with one number, got {found}")
         return value.reshape(())
-
-    def _schedule(self, judged):
-        if isinstance(self.scheduler, torch.optim.lr_scheduler.ReduceLROnPlateau):
-            self.scheduler.step(judged)
-        elif self.scheduler is not None:
-            self.scheduler.step()
-
-    def _take_best(self):
-        if self.best is not None:
-            self.model.load_state_dict(self.best)
 
     def _random_state(self):
         return randomness(self.device), [generator.get_state() for generator in self._generators()]

@@ -183,6 +183,22 @@ def track():
     return spec_track()
 
 
+POSITIVE = {
+    "odak.learn.models": {
+        *(
+            "L",
+            "dim",
+            "depth",
+            "dimensions",
+            "input_channels",
+            "mid_channels",
+            "output_channels",
+            "bottleneck_channels",
+        ),
+        *("gate_channels", "reduction_ratio", "kernel_size", "stride", "number_of_elements", "checkpoint_every"),
+    },
+    "odak.learn.models.train": {"patience", "learning_rate", "max_norm"},
+}
 FREE_TEXT = {"odak.learn.models": {"description"}}
 NOT_CALLED = {
     "odak.learn.lensless.spec_track.evaluate": "half a second to build the network for each argument; tested by itself",

@@ -248,16 +248,9 @@ def test_the_older_call_form_without_activation():
 @pytest.mark.parametrize(
     ("make", "named"),
     [
-        (lambda: models.convolution_layer(0), "input_channels"),
-        (lambda: models.convolution_layer(2, 0), "output_channels"),
-        (lambda: models.convolution_layer(kernel_size=0), "kernel_size"),
-        (lambda: models.convolution_layer(stride=0), "stride"),
-        (lambda: models.double_convolution(mid_channels=0), "mid_channels"),
         (lambda: models.residual_layer(kernel_size=2), "kernel_size must be odd"),
         (lambda: models.upsample_layer(1, 2), "input_channels must be at least 2"),
-        (lambda: models.normalization(0), "dim"),
         (lambda: models.global_feature_module(3, 3, 4, 3), "output_channels must be input_channels"),
-        (lambda: models.upsample_convtranspose2d_layer(2, 2, stride=0), "stride"),
     ],
 )
 def test_what_cannot_work_is_refused_at_construction(make, named):

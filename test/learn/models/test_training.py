@@ -292,9 +292,6 @@ def test_what_cannot_be_trained_is_an_error(tmp_path):
         run(nn.Flatten())
     with pytest.raises(ValueError, match=r"the folder of checkpoint .* does not exist"):
         run(checkpoint=tmp_path / "no" / "training.pt")
-    for wrong in ({"epochs": -1}, {"patience": 0}, {"learning_rate": 0.0}, {"max_norm": -1.0}, {"checkpoint_every": 0}):
-        with pytest.raises(ValueError, match=next(iter(wrong))):
-            run(**wrong)
 
 
 def test_a_loss_that_is_not_finite_leaves_the_best_weights():
