@@ -159,7 +159,12 @@ BY_CALL = {
         "pitch": 1e-3,
         "wavelengths": [550e-9],
     },
-    f"{HERE}.system.retinal_field": {"field": tensor(16, 16) + 0j, "pitch": 5e-4, "wavelength": 550e-9},
+    f"{HERE}.system.retinal_field": {
+        "field": tensor(16, 16) + 0j,
+        "pitch": 5e-4,
+        "wavelength": 550e-9,
+        "rotation": [1.0, 2.0],
+    },
     f"{HERE}.system.accommodation_response": {
         "picture": tensor(1, 16, 16),
         "vergences": 1.0,
