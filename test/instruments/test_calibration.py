@@ -1,6 +1,8 @@
 """Calibrations of simulated tables find what was hidden by a seed, through the protocols alone."""
 
+import dataclasses
 import json
+import warnings
 from importlib.metadata import EntryPoint
 
 import numpy as np
@@ -61,6 +63,35 @@ def calibrated():
 def test_phase_response_within_two_hundredths(calibrated):
     table, found = calibrated
     assert np.abs(found.phases - table.truth.phases).max() < 0.02
+
+
+@pytest.mark.parametrize("span", [0.5, 1.6])
+def test_phase_response_of_small_and_large_ranges(span):
+    table = instruments.SimulatedTable(4, shape=(64, 64), camera_shape=(100, 100), distance=6e-3)
+    table.truth = dataclasses.replace(table.truth, phases=table.truth.phases * span)
+    found = instruments.measure_phase_response(*instruments_of(table), 532e-9, 6e-3, samples=17)
+    assert np.abs(found - table.truth.phases).max() < 0.02
+
+
+@pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.3)])
+def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, bound):
+    """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
+    table = instruments.SimulatedTable(
+        5, shape=(96, 96), camera_shape=(80, 80), distance=8e-3, fringing=fringing, samples_per_pixel=2
+    )
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        found = instruments.measure_phase_response(*instruments_of(table), 532e-9, 8e-3, samples=9, captures=1)
+    error = np.abs(found - table.truth.phases).max()
+    assert error < bound
+    assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
+
+
+def test_a_modulator_that_does_not_modulate_is_told():
+    table = instruments.SimulatedTable(4, shape=(32, 32), camera_shape=(40, 40), distance=3e-3)
+    table.truth = dataclasses.replace(table.truth, phases=np.zeros(256))
+    with pytest.raises(RuntimeError, match="must see the phases of the levels"):
+        instruments.measure_phase_response(*instruments_of(table), 532e-9, 3e-3, samples=9, captures=2)
 
 
 def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):

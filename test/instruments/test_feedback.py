@@ -76,3 +76,15 @@ def test_given_intensities_and_bad_arguments():
             instruments.equalise_spots(*call, **change)
     with pytest.raises(ValueError, match="points must be"):
         instruments.equalise_spots(modulator, camera, 532e-9, 10e-3, points[:1], phases, registration)
+
+
+@pytest.mark.parametrize("points", [[[-6e-5, 0.0], [6e-5, 0.0]], [[-2e-5, -6e-5], [0.0, 6e-5]]])
+def test_two_spots_are_made_even(points):
+    table = instruments.SimulatedTable(
+        2, shape=(48, 48), camera_shape=(80, 80), distance=5e-3, misalignment=False, nonlinearity=False
+    )
+    phases = 2 * np.pi * np.arange(256) / 255
+    registration = instruments.Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, (80, 80))
+    call = (*instruments_of(table), 532e-9, 5e-3, np.array(points), phases, registration)
+    instruments.equalise_spots(*call, turns=3, captures=8)
+    assert evenness(hidden_light(table, points, 4 * 1.22 * 532e-9 * 5e-3 / (48 * 8e-6))) > 0.97

@@ -247,3 +247,15 @@ def test_rectangular_pixels():
     coarse, spots = spot_hologram(points[:1], (32, 32), 532e-9, (8e-6, 16e-6), 1, seed=1)
     np.testing.assert_allclose(coarse, fine[:, ::2], atol=1e-9)
     assert abs(spots[0]) ** 2 == pytest.approx(1)
+
+
+@pytest.mark.parametrize("n_iterations", [30, 60])
+def test_two_spots_are_made_even(n_iterations):
+    """Undamped weights carry the light from one spot to the other and back: a uniformity of 0.2."""
+    points = np.array([[[-1.2e-4, 0.0, 1e-2], [1.2e-4, 0.0, 1e-2]], [[0.0, -1e-4, 1e-2], [3e-5, 1e-4, 1e-2]]])
+    _, spots = spot_hologram(points, (80, 80), 532e-9, 8e-6, n_iterations, seed=0)
+    assert (uniformity(abs(spots) ** 2) > 0.99).all()
+    target = np.zeros((32, 32))
+    target[16, [10, 21]] = 1
+    _, image = weighted_gerchberg_saxton(target, n_iterations, seed=0)
+    assert uniformity(abs(image[target > 0]) ** 2) > 0.99
