@@ -508,6 +508,10 @@ def intersection_kernel_for_parametric_surfaces(
     if distance.ndim > 1:
         raise ValueError(f"distance must be a number or [m], got {distance.shape}")
     _validate.fitting(distance=distance, ray=ray[:, 0, 0])
+    return _errors_and_points(distance, ray, parametric_surface, surface_function)
+
+
+def _errors_and_points(distance, ray, parametric_surface, surface_function):
     point = ray[:, 0] + distance[:, None] * ray[:, 1]
     return np.asarray(surface_function(point, parametric_surface)).reshape(len(point)), point
 
@@ -601,9 +605,7 @@ def intersect_parametric(
     _validate.function("surface_normal_function", surface_normal_function)
 
     def error_at(distance, rows):
-        return intersection_kernel_for_parametric_surfaces(distance, rays[rows], parametric_surface, surface_function)[
-            0
-        ]
+        return _errors_and_points(distance, rays[rows], parametric_surface, surface_function)[0]
 
     bracket = _first_bracket(error_at, len(rays), target_error)
     distance = _close_in(error_at, bracket, target_error, limit)

@@ -97,7 +97,7 @@ def test_gradients_pass_dark_samples_without_nan():
         return torch.where(found.ray.isnan(), 0.0, found.ray)[..., 1, :], found.path
 
     phase.requires_grad_()
-    assert torch.autograd.gradcheck(values, phase)
+    assert torch.autograd.gradcheck(values, phase, fast_mode=True)
     field = (amplitude * torch.exp(1j * phase)).detach().requires_grad_()
     found = rays_from_field(field, 2e-6, WAVELENGTH)
     kept = found.ray[..., 1, 2].isfinite()

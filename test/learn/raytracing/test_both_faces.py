@@ -117,12 +117,12 @@ def test_gradients_of_the_new_twins():
         met, normal, distance, check = learn.intersect_w_cylinder(rays, cylinder)
         return met, normal, distance[check]
 
-    assert torch.autograd.gradcheck(hits, (rays, cylinder), atol=1e-5)
+    assert torch.autograd.gradcheck(hits, (rays, cylinder), atol=1e-5, fast_mode=True)
     distance = learn.intersect_w_cylinder(rays, cylinder)[2]
     found = torch.autograd.grad(torch.where(check, distance, 0.0).sum(), (rays, cylinder))
     assert all(bool(value.isfinite().all()) for value in found) and not bool(found[0][~check].any())
     other = rays.detach().flip(0).requires_grad_()
-    assert torch.autograd.gradcheck(learn.find_nearest_points, (rays, other), atol=1e-5)
+    assert torch.autograd.gradcheck(learn.find_nearest_points, (rays, other), atol=1e-5, fast_mode=True)
     angles = torch.tensor([10.0, 20.0, 30.0], dtype=torch.float64, requires_grad=True)
     point = torch.zeros(3, dtype=torch.float64, requires_grad=True)
     assert torch.autograd.gradcheck(learn.create_ray_from_angles, (point, angles))

@@ -148,7 +148,7 @@ def test_an_argument_made_from_another_counts_once(random, monkeypatch):
     def turned(r):
         return rt.refract(r, r + 0.1 * r.sin(), 1.0, 1.3)
 
-    assert torch.autograd.gradcheck(turned, (rays,))
+    assert torch.autograd.gradcheck(turned, (rays,), fast_mode=True)
     assert torch.autograd.gradgradcheck(turned, (rays,), fast_mode=True)
 
 
