@@ -132,7 +132,7 @@ class plano_convex_lens:
             the nearest hit ahead within the aperture. NaN where there is none.
         """
         rays = arguments.flat_rays("ray", ray)
-        hits = (self._meet_flat_face(rays), *self._sphere_intersections(rays))
+        hits = (self._flat_face_hits(rays), *self._sphere_intersections(rays))
         distance = np.stack([np.where(np.isnan(d), np.inf, d) for _, d in hits])
         nearest = np.argmin(distance, axis=0)
         each = np.arange(len(rays))
@@ -166,7 +166,7 @@ class plano_convex_lens:
         second, _ = self.intersect(inside)
         return arguments.batch(refract(inside, second, n, 1.0), 2)
 
-    def _meet_flat_face(self, rays):
+    def _flat_face_hits(self, rays):
         normal, distance = intersect_w_circle(rays, self.plane_surface)
         missed = (distance == 0) | ~is_ahead(rays, normal[:, 0])
         return normal, np.where(missed | self._starts_at(rays, distance), np.nan, distance)

@@ -91,7 +91,9 @@ def _coefficients(where: str, formula: str, entry) -> dict:
         if key in entry:
             found[key] = _optional(where, key, entry)
     if len({len(found[key]) for key in kind.lists}) > 1:
-        raise ValueError(f"{where}: {' and '.join(kind.lists)} must be of one length")
+        raise ValueError(
+            f"{where}: {' and '.join(kind.lists)} must be of one length, got {[len(found[key]) for key in kind.lists]}"
+        )
     return found
 
 
@@ -203,7 +205,7 @@ def read_agf(path) -> list[Material]:
 
 def _catalogue_text(path: Path) -> str:
     if path.stat().st_size > 16 << 20:
-        raise ValueError(f"{path.name}: larger than 16 MiB")
+        raise ValueError(f"{path.name}: must be of at most 16 MiB, got {path.stat().st_size / 2**20:.1f} MiB")
     data = path.read_bytes()
     for encoding in ("utf-16",) if data[:2] in (b"\xff\xfe", b"\xfe\xff") else ("utf-8-sig", "latin-1"):
         try:

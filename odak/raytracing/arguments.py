@@ -68,7 +68,10 @@ def one_or_each(name: str, batch: tuple[int, ...], ray) -> None:
 def flat_rays(name: str, value) -> np.ndarray:
     """Return one ray ``[2, 3]`` or many ``[m, 2, 3]`` as ``[m, 2, 3]``, for what is computed in NumPy alone."""
     if is_traced(value):
-        raise TypeError(f"{name} is a tensor with a gradient or on a GPU: odak.learn.raytracing takes such")
+        raise TypeError(
+            f"{name} must be numbers or an array that NumPy can read, got a tensor with a gradient or on a GPU: "
+            "odak.learn.raytracing takes such"
+        )
     return listed(name, np.asarray(*_validate.reals(**{name: value})), (2, 3), "[2, 3] or [m, 2, 3]")
 
 

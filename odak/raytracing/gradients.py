@@ -316,7 +316,7 @@ def to_surface(gradient: Gradient, base, state, level: Callable, sign: int) -> P
     def remaining(state, time):
         error, slope, size = level(tuple(state[:3]), tuple(state[3:6]))
         forward = slope * sign > 0
-        # Rays that run along the surface or back go on until they turn.
+        # Rays that run along the surface or away from it are followed until their direction reverses.
         rest = xp.where(forward, -error / xp.where(forward, slope, 1.0), xp.inf)
         away = vec.dot(tuple(state[:3]), tuple(state[:3])) > limit
         rest = xp.where(away, xp.nan, rest)

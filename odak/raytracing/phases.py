@@ -361,7 +361,7 @@ class IdealLens(Phase):
     def deflect(self, point, direction, normal, n1, n2, wavelength, reflects: bool) -> tuple:
         """Return directions behind the lens, which rays exist there, and the optical path added."""
         (x, y, _), (u, v, w), f = point, direction, self.focal_length
-        # Distances along the light's own way: positive in front of it.
+        # Distances along the direction of propagation: positive ahead.
         side = 1 - 2 * (w < 0)
         p, q = u * side / w, v * side / w
         a, b = p - x / f, q - y / f

@@ -236,7 +236,7 @@ def define_cylinder(
     radius : float or array
         Radius: a number, ``[1]``, ``[m]`` or ``[m, 1]``.
     rotation : sequence of float or array
-        Degrees about X, Y and Z that turn the axis away from +z, ``[3]`` or ``[m, 3]``.
+        Degrees about X, Y and Z by which the axis is rotated from +z, ``[3]`` or ``[m, 3]``.
 
     Returns
     -------

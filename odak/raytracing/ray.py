@@ -351,9 +351,9 @@ def rays_from_field(
     Notes
     -----
     The gradient is that of geometric optics (Born and Wolf, Principles of Optics, 1999, section 3.1.1: the eikonal); it
-    says where light goes as long as it does not interfere: one wave at each place, and a phase that changes by less
-    than π from one sample to the next. Differences of neighbours carry the gradient, to second order in `dx`, at the
-    border of the illuminated samples as well.
+    is the direction of propagation where there is one wave at each place, and the phase changes by less than π from one
+    sample to the next. Differences of neighbours carry the gradient, to second order in `dx`, at the border of the
+    illuminated samples as well.
 
     Examples
     --------

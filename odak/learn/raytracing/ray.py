@@ -205,20 +205,20 @@ def create_ray_from_grid_w_luminous_angle(
     seed: int | None = None,
     generator: torch.Generator | None = None,
 ) -> torch.Tensor:
-    """Return random rays from a tilted grid of lights, each within a cone about the grid's normal.
+    """Return random rays from a tilted grid of point sources, each within a cone about the grid's normal.
 
     Parameters
     ----------
     center : torch.Tensor
         Centre of the grid, ``[3]``.
     size : sequence of float
-        Its extent along both axes; the outer lights sit on its rim.
+        Its extent along both axes; the outer sources are on its rim.
     no : sequence of int
-        Number of lights along both axes.
+        Number of sources along both axes.
     tilt : torch.Tensor
         Degrees about X, Y and Z, applied in this order.
     num_ray_per_light : int
-        Rays of each light.
+        Number of rays of each source.
     angle_limit : float
         Half-angle of the cones in degrees, 0 … 180. Directions are uniform in solid angle.
     seed : int, optional
@@ -229,7 +229,7 @@ def create_ray_from_grid_w_luminous_angle(
     Returns
     -------
     torch.Tensor
-        ``[no[0]·no[1]·num_ray_per_light, 2, 3]``: all lights, first axis slow, then all again. On center's device.
+        ``[no[0]·no[1]·num_ray_per_light, 2, 3]``: all sources, first axis slow, then all again. On center's device.
 
     Raises
     ------
@@ -253,9 +253,9 @@ def create_ray_from_grid_w_luminous_angle(
     x, y = torch.meshgrid(*axes, indexing="ij")
     flat = torch.stack((x, y, torch.zeros_like(x)), dim=-1).reshape(-1, 3)
     matrix = rotation_matrix(arguments.vector("tilt", tilt))
-    lights = apply_matrix(matrix, flat) + arguments.vector("center", center)
+    sources = apply_matrix(matrix, flat) + arguments.vector("center", center)
     count = _validate.integer("num_ray_per_light", num_ray_per_light, minimum=0)
-    return _cone(lights.repeat(count, 1), matrix, angle_limit, seed, generator)
+    return _cone(sources.repeat(count, 1), matrix, angle_limit, seed, generator)
 
 
 def create_ray_from_point_w_luminous_angle(
@@ -314,6 +314,6 @@ def _cone(start: torch.Tensor, matrix: torch.Tensor, angle_limit, seed, generato
     draw = torch.rand(2, len(start), dtype=start.dtype, device=start.device, generator=generator)
     # 1 − cos θ from the half angle, which keeps narrow cones exact where 1 − cos α would round to zero.
     rise = draw[0] * 2 * torch.sin(limit / 2) ** 2
-    across, turn = (rise * (2 - rise)).clamp(min=0).sqrt(), 2 * torch.pi * draw[1]
-    direction = torch.stack((across * torch.cos(turn), across * torch.sin(turn), 1 - rise), dim=-1)
+    across, azimuth = (rise * (2 - rise)).clamp(min=0).sqrt(), 2 * torch.pi * draw[1]
+    direction = torch.stack((across * torch.cos(azimuth), across * torch.sin(azimuth), 1 - rise), dim=-1)
     return arguments.as_rays(start, apply_matrix(matrix, direction))

@@ -150,21 +150,6 @@ def test_call_of_the_reference():
     assert bool((mesh.heights.grad != 0).any()) and plate.get_image().max() == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"colors": 0}, "colors must be at least 1"),
-        ({"size": [1.0, -1.0]}, "size must be positive"),
-        ({"size": [1.0]}, "size must be 2 numbers"),
-        ({"center": [0.0, 0.0]}, "center must be 3 numbers"),
-        ({"resolution": [3]}, "resolution must be two integers"),
-    ],
-)
-def test_wrong_arguments_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        detector(**options)
-
-
 def test_wrong_color_is_named():
     with pytest.raises(ValueError, match="color must be below 3, got 3"):
         detector(resolution=[2, 2]).intersect(torch.zeros(1, 2, 3), color=3)

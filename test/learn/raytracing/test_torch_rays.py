@@ -243,10 +243,3 @@ def test_lines_that_hold_no_number_do_not_cross_at_one():
 def test_spheres_and_points_that_are_not_as_many_are_named():
     with pytest.raises(ValueError, match=r"point \[3, 3\], sphere \[2, 3\]"):
         rt.get_sphere_normal_torch(torch.ones(3, 3), torch.ones(2, 4))
-
-
-@pytest.mark.parametrize("radius", [float("nan"), [], "wide", 1j])
-def test_radii_that_are_no_numbers(radius):
-    for make in (rt.define_sphere, rt.define_cylinder):
-        with pytest.raises((ValueError, TypeError), match="radius must"):
-            make(torch.zeros(3), radius)

@@ -29,7 +29,7 @@ class PointSpreadMap(NamedTuple):
     Attributes
     ----------
     kernels : torch.Tensor
-        Shares of the light of a point in the pixels about its image, ``[C, rows, columns, K, K]``. The middle pixel,
+        Shares of the power of a point in the pixels about its image, ``[C, rows, columns, K, K]``. The middle pixel,
         K // 2, lies on the chief ray of the reference wavelength. Each adds up to the illumination, less what falls
         beside the K × K pixels.
     illumination : torch.Tensor
@@ -143,7 +143,9 @@ def point_spread_map(
     offsets = points - real[:, None, :]
     total = shares.sum(-1, keepdim=True)
     if is_readable(total) and bool((total == 0).any()):
-        raise ValueError("grid has points where no ray arrives: the sensor is larger than the image of the lens")
+        raise ValueError(
+            "shape and pitch must give a sensor within the image of the lens, got one with points where no ray arrives"
+        )
     shares = shares / total
     images = _splat(offsets / pitch, shares, kernel)
     spread = weights[:, :, None] * power[0] / torch.einsum("cw,wf->cf", weights, middle[0])[:, None, :]
@@ -164,7 +166,10 @@ def _response(system, response) -> torch.Tensor:
     given = response if isinstance(response, torch.Tensor) else _validate.array("response", response)
     found = torch.as_tensor(_validate.real("response", given), dtype=torch.float64, device=device)
     if found.ndim != 2 or found.shape[1] != number or bool((found < 0).any()) or bool((found.sum(-1) <= 0).any()):
-        raise ValueError(f"response must be weights [channels, {number}], none negative and no row of zeros")
+        raise ValueError(
+            f"response must be weights [channels, {number}], none negative and no row of zeros; "
+            f"got an array of shape {tuple(found.shape)}" + (f", {found.tolist()}" if found.numel() <= 9 else "")
+        )
     return found / found.sum(-1, keepdim=True)
 
 
@@ -188,7 +193,9 @@ def _chief(system, options) -> torch.Tensor:
     """Return the intersections of chief rays with the sensor, ``[W, F, 2]``."""
     found = trace_fields(system, CENTRE, **options, vignetting=False)
     if is_readable(found.status) and not bool(found.arrived.all()):
-        raise ValueError("shape is larger than the image of the lens: chief rays do not arrive")
+        raise ValueError(
+            "shape and pitch must give a sensor within the image of the lens, got one to which not all chief rays arrive"
+        )
     return torch.stack([found.x[..., 0], found.y[..., 0]], -1)
 
 
@@ -249,7 +256,7 @@ def _ring_weights(count: int) -> torch.Tensor:
 
 
 def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the samples of diffraction images: their places and shares of the light."""
+    """Return the samples of diffraction images: their places and shares of the power."""
     spread = point_spread_function(system, 8 * count, 16 * count, **options)
     n = spread.intensity.shape[-1]
     line = torch.arange(n, dtype=torch.float64, device=spread.pitch.device) - n // 2
@@ -259,7 +266,7 @@ def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, tor
 
 
 def _power(system, count: int, options, losses: bool) -> torch.Tensor:
-    """Return the light that arrives from each field point, but for the area it falls on, ``[1, W, F]``."""
+    """Return the power that arrives from each field point, not divided by the area of its image, ``[1, W, F]``."""
     rays = launch(system, "rings", count, **options)
     if losses:
         through = polarized_trace(system, rays, prescription=options["prescription"]).transmittance

@@ -99,7 +99,7 @@ def load_system(path: Any) -> optical_system:
     if not path.is_file():
         raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
     if path.stat().st_size > MAXIMUM_BYTES:
-        raise ValueError(f"{path}: larger than {MAXIMUM_BYTES} bytes")
+        raise ValueError(f"{path}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
     try:
         return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
     except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
@@ -278,7 +278,7 @@ def system_from_dict(entry: dict) -> optical_system:
     entry = dict(entry)
     surfaces = entry.pop("surfaces", None)
     if not isinstance(surfaces, list) or not surfaces:
-        raise ValueError("surfaces must be a list of at least one")
+        raise ValueError(f"surfaces must be a list of at least one surface, got {surfaces!r:.80}")
     _known("system", entry, _SYSTEM | {"notes"})
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
@@ -333,7 +333,7 @@ class Line(NamedTuple):
     def value(self, place: int = 0) -> float:
         """Return one of the words as a finite number or an infinity; ValueError, naming the line, for anything else."""
         if place >= len(self.words):
-            raise ValueError(f"line {self.number}: {self.key} lacks a number")
+            raise ValueError(f"line {self.number}: {self.key} must have {place + 1} numbers, got {len(self.words)}")
         word = self.words[place]
         if word.upper() in ("INFINITY", "-INFINITY"):
             return float(word)
@@ -342,7 +342,7 @@ class Line(NamedTuple):
         except ValueError:
             raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}") from None
         if found != found:
-            raise ValueError(f"line {self.number}: {self.key} is not a number")
+            raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}")
         return found
 
     def whole(self, place: int = 0) -> int:
@@ -377,7 +377,7 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
     if not path.is_file():
         raise ValueError(f"path must be a file, got {str(path)!r}")
     if path.stat().st_size > MAXIMUM_BYTES:
-        raise ValueError(f"{path.name}: larger than {MAXIMUM_BYTES} bytes")
+        raise ValueError(f"{path.name}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
     general: list[Line] = []
     surfaces: list[list[Line]] = []
     for number, text in enumerate(_decoded(path.read_bytes(), path.name).splitlines(), start=1):
@@ -493,8 +493,8 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     Raises
     ------
     ValueError
-        If the file is malformed, or holds what would change the light's way and is not understood: a surface type that
-        is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING, BINARY_2
+        If the file is malformed, or holds what would change the paths of rays and is not understood: a surface type
+        that is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING, BINARY_2
         and PARAXIAL, a polygon of a file of its own as aperture, a glass that neither the catalogue knows (the message
         names the nearest known ones) nor the file describes.
 

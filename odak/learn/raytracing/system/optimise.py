@@ -101,7 +101,7 @@ def levenberg_marquardt(
         raise TypeError(f"parameters must be a sequence of tensors, got {type(parameters).__name__}")
     parameters = list(parameters)
     if not parameters or not all(isinstance(p, torch.Tensor) and p.is_leaf and p.requires_grad for p in parameters):
-        raise ValueError("parameters must be leaf tensors that require grad, at least one")
+        raise ValueError(f"parameters must be leaf tensors that require grad, at least one; got {parameters!r:.80}")
     _validate.integer("iterations", iterations, minimum=1)
     sizes = [p.numel() for p in parameters]
 

@@ -150,7 +150,7 @@ def field_points(system, fields=None) -> torch.Tensor:
         raise TypeError(f"fields must be a sequence of pairs (x, y), got {type(fields).__name__}")
     pairs = [_validate.several("fields", point, 2) for point in (system.fields if fields is None else fields)]
     if not pairs:
-        raise ValueError("fields must hold at least one pair (x, y)")
+        raise ValueError("fields must hold at least one pair (x, y), got an empty sequence")
     return torch.tensor(pairs, dtype=torch.float64)
 
 
@@ -188,7 +188,8 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
     if isinstance(pupil, str):
         return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)
     if not isinstance(pupil, torch.Tensor) or pupil.ndim != 2 or pupil.shape[-1] != 2:
-        raise ValueError("pupil must be the name of a pattern or a tensor [P, 2]")
+        given = tuple(pupil.shape) if isinstance(pupil, torch.Tensor) else type(pupil).__name__
+        raise ValueError(f"pupil must be one of {', '.join(map(repr, PATTERNS))} or a tensor [P, 2], got {given}")
     return pupil.to(device=device, dtype=torch.float64)
 
 

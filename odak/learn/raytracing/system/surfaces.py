@@ -370,7 +370,9 @@ def _hold(module, name: str, value) -> None:
         module.register_parameter(name, value)
     elif isinstance(value, torch.Tensor):
         if value.requires_grad:
-            raise TypeError(f"{name} must be a number, a tensor without graph or a torch.nn.Parameter")
+            raise TypeError(
+                f"{name} must be a number, a tensor without gradient or a torch.nn.Parameter, got a tensor of a graph"
+            )
         module.register_buffer(name, value.detach().to(torch.float64))
     else:
         module.register_buffer(name, torch.as_tensor(value, dtype=torch.float64).clone())
@@ -765,7 +767,10 @@ class optical_system(torch.nn.Module):
         super().__init__()
         surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
         if not surfaces or not all(isinstance(item, surface) for item in surfaces):
-            raise TypeError("surfaces must be a sequence of at least one odak.learn.raytracing.system.surface")
+            kinds = ", ".join(sorted({type(item).__name__ for item in surfaces})) or "none"
+            raise TypeError(
+                f"surfaces must be a sequence of at least one odak.learn.raytracing.system.surface, got {kinds}"
+            )
         for i, item in enumerate(surfaces):
             if isinstance(item.order, int) and not item.order < i:
                 raise ValueError(f"return_to of surfaces[{i}] must be the number of an earlier one, got {item.order}")
@@ -935,7 +940,8 @@ def _image(value) -> surface | None:
         value.material != "air" or bool(value.thickness != 0) or any(getattr(value, name) for name in inert)
     ):
         raise ValueError(
-            "image is where light ends: it has no thickness, no material, no phase, gradient or coating, and is no stop"
+            "image must be a surface without thickness, material, phase, gradient and coating that is not the stop, "
+            f"got {value!r:.80}"
         )
     return value
 
@@ -947,7 +953,7 @@ def _wavelengths(values) -> tuple[float, ...]:
         )
     )
     if not found:
-        raise ValueError("wavelengths must hold at least one")
+        raise ValueError("wavelengths must hold at least one, got none")
     return found
 
 

@@ -168,8 +168,7 @@ def _trace(system, rays, prescription, until, vignetting):
     vignetting = _validate.flag("vignetting", vignetting)
     rays = checked_rays(rays)
     numbers = system.prescription() if prescription is None else prescription
-    if len({value.device for value in (*rays, numbers.curvature)}) > 1:
-        raise ValueError("rays and system must be on one device")
+    _validate.one_device(**rays._asdict(), system=numbers.curvature)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     held = numbers.numbers(system.image)
     if until is not None:
@@ -296,7 +295,8 @@ def curved_paths(system: Any, rays: Rays, place: int, ends: torch.Tensor, count:
     if system.surfaces[place].gradient is None:
         raise ValueError(f"place must be a surface with a graded index behind it, got {place}")
     if not isinstance(ends, torch.Tensor) or not ends.is_floating_point() or ends.shape[-1:] != (3,):
-        raise TypeError("ends must be a tensor [W, F, P, 3] of real numbers")
+        given = (tuple(ends.shape), ends.dtype) if isinstance(ends, torch.Tensor) else type(ends).__name__
+        raise TypeError(f"ends must be a tensor [W, F, P, 3] of real numbers, got {given}")
     numbers = system.prescription()
     layout = layout_of(system.surfaces, numbers, system.image)
     sequence = layout.first(place + 1)._replace(actions=layout.actions[: place + 1])

@@ -660,7 +660,7 @@ def exit_field(
 
 
 class _Grid(NamedTuple):
-    """Samples that light may reach: their numbers ``[P]``, places ``[P, 2]`` and guessed pupil places ``[..., P, 2]``.
+    """Samples that rays may reach: their numbers ``[P]``, places ``[P, 2]`` and guessed pupil places ``[..., P, 2]``.
 
     `sign` is that of the map's Jacobian, ``[..., 1]``.
     """
@@ -693,12 +693,12 @@ def _length(system) -> float:
 
 @torch.no_grad()
 def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
-    """Return the samples that light may reach, and estimates of its coordinates in the pupil."""
+    """Return the samples that rays may reach, and estimates of their coordinates in the pupil."""
     places = rays.samples(aim)
     met = rays(places)
     lost = met.status != RayStatus.HIT
     if bool(lost.all()):
-        raise ValueError("no ray of this field gets through the system")
+        raise ValueError("field must have rays that reach the image, got one whose rays are all lost")
     sign = _sign(rays, places)
     extent = [float(torch.where(lost, 0.0, value).abs().max()) for value in (met.y, met.x)]
     steep = max(float(torch.where(lost, 0.0, value).abs().max()) for value in (met.u, met.v))
@@ -714,7 +714,7 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
         )
     if any(size > pitch * ((count - 1) // 2) for size, count in zip(extent, shape, strict=True)):
         least = max(size / max((count - 1) // 2, 0.5) for size, count in zip(extent, shape, strict=True))
-        raise ValueError(f"pitch must be at least {least:.4g} for the light to fit into {shape}, got {pitch:.4g}")
+        raise ValueError(f"pitch must be at least {least:.4g} for the field to fit into {shape}, got {pitch:.4g}")
     lines = [(torch.arange(n, dtype=torch.float64, device=places.device) - n // 2) * pitch for n in shape]
     y, x = torch.meshgrid(*lines, indexing="ij")
     target = torch.stack([x, y], -1).reshape(-1, 2)

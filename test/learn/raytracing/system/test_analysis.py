@@ -170,7 +170,7 @@ def test_what_of_a_surface_can_be_varied():
             glass.vary(name)
     given = torch.nn.Parameter(torch.tensor(0.05, dtype=F64))
     assert surface(thickness=given).thickness is given
-    with pytest.raises(TypeError, match="thickness must be a number, a tensor without graph"):
+    with pytest.raises(TypeError, match="thickness must be a number, a tensor without gradient"):
         surface(thickness=given * 2)
 
 

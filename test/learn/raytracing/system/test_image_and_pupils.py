@@ -148,7 +148,7 @@ def test_curved_images_survive_files_and_are_drawn(tmp_path):
     assert draw_layout(system).tobytes() != plain.tobytes()
     with pytest.raises(TypeError, match="image must be a surface"):
         optical_system([surface()], 1.0, image=3.0)
-    with pytest.raises(ValueError, match="image is where light ends"):
+    with pytest.raises(ValueError, match="image must be a surface without thickness"):
         optical_system([surface()], 1.0, image=surface(material="N-BK7"))
 
 
