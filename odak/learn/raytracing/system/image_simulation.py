@@ -143,9 +143,7 @@ def point_spread_map(
     offsets = points - real[:, None, :]
     total = shares.sum(-1, keepdim=True)
     if is_readable(total) and bool((total == 0).any()):
-        raise ValueError(
-            "shape and pitch must give a sensor within the image of the lens, got one with points where no ray arrives"
-        )
+        raise ValueError("shape and pitch must give a sensor within the image of the lens, got points without any ray")
     shares = shares / total
     images = _splat(offsets / pitch, shares, kernel)
     spread = weights[:, :, None] * power[0] / torch.einsum("cw,wf->cf", weights, middle[0])[:, None, :]
@@ -194,7 +192,7 @@ def _chief(system, options) -> torch.Tensor:
     found = trace_fields(system, CENTRE, **options, vignetting=False)
     if is_readable(found.status) and not bool(found.arrived.all()):
         raise ValueError(
-            "shape and pitch must give a sensor within the image of the lens, got one to which not all chief rays arrive"
+            "shape and pitch must give a sensor within the image of the lens, got points without chief ray"
         )
     return torch.stack([found.x[..., 0], found.y[..., 0]], -1)
 

@@ -494,9 +494,9 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ------
     ValueError
         If the file is malformed, or holds what would change the paths of rays and is not understood: a surface type
-        that is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING, BINARY_2
-        and PARAXIAL, a polygon of a file of its own as aperture, a glass that neither the catalogue knows (the message
-        names the nearest known ones) nor the file describes.
+        that is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING,
+        BINARY_2 and PARAXIAL, a polygon of a file of its own as aperture, a glass that neither the catalogue knows (the
+        message names the nearest known ones) nor the file describes.
 
     Notes
     -----
