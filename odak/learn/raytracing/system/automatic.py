@@ -15,6 +15,8 @@ from odak.learn.raytracing.system.surfaces import optical_system, surface
 
 # Standard deviation of random curvatures in units of 1/focal length.
 SPREAD = 2.5
+# Steepest slopes of aspheres.
+STEEPEST = 1.2
 # Shares of aperture and field, how many designs go on from each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
@@ -205,11 +207,16 @@ def automatic_design(
     first = 0 if 0 in bent else min(bent)
     between = list(range(first, last))
     height = f * math.tan(math.radians(angle))
+    # Where the beam will be as it grows, aspheres must not have run away.
+    beyond = (1.15,) if terms else ()
     fixed = [
         Operand(_bending, weight=0.1 * f, lower=-limit * f, upper=limit * f, options={"surface": bent[0], "f": f}),
-        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": (0.5, 0.75, 1.0)}),
+        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": (0.5, 0.75, 1.0, *beyond)}),
         Operand("thickness", lower=back if cover is None else 0.3 * back, options={"surfaces": [last]}),
     ]
+    if terms:
+        steep = {"surfaces": bent, "shares": (0.8, 1.0, *beyond)}
+        fixed.append(Operand("slope", weight=0.1 * f, lower=-STEEPEST, upper=STEEPEST, options=steep))
     if angle:
         fixed.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * distortion, upper=0.9 * distortion))
     if track is not None:
@@ -225,15 +232,23 @@ def automatic_design(
         shares = [0.0] if not angle else [math.sqrt(k / (count - 1)) for k in range(count)]
         system.fields = tuple((0.0, math.degrees(math.atan(math.tan(math.radians(angle)) * field * s))) for s in shares)
 
-    def describe(weights, rings: int) -> lens_design:
+    def describe(weights, rings: int, free: int = terms) -> lens_design:
         spot = Operand("spot", options={"fields": weights})
-        return lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
+        design = lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
+        for (_, term), column in zip(
+            design.places.get("coefficients", ()), design.columns.get("coefficients", ()), strict=True
+        ):
+            if term > free:
+                design.lower[column] = design.upper[column] = 0.0
+        return design
 
     reached = (0.0, 0.0)
-    for aperture, field, share, rings, count in CURRICULUM[-stages:]:
+    for number, (aperture, field, share, rings, count) in enumerate(CURRICULUM[-stages:]):
+        # Coefficients are set free one after the other, as the beam comes to fill the surfaces.
+        free = terms if number + 1 == stages else min(terms, number + 1)
         while reached != (aperture, field):
             reached = _nearer(set_stage, describe, values, reached, (aperture, field), rings, count)
-            design = describe(None, rings)
+            design = describe(None, rings, free)
             if values is None:
                 values = _random_starts(design, starts, f, generator)
             values, loss = _run(design, values, iterations)

@@ -312,7 +312,7 @@ class lens_design:
     def refresh(self) -> None:
         """Take the clear semi-diameters, at which edges are judged, from the rays of the system as it is now."""
         given = [item.semi_diameter for item in self.system.surfaces]
-        if not any(operand.kind == "edge_thickness" for operand in self.operands):
+        if not any(operand.kind in ("edge_thickness", "slope") for operand in self.operands):
             self.heights = None
         elif all(value is not None for value in given):
             self.heights = torch.tensor(given, dtype=torch.float64)

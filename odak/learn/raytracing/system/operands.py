@@ -143,22 +143,55 @@ def edge_thicknesses(view: View, surfaces: Any = None, heights: Any = None, shar
     p = view.prescription
     count = p.thickness.shape[-1]
     places = _places(surfaces, count, range(count - 1))
-    if heights is None:
-        if view.heights is None:
-            raise ValueError("edge_thickness needs heights, or semi-diameters of the surfaces on both sides")
-        clear = torch.nn.functional.pad(view.heights, (0, 1))
-        each = [torch.maximum(clear[..., i], clear[..., i + 1]) for i in places]
-    else:
-        each = [torch.as_tensor(h, dtype=torch.float64) for h in _spread(heights, len(places))]
+    clear = None if heights is not None else torch.nn.functional.pad(_clear(view, "edge_thickness"), (0, 1))
+    each = None if clear is None else [torch.maximum(clear[..., i], clear[..., i + 1]) for i in places]
     found = []
-    for i, height in zip(places, each, strict=True):
-        for share in shares:
-            y = share * height
-            gap = p.thickness[..., i] - p.shape(i).sag(0 * y, y).height
-            if i + 1 < count:
-                gap = gap + p.shape(i + 1).sag(0 * y, y).height
-            found.append(gap)
-    return torch.stack(torch.broadcast_tensors(*found), -1)
+    for i, y in zip(places, _at_shares(p, places, heights, each, shares), strict=True):
+        gap = p.thickness[..., i] - p.shape(i).sag(0 * y, y).height
+        if i + 1 < count:
+            gap = gap + p.shape(i + 1).sag(0 * y, y).height
+        found.append(gap)
+    return torch.cat(torch.broadcast_tensors(*found)).movedim(0, -1)
+
+
+def slopes(view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,)) -> torch.Tensor:
+    """Return slopes dz/dr of surfaces at a distance from the axis, ``[..., n]``.
+
+    Parameters
+    ----------
+    view : View
+        The system.
+    surfaces : sequence of int, optional
+        Which surfaces; all by default.
+    heights : float or sequence of float, optional
+        Distance from the axis for each; by default its clear semi-diameter.
+    shares : sequence of float
+        Shares of these distances at which the slope is taken.
+    """
+    p = view.prescription
+    count = p.thickness.shape[-1]
+    places = _places(surfaces, count, range(count))
+    each = None if heights is not None else [_clear(view, "slope")[..., i] for i in places]
+    found = [
+        p.shape(i).sag(0 * y, y).slope_y
+        for i, y in zip(places, _at_shares(p, places, heights, each, shares), strict=True)
+    ]
+    return torch.cat(torch.broadcast_tensors(*found)).movedim(0, -1)
+
+
+def _clear(view: View, kind: str) -> torch.Tensor:
+    """Return the clear semi-diameters of a view that has them."""
+    if view.heights is None:
+        raise ValueError(f"{kind} needs heights, or semi-diameters of the surfaces on both sides")
+    return view.heights
+
+
+def _at_shares(p: Prescription, places: list, heights: Any, each: Any, shares: Any) -> list:
+    """Return distances from the axis ``[shares, ...]`` for each place: all shares of a surface in one call."""
+    if each is None:
+        each = [torch.as_tensor(h, dtype=torch.float64) for h in _spread(heights, len(places))]
+    parts = torch.tensor([*shares], dtype=torch.float64)
+    return [parts.reshape(-1, *(1,) * max(h.ndim, len(p.batch))) * h for h in each]
 
 
 def _places(surfaces, count: int, default: Iterable[int]) -> list[int]:
@@ -266,6 +299,7 @@ OPERANDS: dict[str, Callable[..., torch.Tensor]] = {
     "glass": _glass,
     "lateral_color": _lateral_color,
     "modulation": _modulation,
+    "slope": slopes,
     "spot": _spot,
     "telecentricity": _telecentricity,
     "thickness": _thickness,

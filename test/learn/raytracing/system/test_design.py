@@ -294,6 +294,21 @@ def test_rays_that_the_fused_kernel_cannot_follow_have_the_same_derivatives(monk
     torch.testing.assert_close(found, expected, rtol=1e-10, atol=1e-12 * float(expected.abs().amax()))
 
 
+def test_slopes_of_a_sphere_and_of_an_asphere():
+    """y·c/√(1 − c²y²), and 4·a·y³ for a plate with a term of the fourth order, at two shares of two heights."""
+    lens = optical_system(
+        [
+            surface(20.0, thickness=5.0, material=1.5),
+            surface(curvature=0.0, coefficients=[0.0, 1e-4], thickness=50.0),
+        ],
+        4.0,
+    )
+    slope = Operand("slope", options={"heights": [8.0, 6.0], "shares": (0.5, 1.0)})
+    (_, found, _), *_ = lens_design(lens, slope, Variable("thickness", 0)).report()
+    expected = [4 / math.sqrt(400 - 16), 8 / math.sqrt(400 - 64), 4e-4 * 3**3, 4e-4 * 6**3]
+    torch.testing.assert_close(found, torch.tensor(expected, dtype=F64), rtol=1e-12, atol=0)
+
+
 @pytest.mark.slow
 def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
     """What was asked for is there, judged by rays of another pattern; the same seed gives the same digits."""
