@@ -276,29 +276,11 @@ def test_rgb_to_gray():
             p.rgb_to_gray(value)
 
 
-@pytest.mark.parametrize(
-    "function", [p.rgb_2_ycrcb, p.rgb_to_linear_rgb, p.linear_rgb_to_xyz, p.rgb_to_hsv, p.srgb_to_lab]
-)
-def test_refused(function):
-    for shape in ((4, 5, 6), (2, 4, 3, 3), (3, 3)):
-        with pytest.raises(ValueError, match=r"image must be pictures \[..., 3, H, W\]"):
-            function(torch.zeros(shape))
-    for value in ([1.0], torch.zeros(3, 2, 2, dtype=torch.uint8)):
-        with pytest.raises(TypeError, match="image must be a tensor of real floats"):
-            function(value)
-
-
 def test_saturation_of_negative_colours():
     for rgb, saturation in (((-0.5, -0.25, -0.4), -1.0), ((0.5, -0.25, 0.0), 1.5)):
         hsv = p.rgb_to_hsv(colour(*rgb))
         assert listed(hsv)[1:] == pytest.approx([saturation, max(rgb)], rel=1e-7)
         assert listed(p.hsv_to_rgb(hsv)) == pytest.approx(rgb, rel=1e-7, abs=1e-7)
-
-
-def test_thresholds_refused():
-    for threshold in (0.0, -0.1):
-        with pytest.raises(ValueError, match="threshold must be"):
-            p.linear_rgb_to_rgb(colour(1, 1, 1), threshold)
 
 
 def test_spaces_refused():

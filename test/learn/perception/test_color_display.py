@@ -193,14 +193,8 @@ def test_three_lines_come_back():
 
 
 def test_refused():
-    with pytest.raises(ValueError, match="cones must be one of"):
-        p.display_color_hvs(cones="Judd")
     with pytest.raises(ValueError, match=r"primaries_spectrum must be \[P, S\]"):
         p.display_color_hvs(primaries_spectrum=torch.ones(301))
-    with pytest.raises(ValueError, match="primaries_spectrum must be finite"):
-        p.display_color_hvs(primaries_spectrum=torch.full((3, 301), torch.nan))
-    with pytest.raises(TypeError, match="primaries_spectrum must be a tensor"):
-        p.display_color_hvs(primaries_spectrum=[[1.0]])
     display = p.display_color_hvs()
     with pytest.raises(ValueError, match=r"primaries must be pictures \[..., 3, H, W\]"):
         display.primaries_to_lms(torch.zeros(1, 4, 2, 2))

@@ -107,21 +107,3 @@ def test_equirectangular_pooling():
 def test_maps_are_float32_unless_asked_otherwise():
     assert perception.make_pooling_size_map_lod([0.5, 0.5], (4, 4)).dtype == torch.float32
     assert perception.make_radial_map([4, 4], [0.5, 0.5], dtype=torch.float64).dtype == torch.float64
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"mode": "cubic"}, "mode must be one of 'quadratic', 'linear'"),
-        ({"alpha": -0.1}, "alpha must not be negative"),
-        ({"real_image_width": 0}, "real_image_width must be positive"),
-        ({"real_viewing_distance": math.inf}, "real_viewing_distance must be positive and finite"),
-        ({"gaze_location": [0.5]}, "gaze_location must be two finite numbers"),
-        ({"gaze_location": [0.5, math.nan]}, "gaze_location must be two finite numbers"),
-        ({"image_pixel_size": (4,)}, "image_pixel_size must be two integers"),
-    ],
-)
-def test_refused(change, message):
-    arguments = {"gaze_location": [0.5, 0.5], "image_pixel_size": (4, 4), **change}
-    with pytest.raises(ValueError, match=message):
-        perception.make_pooling_size_map_lod(**arguments)

@@ -135,19 +135,6 @@ def test_refused():
         RadiallyVaryingBlur().blur(noise(8, 8))
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"alpha": -1.0}, "alpha must not be negative"),
-        ({"real_image_width": 0.0}, "real_image_width must be positive"),
-        ({"device": "nonsense"}, "device must be"),
-    ],
-)
-def test_loss_refuses_what_makes_no_map(options, message):
-    with pytest.raises((ValueError, TypeError), match=message):
-        BlurLoss(**options)
-
-
 @pytest.mark.parametrize("gaze", ["0.5", ["a", "b"], [0.5], object()])
 def test_gaze_that_is_no_point(gaze):
     """A text was taken letter by letter, each of which is a text: without end."""

@@ -92,9 +92,5 @@ def test_refused():
     maker = FrequencySteerablePyramid(4, 2)
     with pytest.raises(ValueError, match="sides of at least 8 for 4 levels"):
         maker(noise(1, 1, 7, 20))
-    with pytest.raises(TypeError, match="tensor of real floats"):
-        maker(torch.ones(8, 8, dtype=torch.int64))
-    with pytest.raises(ValueError, match="n_levels must be at least 2"):
-        FrequencySteerablePyramid(1)
     with pytest.raises(ValueError, match="must have n_levels = 4 levels"):
         maker.reconstruct_from_pyramid(FrequencySteerablePyramid(3, 2)(noise(8, 8)))

@@ -281,7 +281,8 @@ def test_foveated_metamer(texture):
     before = torch.get_rng_state()
     metamer = loss.gen_metamer(texture, [0.5, 0.5])
     assert torch.equal(torch.get_rng_state(), before)
-    assert torch.equal(metamer, loss.gen_metamer(texture, [0.5, 0.5]))
+    again = [loss.gen_metamer(texture, [0.5, 0.5], iterations=5) for _ in range(2)]
+    assert torch.equal(*again)
     lod = loss.metameric_loss.blurs[0].lod_map
     inside = torch.zeros(64, 64, dtype=torch.bool)
     inside[29:35, 29:35] = True
@@ -304,12 +305,13 @@ def test_uniform_metamer(texture):
     flat = torch.nn.functional.interpolate(uniform_blur(texture, 16), (64, 64))
     assert float(loss(metamer, texture)) < 0.3 * float(loss(flat, texture))
     assert psnr(metamer, texture) < 25
-    assert not torch.equal(metamer, loss.gen_metamer(texture, seed=1))
-    assert loss.gen_metamer(texture[:, :1, :50, :60]).shape == (1, 1, 50, 60)
+    one, other = (loss.gen_metamer(texture, seed=seed, iterations=5) for seed in (0, 1))
+    assert not torch.equal(one, other)
+    assert loss.gen_metamer(texture[:, :1, :50, :60], iterations=5).shape == (1, 1, 50, 60)
 
 
 def test_metamer_loss(texture):
-    loss = MetamerMSELoss(n_pyramid_levels=4, **VIEW)
+    loss = MetamerMSELoss(n_pyramid_levels=4, iterations=5, **VIEW)
     gaze = [0.3, 0.5]
     value = loss(texture, texture, gaze)
     metamer = loss.gen_metamer(texture, [0.3, 0.5])
@@ -348,17 +350,7 @@ def test_refused(case):
             loss(image, target)
 
 
-def test_refused_arguments():
-    with pytest.raises(ValueError, match="mode must be one of"):
-        MetamericLoss(mode="cubic")
-    with pytest.raises(ValueError, match="n_pyramid_levels must be at least 2"):
-        MetamericLossUniform(n_pyramid_levels=1)
-    with pytest.raises(ValueError, match="pooling_size must be positive"):
-        MetamericLossUniform(pooling_size=0)
-    with pytest.raises(TypeError, match="tensor of real floats"):
-        MetamericLoss()(torch.ones(1, 3, 64, 64, dtype=torch.uint8), torch.ones(1, 3, 64, 64, dtype=torch.uint8))
-    with pytest.raises(ValueError, match="gaze must be two finite numbers"):
-        MetamericLoss(n_pyramid_levels=3)(noise(1, 3, 32, 32), noise(1, 3, 32, 32), [0.5, math.nan])
+def test_a_map_needs_a_target():
     with pytest.raises(ValueError, match="call the loss first"):
         MetamericLoss().visualise_loss_map([])
 
@@ -393,7 +385,8 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     """White noise of the same squared error is ten times as far by the statistics; no colour is outside its region."""
     view = {"alpha": 0.2, "real_image_width": 0.6, "real_viewing_distance": 0.7}
     maker, gaze = MetamerMSELoss(**view), [0.5, 0.5]
-    metamer = maker.gen_metamer(photograph, gaze).clamp(0, 1)
+    raw = maker.gen_metamer(photograph, gaze)
+    metamer = raw.clamp(0, 1)
     error = float(((metamer - photograph) ** 2).mean().sqrt())
     assert error > 0.02
     generator = torch.Generator().manual_seed(1)
@@ -401,7 +394,6 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     loss = MetamericLoss(**view, use_l2_foveal_loss=False)
     assert float(loss(metamer, photograph, gaze)) < 0.1 * float(loss(spoilt, photograph, gaze))
     levels = make_pooling_size_map_lod(gaze, photograph.shape[-2:], **view, dtype=torch.float64)
-    raw = maker.gen_metamer(photograph, gaze)
     shown, clipped = rgb_2_ycrcb(raw), ((raw < 1e-3) | (raw > 1 - 1e-3)).any(1, keepdim=True)
     low, high = metameric.local_range(rgb_2_ycrcb(photograph), levels)
     # The two matrices are inverse to each other to three digits; colours beyond RGB are clipped.

@@ -84,12 +84,3 @@ def test_gradients():
     image = (target + 0.05 * torch.rand_like(target)).requires_grad_()
     loss = VisibilityLoss(n_levels=3)
     assert torch.autograd.gradcheck(lambda one: loss(one, target, (0.2, 0.3)), image, fast_mode=True, rtol=1e-2)
-
-
-def test_wrong_arguments():
-    with pytest.raises(ValueError, match="masking"):
-        VisibilityLoss(masking=2.0)
-    with pytest.raises(ValueError, match="edges"):
-        foveated_budget((8, 8), edges=(3.0, 1.0))
-    with pytest.raises(ValueError, match="eccentricity"):
-        highest_frequency(-1.0)
