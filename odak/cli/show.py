@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -172,7 +173,7 @@ def _field_figure(
     values = values[..., ::step, ::step]
     pitch = None if pitch is None else pitch * step
     title = title if step == 1 else f"{title}, every sample number {step}"
-    chosen = {} if quantities is None else {"quantities": quantities}
+    chosen: dict[str, Any] = {} if quantities is None else {"quantities": quantities}
     return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig
 
 

@@ -34,7 +34,8 @@ Job = tuple[tuple, dict[str, Any]]
 Group = Sequence[int]
 _LARGE_CODE = 100_000
 _LOOK, _CHECK, _GATHERING, _EVER = 0.5, 5.0, 0.05, 1e8
-# Seconds that a scheduler may take to answer, at least and at most, and that a worker may be silent amid others.
+# Least and largest time in seconds to wait for an answer of the scheduler, and the longest silence of one worker while
+# others send heartbeats.
 _PATIENCE, _SILENCE = (5.0, 30.0), 20.0
 _WAKE = "wake"
 
@@ -44,7 +45,7 @@ class Lost(Exception):
 
 
 class Backend(Protocol):
-    """Computes groups of tasks, which are started and waited for."""
+    """Interface of what computes groups of tasks: they are started, and their results are waited for."""
 
     client: Any
 
@@ -70,7 +71,7 @@ class Backend(Protocol):
         """Drop all groups."""
 
     def close(self) -> None:
-        """Leave the cluster."""
+        """Disconnect from the cluster."""
 
 
 def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
@@ -175,7 +176,7 @@ class Cluster:
         self._numbers = itertools.count()
 
     def connect(self) -> None:
-        """Start or reach the cluster, and wait for a worker that fits."""
+        """Start the cluster or connect to it, and wait for a suitable worker."""
         if self.client is not None:
             return
         try:
@@ -219,7 +220,7 @@ class Cluster:
             if self._cluster == "local" or (end is not None and time.monotonic() > end):
                 kind = "worker with a GPU" if self._resources else "worker"
                 raise TimeoutError(
-                    f"No {kind} is there at {self.client.scheduler.address}; `odak worker ADDRESS` lets a machine join"
+                    f"No {kind} has joined {self.client.scheduler.address}; start one with `odak worker ADDRESS`"
                 )
             time.sleep(_LOOK / 5)
 
@@ -229,7 +230,7 @@ class Cluster:
         return self._ask("identity", **({"n_workers": -1} if every else {}))["workers"]
 
     def _ask(self, question: str, **arguments: Any) -> Any:
-        """Return the scheduler's answer; raise ConnectionError where there is none."""
+        """Return the answer of the scheduler; raise ConnectionError if there is none in time."""
         client = self.client
         limit = max(_PATIENCE[0], min(_PATIENCE[1], self._timeout or _PATIENCE[1]))
         try:
@@ -253,7 +254,7 @@ class Cluster:
             self._share_code()
 
     def _share_code(self) -> None:
-        # As a task of its own, large code reaches each worker once, and is there again when its holder is lost.
+        # As the result of a task, large code is sent to each worker once, and again if its holder is lost.
         self._code = self._map(bytes, [self._packed_code], [f"{self._names}-code-{next(self._numbers)}"])[0]
 
     def _map(self, function: Callable, values: list, keys: list[str], **options: Any) -> list:
@@ -332,7 +333,7 @@ class Cluster:
         return group, Lost("its worker, or the connection to the scheduler, was lost")
 
     def _check(self) -> None:
-        """Raise ConnectionError if the scheduler does not answer; have it forget workers that do not."""
+        """Raise ConnectionError if the scheduler does not answer; have it remove workers that do not."""
         self._checked = time.monotonic()
         try:
             workers = self._workers()
@@ -344,7 +345,7 @@ class Cluster:
             raise ConnectionError("The program that holds this machine's workers has ended")
         heard = {address: worker.get("last_seen", 0.0) for address, worker in workers.items()}
         for address, last in heard.items():
-            # Beside the time, some heartbeats, which are rarer the more workers there are.
+            # A number of missed heartbeats too: their interval grows with the number of workers.
             if last < max(heard.values()) - max(_SILENCE, len(workers) / 20):
                 self._ask("unregister", address=address, stimulus_id=f"odak-silent-worker-{time.time()}")
 
@@ -360,7 +361,7 @@ class Cluster:
             self.client.cancel(futures, force=True)
 
     def close(self) -> None:
-        """Leave the cluster; end what this backend started."""
+        """Disconnect from the cluster, and end the processes that this backend started."""
         client, server = self.client, self._server
         self.client = self._server = self._code = None
         if client is not None and client is not self._cluster:
@@ -387,7 +388,7 @@ class _Fetched:
 
 def _fetch(client: Any, futures: list, events: queue.SimpleQueue) -> None:
     results: dict = {}
-    # Whatever goes wrong: what is missing is computed again if the scheduler still answers.
+    # After any error, missing results are computed again if the scheduler still answers.
     with suppress(Exception, asyncio.CancelledError, concurrent.futures.CancelledError):
         results = client.gather({future.key: future for future in futures}, errors="skip")
     events.put(_Fetched(futures, results))

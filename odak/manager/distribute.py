@@ -25,7 +25,7 @@ __all__ = ["Failure", "TaskError", "agent"]
 
 ON_FAILURE = ("raise", "return")
 _SHOWN = 3
-# A task is given up after so many ends of its process, and after it was lost with so many workers.
+# A task fails once its process has ended so many times, or once it was lost with so many workers.
 _MOST_ENDS, _MOST_LOSSES = {"by itself": 2, "from outside": 4}, 10
 _REFILL, _LOOK = 0.75, 5.0
 _PER_SLOT, _AT_LEAST = 4, 128
@@ -40,7 +40,7 @@ class agent:
         The function; not needed for :meth:`map`. It and its arguments and results must be picklable; functions of
         scripts and notebooks are.
     cluster : str, bool or object, optional
-        Where the work is done:
+        Where the tasks run:
 
         - "local" or True: worker processes on this machine, one per GPU, or one per core where there is none.
         - the address of a Dask scheduler, such as "tls://10.0.0.1:8786".
@@ -49,11 +49,12 @@ class agent:
 
         By default "local", or False where Dask is not installed.
     depends : sequence
-        Code that `compute` needs and workers cannot import: modules, or functions of them, which travel along, and
-        paths of ``.py`` and ``.zip`` files, which are copied to the workers.
+        Code that `compute` needs and workers cannot import: modules, or functions of modules, which are sent with the
+        tasks, and paths of ``.py`` and ``.zip`` files, which are copied to the workers.
     server : bool
-        Take part as a server. With an address, this machine's cores or GPUs work for that scheduler too; with "local",
-        the scheduler listens on port 8786 of `host`, so that others can join with ``odak worker``.
+        Start workers or a scheduler that others share. With an address, workers of this machine also join that
+        scheduler; with "local", the scheduler listens on port 8786 of `host`, so that other machines can join with
+        ``odak worker``.
     workers : int, optional
         Worker processes on this machine; see :func:`odak.manager.start_server`.
     threads : int, optional
@@ -63,9 +64,9 @@ class agent:
     retries : int
         How often a task that failed is tried again.
     chunk : int
-        Tasks that travel together; for tasks of a few milliseconds.
+        Number of tasks that are sent together; more than one is faster for tasks of a few milliseconds.
     in_flight : int, optional
-        Parcels of `chunk` tasks whose arguments the scheduler holds at a time; by default four per worker, at least
+        Groups of `chunk` tasks whose arguments the scheduler holds at a time; by default four per worker, at least
         128.
     direct : bool, optional
         Fetch results from the workers themselves rather than through the scheduler; by default with "local" alone.
@@ -75,10 +76,10 @@ class agent:
     security : distributed.Security, path or True, optional
         TLS certificates; a path is that of a folder from :func:`odak.manager.make_certificates`.
     trusted_network : bool
-        Accept plain TCP beyond this machine. Everybody who reaches scheduler or workers then runs code on them and,
-        with its results, here.
+        Accept unencrypted TCP to other machines. Anybody who can connect to the scheduler or to a worker can then run
+        code there and, by the results that are unpickled, here.
     timeout : float, optional
-        Seconds that the scheduler and a first worker may take to be there; None waits for ever.
+        Longest time in seconds to wait for the scheduler and for the first worker; None waits without limit.
     verbose : bool
         Show a progress bar.
 
@@ -205,16 +206,16 @@ class agent:
         return len(self.jobs) - 1
 
     def clear(self) -> None:
-        """Forget all tasks and results."""
+        """Remove all tasks and results."""
         self.jobs, self.results, self.records = [], [], []
 
     def connect(self) -> None:
-        """Start or reach the cluster now rather than with the first run.
+        """Start the cluster or connect to it now rather than with the first run.
 
         Raises
         ------
         OSError
-            If the scheduler cannot be reached or no fitting worker is there in time.
+            If the scheduler cannot be reached, or no suitable worker joins within `timeout`.
         """
         if self._closed:
             raise RuntimeError("the agent is closed")
@@ -232,7 +233,7 @@ class agent:
         Raises
         ------
         OSError
-            If the cluster is not there, or goes away; :attr:`results` holds what is done.
+            If the cluster cannot be reached, or the connection to it is lost; :attr:`results` holds the results so far.
         """
         compute: Any = self.compute
         yield from self._compute(compute, list(self.jobs))
@@ -261,7 +262,7 @@ class agent:
     def run(self, on_failure: str = "raise") -> list[Any]:
         """Run all tasks and return their results in the order of submission.
 
-        Tasks are kept: a second run repeats them, unless :meth:`clear` forgets them.
+        Tasks are kept: a second run repeats them, unless :meth:`clear` has removed them.
 
         Parameters
         ----------
@@ -276,10 +277,10 @@ class agent:
         Raises
         ------
         TaskError
-            If tasks failed in all their attempts, or were cancelled; all others are done by then, and their results in
-            its attribute ``results``.
+            If tasks failed in all their attempts, or were cancelled. All other tasks are complete by then, and their
+            results are in its attribute ``results``.
         OSError
-            If the cluster is not there, or goes away; :attr:`results` holds what is done.
+            If the cluster cannot be reached, or the connection to it is lost; :attr:`results` holds the results so far.
         """
         compute: Any = self.compute
         return self._collect(compute, list(self.jobs), on_failure)
@@ -304,7 +305,7 @@ class agent:
             First argument of each call.
         shared : dict, optional
             Keyword arguments that all calls have in common. They are sent once to each worker rather than with every
-            task, and stay in the process that computes its tasks: tasks must not change them.
+            task, and are kept by the process that runs its tasks: tasks must not modify them.
         on_failure : str
             "raise" or "return", as in :meth:`run`.
 
@@ -349,13 +350,13 @@ class agent:
     def cancel(self) -> None:
         """End the run, from another thread or from within :meth:`as_completed`.
 
-        Waiting tasks are not begun. A task that runs on a worker runs on to its end there, and its result is dropped.
+        Waiting tasks are not started. A task that a worker is running is completed there, and its result is discarded.
         """
         if self._running is not None:
             self._running.cancel()
 
     def close(self) -> bool:
-        """Cancel what runs, and leave the cluster; one that this agent started ends."""
+        """Cancel running tasks and disconnect from the cluster; a cluster that this agent started is shut down."""
         self.cancel()
         self._closed = True
         self._backend.close()
@@ -382,7 +383,7 @@ class _Run:
     records : list
         Where each attempt is noted.
     chunk : int
-        Tasks that travel together. Those that are tried again travel alone.
+        Number of tasks that are sent together. Tasks that are tried again are sent one by one.
     in_flight : int, optional
         Groups that the backend is given at a time; by default enough for all its workers, also those that join later.
     """
@@ -436,7 +437,7 @@ class _Run:
     def _start(self) -> None:
         if self._given is None and time.monotonic() > self._looked + _LOOK:
             self._looked, self._limit = time.monotonic(), max(_AT_LEAST, _PER_SLOT * self._backend.slots())
-        # In larger parts rather than one by one: the scheduler takes a thousand tasks at once in the time of a few.
+        # In large groups: the scheduler accepts a thousand tasks at once in the time of a few single ones.
         if not self._waiting or self._started > _REFILL * self._limit:
             return
         groups = []
@@ -527,7 +528,7 @@ class Failure:
 
 
 class TaskError(RuntimeError):
-    """Some tasks failed after all their attempts, and all others are done.
+    """Error of a run in which tasks failed in all their attempts; all other tasks are complete.
 
     Attributes
     ----------
@@ -569,7 +570,7 @@ def _checked_depends(depends: Sequence) -> list[ModuleType | Callable | str]:
         if isinstance(item, (str, Path)):
             path = validate_path(item, allowed_extensions=[".py", ".zip"], name="depends")
             if not Path(path).is_file():
-                raise ValueError(f"depends names a file that is not there: {path!r}")
+                raise ValueError(f"depends must name existing files, got {path!r}")
             checked.append(path)
         elif isinstance(item, ModuleType) or callable(item):
             checked.append(item)

@@ -1,7 +1,7 @@
 """Worker processes of this machine, a scheduler for them, and the addresses and certificates that they use.
 
-Workers run in a program of their own, which starts one process per worker, gives each its share of cores, memory and
-GPUs, and replaces those that die. A script therefore needs no ``if __name__ == "__main__":`` to use them, and the
+A separate program holds the workers: it starts one process per worker, assigns it its share of cores, memory and
+GPUs, and replaces processes that end. A script therefore needs no ``if __name__ == "__main__":`` to use them, and the
 environment of the user's process stays as it is.
 """
 
@@ -40,7 +40,7 @@ GPU = "GPU"
 _ENCRYPTED = ("tls", "wss")
 _CERTIFICATES = ("ca.pem", "cert.pem", "key.pem")
 _PATIENCE, _START = 30.0, 30.0
-# Results leave as soon as they are there: a worker that paused at 80 % of its memory would wait for ever.
+# Results are fetched as soon as they are complete: a worker that paused at 80 % of its memory would never continue.
 # Dask's profiler, which looks at every task a hundred times a second, takes up to a fifth of a core.
 _TURNED_OFF = (
     "distributed.worker.memory.target",
@@ -79,7 +79,7 @@ def start_server(
     threads : int, optional
         Threads that each worker's numerical libraries use; by default the cores shared evenly.
     memory_limit : int, optional
-        Bytes that each worker may take before it is started anew; by default the memory shared evenly.
+        Memory in bytes beyond which a worker is restarted; by default the memory of the machine shared evenly.
     name : str, optional
         Name of the workers; a number is added to it.
     security : distributed.Security, path or True, optional
@@ -87,14 +87,15 @@ def start_server(
         :func:`make_certificates` writes them. True makes temporary ones, for a scheduler started here that only this
         program reaches.
     trusted_network : bool
-        Accept plain TCP beyond this machine. Everybody who reaches the scheduler or a worker then runs code here.
+        Accept unencrypted TCP to other machines. Anybody who can connect to the scheduler or to a worker can then run
+        code on this machine.
     timeout : float
-        Seconds that the workers may take to join.
+        Longest time in seconds to wait for the workers to join.
 
     Returns
     -------
     Server
-        To be closed, or used in a ``with`` statement.
+        The workers and the scheduler; close it, or use it in a ``with`` statement.
 
     Raises
     ------
@@ -107,8 +108,8 @@ def start_server(
 
     Notes
     -----
-    Whoever reaches a scheduler runs code on its workers, with the rights of the user who started them. A scheduler
-    listens on `host` alone. A worker listens on the one address of this machine from which it reaches the scheduler,
+    Anybody who can connect to a scheduler can run code on its workers, with the rights of the user who started them. A
+    scheduler listens on `host` alone. A worker listens on the one address of this machine from which it reaches the scheduler,
     which is 127.0.0.1 for a scheduler on 127.0.0.1.
     """
     require_dask("start_server")
@@ -214,10 +215,10 @@ class _Workers:
             stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=self._errors,
-            # Ctrl-C is for the user's program, which may go on; this one ends with it, or when it is told to.
+            # Ctrl-C interrupts the user's program, which may continue; this one ends with it, or on request.
             start_new_session=True,
         )
-        # The pipe stays open: its end tells the program that this process is gone, however it ended.
+        # The pipe stays open: when it closes, the program knows that this process has ended, for whatever reason.
         stdin: Any = self._program.stdin
         stdin.write(pickle.dumps(settings))
         stdin.flush()
@@ -227,7 +228,7 @@ class _Workers:
 
     def wait_until_joined(self) -> tuple[int, int, int]:
         """Return how many workers there are, the threads of each, and how many have a GPU, once all have joined."""
-        # The program keeps to the time itself, once it runs.
+        # The program observes the limit itself once it runs.
         end = time.monotonic() + self._timeout + _START
         while not self._joined.exists():
             if not self.alive() or time.monotonic() > end:
@@ -321,7 +322,7 @@ def tls_security(ca_file: str, cert: str, key: str) -> Any:
 
 
 def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
-    """Make TLS certificates for a cluster: whoever holds them may run code on it, nobody else.
+    """Make TLS certificates for a cluster. Only those who hold them can run code on it.
 
     Writes ``ca.pem`` (the certificate of an authority that signs nothing else), ``cert.pem`` and ``key.pem``. Copy the
     folder to each machine, and give it as ``security=`` to :func:`start_server` and :class:`agent`, or its files as
@@ -330,9 +331,9 @@ def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
     Parameters
     ----------
     folder : path
-        Folder to write to; made if need be. Files that are there already are never replaced.
+        Folder to write to, created if it does not exist. Existing files are never replaced.
     days : int
-        How long the certificates are valid.
+        Number of days for which the certificates are valid.
 
     Returns
     -------
@@ -416,13 +417,13 @@ class Share:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        """Check what is given."""
+        """Check the arguments."""
         for name in ("workers", "threads", "memory_limit"):
             if getattr(self, name) is not None:
                 _validate.integer(name, getattr(self, name), minimum=1)
 
     def parts(self) -> list[dict[str, Any]]:
-        """Return what each worker gets on this machine, as arguments of a Dask nanny."""
+        """Return the settings of each worker on this machine, as arguments of a Dask nanny."""
         from distributed.system import MEMORY_LIMIT
 
         gpus = visible_gpus()

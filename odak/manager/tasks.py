@@ -1,7 +1,7 @@
 """Tasks on a worker: serialised as bytes, and computed in a process of their own, whose end affects no other task.
 
-A function, its arguments and its results travel as bytes that are opened where a task runs: whatever cannot be opened
-fails that task alone, with a traceback. Each thread of a Dask worker keeps one process in which tasks run. A task that
+A function, its arguments and its results are sent as bytes that are unpickled where a task runs: an object that cannot
+be unpickled makes that task alone fail, with a traceback. Each thread of a Dask worker keeps one process in which tasks run. A task that
 ends its process, by a fault in compiled code, ``os._exit`` or for lack of memory, is thereby known at once, and the
 worker with the results that it holds goes on.
 """
@@ -30,7 +30,8 @@ from odak._python import current_folder, python_command
 HERE = "this process"
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _KEPT, _KEPT_BEFORE = 256 * 2**20, 32 * 2**20
-# How often the process of a task is looked at, how long it may be stopped, and how much of its memory it may take.
+# Interval in seconds at which the process of a task is checked, the longest time that it may be stopped, and the share
+# of its memory that it may use.
 _LOOK, _STOPPED, _FULL = 0.2, 5.0, 0.95
 # Signals that users, job schedulers and a system short of memory send; faults of a task come as others.
 _FROM_OUTSIDE = (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM), signal.SIGINT)
@@ -133,7 +134,7 @@ class _Process:
     Parameters
     ----------
     limit : int, optional
-        Bytes that it may take.
+        Largest memory in bytes.
     """
 
     def __init__(self, limit: int | None) -> None:
@@ -196,7 +197,7 @@ def _end(process: subprocess.Popen) -> None:
 
 
 def _watch(owner: "weakref.ref[_Process]", process: subprocess.Popen, limit: int | None) -> None:
-    """Kill a process that was stopped, or that takes more memory than it may."""
+    """Kill a process that was stopped, or that exceeds its limit of memory."""
     import psutil
 
     stopped_since = None
@@ -226,7 +227,7 @@ def _watch(owner: "weakref.ref[_Process]", process: subprocess.Popen, limit: int
 def _serve() -> None:
     """Compute the tasks that arrive on the standard input until it closes."""
     jobs, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)  # what tasks print must not mix with results
+    os.dup2(2, 1)  # the output of tasks must not be mixed with results
     waiting: queue.SimpleQueue = queue.SimpleQueue()
     threading.Thread(target=_receive, args=(jobs, waiting), daemon=True).start()
     keep_memory()
@@ -246,7 +247,7 @@ def _serve() -> None:
 
 
 def _receive(jobs: Any, waiting: queue.SimpleQueue) -> None:
-    """Queue what arrives; end the process shortly after its worker, even amid a task."""
+    """Queue incoming tasks; end the process shortly after its worker has ended, even during a task."""
     try:
         while True:
             waiting.put(pickle.load(jobs))
@@ -263,12 +264,12 @@ def _compute(code: bytes, job: bytes) -> Any:
 
 @functools.lru_cache(maxsize=1)
 def _function(code: bytes) -> Callable:
-    # Opened once and kept: a network's weights, say, are not read again for every task.
+    # Unpickled once and kept, so that the weights of a network, say, are not read again for every task.
     return unpack(code)
 
 
 def _on_cpu(value: Any) -> Any:
-    """Return a result whose tensors lie on the CPU: the GPU of a worker means nothing on another machine."""
+    """Return a result with its tensors moved to the CPU, since other machines do not have the worker's GPU."""
     torch = sys.modules.get("torch")
     if torch is None:
         return value
@@ -312,7 +313,7 @@ def keep_memory() -> None:
 
 
 def pack(value: Any) -> bytes:
-    """Return a value as bytes; functions and classes of scripts and notebooks travel with their code."""
+    """Return a value as bytes; functions and classes of scripts and notebooks are included with their code."""
     import cloudpickle
 
     return cloudpickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
@@ -324,7 +325,7 @@ def unpack(data: bytes) -> Any:
 
 
 def _pack_error(error: BaseException) -> bytes:
-    """Return an exception as bytes that can be opened again, its type and text if it cannot itself."""
+    """Return an exception as bytes that can be unpickled; if it cannot itself, its type and text."""
     try:
         data = pack(error.with_traceback(None))
         unpack(data)
@@ -335,7 +336,7 @@ def _pack_error(error: BaseException) -> bytes:
 
 @contextmanager
 def packed_by_value(modules: Iterable[ModuleType]) -> Iterator[None]:
-    """Have :func:`pack` send the code of modules along, because workers cannot import them."""
+    """Let :func:`pack` include the code of modules that workers cannot import."""
     import cloudpickle
 
     added = [module for module in modules if module.__name__ not in cloudpickle.list_registry_pickle_by_value()]

@@ -145,7 +145,7 @@ def test_progress_is_shown_unless_it_is_not_wanted(capsys):
         ({"cluster": "10.1.2.3:8786"}, ValueError, "or say trusted_network=True"),
         ({"security": 3}, TypeError, "security must be a distributed.Security, a folder or True, got int"),
         ({"depends": [3]}, TypeError, "depends must be modules, functions or paths, got int"),
-        ({"depends": "missing.py"}, ValueError, "depends names a file that is not there"),
+        ({"depends": "missing.py"}, ValueError, "depends must name existing files, got"),
         ({"depends": "notes.txt"}, ValueError, "not allowed"),
     ],
 )

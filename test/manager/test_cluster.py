@@ -213,7 +213,7 @@ def test_workers_keep_the_memory_of_freed_arrays(address):
 
 def test_tasks_for_a_gpu_wait_for_one(address):
     work = spread(address, threads, [()], gpu=True, timeout=0.5)
-    with work, pytest.raises(TimeoutError, match="No worker with a GPU is there at tcp"):
+    with work, pytest.raises(TimeoutError, match="No worker with a GPU has joined tcp"):
         work.run()
 
 
