@@ -214,8 +214,8 @@ def worker(
 
 
 @app.command(
-    help="Make TLS certificates for a cluster: ca.pem, cert.pem and key.pem. Copy the folder to each machine; only those "
-    "who have it can run code on the cluster."
+    help="Make TLS certificates for a cluster: ca.pem, cert.pem and key.pem. Copy the folder to each machine; only "
+    "those who have it can run code on the cluster."
 )
 def certificates(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to write to; made if need be.")],

@@ -109,8 +109,8 @@ def start_server(
     Notes
     -----
     Anybody who can connect to a scheduler can run code on its workers, with the rights of the user who started them. A
-    scheduler listens on `host` alone. A worker listens on the one address of this machine from which it reaches the scheduler,
-    which is 127.0.0.1 for a scheduler on 127.0.0.1.
+    scheduler listens on `host` alone. A worker listens on the one address of this machine from which it connects to the
+    scheduler, which is 127.0.0.1 for a scheduler on 127.0.0.1.
     """
     require_dask("start_server")
     _validate.real("timeout", timeout, positive=True)

@@ -1,9 +1,9 @@
 """Tasks on a worker: serialised as bytes, and computed in a process of their own, whose end affects no other task.
 
 A function, its arguments and its results are sent as bytes that are unpickled where a task runs: an object that cannot
-be unpickled makes that task alone fail, with a traceback. Each thread of a Dask worker keeps one process in which tasks run. A task that
-ends its process, by a fault in compiled code, ``os._exit`` or for lack of memory, is thereby known at once, and the
-worker with the results that it holds goes on.
+be unpickled makes that task alone fail, with a traceback. Each thread of a Dask worker keeps one process in which tasks
+run. If a task ends its process, by a fault in compiled code, by ``os._exit`` or for lack of memory, this is noticed at
+once, and the worker continues with the results that it holds.
 """
 
 import ctypes
