@@ -17,6 +17,7 @@ from .convolutions import upsample_layer as upsample_layer
 from .gaussians import gaussian_2d as gaussian_2d
 from .gaussians import gaussian_3d_volume as gaussian_3d_volume
 from .gaussians import gaussians_2d as gaussians_2d
+from .hologram_networks import hologram_network as hologram_network
 from .perceptrons import film_siren_activation as film_siren_activation
 from .perceptrons import gaussian as gaussian
 from .perceptrons import gaussian_activation as gaussian_activation

@@ -11,6 +11,7 @@ PAIR = [(tensor(4, 1), tensor(4, 1, seed=4))]
 FACTORS = tensor(2, 18, 8, 8)
 VOLUME = {"number_of_elements": 4}
 FRAMES = tensor(2, 5, 180, 320)
+LENGTHS = {"wavelength": 532e-9, "dx": 8e-6, "distance": 5e-3}
 
 
 def written(name, write):
@@ -128,6 +129,9 @@ BY_CALL = {
     "odak.learn.models.gaussian_3d_volume.load_weights": {
         "weights_filename": weights_of(lambda: models.gaussian_3d_volume(4))
     },
+    "odak.learn.models.hologram_network": {"channels": 2, "refinements": 1},
+    "odak.learn.models.hologram_network.forward": {"target": tensor(8, 12)} | LENGTHS,
+    "odak.learn.models.hologram_network.stages": {"target": tensor(8, 12)} | LENGTHS,
     "odak.learn.models.load_weights": {"filename": weights_of(lambda: torch.nn.Linear(1, 1))},
     "odak.learn.models.gaussian_2d.initialize_from_image": {
         "image": tensor(4, 5),

@@ -1,0 +1,283 @@
+"""A network that computes phase-only holograms, conditioned on wavelength, pixel pitch and distance."""
+
+import math
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+
+import torch
+from torch import nn
+
+from odak import _validate
+from odak._array import phasor
+from odak._warnings import AccuracyWarning, warn
+from odak.learn._tensors import trainable
+from odak.learn.models.weights import load_weights
+from odak.wave.propagation import propagate_beam, propagate_within_window
+
+__all__ = ["hologram_network"]
+
+# Range of wavelength·distance/pitch² and of wavelength/pitch in training; what lies outside is taken as its end.
+SPREADS, RATIOS = (10.0, 150.0), (0.035, 0.23)
+# Of the shorter side of a picture, how far light may spread for the weights that come with odak to be of use.
+_FARTHEST = 0.6
+# Amplitudes and magnitudes below this are taken as this, of images whose mean intensity is one.
+_DARK = 1e-3
+# Pixels that a convolution sees beyond the edges of a periodic picture.
+_MARGIN = 8
+
+
+class hologram_network(nn.Module):
+    """A network that computes phase-only holograms of pictures of any size, for any wavelength, pitch and distance.
+
+    The amplitude of the target is propagated back to the modulator, where a small convolutional network makes the first
+    hologram of the field. In each refinement the image of the hologram is computed, what it lacks is propagated back,
+    and a second network, the same in all of them, makes a correction of the hologram out of that. The propagation is
+    exact and has no weights, so that the networks have to learn little of the geometry; they know it by two ratios,
+    wavelength·distance/dx² and wavelength/dx.
+
+    Parameters
+    ----------
+    channels : int
+        Channels of the convolutions, 16 in the weights that come with odak.
+    refinements : int
+        Number of refinements. More take more time and improve the image; the weights are the same.
+    pretrained : bool
+        Load the weights that come with odak, instead of random ones. ``scripts/train_hologram_network.py`` made them.
+    periodic : bool
+        Propagate pictures that repeat themselves without end, as part of the training does, which stands for the inside
+        of large pictures.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Warns
+    -----
+    AccuracyWarning
+        If light spreads so far that most of it leaves the picture, which the weights that come with odak were not
+        trained for: wavelength·distance/(2·dx²) is the number of pixels.
+
+    Notes
+    -----
+    Gradients reach the target; wavelength, pitch and distance are numbers.
+
+    Corrections learned for the turns of an iteration are those of Adler and Öktem, Inverse Problems 33, 124007 (2017);
+    without them, these are the alternating projections of Gerchberg and Saxton, Optik 35, 237 (1972).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import hologram_network
+    >>> network = hologram_network(pretrained=True)
+    >>> target = torch.zeros(64, 96)
+    >>> target[16:48, 24:72] = 1.0
+    >>> with torch.no_grad():
+    ...     phase = network(target, 532e-9, 8e-6, 5e-3)
+    >>> tuple(phase.shape)
+    (64, 96)
+    """
+
+    def __init__(self, channels: int = 16, refinements: int = 8, pretrained: bool = False, periodic: bool = False):
+        super().__init__()
+        channels = _validate.integer("channels", channels, minimum=1)
+        self.refinements = _validate.integer("refinements", refinements)
+        self.periodic = _validate.flag("periodic", periodic)
+        self.encoding = _Correction(3, 2, channels)
+        self.refinement = _Correction(5, 2, channels)
+        self.pretrained = _validate.flag("pretrained", pretrained)
+        if self.pretrained:
+            load_weights(self, str(files("odak") / "assets" / "hologram_network.pt"))
+
+    def forward(
+        self, target: torch.Tensor, wavelength: float | Sequence[float], dx: float, distance: float
+    ) -> torch.Tensor:
+        """Return the phase of the hologram of an image.
+
+        Parameters
+        ----------
+        target : torch.Tensor
+            Intensity ``[..., rows, columns]`` of at least 0; its brightness has no effect.
+        wavelength : float or sequence of float
+            Wavelength in metres; several are those of the colours of a target ``[..., colours, rows, columns]``.
+        dx : float
+            Pixel pitch in metres.
+        distance : float
+            Distance from hologram to image in metres; negative if the image lies before the hologram.
+
+        Returns
+        -------
+        torch.Tensor
+            Phase in radians, −π … π, of the target's shape and dtype.
+        """
+        target = _intensity(target)
+        if isinstance(wavelength, Sequence) or getattr(wavelength, "ndim", False):
+            wavelengths = _validate.several("wavelength", wavelength, positive=True)
+            if target.ndim < 3 or target.shape[-3] != len(wavelengths):
+                raise ValueError(
+                    "wavelength must be one number, or one for each colour of target [..., colours, rows, columns]; "
+                    f"got {len(wavelengths)} numbers and {list(target.shape)}"
+                )
+            colours = (self(one, w, dx, distance) for one, w in zip(target.unbind(-3), wavelengths, strict=True))
+            return torch.stack(list(colours), -3)
+        *_, last = self.stages(target, wavelength, dx, distance)
+        return last
+
+    def stages(self, target: torch.Tensor, wavelength: float, dx: float, distance: float) -> Iterator[torch.Tensor]:
+        """Return an iterator over the phase before the first refinement and after each.
+
+        Parameters
+        ----------
+        target : torch.Tensor
+            Intensity ``[..., rows, columns]`` of at least 0.
+        wavelength : float
+            Wavelength in metres.
+        dx : float
+            Pixel pitch in metres.
+        distance : float
+            Distance from hologram to image in metres; negative if the image lies before the hologram.
+
+        Returns
+        -------
+        iterator of torch.Tensor
+            Phase in radians, −π … π, of the target's shape and dtype.
+        """
+        target = _intensity(target)
+        wavelength = float(_validate.number("wavelength", wavelength, positive=True))
+        dx, distance = float(_validate.number("dx", dx, positive=True)), float(_validate.number("distance", distance))
+        if distance == 0:
+            raise ValueError("distance must not be 0, where a phase makes no image")
+        reach, shorter = 0.5 * wavelength * abs(distance) / dx**2, min(target.shape[-2:])
+        if self.pretrained and not self.periodic and reach > _FARTHEST * shorter:
+            warn(
+                f"light spreads over {reach:.0f} pixels to each side, more than {_FARTHEST} of the {shorter} of the "
+                "target's shorter side: the weights were not trained for that; use gradient descent",
+                AccuracyWarning,
+            )
+        images = trainable(target).to(self.encoding.enter.weight).reshape(-1, *target.shape[-2:])
+        # An image before the hologram is the one behind the conjugate hologram.
+        sign = math.copysign(1, distance)
+        return (
+            (sign * hologram.angle()).reshape(target.shape).to(target.dtype)
+            for hologram in self._holograms(images, wavelength, dx, abs(distance))
+        )
+
+    def _holograms(self, images, wavelength, dx, distance) -> Iterator[torch.Tensor]:
+        """Yield phasors ``[B, rows, columns]``."""
+        turns = torch.tensor(2 * math.pi * (distance / wavelength % 1), dtype=torch.float64, device=images.device)
+        carrier = phasor(turns, images.dtype.to_complex())
+
+        def propagate(field, sign):
+            lengths = (sign * distance, dx, wavelength, "Angular Spectrum")
+            if self.periodic:
+                there = propagate_beam(field, None, *lengths, zero_padding=(False, False, False))
+            else:
+                there = propagate_within_window(field, *lengths)
+            return there * (carrier.conj() if sign > 0 else carrier)
+
+        geometry = torch.tensor(
+            [_place(wavelength * distance / dx**2, SPREADS), _place(wavelength / dx, RATIOS)],
+        ).to(images)
+        mean = images.mean((-2, -1), keepdim=True).clamp_min(torch.finfo(images.dtype).tiny)
+        amplitude = (images / mean).clamp_min(_DARK**2).sqrt()
+        covered = torch.ones_like(amplitude)
+        if not self.periodic:
+            for axis in (-2, -1):
+                covered = covered * _covered(amplitude.shape[axis], 0.5 * wavelength * distance / dx**2, axis, images)
+
+        def corrected(network, error, *fields):
+            known = torch.cat([geometry.expand(len(images), -1), error.view(-1, 1)], 1)
+            parts = [part for field in fields for part in (field.real, field.imag)]
+            found = network(torch.stack([*parts, covered], 1), known, self.periodic)
+            # Autocast computes the convolutions in half precision, which complex numbers do not have.
+            return torch.complex(*found.to(images.dtype).unbind(1))
+
+        field = propagate(amplitude.to(carrier.dtype), -1)
+        hologram = _unit(field + corrected(self.encoding, torch.zeros_like(mean), field))
+        yield hologram
+        step = torch.zeros_like(hologram)
+        for _ in range(self.refinements):
+            image = propagate(hologram, 1)
+            magnitude = image.abs()
+            scale = _mean(magnitude * amplitude) / _mean(amplitude * amplitude)
+            lacking = (scale * amplitude / magnitude.clamp_min(_DARK) - 1) * image
+            # Outside the image light is free: only what lacks inside travels back.
+            back = propagate(lacking, -1) * hologram.conj()
+            error = _mean(lacking.abs().square()) / _mean(magnitude * magnitude)
+            error = 1 + 0.5 * error.clamp_min(_DARK**2).log10()
+            turn = corrected(self.refinement, error, back, step)
+            before, hologram = hologram, _unit(hologram * (1 + back + turn))
+            step = hologram * before.conj() - 1
+            yield hologram
+
+
+class _Correction(nn.Module):
+    """A U-Net of two scales, half and a quarter of the picture's, scaled and shifted by functions of the geometry.
+
+    Four neighbouring pixels are channels of one, so that what is not the same for even and odd pixels can be learned.
+    The output, −1 … 1, is zero before training.
+    """
+
+    def __init__(self, inputs: int, outputs: int, channels: int):
+        super().__init__()
+        self.enter = nn.Conv2d(4 * inputs, channels, 3, padding=1)
+        self.fine = _residual(channels)
+        self.down = nn.Conv2d(channels, channels, 2, stride=2)
+        self.coarse = _residual(channels)
+        self.up = nn.Conv2d(channels, 4 * channels, 1)
+        self.last = _residual(channels)
+        self.leave = nn.Conv2d(channels, 4 * outputs, 3, padding=1)
+        modulating = nn.Linear(16, 4 * channels)
+        self.modulation = nn.Sequential(nn.Linear(3, 16), nn.SiLU(), modulating)
+        for parameter in (*self.leave.parameters(), *modulating.parameters()):
+            nn.init.zeros_(parameter)
+
+    def forward(self, images: torch.Tensor, geometry: torch.Tensor, periodic: bool) -> torch.Tensor:
+        """Return ``[B, outputs, rows, columns]`` for ``[B, inputs, rows, columns]`` and ``[B, 3]`` of the geometry."""
+        rows, columns = images.shape[-2:]
+        margin = min(_MARGIN, rows // 4 * 4, columns // 4 * 4) if periodic else 0
+        padding = (margin, margin + -columns % 4, margin, margin + -rows % 4)
+        padded = nn.functional.pad(images, padding, mode="circular" if periodic else "replicate")
+        scale, shift, coarse_scale, coarse_shift = self.modulation(geometry).view(len(images), 4, -1, 1, 1).unbind(1)
+        fine = self.enter(nn.functional.pixel_unshuffle(padded, 2)) * (1 + scale) + shift
+        fine = fine + self.fine(fine)
+        coarse = self.down(fine) * (1 + coarse_scale) + coarse_shift
+        coarse = coarse + self.coarse(coarse)
+        fine = fine + nn.functional.pixel_shuffle(self.up(coarse), 2)
+        fine = fine + self.last(fine)
+        # Bounded, since a phase that has left the first cycles does not come back to them by its gradient.
+        large = nn.functional.pixel_shuffle(self.leave(fine).tanh(), 2)
+        return large[..., margin : margin + rows, margin : margin + columns]
+
+
+def _residual(channels: int) -> nn.Sequential:
+    first, second = (nn.Conv2d(channels, channels, 3, padding=1) for _ in range(2))
+    return nn.Sequential(first, nn.LeakyReLU(0.1), second)
+
+
+def _covered(count: int, reach: float, axis: int, like: torch.Tensor) -> torch.Tensor:
+    """Return the share of the light of each pixel, spread over ± reach pixels, that stays inside along an axis."""
+    place = torch.arange(count, device=like.device, dtype=like.dtype) + 0.5
+    share = ((place + reach).clamp_max(count) - (place - reach).clamp_min(0)) / (2 * reach)
+    return share[:, None] if axis == -2 else share
+
+
+def _unit(field: torch.Tensor) -> torch.Tensor:
+    return field / field.abs().clamp_min(_DARK)
+
+
+def _mean(values: torch.Tensor) -> torch.Tensor:
+    return values.mean((-2, -1), keepdim=True)
+
+
+def _place(value: float, ends: tuple[float, float]) -> float:
+    """Return where a ratio lies between two ends, −1 … 1 on a logarithmic scale."""
+    low, high = map(math.log, ends)
+    return 2 * (min(max(math.log(value), low), high) - low) / (high - low) - 1
+
+
+def _intensity(target) -> torch.Tensor:
+    if not isinstance(target, torch.Tensor) or not target.is_floating_point():
+        kind = getattr(target, "dtype", type(target).__name__)
+        raise TypeError(f"target must be a real floating tensor of intensities, got {kind}")
+    return _validate.image("target", target)
