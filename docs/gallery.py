@@ -95,7 +95,7 @@ def run(path: Path, folder: Path) -> tuple[str, list]:
             images = []
             for number in plt.get_fignums():
                 stream = io.BytesIO()
-                plt.figure(number).savefig(stream, format="png")
+                plt.figure(number).savefig(stream, format="png", bbox_inches="tight", pad_inches=0.1)
                 images.append(Image.open(stream).convert("RGB"))
             images += [Image.open(name).convert("RGB") for name in sorted(folder.glob("*.png"))]
     finally:

@@ -31,8 +31,7 @@ CAPTIONS = {
 def pictures() -> dict[str, Image.Image]:
     """Return the pictures by name."""
     scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3].float()
-    target = torch.nn.functional.interpolate(scene[None], (600, 600), mode="area")[0, :, 120:570, :]
-    target = target.mean(0)
+    target = torch.nn.functional.interpolate(scene[None], (540, 960), mode="area")[0].mean(0)[70:520, 200:800]
     hologram, field = stochastic_gradient_descent(
         target, wavelength=532e-9, distance=0.05, pixel_pitch=8e-6, n_iteration=150, learning_rate=0.2, scale=True,
         initial_phase=torch.zeros_like(target), progress=False,

@@ -12,7 +12,8 @@ from odak.learn.tools import load_image, psnr
 from odak.learn.wave import multi_color_hologram_optimizer, propagator
 
 colours = [639e-9, 515e-9, 473e-9]
-scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3]
+scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)
+scene = scene[:3, :, 420:1500]
 target = torch.nn.functional.interpolate(scene[None], (240, 240), mode="area")
 display = propagator(
     [240, 240],

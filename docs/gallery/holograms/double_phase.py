@@ -13,7 +13,8 @@ from odak.learn.tools import load_image, psnr
 from odak.learn.wave import generate_complex_field, propagate_beam, shift_w_double_phase
 
 pitch, wavelength, distance = 4e-6, 532e-9, 0.005
-photo = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3].mean(0)
+photo = load_image(files("odak") / "assets" / "scene.png", torch_style=True)
+photo = photo[:3, :, 420:1500].mean(0)
 target = torch.nn.functional.interpolate(photo[None, None], (160, 160), mode="area")
 target = torch.nn.functional.interpolate(target, (320, 320), mode="bicubic").clamp(
     0, 1

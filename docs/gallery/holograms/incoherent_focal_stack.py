@@ -14,8 +14,9 @@ from odak.learn.tools import load_image
 from odak.learn.wave import incoherent_focal_stack_rgbd
 
 assets = files("odak") / "assets"
-scene = load_image(assets / "scene.png", torch_style=True)[:3]
-depth = load_image(assets / "scene_depth.png").float()
+scene = load_image(assets / "scene.png", torch_style=True)
+scene = scene[:3, :, 420:1500]
+depth = load_image(assets / "scene_depth.png").float()[:, 420:1500]
 scene = torch.nn.functional.interpolate(scene[None].float(), (256, 256), mode="area")[0]
 depth = torch.nn.functional.interpolate(depth[None, None], (256, 256), mode="area")[
     0, 0

@@ -11,7 +11,8 @@ import torch
 from odak.learn.models import multi_layer_perceptron
 from odak.learn.tools import load_image, psnr
 
-scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[:3].float()
+scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)
+scene = scene[:3, :, 420:1500].float()
 target = torch.nn.functional.interpolate(scene[None], (96, 96), mode="area")[0]
 axis_points = torch.linspace(-1, 1, 96)
 points = torch.stack(

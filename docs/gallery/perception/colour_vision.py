@@ -12,7 +12,7 @@ from odak.learn.perception import simulate_color_vision_deficiency
 from odak.learn.tools import load_image
 
 scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[
-    None, :3
+    None, :3, :, 420:1500
 ].float()
 scene = torch.nn.functional.interpolate(scene, (400, 400), mode="area")
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.6))

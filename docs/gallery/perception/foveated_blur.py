@@ -13,7 +13,7 @@ from odak.learn.perception import RadiallyVaryingBlur
 from odak.learn.tools import load_image
 
 scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[
-    None, :3
+    None, :3, :, 420:1500
 ].float()
 scene = torch.nn.functional.interpolate(scene, (512, 512), mode="area")
 blur = RadiallyVaryingBlur()

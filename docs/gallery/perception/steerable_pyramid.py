@@ -13,7 +13,7 @@ from odak.learn.tools import load_image
 
 scene = (
     load_image(files("odak") / "assets" / "scene.png", torch_style=True)[None, :3]
-    .float()
+    .float()[..., 420:1500]
     .mean(1, keepdim=True)
 )
 scene = torch.nn.functional.interpolate(scene, (384, 384), mode="area")
