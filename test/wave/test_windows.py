@@ -64,6 +64,29 @@ def test_direct_sum_and_the_guard(guard, error, distance, offset):
     assert np.abs(result - expected).max() < error * np.abs(patch()).max()
 
 
+@pytest.mark.parametrize(
+    ("aperture", "far", "near"), [(0.5, 4e-6, 1e-4), (0.7, 2e-5, 2e-4), (0.87, 2e-4, 1e-3), (0.96, 3e-4, 5e-3)]
+)
+def test_the_guard_at_high_apertures(aperture, far, near):
+    """An oblique beam in the middle of its path, 200 and 40 wavelengths away: the errors that are documented."""
+    y, x = coordinates((96, 96), 1e-7)
+    field = np.exp(-(y**2 + x**2) / 1.5e-6**2) * np.exp(2j * np.pi * aperture * x / 5e-7)
+    for distance, error in ((1e-4, far), (2e-5, near)):
+        window = (9, 9), 3e-7, (0.0, distance * aperture / np.sqrt(1 - aperture**2))
+        result = propagate_to_window(field, 5e-7, distance, 1e-7, *window)
+        expected = direct_sum(field, 5e-7, distance, 1e-7, *window)
+        assert np.abs(result - expected).max() < error
+        assert np.abs(expected).max() > 0.01
+
+
+def test_noise_up_to_the_edge_of_the_band_is_not_defined_better_than_its_tails(random):
+    field = np.exp(2j * np.pi * random.random((32, 32)))
+    frequency = np.fft.fftfreq(1024, 8e-6)
+    kernel = np.exp(2j * np.pi * 0.01 * np.sqrt(1 / WAVELENGTH**2 - frequency[:, None] ** 2 - frequency**2))
+    wide = np.fft.ifft2(np.fft.fft2(field, (1024, 1024)) * kernel)[:32, :32]
+    assert 0.01 < relative_error(propagate_to_window(field, WAVELENGTH, 0.01, 8e-6), wide) < 0.1
+
+
 def test_the_guard_governs_hard_edges_too(random):
     field = random.normal(size=(64, 60)) + 1j * random.normal(size=(64, 60))
     arguments = field, WAVELENGTH, 0.1, DX, (50, 70), 1e-5, (3e-4, 0.0)
