@@ -325,3 +325,19 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
     assert all(float(item.thickness) > 0 for item in lens.surfaces)
     assert all(float(item.curvature) == 0 for item in found.start.surfaces)
     assert torch.equal(lens.prescription().curvature, again.system.prescription().curvature)
+
+
+@pytest.mark.slow
+def test_aspheres_are_designed_without_running_away():
+    """Three plastic aspheres of 50 degrees at f/4: spots by rays of another pattern, slopes where the beam is."""
+    low, high = model_glass(1.5445, 55.99), model_glass(1.6613, 20.37)
+    options = {"aspheric_terms": 3, "glass": (0.25, 1.0), "air": (0.05, 1.0), "edge": 0.05, "back": 0.4, "track": 7.0}
+    lens = automatic_design(
+        ["stop", low, high, low], 4.55, 4.0, 25.0, starts=3, iterations=6, polish=0, **options
+    ).system
+    assert float(rms_spot(lens, "grid", 15).max()) < 0.02
+    assert float(distortion(lens).abs().max()) < 0.02
+    assert bool(trace_fields(lens, "rings", 6).arrived.all())
+    for item in lens.surfaces[1:]:
+        y = torch.linspace(0.0, 1.15 * item.semi_diameter, 50, dtype=F64)
+        assert float(item.shape.sag(0 * y, y).slope_y.abs().max()) < 1.4
