@@ -152,8 +152,8 @@ def automatic_design(
     The curriculum of Yang et al., Nature Communications 15, 6568 (2024), doi 10.1038/s41467-024-50835-7: aperture and
     field grow to their full size. Here each stage is solved by least squares rather than by gradient
     descent, several designs side by side, the best of which go on. Coefficients of aspheres are set free one after the
-    other, and slopes are kept below 1.2 up to 1.15 times the radius of the beam. The benchmark finds a triplet of f/2.8;
-    fast wide lenses of many aspheres may lose their rays on the way, which raises ValueError.
+    other, and slopes above 1.2 within 1.15 times the radius of the beam are penalised. The benchmark finds a triplet of
+    f/2.8; fast wide lenses of many aspheres may lose their rays on the way, which raises ValueError.
 
     Examples
     --------
