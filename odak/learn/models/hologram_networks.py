@@ -60,8 +60,8 @@ class hologram_network(nn.Module):
 
     Notes
     -----
-    Gradients reach the target; wavelength, pitch and distance are numbers. Where light spreads over more than some fifty
-    pixels to each side, gradient descent from the start "gs" of
+    Gradients reach the target; wavelength, pitch and distance are numbers. Where light spreads over more than some
+    hundred pixels to each side, gradient descent from the start "gs" of
     :func:`odak.learn.wave.stochastic_gradient_descent` gains more in the same time.
 
     Corrections learned for the turns of an iteration are those of Adler and Öktem, Inverse Problems 33, 124007 (2017);
