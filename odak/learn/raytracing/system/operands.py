@@ -188,9 +188,10 @@ def _clear(view: View, kind: str) -> torch.Tensor:
 
 def _at_shares(p: Prescription, places: list, heights: Any, each: Any, shares: Any) -> list:
     """Return distances from the axis ``[shares, ...]`` for each place: all shares of a surface in one call."""
+    device = p.thickness.device
     if each is None:
-        each = [torch.as_tensor(h, dtype=torch.float64) for h in _spread(heights, len(places))]
-    parts = torch.tensor([*shares], dtype=torch.float64)
+        each = [torch.as_tensor(h, dtype=torch.float64, device=device) for h in _spread(heights, len(places))]
+    parts = torch.tensor([*shares], dtype=torch.float64, device=device)
     return [parts.reshape(-1, *(1,) * max(h.ndim, len(p.batch))) * h for h in each]
 
 
