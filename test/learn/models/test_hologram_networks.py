@@ -77,8 +77,8 @@ def test_sizes_batches_and_precision(pretrained):
     assert untrained(lively=True)(torch.ones(1, 1), *GEOMETRY).isfinite().all()
     # Rounding, magnified where the light nearly vanishes.
     for other, mine in ((single, phases[1, 0]), (brighter, phases)):
-        assert (torch.exp(1j * other) - torch.exp(1j * mine)).abs().max() < 1e-7
-    assert (torch.exp(1j * smaller) - torch.exp(1j * phases)).abs().median() < 1e-3
+        assert (torch.exp(1j * other) - torch.exp(1j * mine)).abs().max() < 1e-11
+    assert (torch.exp(1j * smaller) - torch.exp(1j * phases)).abs().median() < 1e-5
 
 
 def test_a_dark_picture_gives_numbers(pretrained):
