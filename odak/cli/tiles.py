@@ -14,8 +14,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from PIL import Image, UnidentifiedImageError
-from PIL.TiffImagePlugin import TiffImageFile
+from PIL import Image
 
 from odak.cli import files, hologram, pictures, report
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, InputError, Job, image_path, pattern_name
@@ -26,7 +25,8 @@ from odak.wave.methods import find_method
 SOLVERS = {"sgd": "gradient descent", "gs": "Gerchberg-Saxton"}
 # Up to this number of pixels the results are also written as PNG, for which they are held in memory.
 MOST_PIXELS_IN_PNG = 4096**2
-_DEFLATE = (8, 32946)
+# Codes of what is not compressed and of the two names of deflate, which need no further library.
+_IN_PARTS = (1, 8, 32946)
 
 
 def run(
@@ -301,8 +301,8 @@ def picture_size(image: str) -> tuple[int, int]:
 def open_picture(path: Path) -> Any:
     """Return a picture as an object with ``shape`` (rows, columns, channels) and ``dtype`` that is read by slices.
 
-    Zarr arrays, ``.npy`` and TIFF files (uncompressed or deflated, in strips or tiles) are read where they are sliced;
-    other pictures are read whole.
+    Zarr arrays, ``.npy`` and TIFF files (not compressed or deflated, in strips or tiles) are read where they are
+    sliced; other pictures are read whole.
 
     Parameters
     ----------
@@ -383,86 +383,67 @@ class _Tiff:
     shape : tuple of int
         Rows, columns, samples per pixel.
     dtype : numpy.dtype
-        Type of a sample, in the byte order of the file.
+        Type of a sample.
     part : tuple of int
         Rows and columns of a strip or tile.
-    places : tuple
-        Offset and length in bytes of each, row by row.
-    deflated, differences : bool
-        Whether they are compressed, and whether they hold differences of neighbours (predictor 2).
     """
 
     path: str
     shape: tuple[int, int, int]
     dtype: np.dtype
     part: tuple[int, int]
-    places: tuple[tuple[int, int], ...]
-    deflated: bool
-    differences: bool
 
     def __getitem__(self, index):
+        import tifffile
+
         (top, bottom, _), (left, right, _) = (part.indices(n) for part, n in zip(index, self.shape, strict=False))
-        found = np.empty((bottom - top, right - left, self.shape[2]), self.dtype.newbyteorder("="))
+        found = np.empty((bottom - top, right - left, self.shape[2]), self.dtype)
         rows, columns = self.part
         across = -(-self.shape[1] // columns)
-        with open(self.path, "rb") as stream:
+        with tifffile.TiffFile(self.path) as file:
+            page = file.pages.first
             for i in range(top // rows, -(-bottom // rows)):
                 for j in range(left // columns, -(-right // columns)):
-                    block = self._block(stream, i, i * across + j)
+                    number = i * across + j
+                    data = file.filehandle.read_segments(
+                        page.dataoffsets[number : number + 1], page.databytecounts[number : number + 1]
+                    )
+                    block = self._decoded(page, next(data)[0], number)
                     y0, x0 = max(top, i * rows), max(left, j * columns)
                     y1, x1 = min(bottom, i * rows + len(block)), min(right, (j + 1) * columns)
                     inside = block[y0 - i * rows : y1 - i * rows, x0 - j * columns : x1 - j * columns]
                     found[y0 - top : y1 - top, x0 - left : x1 - left] = inside
         return found
 
-    def _block(self, stream, row: int, number: int) -> np.ndarray:
-        rows, columns = self.part
-        # The last strip ends with the picture, tiles are whole.
-        rows = min(rows, self.shape[0] - row * rows) if columns >= self.shape[1] else rows
-        size = rows * columns * self.shape[2] * self.dtype.itemsize
-        offset, length = self.places[number]
-        stream.seek(offset)
-        data = stream.read(length)
-        if self.deflated:
-            data = zlib.decompressobj().decompress(data, size)
-        if len(data) < size:
+    def _decoded(self, page, data: bytes | None, number: int) -> np.ndarray:
+        """Return a strip or tile ``[rows, columns, samples]``."""
+        try:
+            block, _, shape = page.decode(data, number)
+            return block.reshape(shape[1:])
+        except (OSError, ValueError, TypeError, zlib.error) as error:
             raise InputError(
-                f"IMAGE {self.path!r} is cut short: strip or tile {number} holds {len(data)} of {size} bytes"
-            )
-        block = np.frombuffer(data[:size], self.dtype).reshape(rows, columns, -1).astype(self.dtype.newbyteorder("="))
-        return np.cumsum(block, axis=1, dtype=block.dtype) if self.differences else block
+                f"IMAGE {self.path!r} cannot be read: strip or tile {number}: {' '.join(str(error).split())}"
+            ) from None
 
 
 def _tiff(path: Path) -> _Tiff | None:
     """Return a TIFF file that can be read in parts, None for one that Pillow has to read whole."""
     try:
-        with TiffImageFile(path) as image:
-            tags = {tag: image.tag_v2[tag] for tag in image.tag_v2}
-            order = "<" if image.tag_v2.prefix[:2] == b"II" else ">"
-    except UnidentifiedImageError:
+        import tifffile
+    except ImportError as error:
+        raise InputError(f"--tiles needs tifffile for a TIFF file: pip install 'odak[large]' ({error})") from None
+    try:
+        with tifffile.TiffFile(path) as file:
+            page = file.pages.first
+            upright = page.tags.valueof(274, 1) == 1
+            samples = page.planarconfig == 1 or page.samplesperpixel == 1
+            if not (upright and samples and page.photometric in (1, 2) and page.compression in _IN_PARTS):
+                return None
+            size = (page.imagelength, page.imagewidth)
+            part = (page.tilelength, page.tilewidth) if page.is_tiled else (min(page.rowsperstrip, size[0]), size[1])
+            return _Tiff(str(path), (*size, page.samplesperpixel), page.dtype, part)
+    except tifffile.TiffFileError:
         return None
-    bits, kinds = np.atleast_1d(tags.get(258, 1)), np.atleast_1d(tags.get(339, 1))
-    tiled = 322 in tags
-    offsets, counts = (np.atleast_1d(tags.get(tag, ())) for tag in ((324, 325) if tiled else (273, 279)))
-    part = (tags[323], tags[322]) if tiled else (min(tags.get(278, tags[257]), tags[257]), tags[256])
-    samples, compression, predictor = tags.get(277, 1), tags.get(259, 1), tags.get(317, 1)
-    count = math.prod(-(-side // size) for side, size in zip((tags[257], tags[256]), part, strict=True))
-    plain = (
-        len({*bits}) == len({*kinds}) == 1
-        and (int(bits[0]), int(kinds[0])) in ((8, 1), (16, 1), (32, 1), (32, 3), (64, 3))
-        and tags.get(284, 1) == 1
-        and tags.get(262) in (1, 2)
-        and compression in (1, *_DEFLATE)
-        and (predictor == 1 or (predictor == 2 and kinds[0] == 1))
-        and tags.get(274, 1) == 1
-        and len(offsets) == len(counts) == count
-    )
-    if not plain:
-        return None
-    dtype = np.dtype(f"{order}{'f' if kinds[0] == 3 else 'u'}{bits[0] // 8}")
-    places = tuple(zip(map(int, offsets), map(int, counts), strict=True))
-    shape = (int(tags[257]), int(tags[256]), int(samples))
-    return _Tiff(str(path), shape, dtype, (int(part[0]), int(part[1])), places, compression != 1, predictor == 2)
 
 
 @dataclass(frozen=True)

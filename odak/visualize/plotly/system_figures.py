@@ -79,7 +79,7 @@ def system_show(
         raise TypeError(f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}")
     import torch
 
-    if isinstance(pattern, str):
+    if not isinstance(pattern, torch.Tensor):
         pattern = _validate.one_of("pattern", pattern, PATTERNS)
     _validate.integer("rings", rings, minimum=1)
     title, show = figures.text("title", title), None if show is None else _validate.flag("show", show)
