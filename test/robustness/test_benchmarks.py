@@ -25,6 +25,13 @@ def run(**ratios):
     return {"commit": "abc", "time": "2026-01-01", "device": "cpu", "rows": rows}
 
 
+def test_groups_are_the_modules_with_benchmarks(script):
+    for group in script["GROUPS"]:
+        benchmarks = runpy.run_path(str(SCRIPT.parent / f"{group}.py"), run_name=group)["ALL"]
+        assert benchmarks and all(map(callable, benchmarks))
+    assert {"wave_optics", "rays"} <= set(script["GROUPS"]) and not {"measure", "networks"} & set(script["GROUPS"])
+
+
 def test_what_is_more_than_a_fifth_slower_is_named(script):
     found = script["slower"](run(a=1.3, b=1.1, c=0.5, new=9.0), run(a=1.0, b=1.0, c=1.0, gone=1.0))
     assert found == ["compared with abc of 2026-01-01: 1 of 3 slower", "slower: a: 1.30, 1.00 before"]
