@@ -19,7 +19,8 @@ from odak.wave.quadrature import Axis, Rule, plain_rule, rule_for
 from odak.wave.transfer_functions import Grid, alias_free_weight
 
 TOLERANCE = 1e-4
-_SLAB = 1 << 21
+# Samples computed at a time, of 4 MB in double precision: larger parts take more memory and no less time.
+_SLAB = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -36,11 +37,14 @@ class LinearGrid(Grid):
         Share of a square pixel's area that emits; None for fields that are point samples.
     tolerance : float
         Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound.
+    stored : dtype, optional
+        Complex dtype of what :meth:`evaluate` returns; that of the grid, in which it is computed, by default.
     """
 
     cutoff: Any = None
     pixel_fill: Any = None
     tolerance: float = TOLERANCE
+    stored: Any = None
 
     def evaluate(self, kernel):
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
@@ -52,9 +56,10 @@ class LinearGrid(Grid):
         weight_y, weight_x = (self._weights(rule, axis) for axis, rule in enumerate(rules))
         fading = any(rule.tapered for rule in rules)
         step = max(1, _SLAB // fx.shape[-1])
-        lines = []
-        for start in range(0, fy.shape[-2], step):
-            part = fy[..., start : min(start + step, fy.shape[-2]), :]
+
+        def first_sum(start):
+            stop = min(start + step, fy.shape[-2])
+            part = fy[..., start:stop, :]
             spectrum = kernel(part, fx)
             if fading:
                 # An axis whose rule serves the whole band fades nothing: a grid that long holds all its waves.
@@ -66,10 +71,15 @@ class LinearGrid(Grid):
             if self.pixel_fill is not None:
                 for frequency, pitch in ((part, self.pitch[0]), (fx, self.pitch[1])):
                     spectrum = spectrum * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), spectrum.dtype)
-            lines.append(_response(spectrum * weight_x, counts[1], -1, columns))
-        lines = lines[0] if len(lines) == 1 else xp.concat(lines, axis=-2)
-        response = _response(lines * weight_y, counts[0], -2, rows)
-        return self.unfold(_spectrum(_spectrum(response, columns, -1), rows, -2))
+            lags = _response(spectrum * weight_x, counts[1], -1, columns)
+            # The weights of the sum to follow are applied here: their product is of these lags alone.
+            return lags * weight_y[start:stop, :]
+
+        lines = _joined([first_sum(start) for start in range(0, fy.shape[-2], step)], -2)
+        lines = _in_slabs(lambda part: _response(part, counts[0], -2, rows), lines, -1)
+        lines = _in_slabs(lambda part: _spectrum(part, columns, -1), lines, -2)
+        stored = self.dtype if self.stored is None else self.stored
+        return self.unfold(_in_slabs(lambda part: xp.astype(_spectrum(part, rows, -2), stored, copy=False), lines, -1))
 
     def _rules(self) -> tuple[Rule, Rule]:
         """Return the rules along rows and columns."""
@@ -154,16 +164,33 @@ def _spectrum(lags, count: int, axis: int):
     return _first(xp.fft.fft(whole, axis=axis), count + 1, axis)
 
 
+def _in_slabs(function: Callable, array, axis: int):
+    """Return ``function(array)``, computed for some lines along the other axis at a time: in less memory."""
+    count, length = array.shape[axis], array.shape[-3 - axis]
+    step = max(1, _SLAB // length)
+    spans = (slice(start, min(start + step, count)) for start in range(0, count, step))
+    slabs = (array[..., span] if axis == -1 else array[..., span, :] for span in spans)
+    return _joined([function(slab) for slab in slabs], axis)
+
+
+def _joined(parts: list, axis: int):
+    return parts[0] if len(parts) == 1 else _array.namespace(parts[0]).concat(parts, axis=axis)
+
+
 def _first(array, count: int, axis: int):
     return array[..., :count] if axis == -1 else array[..., :count, :]
 
 
 def linear_grid(
-    grid: Grid, cutoff: float | None = None, pixel_fill: float | None = None, tolerance: float = TOLERANCE
+    grid: Grid,
+    cutoff: float | None = None,
+    pixel_fill: float | None = None,
+    tolerance: float = TOLERANCE,
+    stored: Any = None,
 ) -> LinearGrid:
     """Return the grid on which transfer functions are those of linear convolution, of the shape of a padded `grid`."""
     own = {field.name: getattr(grid, field.name) for field in fields(Grid)}
-    return LinearGrid(**own, cutoff=cutoff, pixel_fill=pixel_fill, tolerance=tolerance)
+    return LinearGrid(**own, cutoff=cutoff, pixel_fill=pixel_fill, tolerance=tolerance, stored=stored)
 
 
 @dataclass(frozen=True)
@@ -199,14 +226,14 @@ class linear_kernel:
         lengths = (*grid.pitch, grid.wavelength, grid.distance)
         batch = np.broadcast_shapes(*(tuple(value.shape[:-2]) for value in lengths))
         if math.prod(batch) == 1 or None in [_array.numbers_behind(value) for value in lengths]:
-            return xp.astype(self._build(double), grid.dtype, copy=False)
+            return xp.astype(self._build(double, grid.dtype), grid.dtype, copy=False)
         flat = [xp.reshape(xp.broadcast_to(value, (*batch, 1, 1)), (-1, 1, 1)) for value in lengths]
         kernels = []
         for k in range(math.prod(batch)):
             dy, dx, wavelength, distance = (value[k, ...] for value in flat)
             one = replace(double, pitch=(dy, dx), wavelength=wavelength, distance=distance)
-            kernels.append(xp.astype(self._build(one), grid.dtype, copy=False))
+            kernels.append(xp.astype(self._build(one, grid.dtype), grid.dtype, copy=False))
         return xp.reshape(xp.stack(kernels), (*batch, *grid.shape))
 
-    def _build(self, grid: Grid):
-        return self.transfer(linear_grid(grid, self.cutoff, self.pixel_fill, self.tolerance))
+    def _build(self, grid: Grid, stored):
+        return self.transfer(linear_grid(grid, self.cutoff, self.pixel_fill, self.tolerance, stored))
