@@ -140,9 +140,8 @@ def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, agai
             str(error).replace("target must", "IMAGE must").replace("propagation_type must", "--propagation-type must")
         )
         raise InputError(text) from None
-    kind = np.uint8 if files.file_depth(job.bits) == 8 else np.uint16
     pattern = folder / f"{stem}.zarr"
-    _write_zarr(phase.map_blocks(_grey, job.bits, dtype=kind), pattern)
+    _write_zarr(phase.map_blocks(_grey, job.bits, dtype=_kind(job.bits)), pattern)
     shown = da.exp(1j * files.phase_of(da.from_zarr(str(pattern)).astype(np.float64), job.bits)).astype(np.complex64)
     geometry = (job.distance, job.pixel_pitch, wavelength, _judge(job, wavelength))
     field = propagate_beam(shown, None, *geometry, zero_padding=[True, False, True])
@@ -179,8 +178,12 @@ def _grey(phase: np.ndarray, bits: int) -> np.ndarray:
     """Return the grey values that stand for a phase in a file of so many bits."""
     values = torch.from_numpy(phase)
     levels = files.quantise(torch.polar(torch.ones_like(values), values), bits)
-    kind = np.uint8 if files.file_depth(bits) == 8 else np.uint16
-    return (levels * 2 ** (files.file_depth(bits) - bits)).numpy().astype(kind)
+    return (levels * 2 ** (files.file_depth(bits) - bits)).numpy().astype(_kind(bits))
+
+
+def _kind(bits: int) -> type[np.unsignedinteger]:
+    """Return the type of the grey values in a file."""
+    return np.uint8 if files.file_depth(bits) == 8 else np.uint16
 
 
 def _write_zarr(array: Any, path: Path) -> None:

@@ -29,7 +29,7 @@ class LabelledText:
         self.content_type = self._labels()
 
     def _labels(self) -> list[str]:
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must define _labels()")
 
     def get_line_count(self) -> int:
         """Return the number of lines, which ``line_count`` holds from then on."""

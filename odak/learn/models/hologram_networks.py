@@ -64,8 +64,9 @@ class hologram_network(nn.Module):
     hundred pixels to each side, gradient descent from the start "gs" of
     :func:`odak.learn.wave.stochastic_gradient_descent` gains more in the same time.
 
-    Corrections learned for the turns of an iteration are those of Adler and Öktem, Inverse Problems 33, 124007 (2017);
-    without them, these are the alternating projections of Gerchberg and Saxton, Optik 35, 237 (1972).
+    Each step of an iterative solver has a learned correction, as in Adler and Öktem, Inverse Problems 33, 124007
+    (2017). Without the corrections, the steps are the alternating projections of Gerchberg and Saxton, Optik 35, 237
+    (1972).
 
     Examples
     --------

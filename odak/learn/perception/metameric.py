@@ -78,7 +78,7 @@ class _StatisticsLoss(nn.Module):
 
         The first of these is the last low-pass; statistics of pairs follow if the loss asks for them.
         """
-        raise NotImplementedError
+        raise NotImplementedError(f"{type(self).__name__} must define _parts(picture, where)")
 
     def _pairs(self, groups, low, samplers, masks):
         """Return the statistics of pairs of bands of each level, times its mask; none unless `joint` is set."""
