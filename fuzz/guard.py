@@ -6,6 +6,7 @@ import shlex
 import signal
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections.abc import Callable
@@ -28,7 +29,7 @@ _REMOVALS = {"os.remove", "os.rename", "os.rmdir", "os.mkdir", "os.chmod", "os.s
 
 # It tries the folder of temporary files out by writing there, once.
 tempfile.gettempdir()
-_watched: dict = {"folder": None, "seen": []}
+_watched: dict = {"folder": None, "seen": [], "others": set()}
 
 
 class OverTime(BaseException):
@@ -66,6 +67,8 @@ def breach(call: Callable, folder: str, names: tuple[str, ...], megabytes: float
     if _peak() - before > megabytes * 1024:
         # What used more than this case may was there before it.
         reset_peak()
+    # Threads that ran before the call, such as those of a browser that draws images, are not the reader's.
+    _watched["others"] = {int(number) for number in os.listdir("/proc/self/task")} - {threading.get_native_id()}
     _watched["folder"], _watched["seen"] = os.path.realpath(folder), []
     former = signal.signal(signal.SIGPROF, _over_time)
     signal.setitimer(signal.ITIMER_PROF, seconds)
@@ -128,7 +131,7 @@ def _over_time(number, frame):
 
 def _audit(event, arguments):
     folder = _watched["folder"]
-    if folder is None:
+    if folder is None or threading.get_native_id() in _watched["others"]:
         return
     if event in _PROGRAMS:
         _watched["seen"].append(f"started a program: {shlex.quote(str(arguments)[:120])}")
