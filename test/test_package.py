@@ -21,6 +21,13 @@ structure = importlib.util.module_from_spec(_specification)
 _specification.loader.exec_module(structure)
 MODULES = structure.modules()
 imports = functools.cache(structure.imports)
+
+
+@functools.cache
+def tree_of(module):
+    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+
+
 PACKAGES = sorted(".".join(path.parent.relative_to(ROOT.parent).parts) for path in ROOT.rglob("__init__.pyi"))
 
 # What each part may import, besides the modules of the package itself (odak._array, odak._validate, …).
@@ -117,10 +124,8 @@ def test_modules_of_one_name_are_two_faces_or_have_a_reason():
 def test_the_first_line_of_a_module_is_a_statement():
     asking = {
         name
-        for name, path in MODULES.items()
-        if re.match(
-            r"(What|Whether|Which|How|Where)\b", ast.get_docstring(ast.parse(path.read_text("utf-8"))) or "What"
-        )
+        for name in MODULES
+        if re.match(r"(What|Whether|Which|How|Where)\b", ast.get_docstring(tree_of(name)) or "What")
     }
     assert asking == set()
 
@@ -132,6 +137,44 @@ def test_every_public_name_is_documented(package):
     values = {name: getattr(module, name) for name in dir(module)}
     bare = [name for name, value in values.items() if callable(value) and not inspect.getdoc(value)]
     assert bare == []
+
+
+def public_definitions(node, prefix=""):
+    """Return the public functions, classes, methods and properties below a node of a syntax tree, by dotted name."""
+    found = {}
+    for item in node.body:
+        if isinstance(item, (ast.FunctionDef, ast.ClassDef)) and not item.name.startswith("_"):
+            found[prefix + item.name] = item
+            if isinstance(item, ast.ClassDef):
+                found |= public_definitions(item, f"{prefix}{item.name}.")
+    return found
+
+
+def is_documented(module, name):
+    """Say whether a name has a docstring, its own or one of a base class of the package (not of torch or Python)."""
+    *owners, last = name.split(".")
+    owner = functools.reduce(getattr, owners, importlib.import_module(module))
+    if inspect.isclass(owner):
+        bases = [base for base in owner.__mro__ if base.__module__.startswith("odak.")]
+        return any(vars(base)[last].__doc__ for base in bases if last in vars(base))
+    return bool(getattr(owner, last).__doc__)
+
+
+def test_functions_methods_and_properties_are_documented():
+    bare = {
+        f"{module}.{name}"
+        for module in MODULES
+        for name, node in public_definitions(tree_of(module)).items()
+        # Overloads and setters have no docstring; the function and the property may.
+        if not ast.get_docstring(node) and not is_documented(module, name)
+    }
+    assert bare == set()
+
+
+def test_a_docstring_of_python_is_none_of_the_package():
+    assert is_documented("odak._warnings", "OdakWarning")
+    assert is_documented("odak.learn.raytracing.system.surfaces", "surface.coating")
+    assert not is_documented("odak._warnings", "OdakWarning.with_traceback")
 
 
 def run(code):

@@ -424,6 +424,7 @@ class _Clock:
         self._value: torch.Tensor | None = None
 
     def tick(self, _: int, value: torch.Tensor) -> None:
+        """Count an iteration, and keep its loss."""
         self.bar.update()
         self.ticks += 1
         # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.
@@ -432,12 +433,14 @@ class _Clock:
             self.first = time.perf_counter()
 
     def end(self) -> None:
+        """Store the time of the last iteration and its loss."""
         self.last = time.perf_counter()
         if self._value is not None:
             self.loss = float(self._value.detach())
             self.bar.set_postfix_str(f"loss {self.loss:.4g}")
 
     def seconds_per_tick(self) -> float | None:
+        """Return the mean time of an iteration after the first in seconds, None if there was only one."""
         return (self.last - self.first) / (self.ticks - 1) if self.ticks > 1 else None
 
 

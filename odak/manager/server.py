@@ -224,6 +224,7 @@ class _Workers:
         stdin.flush()
 
     def alive(self) -> bool:
+        """Return whether the process that holds the workers is running."""
         return self._program.poll() is None
 
     def wait_until_joined(self) -> tuple[int, int, int]:
@@ -240,6 +241,7 @@ class _Workers:
         return tuple(json.loads(self._joined.read_text()))
 
     def close(self) -> None:
+        """End the process and its workers; they are killed if they do not end in time."""
         stdin: Any = self._program.stdin
         if stdin.closed:
             return

@@ -148,6 +148,7 @@ class _Process:
         threading.Thread(target=_watch, args=(weakref.ref(self), self._process, limit), daemon=True).start()
 
     def alive(self) -> bool:
+        """Return whether the process is running."""
         return self._process.poll() is None
 
     def compute(self, job: bytes, code: bytes, threads: int | None) -> Outcome:

@@ -107,7 +107,15 @@ class Shape(Parametric):
         return curvature, curvature
 
     def covers(self, x: Array, y: Array) -> Any:
-        """Return where the surface reaches, bool; True for everywhere."""
+        """Return where the surface is defined, as a bool array; True if that is everywhere.
+
+        Parameters
+        ----------
+        x : array
+            Horizontal position on the surface, in the unit of the surface.
+        y : array
+            Vertical position, of a shape that broadcasts with that of x.
+        """
         return True
 
 
@@ -127,7 +135,15 @@ class Plane(Shape):
     closed_form: ClassVar[bool] = True
 
     def sag(self, x: Array, y: Array) -> Sag:
-        """Return zeros."""
+        """Return the height and the derivatives of a plane, all zero.
+
+        Parameters
+        ----------
+        x : array
+            Horizontal position on the surface, in the unit of the surface.
+        y : array
+            Vertical position, of a shape that broadcasts with that of x.
+        """
         zero = 0 * (x + y)
         return Sag(zero, zero, zero, zero == 0)
 

@@ -185,7 +185,17 @@ class FreeSpace:
     index: Any = 1.0
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         wavelength = wavelength / self.index
         if self.window_shape is None and self.window_dx is None and tuple(self.offset) == (0.0, 0.0):
             method = self.propagation_type
@@ -222,7 +232,17 @@ class ThinLens:
     offset: Any = (0.0, 0.0)
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         y, x = _positions(field, pitch, self.offset)
         focal, wave = (_array.cast(value, y) for value in (self.focal, wavelength))
         return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype), pitch
@@ -258,7 +278,17 @@ class CircularAperture:
     offset: Any = (0.0, 0.0)
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         xp = _array.namespace(field)
         y, x = _positions(field, pitch, self.offset)
         radius, (dy, dx) = _array.cast(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
@@ -296,7 +326,17 @@ class RectangularAperture:
     offset: Any = (0.0, 0.0)
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         xp = _array.namespace(field)
         for place, size, step in zip(
             _positions(field, pitch, self.offset), (self.height, self.width), pitches(pitch), strict=True
@@ -328,7 +368,17 @@ class Mask:
     transmission: Any
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         value = self.transmission() if callable(self.transmission) else self.transmission
         value = _array.cast(_validate.image("transmission", value), field)
         _validate.fitting(field=field, transmission=value)
@@ -368,7 +418,17 @@ class FirstOrderSystem:
     output_shape: Any = None
 
     def apply(self, field: Array, pitch: Any, wavelength: Any) -> tuple:
-        """Return the field behind the element, and its pixel pitch."""
+        """Return the field behind the element and its pixel pitch.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]`` in front of the element.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in vacuum in metres.
+        """
         return propagate_abcd(field, self.abcd, pitch, wavelength, self.output_dx, self.output_shape, self.path_length)
 
     def matrix(self) -> Any:

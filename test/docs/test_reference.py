@@ -94,6 +94,23 @@ def test_tables_of_parameters_agree_with_signatures():
     assert not any(wrong.values()), "\n".join(f"{path}: {text}" for path, text in wrong.items() if text)
 
 
+def test_methods_name_their_parameters():
+    """A parameter of a public method has an entry of its own, or a sentence of the docstring names it."""
+    unnamed = set()
+    for path in reference.entries():
+        package, _, name = path.rpartition(".")
+        value = getattr(importlib.import_module(package), name)
+        for method in vars(value) if inspect.isclass(value) and value.__module__.startswith("odak.") else ():
+            function = inspect.unwrap(getattr(value, method))
+            function = getattr(function, "__func__", function)
+            if method.startswith("_") or not inspect.isfunction(function):
+                continue
+            text = inspect.getdoc(getattr(value, method)) or ""
+            parameters = set(inspect.signature(function).parameters) - {"self", "cls"}
+            unnamed |= {f"{path}.{method}: {item}" for item in parameters if not re.search(rf"\b{item}\b", text)}
+    assert unnamed == set()
+
+
 def test_complaints():
     def good(a, b=1):
         """Add.

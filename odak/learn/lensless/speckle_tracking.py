@@ -86,6 +86,11 @@ class spec_track(nn.Module):
         For a batch of one image in training the batch norms between the linear layers use their running statistics,
         because one sample has none.
 
+        Parameters
+        ----------
+        x : torch.Tensor
+            Speckle images ``[B, 5, 180, 320]``: five frames of 180×320 pixels.
+
         Raises
         ------
         ValueError
@@ -195,11 +200,22 @@ class spec_track(nn.Module):
         return history
 
     def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
-        """Write the network's weights to a ``.pt`` or ``.pth`` file, atomically."""
+        """Write the network's weights to a ``.pt`` or ``.pth`` file, atomically.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of the file, default "./weights.pt".
+        """
         save_weights(self.network, filename)
 
     def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
         """Read the network's weights from a file and put the network in evaluation mode.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of a file that :meth:`save_weights` wrote, default "./weights.pt".
 
         Raises
         ------

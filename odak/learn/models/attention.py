@@ -130,7 +130,13 @@ class non_local_layer(nn.Module):
         nn.init.zeros_(last.weight)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the image plus its weighted mean, ``[B, input_channels, H, W]``."""
+        """Return the image plus the weighted mean of its pixels, ``[B, input_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, input_channels, H, W]``.
+        """
         x = images("x", x, self.g.in_channels, self.g.weight)
         tokens, values = (image.flatten(2).mT for image in (x, self.g(x)))
         mean = _attend(tokens, values)
@@ -195,7 +201,13 @@ class channel_gate(nn.Module):
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the images ``[B, C, H, W]`` with each channel times its weight between 0 and 1."""
+        """Return the images ``[B, C, H, W]`` with each channel times its weight between 0 and 1.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, gate_channels, H, W]``.
+        """
         first: Any = self.mlp[1]
         x = images("x", x, first.in_features, first.weight)
         pools: dict[str, Any] = {"avg": torch.mean, "max": torch.amax}
@@ -237,7 +249,13 @@ class spatial_gate(nn.Module):
         return torch.stack([x.amax(dim=1), x.mean(dim=1)], dim=1)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the images ``[B, C, H, W]`` with each pixel times its weight between 0 and 1."""
+        """Return the images ``[B, C, H, W]`` with each pixel times its weight between 0 and 1.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, C, H, W]``.
+        """
         x = images("x", x, None, self.spatial.model[0].weight)
         return x * torch.sigmoid(self.spatial(self.channel_pool(x)))
 
@@ -273,6 +291,12 @@ class convolutional_block_attention(nn.Module):
             self.spatial_gate = spatial_gate()
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the gated images, ``[B, gate_channels, H, W]``."""
+        """Return the gated images, ``[B, gate_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, gate_channels, H, W]``.
+        """
         gated = self.channel_gate(x)
         return gated if self.no_spatial else self.spatial_gate(gated)

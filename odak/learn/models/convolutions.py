@@ -74,7 +74,13 @@ class convolution_layer(nn.Module):
         self.model = nn.Sequential(*layers)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the layer's output ``[B, output_channels, H', W']`` for images ``[B, input_channels, H, W]``."""
+        """Return the layer's output ``[B, output_channels, H', W']`` for images ``[B, input_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, input_channels, H, W]``.
+        """
         first, *rest = self.model
         convolution: Any = first
         normalized = bool(rest) and isinstance(rest[0], nn.BatchNorm2d)
@@ -136,7 +142,13 @@ class double_convolution(nn.Module):
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return ``[B, output_channels, H', W']`` for images ``[B, input_channels, H, W]``."""
+        """Return ``[B, output_channels, H', W']`` for images ``[B, input_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, input_channels, H, W]``.
+        """
         return self.model(x)
 
 
@@ -217,7 +229,13 @@ class normalization(nn.Module):
         self.k = nn.Parameter(torch.ones(1, channels("dim", dim), 1, 1))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return images ``[B, dim, H, W]`` minus their mean over the channels, divided by their standard deviation."""
+        """Return images ``[B, dim, H, W]`` minus their mean over the channels, divided by their standard deviation.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, dim, H, W]``.
+        """
         count = self.k.shape[1]
         # A single scale is broadcast over any number of channels.
         x = images("x", x, count if count > 1 else None)
@@ -277,7 +295,13 @@ class downsample_layer(nn.Module):
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return ``[B, output_channels, H // 2, W // 2]`` for images ``[B, input_channels, H, W]``."""
+        """Return ``[B, output_channels, H // 2, W // 2]`` for images ``[B, input_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, input_channels, H, W]`` of at least 2×2 pixels.
+        """
         return self.maxpool_conv(images("x", x, axes=(3, 4), smallest=2))
 
 

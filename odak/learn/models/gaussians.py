@@ -323,7 +323,12 @@ class gaussians_2d(nn.Module):
         self.model.initialize_from_image(image, x, y, seed=seed)
 
     def save_weights(self, weights_filename: str | os.PathLike) -> None:
-        """Write the parameters to a ``.pt`` or ``.pth`` file, whole or not at all.
+        """Write the parameters to a ``.pt`` or ``.pth`` file, atomically.
+
+        Parameters
+        ----------
+        weights_filename : str or path-like
+            Path of the file.
 
         Raises
         ------
@@ -854,7 +859,12 @@ class gaussian_3d_volume(nn.Module):
         )
 
     def save_weights(self, weights_filename: str | os.PathLike) -> None:
-        """Write the parameters to a ``.pth``, ``.pt`` or ``.bin`` file, whole or not at all.
+        """Write the parameters to a ``.pth``, ``.pt`` or ``.bin`` file, atomically.
+
+        Parameters
+        ----------
+        weights_filename : str or path-like
+            Path of the file.
 
         Raises
         ------

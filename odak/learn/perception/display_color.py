@@ -548,7 +548,17 @@ class display_color_hvs(nn.Module):
         return float(function[min(max(round(float(wavelength)), FIRST), LAST) - FIRST])
 
     def cone_response_to_spectrum(self, cone_spectrum: torch.Tensor, light_spectrum: torch.Tensor) -> torch.Tensor:
-        """Return Σ cone·light over the samples, without axes; it grows with their number."""
+        """Return the sum of cone response times spectrum over the samples, a scalar tensor.
+
+        The sum is not divided by the number of samples.
+
+        Parameters
+        ----------
+        cone_spectrum : torch.Tensor
+            Sensitivity of a cone at each sampled wavelength, ``[N]``.
+        light_spectrum : torch.Tensor
+            Spectrum at the same wavelengths, ``[N]``.
+        """
         cone_spectrum = floating("cone_spectrum", cone_spectrum)
         light_spectrum = floating("light_spectrum", light_spectrum)
         _validate.fitting(cone_spectrum=cone_spectrum, light_spectrum=light_spectrum)
@@ -557,14 +567,34 @@ class display_color_hvs(nn.Module):
     def construct_matrix_lms(
         self, l_response: torch.Tensor, m_response: torch.Tensor, s_response: torch.Tensor
     ) -> torch.Tensor:
-        """Return and keep as ``lms_tensor`` the response of each cone to each primary, ``[P, 3]``."""
+        """Compute the response of each cone to each primary and store it as ``lms_tensor``, ``[P, 3]``.
+
+        Parameters
+        ----------
+        l_response : torch.Tensor
+            Sensitivity of the L cones at the sampled wavelengths, ``[N]``.
+        m_response : torch.Tensor
+            Sensitivity of the M cones at the sampled wavelengths, ``[N]``.
+        s_response : torch.Tensor
+            Sensitivity of the S cones at the sampled wavelengths, ``[N]``.
+        """
         self.lms_tensor = self._responses(l_response, m_response, s_response)
         return self.lms_tensor
 
     def construct_matrix_primaries(
         self, l_response: torch.Tensor, m_response: torch.Tensor, s_response: torch.Tensor
     ) -> torch.Tensor:
-        """Return and keep as ``primaries_tensor`` the response of each cone to each primary, ``[3, P]``."""
+        """Compute the response of each cone to each primary and store it as ``primaries_tensor``, ``[3, P]``.
+
+        Parameters
+        ----------
+        l_response : torch.Tensor
+            Sensitivity of the L cones at the sampled wavelengths, ``[N]``.
+        m_response : torch.Tensor
+            Sensitivity of the M cones at the sampled wavelengths, ``[N]``.
+        s_response : torch.Tensor
+            Sensitivity of the S cones at the sampled wavelengths, ``[N]``.
+        """
         self.primaries_tensor = self._responses(l_response, m_response, s_response).T
         return self.primaries_tensor
 
@@ -610,11 +640,23 @@ class display_color_hvs(nn.Module):
         return mix(torch.linalg.pinv(self.lms_tensor.double()).T, as_pictures("lms_color_tensor", lms_color_tensor))
 
     def rgb_to_lms(self, rgb: torch.Tensor) -> torch.Tensor:
-        """Return :meth:`primaries_to_lms`."""
+        """Return the cone responses of an image; the same as :meth:`primaries_to_lms`.
+
+        Parameters
+        ----------
+        rgb : torch.Tensor
+            Linear intensities of the primaries, ``[..., P, H, W]``.
+        """
         return self.primaries_to_lms(as_pictures("rgb", rgb, len(self.lms_tensor)))
 
     def lms_to_rgb(self, lms: torch.Tensor) -> torch.Tensor:
-        """Return :meth:`lms_to_primaries`."""
+        """Return the intensities of the primaries; the same as :meth:`lms_to_primaries`.
+
+        Parameters
+        ----------
+        lms : torch.Tensor
+            Cone responses, ``[..., 3, H, W]``.
+        """
         return self.lms_to_primaries(as_pictures("lms", lms))
 
     def second_to_third_stage(self, lms_image: torch.Tensor) -> torch.Tensor:

@@ -508,7 +508,25 @@ class RadiallyVaryingBlur(nn.Module):
         mode: str = "quadratic",
         equi: bool = False,
     ) -> torch.Tensor:
-        """Return :meth:`blur`."""
+        """Return the blurred image; the same as :meth:`blur`.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Image ``[B, C, H, W]``.
+        alpha : float
+            Growth of the pooling regions with eccentricity, see :meth:`blur`; default 0.2.
+        real_image_width : float
+            Width of the displayed image in metres, default 0.2.
+        real_viewing_distance : float
+            Distance of the eye from the image in metres, default 0.7.
+        centre : sequence of float, optional
+            Gaze position, see :meth:`blur`; by default the middle of the image.
+        mode : {"quadratic", "linear"}
+            Law of that growth, default "quadratic".
+        equi : bool
+            Whether the image is an equirectangular panorama, default False.
+        """
         return self.blur(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)
 
     def blur(
@@ -742,7 +760,15 @@ class BlurLoss(nn.Module):
         return self._place.device
 
     def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
-        """Return a picture ``[B, C, H, W]`` blurred for a gaze (x, y), 0 to 1 from the top-left corner."""
+        """Return an image blurred as the periphery of the eye sees it, ``[B, C, H, W]``.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Image ``[B, C, H, W]``.
+        gaze : sequence of float
+            Gaze position (x, y), each 0 to 1 from the top left corner.
+        """
         gaze = _point("gaze", gaze)
         return self.blur.blur(
             image, self.alpha, self.real_image_width, self.real_viewing_distance, gaze, self.mode, self.equi

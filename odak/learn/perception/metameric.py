@@ -574,11 +574,25 @@ class MetamericLossUniform(_StatisticsLoss):
         return statistics_maps(*self._parts(image, pooling_size))
 
     def metameric_loss_stats(self, statsmap_a: list[torch.Tensor], statsmap_b: list[torch.Tensor]) -> torch.Tensor:
-        """Return the mean over two lists of statistics of their mean squared differences."""
+        """Return the mean squared difference of two lists of statistics, averaged over the list.
+
+        Parameters
+        ----------
+        statsmap_a : list of torch.Tensor
+            Statistics of the first image.
+        statsmap_b : list of torch.Tensor
+            Statistics of the second image, of the same number and shapes.
+        """
         return mean_distance(*checked_statistics(statsmap_a=statsmap_a, statsmap_b=statsmap_b))
 
     def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
-        """Keep the difference of the first picture's statistics from the target's as `loss_map` ``[H, W]``."""
+        """Store the sum of absolute differences from the target's statistics as `loss_map` ``[H, W]``.
+
+        Parameters
+        ----------
+        image_stats : list of torch.Tensor
+            Statistics of the image.
+        """
         super().visualise_loss_map(image_stats)
         self.loss_map = None if self.loss_map is None else self.loss_map[0]
 

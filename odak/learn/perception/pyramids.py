@@ -564,7 +564,13 @@ class FrequencySteerablePyramid(nn.Module):
         self._masks: tuple | None = None
 
     def forward(self, image: torch.Tensor) -> Pyramid:
-        """Return :meth:`construct_pyramid`."""
+        """Return the pyramid; the same as :meth:`construct_pyramid`.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Image, see :meth:`construct_pyramid`.
+        """
         return self.construct_pyramid(image)
 
     def construct_pyramid(self, image: torch.Tensor, quadrature: bool = False) -> Pyramid:

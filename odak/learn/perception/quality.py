@@ -89,7 +89,17 @@ class SSIM(nn.Module):
     """
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
-        """Return :func:`structural_similarity`."""
+        """Return the structural similarity; see :func:`structural_similarity`.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Images ``[B, C, H, W]`` under test.
+        targets : torch.Tensor
+            Reference images of the same shape.
+        data_range : float
+            Difference between the largest and the smallest possible value, default 1.0.
+        """
         return structural_similarity(predictions, targets, data_range)
 
 
@@ -106,7 +116,17 @@ class MSSSIM(nn.Module):
     """
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor, data_range: float = 1.0) -> torch.Tensor:
-        """Return :func:`multi_scale_structural_similarity`."""
+        """Return the multi-scale structural similarity; see :func:`multi_scale_structural_similarity`.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Images ``[B, C, H, W]`` under test.
+        targets : torch.Tensor
+            Reference images of the same shape.
+        data_range : float
+            Difference between the largest and the smallest possible value, default 1.0.
+        """
         return multi_scale_structural_similarity(predictions, targets, data_range)
 
 
@@ -281,7 +301,15 @@ class FLIP(nn.Module):
         self.pixels_per_degree = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        """Return the mean of :func:`flip` over all pixels."""
+        """Return the mean of :func:`flip` over all pixels.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Images ``[B, C, H, W]`` under test.
+        targets : torch.Tensor
+            Reference images of the same shape.
+        """
         return flip(predictions, targets, self.pixels_per_degree).mean()
 
 
@@ -312,7 +340,15 @@ class PU21PSNR(nn.Module):
         self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        """Return the ratio in decibels, without axes, of pictures of absolute luminance in cd/m² of one shape."""
+        """Return the peak signal-to-noise ratio of PU21-encoded images in decibels, a scalar tensor.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Images under test, absolute luminance in cd/m².
+        targets : torch.Tensor
+            Reference images of the same shape, absolute luminance in cd/m².
+        """
         one, two = _uniform_pair(predictions, targets, self.variant)
         return psnr(one, two, PU21_WHITE)
 
@@ -343,7 +379,15 @@ class PU21SSIM(nn.Module):
         self.variant = _validate.one_of("variant", variant, PU21_PARAMETERS)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
-        """Return the similarity, without axes, of pictures of absolute luminance in cd/m² of one shape."""
+        """Return the structural similarity of PU21-encoded images, a scalar tensor.
+
+        Parameters
+        ----------
+        predictions : torch.Tensor
+            Images under test, absolute luminance in cd/m².
+        targets : torch.Tensor
+            Reference images of the same shape, absolute luminance in cd/m².
+        """
         one, two = _uniform_pair(predictions, targets, self.variant)
         return structural_similarity(one, two, PU21_WHITE)
 

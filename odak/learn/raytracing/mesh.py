@@ -150,11 +150,23 @@ class planar_mesh:
         return reflect(rays[self.ray_indices], normals), normals
 
     def save_heights(self, filename: str = "heights.pt") -> None:
-        """Write the heights to a ``.pt`` or ``.pth`` file, without their graph; it appears whole or not at all."""
+        """Write the heights to a ``.pt`` or ``.pth`` file, without their autograd graph, atomically.
+
+        Parameters
+        ----------
+        filename : str
+            Path of the file, default "heights.pt".
+        """
         save_torch_tensor(filename, self.heights.detach().clone())
 
     def save_heights_as_PLY(self, filename: str = "mesh.ply") -> None:
-        """Write the triangles in space as a PLY text file, three vertices each."""
+        """Write the triangles in space as a PLY text file, with three vertices each.
+
+        Parameters
+        ----------
+        filename : str
+            Path of the file, default "mesh.ply".
+        """
         write_PLY(self.get_triangles().detach().cpu().numpy(), filename)
 
     def _vertices(self) -> torch.Tensor:

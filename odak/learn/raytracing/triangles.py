@@ -169,13 +169,30 @@ class triangle_mesh:
         return MeshHit(*(field.reshape(batch + field.shape[1:]) for field in hit))
 
     def write_PLY(self, filename: str, text: bool = False) -> None:
-        """Write vertices and faces as a PLY file, binary unless `text`; it appears whole or not at all."""
+        """Write vertices and faces as a PLY file, atomically.
+
+        Parameters
+        ----------
+        filename : str
+            Path of the file.
+        text : bool
+            Whether to write numbers as text; by default False, binary.
+        """
         text = _validate.flag("text", text)
         asset.write_mesh(filename, self.vertices.detach().cpu().numpy(), self.faces.cpu().numpy(), text)
 
     @classmethod
     def read_PLY(cls, filename: str, device: torch.device | str | None = None, **options: Any) -> "triangle_mesh":
-        """Read a PLY file; polygons become fans of triangles. `options` are those of the class.
+        """Return the mesh of a PLY file, with polygons divided into triangles.
+
+        Parameters
+        ----------
+        filename : str
+            Path of the file.
+        device : torch.device or str, optional
+            Device of the mesh, by default the CPU.
+        **options :
+            Further arguments of the class.
 
         Raises
         ------

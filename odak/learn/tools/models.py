@@ -103,7 +103,13 @@ class multi_layer_perceptron(torch.nn.Module):
         self.layer_final = torch.nn.Linear(n_hidden, n_output)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return the outputs ``[..., n_output]`` for inputs ``[..., n_input]``."""
+        """Return the outputs ``[..., n_output]`` for inputs ``[..., n_input]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Inputs ``[..., n_input]``.
+        """
         return self._output("x", x)
 
     def _output(self, name: str, value: torch.Tensor) -> torch.Tensor:
@@ -119,7 +125,13 @@ class multi_layer_perceptron(torch.nn.Module):
         return self.layer_final(x)
 
     def estimate(self, x: torch.Tensor) -> torch.Tensor:
-        """Return :meth:`forward` without a gradient."""
+        """Return the outputs of :meth:`forward`, computed without a gradient.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Inputs ``[..., n_input]``.
+        """
         with torch.no_grad():
             return self.forward(x)
 
@@ -181,10 +193,22 @@ class multi_layer_perceptron(torch.nn.Module):
         return True
 
     def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
-        """Write the weights to a ``.pt``, ``.pth`` or ``.pkl`` file, which appears whole or not at all."""
+        """Write the weights to a ``.pt``, ``.pth`` or ``.pkl`` file, atomically.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of the file, default "./weights.pt".
+        """
         with replacing(validate_path(filename, _EXTENSIONS)) as stream:
             torch.save(self.state_dict(), stream)
 
     def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
-        """Read the weights from a file of :meth:`save_weights`; one that would run code is refused."""
+        """Read the weights from a file of :meth:`save_weights`; a file that would run code is refused.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of the file, default "./weights.pt".
+        """
         self.load_state_dict(torch_load(filename, map_location="cpu"))

@@ -103,7 +103,13 @@ class holographic_display(display_volume):
         self.set_aperture(aperture_size=self.pinhole_size)
 
     def init_amplitude(self, illumination: torch.Tensor | None = None) -> None:
-        """Set the amplitude of the light on the modulator ``[m, n]``: that given, or one everywhere."""
+        """Set the amplitude of the illumination on the modulator, ``[m, n]``.
+
+        Parameters
+        ----------
+        illumination : torch.Tensor, optional
+            Amplitude of the illumination ``[m, n]``; by default 1 everywhere.
+        """
         if illumination is None:
             illumination = torch.ones(self.resolution)
         illumination = _validate.image("illumination", tensor("illumination", illumination))

@@ -458,7 +458,15 @@ class speckle_contrast(nn.Module):
 
     @in_own_precision
     def functional_conv2d(self, intensity: torch.Tensor) -> torch.Tensor:
-        """Return the contrast of each square ``[B, 1, m', n']``; 0 where the light is even, or there is none."""
+        """Return the speckle contrast of each square window, ``[B, 1, m', n']``.
+
+        The contrast is 0 where the intensity is uniform or zero.
+
+        Parameters
+        ----------
+        intensity : torch.Tensor
+            Intensity ``[B, 1, m, n]``.
+        """
         given = _planes("intensity", intensity)
         # In single precision the variance of dark pixels beside bright ones would be rounding alone.
         planes = given.double()
@@ -755,7 +763,23 @@ class perceptual_multiplane_loss(FocalTargets):
         noise_ratio: float = 1e-3,
         generator: torch.Generator | None = None,
     ) -> torch.Tensor | tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Return the loss of an image, and its parts if asked for; arguments as in ``multiplane_loss``."""
+        """Return the loss of an image, and its components if the class was made to return them.
+
+        Parameters
+        ----------
+        image : torch.Tensor
+            Reconstructed image, see :class:`multiplane_loss`.
+        target : torch.Tensor
+            Target image of the same shape.
+        plane_id : int, optional
+            Index of the plane; by default all planes.
+        inject_noise : bool
+            Whether to add noise to the target, default False.
+        noise_ratio : float
+            Standard deviation of that noise relative to the range of the target, default 1e-3.
+        generator : torch.Generator, optional
+            Generator of the noise.
+        """
         pairs = self.pairs(image, target, plane_id, inject_noise, noise_ratio, generator)
         components = {}
         for norm, difference in _NORMS.items():

@@ -174,11 +174,22 @@ class holobeam_multiholo(nn.Module):
         return history
 
     def save_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
-        """Write the network's weights to a ``.pt`` or ``.pth`` file, which appears whole or not at all."""
+        """Write the network's weights to a ``.pt`` or ``.pth`` file, atomically.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of the file, default "./weights.pt".
+        """
         save_weights(self.network, filename)
 
     def load_weights(self, filename: str | os.PathLike = "./weights.pt") -> None:
         """Read the network's weights from a file and put the network in evaluation mode.
+
+        Parameters
+        ----------
+        filename : str or path-like
+            Path of a file that :meth:`save_weights` wrote, default "./weights.pt".
 
         Raises
         ------

@@ -299,7 +299,13 @@ class propagator(display_volume):
         self.register_buffer("phase_scale", torch.ones(self.number_of_channels, device=self.device))
 
     def init_channel_power(self, channel_power: torch.Tensor | None = None) -> None:
-        """Set the channel powers ``[F, C]``: those given, or one source per frame."""
+        """Set the powers of the channels in each frame, ``[F, C]``.
+
+        Parameters
+        ----------
+        channel_power : torch.Tensor, optional
+            Powers ``[F, C]``; by default frame f is lit by source f alone, with power 1.
+        """
         self._hold_powers(channel_power, "channel_power")
 
     def _hold_powers(self, power, name):
@@ -317,6 +323,11 @@ class propagator(display_volume):
 
     def set_laser_powers(self, laser_power: torch.Tensor) -> None:
         """Set the channel powers ``[F, C]``, from which :meth:`get_laser_powers` makes the amplitudes of the sources.
+
+        Parameters
+        ----------
+        laser_power : torch.Tensor
+            Channel powers ``[F, C]``.
 
         Raises
         ------

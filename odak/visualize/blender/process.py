@@ -70,7 +70,15 @@ class Blender(NamedTuple):
     path: str
 
     def command(self, script: str, *arguments: str) -> list[str]:
-        """Return the command that runs a script inside this Blender, without a window."""
+        """Return the command line that runs a script in this Blender without a window.
+
+        Parameters
+        ----------
+        script : str
+            Path of the Python script.
+        *arguments : str
+            Arguments of the script.
+        """
         if self.kind == "python":
             return other_python_command(self.path, _RUN, script, *arguments)
         options = ["--background", "--factory-startup", "--python-exit-code", "1", "--python", script, "--"]

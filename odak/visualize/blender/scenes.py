@@ -484,7 +484,12 @@ class scene(Lines, Shapes, Lenses, Views):
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> "scene":
-        """Return the scene of a ".json" file that :meth:`save` wrote.
+        """Return the scene stored in a ".json" file by :meth:`save`.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path of the file.
 
         Raises
         ------

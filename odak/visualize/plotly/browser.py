@@ -107,6 +107,7 @@ class _SharedBrowser:
         self._loop = self._thread = self._tool = self._owner = None
 
     def draw(self, figure: dict, options: dict) -> bytes:
+        """Return an image of a figure; the browser is started again once if it fails."""
         with self._lock:
             fresh = not self._runs()
             self._start()
@@ -121,6 +122,7 @@ class _SharedBrowser:
             return self._wait(self._tool.calc_fig(figure, opts=options), RENDER_TIMEOUT)
 
     def close(self) -> None:
+        """Stop the browser and its event loop."""
         with self._lock:
             if not self._runs():
                 return

@@ -25,6 +25,7 @@ class _Sheet(NamedTuple):
 
     @property
     def rim(self) -> np.ndarray:
+        """Points on the edge of the surface."""
         return self.points[-1]
 
 

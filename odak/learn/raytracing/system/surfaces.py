@@ -486,7 +486,13 @@ class Prescription(NamedTuple):
         )
 
     def others(self, image: Any = None) -> list[tuple[torch.Tensor, int]]:
-        """Return the parameters of other shapes, phases and gradients with their own axes, by surfaces."""
+        """Return the parameters of shapes, phases and index gradients, each with its own number of axes.
+
+        Parameters
+        ----------
+        image : surface, optional
+            Image surface, whose shape is appended to those of the surfaces.
+        """
         groups = [list(group or [None] * self.thickness.shape[-1]) for group in self._groups()]
         if image is not None:
             groups[0].append(image.shape if image.own_shape is not None else None)
@@ -502,13 +508,25 @@ class Prescription(NamedTuple):
         return self.shapes, self.phases, self.gradients
 
     def shape(self, i: int) -> Shape:
-        """Return the shape of a surface, its parameters ``[..., …]``."""
+        """Return the shape of a surface, with parameters ``[..., …]``.
+
+        Parameters
+        ----------
+        i : int
+            Index of the surface.
+        """
         if self.shapes is not None and self.shapes[i] is not None:
             return self.shapes[i]
         return EvenAsphere(self.curvature[..., i], self.conic[..., i], self.coefficients[..., i, :])
 
     def at(self, place: int) -> "Prescription":
-        """Return the prescription at one of its wavelengths; with a single wavelength, the prescription itself."""
+        """Return the prescription at one of its wavelengths; with a single wavelength, the prescription itself.
+
+        Parameters
+        ----------
+        place : int
+            Index of the wavelength.
+        """
         if self.index.shape[-2] == 1:
             return self
         waves = None if self.wavelengths is None else self.wavelengths[place : place + 1]
@@ -516,7 +534,13 @@ class Prescription(NamedTuple):
         return self._replace(index=self.index[..., place : place + 1, :], wavelengths=waves)
 
     def select(self, place: int) -> "Prescription":
-        """Return one system of a batch with one leading axis."""
+        """Return one system of a batch with one leading axis.
+
+        Parameters
+        ----------
+        place : int
+            Index along the leading axis.
+        """
         count = self.batch[0]
 
         def one(value, own: int):

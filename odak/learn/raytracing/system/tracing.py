@@ -53,7 +53,13 @@ class Rays(NamedTuple):
 
     @classmethod
     def from_tensor(cls, ray: torch.Tensor) -> "Rays":
-        """Return rays ``[..., 2, 3]`` (points and directions of any length) as components ``[1, 1, rays]``."""
+        """Return rays ``[..., 2, 3]`` (points and directions of any length) as components ``[1, 1, rays]``.
+
+        Parameters
+        ----------
+        ray : torch.Tensor
+            Points and directions ``[..., 2, 3]``; a direction of length 0 marks a missing ray.
+        """
         if ray.shape[-2:] != (2, 3):
             raise ValueError(f"ray must be [..., 2, 3], got {tuple(ray.shape)}")
         ray = ray.reshape(1, 1, -1, 2, 3)

@@ -161,7 +161,19 @@ class complex_2d_gaussians(nn.Module):
     def invert_cov_2D(
         cov_00: torch.Tensor, cov_01: torch.Tensor, cov_11: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the entries of the inverses of covariances ``[N]``; determinants below 1e-10 count as 1e-10."""
+        """Return the entries 00, 01 and 11 of the inverses of symmetric 2×2 covariance matrices.
+
+        Determinants below 1e-10 are replaced by 1e-10.
+
+        Parameters
+        ----------
+        cov_00 : torch.Tensor
+            Entries 00 of the matrices, ``[N]``.
+        cov_01 : torch.Tensor
+            Entries 01 of the matrices, ``[N]``.
+        cov_11 : torch.Tensor
+            Entries 11 of the matrices, ``[N]``.
+        """
         given = {"cov_00": cov_00, "cov_01": cov_01, "cov_11": cov_11}
         given = {name: floating(name, value) for name, value in given.items()}
         _validate.fitting(**given)
@@ -175,7 +187,12 @@ class complex_2d_gaussians(nn.Module):
             parameter.requires_grad_(not (self.merge_opacity and name == "pre_act_opacities"))
 
     def save_gaussians(self, save_path: str | os.PathLike) -> None:
-        """Write the parameters, the size and `merge_opacity` to a ``.pth`` or ``.pt`` file, whole or not at all.
+        """Write the parameters, the size and `merge_opacity` to a ``.pth`` or ``.pt`` file, atomically.
+
+        Parameters
+        ----------
+        save_path : str or path-like
+            Path of the file.
 
         Raises
         ------
@@ -187,7 +204,12 @@ class complex_2d_gaussians(nn.Module):
         logger.info("%d complex Gaussians saved to %s", len(self), save_path)
 
     def load_gaussians(self, load_path: str | os.PathLike) -> None:
-        """Take the parameters and `merge_opacity` of a file of :meth:`save_gaussians`, in place.
+        """Set the parameters and `merge_opacity` to those in a file of :meth:`save_gaussians`, in place.
+
+        Parameters
+        ----------
+        load_path : str or path-like
+            Path of the file.
 
         Raises
         ------

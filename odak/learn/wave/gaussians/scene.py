@@ -103,12 +103,26 @@ class Scene:
         return checked_camera(camera).transform_world_to_camera_space(self.gaussians.means)[:, 2]
 
     def calculate_gaussian_directions(self, means_3D: torch.Tensor, camera: PerspectiveCamera) -> torch.Tensor:
-        """Return unit vectors from the camera to points ``[N, 3]``."""
+        """Return the unit vectors from the camera to the centres of the Gaussians, ``[N, 3]``.
+
+        Parameters
+        ----------
+        means_3D : torch.Tensor
+            Centres of the Gaussians ``[N, 3]``.
+        camera : PerspectiveCamera
+            Camera that the directions start from.
+        """
         means_3D = shaped("means_3D", means_3D, "N", 3)
         return torch.nn.functional.normalize(means_3D - checked_camera(camera).get_camera_center(), dim=-1)
 
     def get_idxs_to_filter_and_sort(self, z_vals: torch.Tensor) -> torch.Tensor:
-        """Return the numbers of depths from 0 on, in ascending order of depth."""
+        """Return the indices of the non-negative depths in ascending order of depth.
+
+        Parameters
+        ----------
+        z_vals : torch.Tensor
+            Depths ``[N]``; NaN is kept and sorted last.
+        """
         z_vals = shaped("z_vals", z_vals, "N")
         order = z_vals.argsort(stable=True)
         # NaN comes last and is kept, so that it shows in the result.

@@ -376,7 +376,15 @@ class complex_3d_gaussians(nn.Module):
 
     @staticmethod
     def invert_cov_2D(cov_2D: torch.Tensor) -> torch.Tensor:
-        """Return the inverses of covariances ``[N, 2, 2]``; determinants below 1e-10 count as 1e-10."""
+        """Return the inverses of 2×2 covariance matrices, ``[N, 2, 2]``.
+
+        Determinants below 1e-10 are replaced by 1e-10.
+
+        Parameters
+        ----------
+        cov_2D : torch.Tensor
+            Covariance matrices ``[N, 2, 2]``.
+        """
         (cov_2D,) = rows_of(cov_2D=(cov_2D, 2, 2))
         a, b, c, d = cov_2D.flatten(-2).unbind(-1)
         determinant = (a * d - b * c).clamp_min(1e-10)[..., None]
@@ -452,7 +460,12 @@ class complex_3d_gaussians(nn.Module):
         )
 
     def save_gaussians(self, save_path: str | os.PathLike) -> None:
-        """Write the seven parameters to a ``.pth`` or ``.pt`` file, whole or not at all.
+        """Write the seven parameters to a ``.pth`` or ``.pt`` file, atomically.
+
+        Parameters
+        ----------
+        save_path : str or path-like
+            Path of the file.
 
         Raises
         ------
@@ -617,7 +630,17 @@ class STEFunction(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, input: torch.Tensor, temperature: float = 0.001) -> torch.Tensor:
-        """Return ones where rows of ``input [n, c]`` are largest (the first of equals), zeros elsewhere."""
+        """Return 1 at the largest entry of each row, the first of equal ones, and 0 elsewhere, ``[n, c]``.
+
+        Parameters
+        ----------
+        ctx : context
+            Context of the autograd function.
+        input : torch.Tensor
+            Scores ``[n, c]``.
+        temperature : float
+            Temperature of the softmax of the backward pass, default 0.001.
+        """
         ctx.save_for_backward(input)
         ctx.temperature = temperature
         choice = torch.zeros_like(input).scatter_(1, input.argmax(dim=1, keepdim=True), 1.0)
@@ -626,7 +649,15 @@ class STEFunction(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, grad_output: torch.Tensor) -> tuple[torch.Tensor, None]:
-        """Return the gradient times softmax(input/temperature)."""
+        """Return the gradient times softmax(input/temperature).
+
+        Parameters
+        ----------
+        ctx : context
+            Context of the autograd function.
+        grad_output : torch.Tensor
+            Gradient of the result ``[n, c]``.
+        """
         (values,) = ctx.saved_tensors
         return grad_output * torch.softmax(values / ctx.temperature, dim=1), None
 

@@ -131,14 +131,30 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         self.phase_offset = self.offset = self._leaf(self._drawn(torch.rand, shape))
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
-        """Collect the parameters, and set the learning rate of each iteration."""
+        """Collect the learned parameters, and compute the learning rate of each iteration.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations, default 100.
+        """
         super().init_optimizer(number_of_iterations)
         self.learning_rates = linear(self.learning_rate, self.learning_rate_floor, number_of_iterations)
 
     def double_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the double phase of the phase less its mean and the offset, and the roughness of its parts."""
+        """Return the double-phase pattern of the phase minus its mean, and the roughness of its two parts.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases of the frames in radians, ``[F, m, n]``.
+        phase_offset : torch.Tensor
+            Phase offset in radians, of a shape that broadcasts with that of the phases.
+        levels : int
+            Number of scales, each half as large as the one before, over which the total variation is summed, default 1.
+        """
         phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = checkerboard(zero_mean(phase), phase_offset)
         return pattern, double_phase_roughness(pattern, levels)
@@ -146,7 +162,17 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
     def direct_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 1
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the phase less its mean and the offset, and its roughness."""
+        """Return the phase minus its mean and minus the offset, and its roughness.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases of the frames in radians, ``[F, m, n]``.
+        phase_offset : torch.Tensor
+            Phase offset in radians, of a shape that broadcasts with that of the phases.
+        levels : int
+            Number of scales, each half as large as the one before, over which the total variation is summed, default 1.
+        """
         phase, phase_offset = checked_pattern(phase, phase_offset)
         pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)
@@ -157,14 +183,28 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         return pattern, loss if self.weights["phase"] else None
 
     def reconstruct(self, hologram_phases: torch.Tensor) -> torch.Tensor:
-        """Return the intensities ``[F, D, C, ms, ns]`` of phases ``[F, m, n]``."""
+        """Return the reconstructed intensities, ``[F, D, C, ms, ns]``.
+
+        Parameters
+        ----------
+        hologram_phases : torch.Tensor
+            Phases of the frames in radians, ``[F, m, n]``.
+        """
         return self.propagator.reconstruct(hologram_phases)
 
     # Fewer options than with one colour per frame, and one result less.
     def gradient_descent(  # type: ignore[override]
         self, number_of_iterations: int = 100, weights: Sequence[float] | dict = (1.0, 1.0, 0.0, 0.0)
     ) -> torch.Tensor:
-        """Return the optimized phases ``[F, m, n]``; weights of the image, the light and the phase losses."""
+        """Return the optimised phases in radians, ``[F, m, n]``.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations, default 100.
+        weights : sequence of float or dict
+            Weights of the image loss, the intensity loss and the phase losses, see :meth:`optimize`.
+        """
         return super().gradient_descent(number_of_iterations, weights)
 
     def optimize(  # type: ignore[override]

@@ -241,7 +241,13 @@ class multi_color_hologram_optimizer:
         self.propagator.set_laser_powers(self.channel_power)
 
     def init_optimizer(self, number_of_iterations: int = 100) -> None:
-        """Collect the parameters, and set the learning rate of each iteration."""
+        """Collect the learned parameters, and compute the learning rate of each iteration.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations, default 100.
+        """
         number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         learned = {
             "phase": self.phase,
@@ -262,7 +268,21 @@ class multi_color_hologram_optimizer:
         eyebox: dict | None = None,
         noise_ratio: float = 1e-3,
     ) -> torch.Tensor:
-        """Return the optimized phases ``[F, m, n]``; parameters as in :meth:`optimize`, the eyebox not weighed."""
+        """Return the optimised phases in radians, ``[F, m, n]``.
+
+        Parameters
+        ----------
+        number_of_iterations : int
+            Number of iterations, default 100.
+        weights : dict or sequence of float, optional
+            Weights of the losses, see :meth:`optimize`; the eyebox loss has weight 0 by default.
+        inject_noise : bool
+            Whether to add noise to the targets in each iteration, default False.
+        eyebox : dict, optional
+            Offset and diameter of the disc in the Fourier plane, in samples.
+        noise_ratio : float
+            Standard deviation of that noise relative to the range of the target, default 1e-3.
+        """
         iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
         self._eyebox = checked_eyebox(eyebox)
@@ -347,7 +367,15 @@ class multi_color_hologram_optimizer:
         return self.propagator.reconstruct(phases, amplitude)
 
     def init_loss_function(self, loss_function: Callable | None, reduction: str = "sum") -> None:
-        """Set the loss of an image, and the reduction over planes and pixels."""
+        """Set the loss function of images and its reduction.
+
+        Parameters
+        ----------
+        loss_function : callable or None
+            Loss of a reconstructed image; None selects the default loss.
+        reduction : {"sum", "mean"}
+            Reduction over planes and pixels, default "sum".
+        """
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
         self.reduction = _validate.one_of("reduction", reduction, ("sum", "mean"))
         if loss_function is not None:
@@ -409,14 +437,34 @@ class multi_color_hologram_optimizer:
     def double_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the double phase, phase ∓ offset in a checkerboard, and the roughness of its parts."""
+        """Return the double-phase pattern, phase ∓ offset in a checkerboard, and the roughness of its two parts.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases of the frames in radians, ``[F, m, n]``.
+        phase_offset : torch.Tensor
+            Phase offset of each frame in radians, ``[F]``.
+        levels : int
+            Number of scales, each half as large as the one before, over which the total variation is summed, default 6.
+        """
         pattern = checkerboard(*checked_pattern(phase, phase_offset, of_frames=True))
         return pattern, double_phase_roughness(pattern, levels)
 
     def direct_phase_constrain(
         self, phase: torch.Tensor, phase_offset: torch.Tensor, levels: int = 6
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the phase less its mean and the offset, and its roughness."""
+        """Return the phase minus its mean and minus the offset, and its roughness.
+
+        Parameters
+        ----------
+        phase : torch.Tensor
+            Phases of the frames in radians, ``[F, m, n]``.
+        phase_offset : torch.Tensor
+            Phase offset of each frame in radians, ``[F]``.
+        levels : int
+            Number of scales, each half as large as the one before, over which the total variation is summed, default 6.
+        """
         phase, phase_offset = checked_pattern(phase, phase_offset, of_frames=True)
         pattern = zero_mean(phase) - phase_offset
         return pattern, roughness(pattern, levels)

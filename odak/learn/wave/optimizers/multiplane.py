@@ -157,11 +157,23 @@ class multiplane_hologram_optimizer:
         self.init_loss_function(loss_function)
 
     def init_amplitude(self, amplitude_initial: torch.Tensor | None) -> None:
-        """Set the amplitude of the light on the modulator ``[m, n]``: that given, or one everywhere."""
+        """Set the amplitude of the illumination on the modulator, ``[m, n]``.
+
+        Parameters
+        ----------
+        amplitude_initial : torch.Tensor or None
+            Amplitude ``[m, n]``; None for 1 everywhere.
+        """
         self.amplitude = self._plane("amplitude_initial", amplitude_initial, torch.ones)
 
     def init_phase(self, phase_initial: torch.Tensor | None) -> None:
-        """Start from the phase given, or from 0 … 1 rad at random; the offset of the double phase is drawn alike."""
+        """Set the initial phase, and draw the initial phase offset of the double-phase pattern at random.
+
+        Parameters
+        ----------
+        phase_initial : torch.Tensor or None
+            Phase in radians, ``[m, n]``; None for random numbers between 0 and 1 rad.
+        """
         self.phase = self._plane("phase_initial", phase_initial, self._drawn).requires_grad_()
         self.offset = self._plane("offset", None, self._drawn).requires_grad_()
 
@@ -182,7 +194,15 @@ class multiplane_hologram_optimizer:
         self.parameters = {"phase": self.phase, "offset": self.offset}
 
     def init_loss_function(self, loss_function: Callable | None = None, reduction: str = "mean") -> None:
-        """Set the loss of a plane: that given, or the squared error."""
+        """Set the loss function of a plane.
+
+        Parameters
+        ----------
+        loss_function : callable, optional
+            Loss of the image, the target and the index of the plane; by default the squared error.
+        reduction : {"mean", "sum", "none"}
+            Reduction of the squared error, default "mean".
+        """
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
         reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
         self.l2_loss = torch.nn.MSELoss(reduction=reduction)
@@ -200,7 +220,17 @@ class multiplane_hologram_optimizer:
         self.mask[top:bottom, left:right] = 1
 
     def evaluate(self, input_image: torch.Tensor, target_image: torch.Tensor, plane_id: int) -> torch.Tensor:
-        """Return the loss of an image ``[m, n]`` on a plane, outside the mask left out."""
+        """Return the loss of an image on a plane; pixels outside the mask are excluded.
+
+        Parameters
+        ----------
+        input_image : torch.Tensor
+            Reconstructed intensity ``[m, n]``.
+        target_image : torch.Tensor
+            Target intensity ``[m, n]``.
+        plane_id : int
+            Index of the plane.
+        """
         _validate.integer("plane_id", plane_id)
         for name, image in (("input_image", input_image), ("target_image", target_image)):
             if not isinstance(image, torch.Tensor) or image.shape[-2:] != self.mask.shape:
@@ -211,7 +241,15 @@ class multiplane_hologram_optimizer:
         return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
 
     def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
-        """Return the double phase of the phase less its mean and the offset, ``[m, n]``."""
+        """Return the double-phase pattern of the phase minus its mean, ``[m, n]``.
+
+        Parameters
+        ----------
+        shifted_phase : torch.Tensor
+            Phase in radians, ``[m, n]``.
+        phase_offset : torch.Tensor
+            Phase offset in radians, of a shape that broadcasts with that of the phase.
+        """
         shifted_phase, phase_offset = checked_pattern(shifted_phase, phase_offset, "shifted_phase")
         return checkerboard(zero_mean(shifted_phase), phase_offset)
 
@@ -223,7 +261,15 @@ class multiplane_hologram_optimizer:
         return phase, self.amplitude, self.reconstruct(self.amplitude, phase)
 
     def reconstruct(self, hologram_amplitude: torch.Tensor, hologram_phase: torch.Tensor) -> torch.Tensor:
-        """Return the intensities ``[P, m, n]`` of a hologram's amplitude and phase ``[m, n]``."""
+        """Return the reconstructed intensities on all planes, ``[P, m, n]``.
+
+        Parameters
+        ----------
+        hologram_amplitude : torch.Tensor
+            Amplitude of the hologram ``[m, n]``.
+        hologram_phase : torch.Tensor
+            Phase of the hologram in radians, ``[m, n]``.
+        """
         m, n = self.slm_resolution
         shaped = {"hologram_amplitude": hologram_amplitude, "hologram_phase": hologram_phase}
         for name, value in shaped.items():
