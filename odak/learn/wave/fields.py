@@ -67,6 +67,11 @@ def intensity(field: torch.Tensor) -> torch.Tensor:
     return _Intensity.apply(_array.to_complex(field).resolve_conj())
 
 
+def mean_intensity(field: torch.Tensor, frames: int) -> torch.Tensor:
+    """Return the intensity of a field, that of several frames ``[frames, ...]`` averaged over them."""
+    return intensity(field) if frames == 1 else intensity(field).mean(0)
+
+
 def exposure(
     field: torch.Tensor, power: torch.Tensor, one_each: bool = False, *, workspace: Workspace | None = None
 ) -> torch.Tensor:

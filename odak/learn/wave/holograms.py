@@ -16,7 +16,7 @@ from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, floating, tensor, trainable
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
-from odak.learn.wave.fields import generate_complex_field, intensity, unit_phasor
+from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
@@ -183,8 +183,7 @@ def stochastic_gradient_descent(
     loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
 
     def gradient(iteration):
-        image = intensity(reconstruct(modulate(phase)))
-        image = image if frames == 1 else image.mean(0)
+        image = mean_intensity(reconstruct(modulate(phase)), frames)
         if camera is not None:
             image = with_model_gradient(image, captured_by(camera, phase, tuple(image.shape)))
         if scale:

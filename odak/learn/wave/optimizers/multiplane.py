@@ -1,5 +1,6 @@
-"""Optimizer of one phase pattern for images on several planes at one wavelength."""
+"""Optimizer of one phase pattern, or several shown in turn, for images on several planes at one wavelength."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 
@@ -8,7 +9,7 @@ import torch
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating
-from odak.learn.wave.fields import intensity, unit_phasor
+from odak.learn.wave.fields import mean_intensity, unit_phasor
 from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
 from odak.learn.wave.training import Options, constant, fingerprint, generator_from, minimise
@@ -41,7 +42,8 @@ class multiplane_hologram_optimizer:
     learning_rate : float
         Step of Adam in radians.
     phase_initial : torch.Tensor, optional
-        Phase to start from in radians, ``[m, n]``; 0 … 1 rad at random by default.
+        Phase to start from in radians, ``[m, n]``, ``[frames, m, n]`` with several frames; 0 … 1 rad at random by
+        default.
     amplitude_initial : torch.Tensor, optional
         Amplitude of the light on the modulator, ``[m, n]``; one by default.
     loss_function : callable, optional
@@ -68,6 +70,9 @@ class multiplane_hologram_optimizer:
     pixel_fill : float, optional
         Share of the area of a square pixel that emits, at most 1, see :class:`odak.learn.wave.propagator`; by default
         pixels are points.
+    frames : int
+        Number of patterns shown one after another, faster than an eye or a camera tells apart. The image on each plane
+        is the mean of their intensities.
 
     Raises
     ------
@@ -112,6 +117,7 @@ class multiplane_hologram_optimizer:
         checkpoint_every: int = 50,
         seed: int | None = None,
         pixel_fill: float | None = None,
+        frames: int = 1,
     ):
         self.number_of_planes = _validate.integer("number_of_planes", number_of_planes, minimum=1)
         self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
@@ -124,10 +130,13 @@ class multiplane_hologram_optimizer:
         ):
             _validate.real(name, length)
         slm_resolution = _validate.size("slm_resolution", slm_resolution)
+        self.number_of_frames = _validate.integer("frames", frames, minimum=1)
         self.propagator = propagator(
             slm_resolution,
             [wavelength],
             slm_pixel_pitch,
+            number_of_frames=self.number_of_frames,
+            laser_channel_power=torch.ones(self.number_of_frames, 1),
             number_of_depth_layers=self.number_of_planes,
             volume_depth=self.number_of_planes * image_spacing,
             image_location_offset=image_location,
@@ -138,6 +147,8 @@ class multiplane_hologram_optimizer:
             pixel_fill=pixel_fill,
         )
         self.device, self.slm_resolution = self.propagator.device, self.propagator.resolution
+        shape = tuple(self.slm_resolution)
+        self._pattern_shape = shape if self.number_of_frames == 1 else (self.number_of_frames, *shape)
         if isinstance(targets, torch.Tensor):
             targets = targets[:, 0] if targets.ndim == 4 and targets.shape[1] == 1 else targets
             if targets.ndim == 3 and len(targets) > self.number_of_planes:
@@ -164,7 +175,7 @@ class multiplane_hologram_optimizer:
         amplitude_initial : torch.Tensor or None
             Amplitude ``[m, n]``; None for 1 everywhere.
         """
-        self.amplitude = self._plane("amplitude_initial", amplitude_initial, torch.ones)
+        self.amplitude = self._values("amplitude_initial", amplitude_initial, tuple(self.slm_resolution), torch.ones)
 
     def init_phase(self, phase_initial: torch.Tensor | None) -> None:
         """Set the initial phase, and draw the initial phase offset of the double-phase pattern at random.
@@ -172,17 +183,17 @@ class multiplane_hologram_optimizer:
         Parameters
         ----------
         phase_initial : torch.Tensor or None
-            Phase in radians, ``[m, n]``; None for random numbers between 0 and 1 rad.
+            Phase in radians, ``[m, n]``, with several frames ``[frames, m, n]``; None for random numbers between 0 and
+            1 rad.
         """
-        self.phase = self._plane("phase_initial", phase_initial, self._drawn).requires_grad_()
-        self.offset = self._plane("offset", None, self._drawn).requires_grad_()
+        self.phase = self._values("phase_initial", phase_initial, self._pattern_shape, self._drawn).requires_grad_()
+        self.offset = self._values("offset", None, self._pattern_shape, self._drawn).requires_grad_()
 
     def _drawn(self, shape, dtype):
         # On the CPU, so that a seed gives the same start on every device.
         return torch.rand(shape, generator=self._generator, dtype=dtype)
 
-    def _plane(self, name, given, make):
-        shape = tuple(self.slm_resolution)
+    def _values(self, name, given, shape, make):
         values = make(shape, dtype=self.targets.dtype) if given is None else floating(name, given).detach().clone()
         if tuple(values.shape) != shape:
             raise ValueError(f"{name} must be {shape}, got {tuple(values.shape)}")
@@ -241,12 +252,12 @@ class multiplane_hologram_optimizer:
         return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
 
     def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
-        """Return the double-phase pattern of the phase minus its mean, ``[m, n]``.
+        """Return the double-phase pattern of the phase minus its mean, ``[m, n]`` or ``[frames, m, n]``.
 
         Parameters
         ----------
         shifted_phase : torch.Tensor
-            Phase in radians, ``[m, n]``.
+            Phase in radians, ``[m, n]`` or ``[frames, m, n]``.
         phase_offset : torch.Tensor
             Phase offset in radians, of a shape that broadcasts with that of the phase.
         """
@@ -254,7 +265,14 @@ class multiplane_hologram_optimizer:
         return checkerboard(zero_mean(shifted_phase), phase_offset)
 
     def optimize(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the phase ``[m, n]``, the amplitude ``[m, n]`` and the intensities ``[P, m, n]``, optimized."""
+        """Optimize, and return phase, amplitude and intensities.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Phase in radians ``[m, n]``, with several frames ``[frames, m, n]``; amplitude ``[m, n]``; intensities
+            ``[P, m, n]``.
+        """
         self.gradient_descent()
         with torch.no_grad():
             phase = self.double_phase_constrain(self.phase, self.offset)
@@ -268,16 +286,19 @@ class multiplane_hologram_optimizer:
         hologram_amplitude : torch.Tensor
             Amplitude of the hologram ``[m, n]``.
         hologram_phase : torch.Tensor
-            Phase of the hologram in radians, ``[m, n]``.
+            Phase of the hologram in radians, ``[m, n]``, with several frames ``[frames, m, n]``.
         """
         m, n = self.slm_resolution
-        shaped = {"hologram_amplitude": hologram_amplitude, "hologram_phase": hologram_phase}
-        for name, value in shaped.items():
-            if not isinstance(value, torch.Tensor) or tuple(value.shape[-2:]) != (m, n) or value.numel() != m * n:
+        phases = (self.number_of_frames, m, n)
+        for name, value, shape in (
+            ("hologram_amplitude", hologram_amplitude, (1, m, n)),
+            ("hologram_phase", hologram_phase, phases),
+        ):
+            if not isinstance(value, torch.Tensor) or value.shape[-2:] != (m, n) or value.numel() != math.prod(shape):
                 got = list(value.shape) if isinstance(value, torch.Tensor) else type(value).__name__
-                raise ValueError(f"{name} must be a tensor [{m}, {n}], got {got}")
-        phase, amplitude = hologram_phase.reshape(m, n), hologram_amplitude.reshape(m, n)
-        return self.propagator.reconstruct(phase, amplitude)[0, :, 0].detach()
+                raise ValueError(f"{name} must be a tensor {list(shape if shape[0] > 1 else shape[1:])}, got {got}")
+        phase, amplitude = hologram_phase.reshape(phases), hologram_amplitude.reshape(m, n)
+        return self.propagator.reconstruct(phase, amplitude)[:, :, 0].mean(0).detach()
 
     def gradient_descent(self) -> None:
         """Optimize phase and offset in place."""
@@ -311,5 +332,5 @@ class multiplane_hologram_optimizer:
 
     def _loss_on(self, plane):
         phase = self.double_phase_constrain(self.phase, self.offset)
-        image = intensity(self.propagator(self.amplitude * unit_phasor(phase), 0, plane))
+        image = mean_intensity(self.propagator(self.amplitude * unit_phasor(phase), 0, plane), self.number_of_frames)
         return self.evaluate(image, self.targets[plane], plane)
