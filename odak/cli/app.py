@@ -280,10 +280,7 @@ def trace(
     output: options.Output = Path("trace"),
     rings: Annotated[int, typer.Option(metavar="COUNT", help="Rings of rays in the pupil, 1 to 100.")] = 6,
     aim: Annotated[str, typer.Option(metavar="paraxial|real", help="Pupil that rays are aimed at.")] = "paraxial",
-    glasses: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Glass catalogue (.agf), .json or .yml to read first; may be repeated."),
-    ] = None,
+    glasses: options.Glasses = None,
     figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="Kind of the figures.")] = "png",
     quiet: options.Quiet = False,
 ) -> None:
@@ -302,6 +299,70 @@ def trace(
     for line in report["ignored"]:
         typer.echo(f"ignored: {line}", err=True)
     typer.echo(f"{', '.join(report['figures'])}, report.html, report.json in {output}")
+
+
+@app.command(
+    help="Design a lens: improve one that is there (a sample, a .json or a .zmx file) or, without one, make one from "
+    "flat plates for --focal-length, --f-number, --field and --elements.\n\n"
+    "Curvatures, thicknesses, the focus and what aspheres there are vary, so that the spots of all fields become small "
+    "under limits of distortion, edges and lengths; focal length, f-number and field are those asked for, or those of "
+    "the SYSTEM. Writes lens.json, layout.png and report.json. The same seed gives the same lens."
+)
+def design(
+    system: Annotated[
+        str | None, typer.Argument(metavar="[SYSTEM]", help="Name of a sample, or a .json or .zmx file.")
+    ] = None,
+    output: options.Output = Path("design"),
+    focal_length: options.FocalLength = None,
+    f_number: Annotated[float | None, typer.Option(metavar="RATIO", help="Focal length over entrance pupil.")] = None,
+    field: Annotated[
+        float | None,
+        typer.Option(metavar="DEGREES", help="Largest field angle; of a near object its height, in the lens's unit."),
+    ] = None,
+    elements: Annotated[
+        str | None,
+        typer.Option(metavar="COUNT|NAMES", help="1 to 6, or materials and the stop: N-LAK33B,stop,SF5,N-LAK33B."),
+    ] = None,
+    aspheric_terms: Annotated[int, typer.Option(metavar="COUNT", help="Terms r^4, r^6, ... of curved surfaces.")] = 0,
+    track: options.Track = None,
+    back: options.Back = None,
+    distortion: Annotated[
+        float | None,
+        typer.Option(metavar="RATIO", help="Largest distortion.", show_default="0.02, or that of the SYSTEM if larger"),
+    ] = None,
+    chief_ray_angle: Annotated[
+        float | None, typer.Option(metavar="DEGREES", help="Largest angle of chief rays in the image.")
+    ] = None,
+    starts: Annotated[
+        int | None, typer.Option(metavar="COUNT", help="Random starts.", show_default="16; with a SYSTEM 1")
+    ] = None,
+    iterations: Annotated[
+        int | None, typer.Option(metavar="COUNT", help="Steps of each run.", show_default="15; with a SYSTEM 40")
+    ] = None,
+    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random starts.")] = 0,
+    glasses: options.Glasses = None,
+    zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
+    quiet: options.Quiet = False,
+) -> None:
+    """Design a lens; the parameters are those of :class:`odak.cli.lens_design.DesignJob`."""
+    values = dict(locals()) | {"glasses": glasses or ()}
+    with _messages():
+        from odak.cli.lens_design import DesignJob, run
+
+        report = run(DesignJob(**values))
+    if quiet:
+        return
+    unit, found = report["unit"], report["first_order"]
+    for line in report["did"]:
+        typer.echo(line)
+    typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
+    for place in report["fields"]:
+        before, after = (
+            "rays lost" if value is None else f"{value:.3g} {unit}"
+            for value in (place["rms_spot_at_start"], place["rms_spot"])
+        )
+        typer.echo(f"field {place['field'][0]:g}, {place['field'][1]:g}: RMS spot {before} -> {after}")
+    typer.echo(f"{', '.join(report['files'])} in {output}; `odak trace {output / 'lens.json'}` analyses the lens")
 
 
 @app.command(

@@ -289,3 +289,19 @@ NominalWidth = Annotated[
     typer.Option("--nominal-width", help="Pool over regions as wide as --alpha says, not 1.7 to 1.9 times as wide."),
 ]
 NoiseSeed = Annotated[int, typer.Option(help="Seed of the noise.")]
+
+# --- Lenses
+Glasses = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE", help="Glass catalogue (.agf), .json or .yml to read first; may be repeated."),
+]
+FocalLength = Annotated[
+    float | None,
+    typer.Option(parser=length, metavar=LENGTH, help="Focal length, in metres or with a unit (50mm)."),
+]
+Track = Annotated[
+    float | None, typer.Option(parser=length, metavar=LENGTH, help="Largest length from the first vertex to the image.")
+]
+Back = Annotated[
+    float | None, typer.Option(parser=length, metavar=LENGTH, help="Least distance from the last vertex to the image.")
+]

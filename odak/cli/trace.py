@@ -39,26 +39,28 @@ DEFINITIONS = {
 }
 
 
-def read_system(name: str, glasses: Sequence[Path] = ()):
+def read_glasses(paths: Sequence[Path]) -> None:
+    """Add the materials of files to the catalogue: .agf, .json or .yml of refractiveindex.info."""
+    for path in paths:
+        try:
+            load_materials(path, replace=True)
+        except (ValueError, OSError) as error:
+            raise InputError(f"--glasses {str(path)!r}: {error}") from None
+
+
+def read_system(name: str):
     """Return a system and what was ignored in its file.
 
     Parameters
     ----------
     name : str
         A sample system, a .json file or a .zmx file.
-    glasses : sequence of Path
-        Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
 
     Raises
     ------
     InputError
         If there is no such thing, or it cannot be understood.
     """
-    for path in glasses:
-        try:
-            load_materials(path, replace=True)
-        except (ValueError, OSError) as error:
-            raise InputError(f"--glasses {str(path)!r}: {error}") from None
     try:
         if name.lower().endswith(".zmx"):
             system, report = read_zmx(name)
@@ -89,7 +91,7 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
     aim : str
         "paraxial" or "real".
     glasses : sequence of Path
-        As in :func:`read_system`.
+        Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
     figures : str
         Kind of the figures' files, "png", "svg" or "pdf".
 
@@ -109,7 +111,8 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
         raise InputError(f"--aim must be paraxial or real, got {aim!r}")
     if figures not in FORMATS:
         raise InputError(f"--figures must be one of {', '.join(FORMATS)}, got {figures!r}")
-    system, ignored = read_system(name, glasses)
+    read_glasses(glasses)
+    system, ignored = read_system(name)
     folder = writable_folder(Path(output))
     with torch.no_grad():
         report = describe(system, rings, aim) | {"ignored": ignored}

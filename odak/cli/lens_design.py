@@ -1,0 +1,477 @@
+"""Design of lenses for `odak design`: from a starting lens by least squares, or from flat plates by a curriculum."""
+
+import copy
+import math
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import torch
+from tqdm import tqdm
+
+from odak import _validate
+from odak.cli.files import writable_folder, write_json
+from odak.cli.job import InputError
+from odak.cli.report import finite, versions
+from odak.cli.trace import read_glasses, read_system
+from odak.learn.raytracing.system import (
+    Operand,
+    Solve,
+    Variable,
+    automatic_design,
+    distortion,
+    first_order,
+    layout_figure,
+    lens_design,
+    optical_system,
+    rms_spot,
+    save_system,
+    trace_fields,
+    write_zmx,
+)
+from odak.learn.raytracing.system.lens_files import MICROMETRES
+from odak.learn.raytracing.system.operands import clear_heights
+from odak.learn.raytracing.system.surfaces import is_break
+from odak.tools.paths import replacing
+
+CROWN, FLINT = "N-LAK33B", "SF5"
+# Materials for a number of elements: flints beside the stop, as in the triplet and the double Gauss.
+LAYOUTS = {
+    1: ("stop", "N-BK7"),
+    2: ("stop", "N-BK7", "N-SF2"),
+    3: (CROWN, "stop", FLINT, CROWN),
+    4: (CROWN, FLINT, "stop", FLINT, CROWN),
+    5: (CROWN, CROWN, "stop", FLINT, CROWN, CROWN),
+    6: (CROWN, CROWN, FLINT, "stop", FLINT, CROWN, CROWN),
+}
+DEMANDS = ("focal_length", "f_number", "field", "elements")
+# Least and largest thicknesses of elements and of gaps, and steepest curvature, in focal lengths and their inverse.
+GLASS, AIR, BEND = (0.02, 0.2), (0.002, 0.5), 1 / 0.15
+DISTORTION, RINGS = 0.02, 8
+DEFINITIONS = {
+    "lengths": "In the unit of the lens; angles in degrees.",
+    "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
+    "wavelengths together, equally weighted, no ray vignetted; paraxially aimed.",
+    "start": "The same for the lens that the design began with, at the aperture and the fields of the design; null "
+    "where rays are lost. A SYSTEM is scaled to the focal length asked for; demands begin with flat plates.",
+    "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
+    "merit": "Half the sum of the squares of spots and of excesses over limits, at each step of the last run; of "
+    "demands, the root mean square of the spots after each stage, with its shares of aperture and field.",
+}
+
+
+@dataclass(frozen=True)
+class DesignJob:
+    """Parameters of one run of `odak design`.
+
+    Attributes
+    ----------
+    system : str or None
+        A sample system, a .json file or a .zmx file to begin with; None to begin with flat plates.
+    output : Path
+        Folder to write to.
+    focal_length : float or None
+        In metres; that of the system by default.
+    f_number : float or None
+        Focal length over the diameter of the entrance pupil; that of the system by default.
+    field : float or None
+        Largest field angle in degrees, of a near object its half height in the unit of the lens; that of the system
+        by default.
+    elements : str or None
+        Number of elements, 1 to 6, or their materials with commas between, "stop" among them.
+    aspheric_terms : int
+        Coefficients of r⁴, r⁶, … that curved surfaces get.
+    track, back : float or None
+        Largest distance from the first vertex to the image and least distance from the last one, in metres.
+    distortion : float or None
+        Largest distortion; 0.02, or that of the system if larger, by default.
+    chief_ray_angle : float or None
+        Largest angle of the chief rays in the image in degrees.
+    starts : int or None
+        Number of random starts; 16 from flat plates, 1 from a system, by default.
+    iterations : int or None
+        Steps of each run of least squares; 15 from flat plates, 40 from a system, by default.
+    seed : int
+        Seed of the random numbers.
+    glasses : sequence of Path
+        Files of materials to be read first.
+    zmx : bool
+        Write the lens as Zemax file too.
+    quiet : bool
+        Show no progress and no summary.
+    """
+
+    system: str | None = None
+    output: Path = Path("design")
+    focal_length: float | None = None
+    f_number: float | None = None
+    field: float | None = None
+    elements: str | None = None
+    aspheric_terms: int = 0
+    track: float | None = None
+    back: float | None = None
+    distortion: float | None = None
+    chief_ray_angle: float | None = None
+    starts: int | None = None
+    iterations: int | None = None
+    seed: int = 0
+    glasses: Sequence[Path] = ()
+    zmx: bool = False
+    quiet: bool = False
+
+    def __post_init__(self) -> None:
+        """Check every parameter; the messages name the option of the command line."""
+        try:
+            for name in ("focal_length", "f_number", "track", "distortion", "chief_ray_angle"):
+                if getattr(self, name) is not None:
+                    _validate.number(_option(name), getattr(self, name), positive=True)
+            for name in ("field", "back"):
+                if getattr(self, name) is not None:
+                    _validate.number(_option(name), getattr(self, name), least=0)
+            for name in ("starts", "iterations"):
+                if getattr(self, name) is not None:
+                    _validate.integer(_option(name), getattr(self, name), minimum=1)
+            for name in ("aspheric_terms", "seed"):
+                _validate.integer(_option(name), getattr(self, name))
+        except (TypeError, ValueError) as error:
+            raise InputError(str(error)) from None
+        if self.system is None:
+            missing = [_option(name) for name in DEMANDS if getattr(self, name) is None]
+            if missing:
+                raise InputError(
+                    f"give a SYSTEM to begin with, or all of {', '.join(map(_option, DEMANDS))}; missing are "
+                    f"{', '.join(missing)}"
+                )
+        elif self.elements is not None:
+            raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
+
+    def materials(self) -> list[str]:
+        """Return the materials of the elements with "stop" among them; InputError for anything else."""
+        text = str(self.elements).strip()
+        if text.lstrip("+-").isdigit():
+            if int(text) not in LAYOUTS:
+                raise InputError(f"--elements must be 1 to {max(LAYOUTS)} or materials, got {text}")
+            return list(LAYOUTS[int(text)])
+        return [word.strip() for word in text.split(",")]
+
+
+def run(job: DesignJob) -> dict:
+    """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if asked for.
+
+    Parameters
+    ----------
+    job : DesignJob
+        Parameters of the run.
+
+    Returns
+    -------
+    dict
+        The report.
+
+    Raises
+    ------
+    InputError
+        If an argument cannot be used, or no lens is found that keeps all rays. No file is written then.
+    """
+    folder = writable_folder(Path(job.output))
+    begun = time.perf_counter()
+    with tqdm(desc="design", unit="step", disable=job.quiet) as bar:
+        try:
+            start, lens, did, merit = (_from_plates if job.system is None else _from_system)(job, bar.update)
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{'--elements' if job.system is None else 'SYSTEM'}: {error}") from None
+    asked = {f.name: getattr(job, f.name) for f in fields(job) if f.name not in ("output", "quiet", "glasses")}
+    report = {
+        "did": did,
+        "asked": {name: value for name, value in asked.items() if value not in (None, False)},
+        "files": ["lens.json", *(["lens.zmx"] if job.zmx else []), "layout.png", "report.json"],
+        "unit": lens.unit,
+        "first_order": {name: finite(float(value)) for name, value in first_order(lens)._asdict().items()},
+        "fields": _judged(start, lens),
+        "merit": merit,
+        "seconds": time.perf_counter() - begun,
+        "versions": versions(),
+        "definitions": DEFINITIONS,
+    }
+    drawing = _drawing(lens)
+    save_system(lens, folder / "lens.json")
+    if job.zmx:
+        write_zmx(lens, folder / "lens.zmx")
+    with replacing(folder / "layout.png") as stream:
+        drawing.savefig(stream, format="png", dpi=140)
+    write_json(folder / "report.json", report)
+    return report
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _judged(start: optical_system, lens: optical_system) -> list[dict]:
+    """Return spots and distortion of each field before and after the design."""
+    with torch.no_grad():
+        before, after = (rms_spot(item, "rings", RINGS, vignetting=False) for item in (start, lens))
+        bent = distortion(lens)[lens.reference]
+    return [
+        {"field": list(field)}
+        | {"rms_spot_at_start": finite(float(a)), "rms_spot": finite(float(b)), "distortion": finite(float(c))}
+        for field, a, b, c in zip(lens.fields, before, after, bent, strict=True)
+    ]
+
+
+def _drawing(lens: optical_system):
+    """Return a section through a lens, with at most three of its fields."""
+    shown = copy.copy(lens)
+    if len(lens.fields) > 3:
+        shown.fields = tuple(lens.fields[i] for i in (0, (len(lens.fields) - 1) // 2, -1))
+    return layout_figure(shown)
+
+
+def _from_plates(job: DesignJob, step: Callable[[], Any]):
+    """Return the plates, the lens, what was done and the merit of each stage for first-order demands."""
+    materials = job.materials()
+    read_glasses(job.glasses)
+    given: dict[str, Any] = {name: None if getattr(job, name) is None else 1e3 * getattr(job, name) for name in LENGTHS}
+    f, speed, field = given.pop("focal_length"), float(job.f_number or 0), float(job.field or 0)
+    given |= {"aspheric_terms": job.aspheric_terms, "chief_ray_angle": job.chief_ray_angle, "seed": job.seed}
+    given |= {name: value for name, value in (("starts", job.starts), ("iterations", job.iterations)) if value}
+    given |= {"distortion": job.distortion or DISTORTION}
+    try:
+        found = automatic_design(materials, f, speed, field, **given, callback=lambda stage: step())
+    except ValueError as error:
+        if not str(error).startswith("rays are lost"):
+            raise
+        advice = "ask for a larger --f-number or a smaller --field, or take another --seed"
+        raise InputError(f"no lens was found: {str(error).partition(':')[0]}; {advice}") from None
+    lens, start = found.system, found.start
+    start.aperture, start.fields = lens.aperture, lens.fields
+    glasses = [name for name in materials if name != "stop"]
+    lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
+    lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
+    did = [
+        f"began with {given.get('starts', 16)} random bendings of flat plates of {', '.join(glasses)}",
+        f"grew aperture and field in {len(found.stages)} stages, to f/{speed:g} and {field:g} degrees",
+        f"held the focal length at {f:g} mm and the image at the paraxial focus, with a defocus as variable",
+    ]
+    merit = [{"aperture": s.aperture, "field": s.field, "rms": finite(s.rms)} for s in found.stages]
+    return start, lens, did, merit
+
+
+LENGTHS = ("focal_length", "track", "back")
+
+
+def _from_system(job: DesignJob, step: Callable[[], Any]):
+    """Return the start, the lens, what was done and the merits of the last run for a given system."""
+    read_glasses(job.glasses)
+    system, did = read_system(str(job.system))
+    did = [f"ignored in the file: {line}" for line in did]
+    _check_start(system, job)
+    metre = 1e6 / MICROMETRES[system.unit]
+    found = first_order(system)
+    f = float(found.focal_length.detach())
+    if not math.isfinite(f):
+        raise InputError(f"SYSTEM {job.system!r} is afocal; a design needs a focal length")
+    if job.focal_length is not None:
+        wanted = math.copysign(job.focal_length * metre, f)
+        _scale(system, wanted / f, job)
+        did.append(f"scaled by {wanted / f:.6g} from a focal length of {f:.6g} {system.unit}")
+        f = wanted
+    # Bounds of edges and the judgement of spots are those of the whole beam.
+    for item in system.surfaces:
+        item.semi_diameter = None
+    if system.at_infinity:
+        size = float(first_order(system).entrance_pupil_diameter.detach())
+        system.aperture_type, system.aperture, size = "EPD", size, abs(f) / job.f_number if job.f_number else size
+    elif job.f_number is not None:
+        system.aperture_type, system.aperture, size = "F-number", float(found.f_number.detach()), job.f_number
+    else:
+        size = system.aperture
+    own, goal = (system.aperture, system.fields), (size, _fields_to(system.fields, job.field))
+    for item in system.surfaces if job.aspheric_terms else ():
+        if item.own_shape is None and bool(item.curvature != 0):
+            lacking = max(0, job.aspheric_terms + 1 - item.coefficients.numel())
+            item.coefficients = torch.cat([item.coefficients, torch.zeros(lacking, dtype=torch.float64)])
+    start = copy.deepcopy(system)
+    start.aperture, start.fields = goal
+    merit, names = _optimised(system, own, goal, job, f, metre, step)
+    with torch.no_grad():
+        for item, size in zip(system.surfaces, clear_heights(system, system.prescription()), strict=True):
+            item.semi_diameter = 1.001 * float(size)
+    did.append("varied " + ", ".join(names))
+    did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters are those of the beam")
+    system.source = f"{system.source}; optimised by odak {versions()['odak']}, seed {job.seed}".lstrip("; ")
+    return start, system, did, merit
+
+
+def _check_start(system: optical_system, job: DesignJob) -> None:
+    """Raise InputError where a system cannot be designed further by this command."""
+    for i, item in enumerate(system.surfaces):
+        if is_break(item) or item.is_off_axis:
+            raise InputError(f"SYSTEM {job.system!r}: surface {i} is not centred on the axis, as a design needs it")
+    if job.focal_length is not None and not system.at_infinity:
+        raise InputError(
+            f"--focal-length needs an object at infinity; that of {job.system!r} is at {system.object_distance:g} "
+            f"{system.unit}"
+        )
+    if job.f_number is not None and system.telecentric:
+        raise InputError(f"--f-number has no effect with {job.system!r}, which is telecentric on the object's side")
+    if job.zmx:
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                write_zmx(system, Path(folder) / "lens.zmx")
+            except ValueError as error:
+                raise InputError(f"--zmx: {error}") from None
+
+
+def _scale(system: optical_system, factor: float, job: DesignJob) -> None:
+    """Multiply all lengths of a system by a factor."""
+    items: list[Any] = [*system.surfaces, *([] if system.image is None else [system.image])]
+    for i, item in enumerate(items):
+        if any((item.own_shape, item.own_phase, item.own_gradient)):
+            raise InputError(
+                f"--focal-length: surface {i} of {job.system!r} has a shape, a phase or a medium that cannot be "
+                "scaled; leave it out"
+            )
+    with torch.no_grad():
+        for item in items:
+            for name, power in (("radius_value", 1), ("curvature_value", -1), ("thickness", 1), ("shift", 1)):
+                if hasattr(item, name):
+                    getattr(item, name).mul_(factor**power)
+            powers = torch.arange(item.coefficients.numel(), dtype=torch.float64)
+            item.coefficients.mul_(factor ** (-1 - 2 * powers))
+            item.apertures = tuple(part.scaled(factor) for part in item.apertures)
+    if system.aperture_type in ("EPD", "stop"):
+        system.aperture *= factor
+
+
+def _fields_to(own: tuple, largest: float | None) -> tuple:
+    """Return field points whose largest distance from the axis is the one asked for."""
+    size = max(math.hypot(*point) for point in own)
+    if largest is None:
+        return own
+    if size == 0:
+        return ((0.0, 0.0), (0.0, 0.7 * largest), (0.0, largest)) if largest else own
+    return tuple((x * largest / size, y * largest / size) for x, y in own)
+
+
+def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
+    """Optimise a system in place on the way from its own aperture and fields to those asked for."""
+
+    def set_conditions(share: float) -> None:
+        if share == 1:
+            system.aperture, system.fields = goal
+            return
+        system.aperture = own[0] + share * (goal[0] - own[0])
+        both = zip(_matching(own[1], goal[1]), goal[1], strict=True)
+        system.fields = tuple(tuple(a + share * (b - a) for a, b in zip(p, q, strict=True)) for p, q in both)
+
+    def problem(share: float) -> tuple[lens_design, list[str]]:
+        set_conditions(share)
+        return _problem(system, job, abs(f), f, metre)
+
+    def keeps_rays(design: lens_design) -> bool:
+        with torch.no_grad():
+            return bool(torch.isfinite(design.residuals(design.values)).all())
+
+    def told(number: int, merit: float) -> None:
+        step()
+
+    iterations = job.iterations or 40
+    here, way = 0.0, 1.0
+    while True:
+        share = min(1.0, here + way)
+        design, names = problem(share)
+        if keeps_rays(design):
+            result = design.optimise(iterations, tolerance=1e-6, rounds=2 if share == 1 else 1, callback=told)
+            here, way = share, 1.0
+            if share == 1:
+                break
+            continue
+        way /= 2
+        if way < 1 / 64:
+            place = (
+                f"an aperture of {system.aperture:.4g} and fields to {max(math.hypot(*p) for p in system.fields):.4g}"
+            )
+            raise InputError(f"rays are lost beyond {place}: a larger --f-number, a smaller --field, or another SYSTEM")
+    if job.starts and job.starts > 1:
+        result = design.restarts(job.starts, seed=job.seed, iterations=iterations)
+    return list(result.history), names
+
+
+def _matching(own: tuple, goal: tuple) -> tuple:
+    """Return as many points as there are goals: the axis where a lens had no field."""
+    return own if len(own) == len(goal) else ((0.0, 0.0),) * len(goal)
+
+
+def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tuple[lens_design, list[str]]:
+    """Return the design of a system for the aperture and fields that it has now, and what varies in words."""
+    items: list[Any] = list(system.surfaces)
+    last = len(items) - 1
+    index = system.prescription().index[system.reference].tolist()
+    bent = [item.own_shape is None and bool(item.curvature != 0) for item in items]
+    acts = [item.reflects or index[i] != index[i + 1] for i, item in enumerate(items)]
+    glass = [i for i in range(last) if index[i + 1] > 1.01 and not items[i].reflects]
+    # Plane-parallel plates stay; a plane face of a lens may bend.
+    faces = {j for i in glass for j in (i, i + 1) if bent[i] or bent[i + 1]}
+    curved = [i for i, item in enumerate(items) if acts[i] and item.own_shape is None and (bent[i] or i in faces)]
+    if not curved:
+        raise InputError(f"SYSTEM {job.system!r} has no surface whose curvature could vary")
+    outside = {0} if items[0].stop and not acts[0] else set()
+    free = [
+        i for i in range(last) if float(items[i].thickness) > 0 and i not in outside and (i not in glass or i in faces)
+    ]
+    aspheres = [
+        i for i in curved if bool(items[i].conic != 0) or bool(items[i].coefficients.any()) or job.aspheric_terms
+    ]
+    powers = [i for i in aspheres if items[i].coefficients.numel() > 1]
+    variables = [Variable("thickness", last)]
+    for i in curved[:-1]:
+        c = float(items[i].curvature)
+        variables.append(Variable("curvature", i, min(-BEND / size, c), max(BEND / size, c)))
+    for i in free:
+        t, (low, high) = float(items[i].thickness), GLASS if i in glass else AIR
+        variables.append(Variable("thickness", i, min(low * size, t), max(high * size, t)))
+    variables += [Variable("conic", i) for i in aspheres]
+    variables += [Variable("coefficients", i, terms=range(1, items[i].coefficients.numel())) for i in powers]
+    names = [f"{len(curved)} curvatures", f"{len(free)} thicknesses", "the focus"]
+    names += [f"{len(aspheres)} conic constants"] if aspheres else []
+    names += [f"aspheric coefficients of {len(powers)} surfaces"] if powers else []
+    solves = [Solve("focal_length", curved[-1], f), Solve("marginal_height", last)]
+    operands = [Operand("spot")]
+    for places, least in (
+        ([i for i in glass if i in free], GLASS[0]),
+        ([i for i in free if i not in glass and {i, i + 1} <= set(curved)], AIR[0]),
+    ):
+        if places:
+            options = {"surfaces": places, "shares": (0.5, 0.75, 1.0)}
+            trial = lens_design(system, [Operand("edge_thickness", options=options)], variables, solves=solves)
+            # Edges may stay as thin as they are, and become no thinner.
+            now = float(trial.report()[0][1].min())
+            operands.append(Operand("edge_thickness", lower=min(least * size, now), options=options))
+    if job.back is not None:
+        operands.append(Operand("thickness", lower=job.back * metre, options={"surfaces": [last]}))
+    elif float(items[last].thickness) > 0:
+        least = min(0.1 * size, float(items[last].thickness))
+        operands.append(Operand("thickness", lower=least, options={"surfaces": [last]}))
+    if job.track is not None:
+        operands.append(Operand("total_track", upper=job.track * metre))
+    if job.chief_ray_angle is not None:
+        operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=job.chief_ray_angle))
+    height = _image_height(system)
+    if height:
+        now = float(distortion(system)[system.reference].detach().abs().max())
+        limit = job.distortion or max(DISTORTION, now if math.isfinite(now) else 0.0)
+        operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
+    return lens_design(system, operands, variables, solves=solves), names
+
+
+def _image_height(system) -> float:
+    """Return the largest image height of the chief rays; 0 where there is none."""
+    with torch.no_grad():
+        chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False)
+    return float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())
