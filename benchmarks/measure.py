@@ -1,4 +1,7 @@
-"""How the benchmarks measure: best and median of several runs, and the peak of resident memory."""
+"""How the benchmarks measure: best and median of several runs, and the peak of resident memory.
+
+PyTorch is imported for CUDA only, since the environments of other libraries need not have it.
+"""
 
 import pathlib
 import re
@@ -6,8 +9,6 @@ import resource
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-
-import torch
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Timing:
 
 def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
     """Return the timing of `task` after one run to warm up; CUDA work is waited for."""
-    wait = torch.cuda.synchronize if device == "cuda" else lambda: None
+    wait = _waiting_for(device)
     task()
     wait()
     seconds = []
@@ -34,7 +35,7 @@ def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
 
 def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -> dict[str, Timing]:
     """Return the timings of several tasks run in turn, so that a busy moment of the machine falls on all of them."""
-    wait = torch.cuda.synchronize if device == "cuda" else lambda: None
+    wait = _waiting_for(device)
     seconds = {name: [] for name in tasks}
     for turn in range(runs + 1):
         for name, task in tasks.items():
@@ -47,9 +48,20 @@ def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -
     return {name: Timing(min(values), sorted(values)[len(values) // 2]) for name, values in seconds.items()}
 
 
+def _waiting_for(device: str) -> Callable:
+    """Return a function that waits until the device has done its work."""
+    if device != "cuda":
+        return lambda: None
+    import torch
+
+    return torch.cuda.synchronize
+
+
 def peak_memory(device: str = "cpu") -> int:
     """Return the peak of memory so far in bytes: resident memory on the CPU, allocated memory on CUDA."""
     if device == "cuda":
+        import torch
+
         return torch.cuda.max_memory_allocated()
     # Linux counts into `ru_maxrss` what the process that started this one held.
     status = pathlib.Path("/proc/self/status")

@@ -14,9 +14,10 @@ import torch
 from tqdm import tqdm
 
 from odak.cli import files, pictures, report
-from odak.cli.job import COMPUTED_PHASES, NOISE, VOLUME_METHODS, InputError, Job, pattern_name
+from odak.cli.job import COMPUTED_PHASES, NOISE, UNITS, VOLUME_METHODS, InputError, Job, pattern_name
 from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.learn import wave
+from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.tools import zero_pad
 from odak.learn.wave import holograms
 from odak.wave import sampling_report
@@ -48,7 +49,8 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
     Raises
     ------
     InputError
-        If the picture, the device, the propagation type or the output folder cannot be used.
+        If the picture, the device, the propagation type or the output folder cannot be used, or the network was not
+        trained for the lengths.
     """
     with report.collected_warnings() as texts:
         start = time.perf_counter()
@@ -56,6 +58,8 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         check_propagation_type(job.propagation_type)
         device = report.find_device(job.device)
         target = load_target(job)
+        if job.method == "network":
+            check_training_range(job, target.wavelengths)
         folder = files.writable_folder(job.output)
         volume = job.method in VOLUME_METHODS
         names = _frame_files(job, target) if volume else [name for own in _channel_files(job, target) for name in own]
@@ -92,6 +96,41 @@ def check_propagation_type(name: str) -> None:
     if method is not None and method.name in UNFIT:
         accepted = ", ".join(repr(kind) for kind in PROPAGATION_TYPES if kind in (*fit, "auto"))
         raise InputError(f"--propagation-type must be one of {accepted}; got {name!r}")
+
+
+def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
+    """Raise InputError unless the weights of the network that come with odak were trained for the lengths of a job.
+
+    Parameters
+    ----------
+    job : Job
+        Parameters of the run.
+    wavelengths : sequence of float
+        In metres, those of the target.
+    """
+    pitch, colours = job.pixel_pitch, ", ".join(f"{value * 1e9:.6g}nm" for value in wavelengths)
+    size = f"{job.resolution[0]} x {job.resolution[1]} pixels"
+    widest = min(SPREADS[1], 2 * FARTHEST * min(job.resolution))
+    for name, value, least, most, unit, given in (
+        ("--pixel-pitch", pitch, max(wavelengths) / RATIOS[1], min(wavelengths) / RATIOS[0], "um", colours),
+        (
+            "--distance",
+            job.distance,
+            SPREADS[0] * pitch**2 / min(wavelengths),
+            widest * pitch**2 / max(wavelengths),
+            "mm",
+            f"{colours}, a pixel pitch of {pitch * 1e6:.4g}um and {size}",
+        ),
+    ):
+        if least > most:
+            raise InputError(f"--method network takes no {name} for wavelengths as different as {colours}")
+        # The slack is that of the rounded ends in the message.
+        if not 0.995 * least <= value <= 1.005 * most:
+            least, most, value = (length / UNITS[unit] for length in (least, most, value))
+            raise InputError(
+                f"{name} must be from {least:.3g}{unit} to {most:.3g}{unit}, which the weights of --method network "
+                f"were trained for with {given}; got {value:.4g}{unit}"
+            )
 
 
 def comparison(job: Job, target: Target, images, phases, names: list[str], quality: dict):
@@ -206,6 +245,11 @@ def _hologram(job: Job, intensity: torch.Tensor, wavelength: float) -> tuple[tor
     """
     if job.method == "double-phase":
         return _double_phase(job, intensity, wavelength), None, None
+    if job.method == "network":
+        network = hologram_network(pretrained=True).to(intensity.device)
+        with torch.no_grad():
+            phase = network(intensity, wavelength, job.pixel_pitch, job.distance)
+        return wave.generate_complex_field(1.0, phase), None, None
     with _progress(job, f"{wavelength * 1e9:.6g} nm") as clock:
         hologram = (_descend if job.method == "sgd" else _retrieve)(job, intensity, wavelength, clock.tick)
         _finish(intensity.device)

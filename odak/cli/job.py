@@ -15,7 +15,7 @@ from odak._warnings import ArgumentWarning, warn
 NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
 RANDOM_PHASES = (*NOISE, "uniform")
 VOLUME_METHODS = ("multiplane", "multi-color")
-METHODS = ("sgd", "gs", "double-phase", *VOLUME_METHODS)
+METHODS = ("sgd", "gs", "double-phase", "network", *VOLUME_METHODS)
 # Starts of gradient descent that are computed from the picture.
 COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
@@ -105,7 +105,7 @@ class Job:
     scale : bool
         Let gradient descent choose the picture's brightness.
     initial_phase : str, optional
-        One of `INITIAL_PHASES`; by default the one that serves the method best.
+        One of `INITIAL_PHASES`; by default the one that serves the method best. None with the method "network".
     seed : int
         Seed of the random initial phases.
     grating : bool
@@ -170,6 +170,8 @@ class Job:
             raise InputError(str(error)) from None
         if self.fill_factor is not None and not 0 < self.fill_factor <= 1:
             raise InputError(f"--fill-factor must be above 0 and at most 1, got {self.fill_factor}")
+        if self.fill_factor is not None and self.method == "network":
+            raise InputError("--fill-factor cannot be used with --method network, which was trained for points")
         if not 1 <= self.bits <= 16:
             raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
         self._check_wavelengths()
@@ -228,6 +230,10 @@ class Job:
             self._set("initial_phase", TILES_PHASE)
             return
         chosen = self.initial_phase
+        if self.method == "network":
+            if chosen is not None:
+                raise InputError("--initial-phase has no effect with --method network, which makes the phase itself")
+            return
         if chosen is None:
             chosen = DEFAULT_INITIAL_PHASE[str(self.method)]
         self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
@@ -253,10 +259,13 @@ class Job:
     def check_effect(self, given: Collection[str]) -> None:
         """Raise InputError if a parameter that was asked for by name has no effect on this run."""
         random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS or (self.frames or 1) > 1
+        descends = self.method not in ("gs", "double-phase", "network")
         effects = {
             "iterations": (self.iterates, "which does not iterate"),
-            "learning_rate": (self.method not in ("gs", "double-phase"), "which has no step size"),
-            "scale": (self.method not in ("gs", "double-phase"), "which leaves the brightness free anyway"),
+            "learning_rate": (descends, "which has no step size"),
+            "scale": (descends, "which leaves the brightness free anyway"),
+            "propagation_type": (self.method != "network", "which was trained with Angular Spectrum"),
+            "seed": (self.method != "network", "which draws no random numbers"),
         }
         for name in given:
             effective, reason = effects.get(name, (True, ""))
@@ -297,7 +306,7 @@ class Job:
     @property
     def iterates(self) -> bool:
         """Whether the method iterates."""
-        return self.method != "double-phase"
+        return self.method not in ("double-phase", "network")
 
     def to_dict(self) -> dict:
         """Return all parameters as plain JSON values."""

@@ -71,6 +71,23 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     assert np.abs(shown - scaled).max() < 0.51 / 255 + level
 
 
+def test_the_network_makes_the_pattern_in_one_pass(picture, grey_file, tmp_path):
+    from odak.learn.models import hologram_network
+
+    geometry = ["--resolution", ROWS, COLUMNS, "--distance", "3mm", "--device", "cpu"]
+    run(grey_file, "--output", tmp_path, "--method", "network", *geometry, "--quiet")
+    report = read_report(tmp_path)
+    assert report["parameters"]["initial_phase"] is None and report["seconds_per_iteration"] is None
+    with torch.no_grad():
+        wanted = hologram_network(pretrained=True)(torch.from_numpy(picture / 255).float(), 532e-9, 8e-6, 3e-3)
+    phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
+    # A level of the file stands for the phases up to the next one; rounding in float32 reaches a little beyond.
+    below = np.angle(np.exp(1j * (wanted.numpy() - phase)))
+    assert below.min() > -1e-3 and below.max() < 2 * np.pi / 256 + 1e-3
+    shown = psnr_of(angular_spectrum_intensity(phase, 532e-9, 8e-6, 3e-3), picture / 255)
+    assert report["psnr_db"] == pytest.approx(shown, abs=1e-3) and shown > 15
+
+
 @pytest.mark.parametrize("method", ["sgd", "gs", "multi-color"])
 def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file, tmp_path):
     """A panel drawn with eight by eight samples per pixel, six by six of them lit, behind a stop for one order."""
@@ -437,6 +454,25 @@ BAD = {
         "--iterations has no effect with",
     ),
     "step size of gs": (["--method", "gs", "--learning-rate", "0.1"], "--learning-rate has no effect with --method gs"),
+    **{
+        f"{name} of the network": (["--method", "network", *arguments], text)
+        for name, arguments, text in (
+            (
+                "distance",
+                [],
+                "--distance must be from 1.42mm to 15mm, which the weights of --method network",
+            ),
+            ("pitch", ["--pixel-pitch", "30um"], "--pixel-pitch must be from 2.77um to 12.9um"),
+            ("one wavelength", ["-w", "10um", "--pixel-pitch", "20um"], "--pixel-pitch must be from 43.5um to 286um"),
+            ("size", ["--resolution", "64", "96", "-d", "9mm"], "--distance must be from 1.42mm to 7.7mm"),
+            ("wavelengths", ["-w", "300nm", "-w", "2.5um", "-w", "1um"], "wavelengths as different as 300nm, 2500nm,"),
+            ("iterations", ["--iterations", "9"], "--iterations has no effect with --method network"),
+            ("propagation", ["--propagation-type", "auto"], "--propagation-type has no effect with --method network"),
+            ("start", ["--initial-phase", "gs"], "--initial-phase has no effect with --method network"),
+            ("seed", ["--seed", "1"], "--seed has no effect with --method network"),
+            ("fill factor", ["--fill-factor", "0.9"], "--fill-factor cannot be used with --method network"),
+        )
+    },
     "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be above 0 and at most 1"),
     "start of gs": (["--method", "gs", "--initial-phase", "gs"], "--initial-phase gs needs --method sgd"),
     "brightness of gs": (["--method", "gs", "--no-scale"], "--scale has no effect with --method gs"),

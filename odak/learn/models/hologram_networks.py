@@ -19,7 +19,7 @@ __all__ = ["hologram_network"]
 # Range of wavelength·distance/pitch² and of wavelength/pitch in training; what lies outside is taken as its end.
 SPREADS, RATIOS = (10.0, 150.0), (0.035, 0.23)
 # Of the shorter side of a picture, how far light may spread for the weights that come with odak to be of use.
-_FARTHEST = 0.6
+FARTHEST = 0.6
 # Amplitudes and magnitudes below this are taken as this, of images whose mean intensity is one.
 _DARK = 1e-3
 # Pixels that a convolution sees beyond the edges of a periodic picture.
@@ -151,9 +151,9 @@ class hologram_network(nn.Module):
         if distance == 0:
             raise ValueError("distance must not be 0, where a phase makes no image")
         reach, shorter = 0.5 * wavelength * abs(distance) / dx**2, min(target.shape[-2:])
-        if self.pretrained and not self.periodic and reach > _FARTHEST * shorter:
+        if self.pretrained and not self.periodic and reach > FARTHEST * shorter:
             warn(
-                f"light spreads over {reach:.0f} pixels to each side, more than {_FARTHEST} of the {shorter} of the "
+                f"light spreads over {reach:.0f} pixels to each side, more than {FARTHEST} of the {shorter} of the "
                 "target's shorter side: the weights were not trained for that; use gradient descent",
                 AccuracyWarning,
             )
