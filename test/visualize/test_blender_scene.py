@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from odak.catalog import refractive_index
-from odak.learn.perception.color_conversion import rgb_to_linear_rgb
+from odak.learn.perception.color import rgb_to_linear_rgb
 from odak.learn.raytracing import planar_mesh, triangle_mesh
 from odak.learn.raytracing.system import load_system, optical_system, surface
 from odak.tools import save_image, write_PLY

@@ -10,9 +10,8 @@ from torch import nn
 
 from odak import _array, _validate
 from odak.learn._precision import in_own_precision
-from odak.learn.perception.color_conversion import srgb_decoded, srgb_encoded
-from odak.learn.perception.color_matrices import as_pictures, mix, rows
-from odak.learn.perception.util import check_values
+from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
+from odak.learn.perception.util import as_pictures, check_values
 from odak.learn.tools.matrix import blur_gaussian
 
 DEFICIENCIES = ("protan", "deutan", "tritan")

@@ -11,9 +11,8 @@ from torch import nn
 
 from odak import _array, _validate
 from odak.learn._tensors import tensor
-from odak.learn.perception.color_conversion import srgb_decoded
-from odak.learn.perception.color_matrices import as_pictures
-from odak.learn.perception.util import check_loss_inputs
+from odak.learn.perception.color import srgb_decoded
+from odak.learn.perception.util import as_pictures, check_loss_inputs
 
 SIGNAL_TO_NOISE = 3.0
 INTEGRATION_TIME = 0.1

@@ -15,7 +15,8 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import checked_device, floating
-from odak.learn.perception.color_matrices import as_pictures, mix
+from odak.learn.perception.color import mix
+from odak.learn.perception.util import as_pictures
 
 CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
 BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import torch
 
 from odak import _validate
-from odak.learn.perception.color_conversion import ciede2000
-from odak.learn.perception.color_spaces import xyz_to_lab
+from odak.learn.perception.color import ciede2000, xyz_to_lab
 from odak.learn.perception.display_color import color_matching_functions, cone_fundamentals
 
 # Fourier series in the logarithm of the wavelength, constant, then cosine and sine of each order: logarithms of the

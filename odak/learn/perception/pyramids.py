@@ -13,8 +13,8 @@ from odak import _validate
 from odak.learn._precision import in_own_precision
 from odak.learn._tensors import checked_device, checked_dtype
 from odak.learn.perception import pyramid_filter_design
-from odak.learn.perception.color_matrices import is_plain
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, quadrature, steering
+from odak.learn.perception.util import is_plain
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -753,7 +753,7 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
     -------
     torch.Tensor
         ``[B, C, K, H / stride, W / stride]``, rounded up; differentiable any number of times in the image. On a CPU its
-        memory is laid out as ``[H, B, C, K, W]``, which is what samplers of :mod:`odak.learn.perception.pooling`
+        memory is laid out as ``[H, B, C, K, W]``, which is what samplers of :mod:`odak.learn.perception.foveation`
         read fastest.
 
     Notes

@@ -11,19 +11,10 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._precision import in_own_precision
-from odak.learn.perception.color_conversion import srgb_decoded
-from odak.learn.perception.color_matrices import (
-    BT709_PRIMARIES,
-    IEC_WHITE,
-    _rgb_to_xyz_rows,
-    as_pictures,
-    constant,
-    mix,
-    rows,
-)
+from odak.learn.perception.color import BT709_PRIMARIES, IEC_WHITE, _rgb_to_xyz_rows, constant, mix, rows, srgb_decoded
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.hdr import PU21_LIMITS, PU21_PARAMETERS, pu21_encode
-from odak.learn.perception.util import checked_pair
+from odak.learn.perception.util import as_pictures, checked_pair
 from odak.learn.tools import loss
 from odak.learn.tools.loss import psnr
 

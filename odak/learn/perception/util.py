@@ -1,10 +1,10 @@
-"""Checks and depth slices shared by the perception modules, and the Gaussian blur of the tools."""
+"""Checks of pictures, block-wise evaluation and depth slices shared by the perception modules."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 
-from odak import _array, _validate
+from odak import _array, _torch_private, _validate
 from odak.learn._tensors import tensor
 from odak.learn.tools.matrix import blur_gaussian
 
@@ -110,6 +110,22 @@ def checked_pair(
     return predictions.to(dtype), targets.to(dtype)
 
 
+def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
+    """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
+        wanted = "C" if channels is None else channels
+        raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")
+    return image if image.ndim > 3 else image[None]
+
+
+def in_float64(values: torch.Tensor) -> torch.Tensor:
+    """Return values in float64 where the device has it."""
+    return values if values.device.type == "mps" else values.double()
+
+
 def slice_rgbd_targets(
     target: torch.Tensor, depth: torch.Tensor, depth_plane_positions: Sequence[float] | torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -161,3 +177,85 @@ def slice_rgbd_targets(
     inside[-1] |= depth == edges[-1]
     masks = inside[:, None].expand(-1, target.shape[0], -1, -1)
     return target * masks, masks.to(torch.int32)
+
+
+# Values that one thread takes at a time: a few such blocks fit a core's cache, and a call costs little beside them.
+BLOCK = 1 << 17
+
+Gradient = Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+def by_pixels(
+    function: Callable[[torch.Tensor], torch.Tensor], image: torch.Tensor, gradient: Gradient
+) -> torch.Tensor:
+    """Apply a function of single pixels to pictures, in blocks whose intermediate results stay in the cache of a CPU.
+
+    Parameters
+    ----------
+    function : callable
+        Maps pixels ``[..., C, n]`` to ``[..., C', n]``. It must not depend on other tensors that require a gradient.
+    image : torch.Tensor
+        ``[..., C, H, W]``.
+    gradient : callable
+        Maps pixels, the values of the function and the gradient with respect to these to the gradient with respect to
+        the pixels.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., C', H, W]``; differentiable as often as the function is.
+    """
+    size = image.shape[-2:]
+    if not image.numel() or not is_plain(image):
+        return function(image.flatten(-2)).unflatten(-1, size)
+    result = _Blocks.apply(image.reshape(-1, image.shape[-3], size.numel()), function, gradient)
+    return result.reshape(*image.shape[:-3], -1, *size)
+
+
+def by_values(
+    function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, gradient: Gradient
+) -> torch.Tensor:
+    """Apply a function of single numbers to a tensor of any shape; otherwise as :func:`by_pixels`."""
+    if not values.numel() or not is_plain(values):
+        return function(values)
+    return by_pixels(function, values.reshape(1, 1, -1), gradient).reshape(values.shape)
+
+
+def is_plain(image: torch.Tensor) -> bool:
+    """Return whether a tensor is on a CPU, without a transform, forward-mode derivative or compiler."""
+    if image.device.type != "cpu" or _torch_private.is_transformed():
+        return False
+    # Not the image alone: tensors beside one that is vmapped take part in the same operations.
+    return not _torch_private.in_functional_transform()
+
+
+class _Blocks(torch.autograd.Function):
+    @staticmethod
+    def forward(context, flat, function, gradient):
+        context.function, context.gradient = function, gradient
+        saved, flat, result = flat, flat.detach(), None
+        for index, place in _places(flat):
+            block = function(flat[index, :, place])
+            if result is None:
+                result = block.new_empty(len(flat), len(block), flat.shape[-1])
+            result[index, :, place] = block
+        context.save_for_backward(saved, result)
+        return result
+
+    @staticmethod
+    def backward(context, outer):
+        flat, value = context.saved_tensors
+        if torch.is_grad_enabled():
+            # Derivatives of the gradient are wanted.
+            return torch.autograd.grad(context.function(flat), flat, outer, create_graph=True)[0], None, None
+        result = torch.empty_like(flat)
+        for index, place in _places(flat):
+            block = context.gradient(flat[index, :, place], value[index, :, place], outer[index, :, place])
+            result[index, :, place] = block
+        return result, None, None
+
+
+def _places(flat):
+    """Return the index and the slice of pixels of each block."""
+    count, step = flat.shape[-1], max(1, BLOCK * torch.get_num_threads() // flat.shape[1])
+    return [(index, slice(start, start + step)) for index in range(len(flat)) for start in range(0, count, step)]

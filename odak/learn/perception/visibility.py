@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn.perception.color_conversion import srgb_decoded, srgb_to_lab
+from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.csf import sensitivity
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from odak.learn import perception as p
-from odak.learn.perception import color_conversion, color_matrices
-from odak.learn.perception.color_matrices import by_pixels, by_values
+from odak.learn.perception import color, util
+from odak.learn.perception.util import by_pixels, by_values
 
 CONVERSIONS = (
     p.rgb_2_ycrcb, p.ycrcb_2_rgb, p.rgb_to_linear_rgb, p.linear_rgb_to_rgb, p.linear_rgb_to_xyz, p.xyz_to_linear_rgb,
@@ -23,7 +23,7 @@ def test_blocks_do_not_show(function, monkeypatch):
     image, outer = noise(2, 3, 5, 7).requires_grad_(), noise(2, 3, 5, 7, seed=1)
     results = []
     for size in (1 << 17, 12):
-        monkeypatch.setattr(color_matrices, "BLOCK", size)
+        monkeypatch.setattr(util, "BLOCK", size)
         value = function(image)
         results.append((value, torch.autograd.grad(value, image, outer)[0]))
         with torch.no_grad():
@@ -50,7 +50,7 @@ def test_written_gradients_beside_the_edges():
     values = torch.tensor([-0.3, -0.055, 0.0, 1e-6, 0.0031307, 0.0031309, 0.0404, 0.0405, 0.2, 1.0, 1.7]).double()
     grid = torch.cartesian_prod(values, values[1:4], values[-3:]).T
     for name in ("decoded", "encoded", "to_lab", "from_lab"):
-        function, gradient = (getattr(color_conversion, f"_{name}{end}") for end in ("", "_gradient"))
+        function, gradient = (getattr(color, f"_{name}{end}") for end in ("", "_gradient"))
         point = {"from_lab": 100 * grid, "to_lab": grid}.get(name, values).clone().requires_grad_()
         result = function(point)
         outer = noise(*result.shape)
@@ -84,12 +84,12 @@ def test_blocks_are_as_large_as_told(monkeypatch):
         return list(seen)
 
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
-    monkeypatch.setattr(color_matrices, "BLOCK", 12)
+    monkeypatch.setattr(util, "BLOCK", 12)
     assert sizes(lambda: by_pixels(doubled, noise(2, 3, 5, 7), ones)) == 2 * ([4] * 8 + [3])
     assert sizes(lambda: by_values(doubled, noise(5, 6), ones)) == [12, 12, 6]
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     assert sizes(lambda: by_pixels(doubled, noise(1, 3, 5, 7), ones)) == [8] * 4 + [3]
-    monkeypatch.setattr(color_matrices, "BLOCK", 1)
+    monkeypatch.setattr(util, "BLOCK", 1)
     assert sizes(lambda: by_pixels(doubled, noise(1, 3, 1, 4), ones)) == [1] * 4
     # Transforms follow one operation on the whole picture, whatever its axes.
     picture, along = noise(2, 2, 3, 5, 7), noise(2, 2, 3, 5, 7, seed=1)

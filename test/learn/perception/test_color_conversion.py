@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odak.learn import perception as p
-from odak.learn.perception.color_matrices import BT709_PRIMARIES, IEC_WHITE, PRIMARIES, XYZ_WHITE, constant, mix
+from odak.learn.perception.color import BT709_PRIMARIES, IEC_WHITE, PRIMARIES, XYZ_WHITE, constant, mix
 
 PAIRS = {
     "sRGB": (p.rgb_to_linear_rgb, p.linear_rgb_to_rgb, 1e-13),

@@ -18,9 +18,8 @@ from odak.learn.perception import (
     texture_statistics,
     uniform_blur,
 )
-from odak.learn.perception.foveation import _level
+from odak.learn.perception.foveation import MipSampler, _level
 from odak.learn.perception.joint_statistics import NEIGHBOURS, descended, joint_maps
-from odak.learn.perception.pooling import MipSampler
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
 

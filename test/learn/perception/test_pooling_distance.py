@@ -4,9 +4,8 @@ import pytest
 import torch
 
 from odak.learn.perception import MetamericLoss, MetamericLossUniform, rgb_2_ycrcb
-from odak.learn.perception.pooling import (
-    MipSampler,
-    UniformSampler,
+from odak.learn.perception.foveation import MipSampler, UniformSampler
+from odak.learn.perception.metameric import (
     as_maps,
     local_statistics,
     pooled,

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odak.learn.perception import pooling
-from odak.learn.perception.pooling import Banded, MipSampler, UniformSampler
+from odak.learn.perception import foveation
+from odak.learn.perception.foveation import Banded, MipSampler, UniformSampler
 
 
 def noise(*shape, seed=0):
@@ -53,18 +53,18 @@ def test_planes_come_in_chunks_and_rows_in_strips(monkeypatch):
     picture = noise(1, 5, 40, 24).requires_grad_()
     for name, sampler in samplers(40, 24).items():
         whole = sampler(picture)
-        monkeypatch.setattr(pooling, "CHUNK", 1)
-        monkeypatch.setattr(pooling, "_strip_rows", lambda columns: 7)
-        pooling._mip_levels.cache_clear()
-        pooling._uniform_levels.cache_clear()
+        monkeypatch.setattr(foveation, "CHUNK", 1)
+        monkeypatch.setattr(foveation, "_strip_rows", lambda columns: 7)
+        foveation._mip_levels.cache_clear()
+        foveation._uniform_levels.cache_clear()
         small = samplers(40, 24)[name]
         assert len(small.strips) == 6
-        assert len(pooling.plane_chunks(small, picture[0].movedim(0, 1))) == 5
+        assert len(foveation.plane_chunks(small, picture[0].movedim(0, 1))) == 5
         torch.testing.assert_close(small(picture), whole)
         torch.testing.assert_close(*[torch.autograd.grad(v.pow(2).sum(), picture)[0] for v in (small(picture), whole)])
         monkeypatch.undo()
-        pooling._mip_levels.cache_clear()
-        pooling._uniform_levels.cache_clear()
+        foveation._mip_levels.cache_clear()
+        foveation._uniform_levels.cache_clear()
 
 
 @pytest.mark.parametrize("name", ["mip", "uniform"])
