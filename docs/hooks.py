@@ -1,16 +1,21 @@
 """What MkDocs does besides: equations become MathML, and notebooks get a way to be run and words for their pictures.
 
-MathML is drawn by the browser itself, so pages need no script and nothing from the network.
+MathML is drawn by the browser itself, so pages need no script and nothing from the network. Wide figures are marked, so
+that a phone scrolls them instead of making their text too small to read.
 """
 
+import base64
+import io
 import logging
 import posixpath
 import re
+from pathlib import Path
 from urllib.parse import urldefrag, urlparse
 
 import latex2mathml.converter
 import nbformat
 from bs4 import BeautifulSoup, NavigableString
+from PIL import Image
 
 _log = logging.getLogger("mkdocs.plugins.notebooks")
 _MATHS = re.compile(r"\$\$(?P<display>.+?)\$\$|(?<!\\)\$(?P<inline>[^$\s](?:[^$]*[^$\s\\])?)\$", re.DOTALL)
@@ -24,7 +29,7 @@ _RUN = (
 def on_page_content(html, page, config, files):
     """Return a page's HTML with its equations drawn; a notebook's with its download and picture texts too."""
     is_notebook = page.file.src_path.endswith(".ipynb")
-    if not is_notebook and "arithmatex" not in html:
+    if not is_notebook and "arithmatex" not in html and "<img" not in html:
         return html
     soup = BeautifulSoup(html, "html.parser")
     for element in soup.select(".arithmatex"):
@@ -33,7 +38,25 @@ def on_page_content(html, page, config, files):
     if is_notebook:
         _resolve_links(soup, page, files)
         _finish_notebook(soup, page)
+    for image in soup.select("p > img:only-child, .jp-OutputArea-output img"):
+        if _is_wide(image["src"], Path(config["docs_dir"]) / page.url):
+            image["class"] = "wide-figure"
+            image.parent["class"] = [*image.parent.get("class", []), "scrolled-figure"]
     return str(soup)
+
+
+def _is_wide(source, folder):
+    """Return whether a picture, of a file or within the page, has at least 600 pixels and is much wider than high."""
+    if source.startswith("data:image/svg") or source.endswith(".svg"):
+        return False
+    if source.startswith("data:"):
+        file = io.BytesIO(base64.b64decode(source.partition(",")[2]))
+    else:
+        file = Path(posixpath.normpath(folder / source))
+        if not file.is_file():
+            return False
+    with Image.open(file) as picture:
+        return picture.width >= 600 and picture.width > 1.9 * picture.height
 
 
 def _finish_notebook(soup, page):

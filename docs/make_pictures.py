@@ -101,7 +101,7 @@ def refresh(path: Path) -> list[str]:
         results = run_page(path, Path(folder))
         path.write_text(with_outputs(path, results), encoding="utf-8")
         shutil.rmtree(target, ignore_errors=True)
-        found = sorted(Path(folder).rglob("*.png"))
+        found = sorted(Path(folder).glob("*.png"))
         for picture in found:
             target.mkdir(parents=True, exist_ok=True)
             store(picture, target / picture.name)
@@ -115,7 +115,7 @@ def store(picture: Path, target: Path) -> None:
     shutil.copyfile(picture, target)
     if target.stat().st_size > LARGE:
         with Image.open(picture) as image:
-            smaller = image.convert("RGB").quantize(256, dither=Image.Dither.NONE)
+            smaller = image.convert("RGB").quantize(256, kmeans=8, dither=Image.Dither.NONE)
         stream = io.BytesIO()
         smaller.save(stream, "png", optimize=True)
         if stream.tell() < target.stat().st_size:

@@ -11,9 +11,9 @@ from odak.tools import load_image
 from odak.visualize import blender
 
 photo = load_image(str(files("odak") / "assets" / "scene.png")).astype(np.uint8)
-picture = blender.scene(unit="mm", resolution=(700, 900))
+picture = blender.scene(unit="mm", resolution=(675, 900))
 picture.add_sphere([0, 0, 0], 5.0, material="N-BK7")
-picture.add_image(photo, [44, 44], location=[0, 0, 25], rotation=[0, 180, 0])
+picture.add_image(photo, [78, 44], location=[0, 0, 25], rotation=[0, 180, 0])
 picture.add_camera([0, 0, -30], [0, 0, 0], fov=34)
 picture.set_background("#ffffff", 0.2)
 # Picture: A ball of glass before a colourful scene, which is seen upside down through it

@@ -48,8 +48,11 @@ extent = [0, 1.92, 1.92, 0]
 axes[0].imshow(target[0].permute(1, 2, 0), extent=extent)
 axes[0].set(title="target", xlabel="x (mm)", ylabel="y (mm)")
 for axis, phase, wavelength in zip(axes[1:4], phases, colours):
-    axis.imshow(phase % 6.2832, cmap="twilight", extent=extent)
+    drawn = axis.imshow(
+        phase % 6.2832, cmap="twilight", extent=extent, vmin=0, vmax=6.2832
+    )
     axis.set(title=f"frame for {1e9 * wavelength:.0f} nm", xlabel="x (mm)")
+figure.colorbar(drawn, ax=axes[1:4], label="phase (rad)", pad=0.02)
 axes[4].imshow(image.permute(1, 2, 0), extent=extent)
 axes[4].set(title="sum of the frames", xlabel="x (mm)")
 # Thumbnail: 0.1

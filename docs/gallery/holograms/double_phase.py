@@ -40,15 +40,23 @@ shown = shown * (shown * target).sum() / (shown**2).sum()
 print(f"PSNR behind the aperture {psnr(shown, target):.1f} dB")
 
 # %%
-figure, axes = plt.subplots(1, 4, figsize=(14, 3.5))
+figure, axes = plt.subplots(1, 4, figsize=(14, 3.2))
 panels = (
-    ("target", target, {"cmap": "gray", "vmin": 0, "vmax": 1}, [0, 1.6, 1.6, 0], "mm"),
+    (
+        "target",
+        target,
+        {"cmap": "gray", "vmin": 0, "vmax": 1},
+        [0, 1.6, 1.6, 0],
+        "mm",
+        "intensity",
+    ),
     (
         "double phase, detail",
         phase[180:220, 180:220] % 6.283,
-        {"cmap": "twilight"},
+        {"cmap": "twilight", "vmin": 0, "vmax": 6.283},
         [0.72, 0.88, 0.88, 0.72],
         "mm",
+        "phase (rad)",
     ),
     (
         "spectrum and aperture",
@@ -56,6 +64,7 @@ panels = (
         {},
         [-0.5, 0.5, 0.5, -0.5],
         "1/pixel",
+        "log₁₀ of the amplitude",
     ),
     (
         "behind the aperture",
@@ -63,12 +72,14 @@ panels = (
         {"cmap": "gray", "vmin": 0, "vmax": 1},
         [0, 1.6, 1.6, 0],
         "mm",
+        "intensity",
     ),
 )
-for axis, (title, picture, options, extent, unit) in zip(axes, panels):
+for axis, (title, picture, options, extent, unit, label) in zip(axes, panels):
     drawn = axis.imshow(picture, extent=extent, **options)
-    axis.set(title=title, xlabel=f"x ({unit})")
-    figure.colorbar(drawn, ax=axis, shrink=0.75)
+    axis.set(title=title, xlabel=f"x ({unit})", ylabel=f"y ({unit})")
+    axis.locator_params(nbins=5)
+    figure.colorbar(drawn, ax=axis, shrink=0.8, label=label)
 axes[2].add_patch(plt.Circle((0, 0), 0.25, fill=False, color="w", ls="--"))
 # Thumbnail: 0.9
 # Picture: Target, detail of the checkerboard of phases, spectrum with the aperture, and the image behind it

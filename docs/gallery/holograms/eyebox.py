@@ -64,8 +64,7 @@ rows = ("target", targets), ("hologram of three views", seen), ("of one view", b
 for line, (name, lights) in zip(axes, rows):
     for axis, light, place in zip(line, lights, places):
         drawn = axis.imshow(light.clamp(0, 1), cmap="gray", extent=extent)
-        axis.set_title(f"{name}, pupil at {1e3 * place[1]:+.0f} mm", fontsize=10)
-        axis.axvline(0, color="tab:orange", lw=0.6, ls=":")
+        axis.set_title(f"{name}, pupil at {1e3 * place[1]:.0f} mm", fontsize=10)
     line[0].set_ylabel("y (mm)")
 for axis in axes[-1]:
     axis.set_xlabel("x (mm)")

@@ -29,7 +29,8 @@ stack = incoherent_focal_stack_rgbd(
 
 # %%
 figure, axes = plt.subplots(1, 4, figsize=(13, 3.6))
-axes[0].imshow(depth, cmap="viridis")
+drawn = axes[0].imshow(depth, cmap="viridis")
+figure.colorbar(drawn, ax=axes[0], label="depth (0 near, 1 far)", shrink=0.8)
 axes[0].set_title("depth")
 for axis, index, title in zip(axes[1:], (0, 1, 3), ("first", "second", "last")):
     axis.imshow(stack[index].permute(1, 2, 0).clamp(0, 1))

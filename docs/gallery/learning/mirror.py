@@ -47,7 +47,7 @@ figure = plt.figure(figsize=(12, 3.8))
 axes = figure.subplots(1, 3)
 drawn = axes[0].imshow(heights.T, extent=[-1, 1, -1, 1], origin="lower", cmap="viridis")
 axes[0].set(title="heights of the mirror", xlabel="x", ylabel="y")
-figure.colorbar(drawn, ax=axes[0])
+figure.colorbar(drawn, ax=axes[0], label="height")
 middle = len(heights) // 2
 place = torch.linspace(-1, 1, len(heights))
 axes[1].plot(place, heights[middle], "o", label="optimised")
@@ -57,7 +57,8 @@ axes[1].legend()
 axes[2].plot(*before.T, ".", ms=3, label="flat mirror")
 axes[2].plot(*after.T, ".", ms=3, label="optimised")
 axes[2].set(title="where the rays land", xlabel="x", ylabel="y", aspect="equal")
-axes[2].legend(loc="upper right")
+axes[2].set(ylim=(-1, 1.5), xlim=(-1.1, 1.1))
+axes[2].legend(loc="upper center", ncols=2, markerscale=3)
 # Thumbnail: 0.16
 # Picture: Heights of an optimised mirror, a section through it beside a parabola, and where its rays land
 plt.show()

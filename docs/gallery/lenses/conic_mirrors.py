@@ -44,6 +44,6 @@ for axis, (name, conic) in zip(
     size = 1e3 * float(spot_diagram(mirror, "rings", 8).rms[0].detach())
     axis.set(title=f"{name}: RMS spot {size:.1f} µm", xlabel="z (mm)")
 axes[0].set_ylabel("y (mm)")
-# Thumbnail: 0.17
+# Thumbnail: 0.517 0.315
 # Picture: Parallel rays reflected by a spherical, a parabolic and a hyperbolic mirror
 plt.show()

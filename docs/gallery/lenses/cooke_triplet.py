@@ -19,11 +19,16 @@ top, bottom = figure.subfigures(2, 1, height_ratios=(1.5, 1))
 axis = top.subplots()
 axis.imshow(draw_layout(triplet, count=9))
 axis.axis("off")
-axes = bottom.subplots(1, len(triplet.fields), sharex=True, sharey=True)
+axes = bottom.subplots(1, len(triplet.fields), sharey=True)
 for index, (axis, field) in enumerate(zip(axes, triplet.fields)):
-    for x, y in zip(spots.x[:, index], spots.y[:, index]):
-        axis.plot(1e3 * x.detach(), 1e3 * y.detach(), ".", ms=3)
+    for x, y, wavelength in zip(
+        spots.x[:, index], spots.y[:, index], triplet.wavelengths
+    ):
+        name = f"{1e6 * float(wavelength):.0f} nm"
+        axis.plot(1e3 * x.detach(), 1e3 * y.detach(), ".", ms=3, label=name)
     axis.set(title=f"field {field[1]:g}°", xlabel="x (µm)", aspect="equal")
+    axis.set_xlim(-70, 70)
 axes[0].set_ylabel("y (µm)")
+axes[0].legend(fontsize=8, markerscale=3)
 # Picture: Section through a Cooke triplet with rays of three fields, and its spot diagrams
 plt.show()

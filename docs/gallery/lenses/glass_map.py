@@ -22,12 +22,8 @@ print(f"{len(glasses)} materials")
 
 # %%
 figure, axis = plt.subplots(figsize=(9, 5.5))
-axis.scatter(
-    *zip(*glasses.values()),
-    c=[value[1] for value in glasses.values()],
-    cmap="viridis",
-    s=18,
-)
+axis.plot(*zip(*glasses.values()), "o", ms=4, color="tab:blue", alpha=0.6)
+labels = {"ha": "left", "xytext": (6, 3), "textcoords": "offset points"}
 for name in (
     "N-BK7",
     "N-SF11",
@@ -41,9 +37,8 @@ for name in (
     "SF6",
 ):
     if name in glasses:
-        axis.annotate(
-            name, glasses[name], xytext=(5, 3), textcoords="offset points", fontsize=9
-        )
+        axis.plot(*glasses[name], "o", ms=6, color="tab:red")
+        axis.annotate(name, glasses[name], fontsize=9, **labels)
 axis.set(xlabel="Abbe number", ylabel="refractive index at 587.6 nm", xlim=(100, 15))
 # Picture: Refractive index against Abbe number for the glasses of the catalogue
 plt.show()

@@ -54,12 +54,15 @@ for axis, picture, title in zip(
     axis.set_title(title)
     axis.axis("off")
 for axis, spots in zip(right.subplots(2, 1), (before, after)):
-    for x, y, color in zip(
+    for x, y, wavelength, color in zip(
         spots.x[:, 0].detach(),
         spots.y[:, 0].detach(),
+        lens.wavelengths,
         ("tab:blue", "tab:green", "tab:red"),
     ):
-        axis.plot(1e3 * x, 1e3 * y, ".", color=color, ms=4)
+        name = f"{1e6 * float(wavelength):.0f} nm"
+        axis.plot(1e3 * x, 1e3 * y, ".", color=color, ms=4, label=name)
     axis.set(xlabel="x (µm)", ylabel="y (µm)", aspect="equal")
+    axis.legend(loc="upper left", bbox_to_anchor=(1, 1), markerscale=2)
 # Picture: A doublet and its axial spot in three wavelengths, before and after optimisation
 plt.show()

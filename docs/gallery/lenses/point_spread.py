@@ -25,12 +25,17 @@ print("wavefront RMS (waves):", [round(v, 3) for v in waves.rms[middle].tolist()
 figure, axes = plt.subplots(2, 3, figsize=(12, 6.6), height_ratios=(1, 1))
 for index, field in enumerate(lens.fields[:2]):
     axis = axes[0, index]
+    path = waves.path[middle, index].detach()
+    most = float(path.abs().nan_to_num().max())
     drawn = axis.scatter(
         *waves.pupil.T,
-        c=waves.path[middle, index].detach(),
-        s=9,
+        c=path,
+        s=16,
         marker="s",
+        lw=0,
         cmap="RdBu",
+        vmin=-most,
+        vmax=most,
     )
     axis.set(
         title=f"wavefront, field {field[1]:g}°",
@@ -45,7 +50,11 @@ for index, field in enumerate(lens.fields[:2]):
     drawn = axis.imshow(
         image.sqrt(), extent=[-64 * pitch, 64 * pitch, 64 * pitch, -64 * pitch]
     )
-    axis.set(title="point spread function", xlabel="x (µm)", ylabel="y (µm)")
+    axis.set(
+        title=f"point spread function, field {field[1]:g}°",
+        xlabel="x (µm)",
+        ylabel="y (µm)",
+    )
     figure.colorbar(drawn, ax=axis, label="amplitude")
 for index, field in enumerate(lens.fields):
     axes[0, 2].plot(

@@ -42,10 +42,19 @@ axis.plot(
 )
 for wavelength in (460, 480, 500, 520, 540, 560, 580, 600, 620):
     point = locus[:2, wavelength - 400]
+    away = point - torch.tensor([0.31, 0.33])  # from white
+    place = (12 * away / away.norm()).tolist()
+    axis.plot(*point, "k.", ms=4)
     axis.annotate(
-        f"{wavelength}", point, xytext=(4, 4), textcoords="offset points", fontsize=8
+        f"{wavelength}",
+        point,
+        xytext=place,
+        textcoords="offset points",
+        fontsize=8,
+        ha="center",
+        va="center",
     )
-axis.set(xlabel="x", ylabel="y", xlim=(0, 0.8), ylim=(0, 0.9))
+axis.set(xlabel="x", ylabel="y", xlim=(-0.05, 0.8), ylim=(0, 0.9))
 axis.legend()
 # Picture: The chromaticity diagram in colour, with the spectral locus and the gamuts of sRGB and of three lasers
 plt.show()

@@ -29,5 +29,6 @@ for a in range(-80, 81, 20):
 axis.set(
     xlabel="a*", ylabel="b*", aspect="equal", title="contours of ΔE₀₀ = 3 at L* = 60"
 )
+# Thumbnail: 0.5 1
 # Picture: Contours of equal CIEDE2000 difference in the plane of a* and b*, filled with their colours
 plt.show()

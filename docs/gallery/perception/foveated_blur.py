@@ -18,17 +18,18 @@ scene = load_image(files("odak") / "assets" / "scene.png", torch_style=True)[
 scene = torch.nn.functional.interpolate(scene, (512, 512), mode="area")
 blur = RadiallyVaryingBlur()
 figure, axes = plt.subplots(1, 3, figsize=(12, 4.1))
-axes[0].imshow(scene[0].permute(1, 2, 0))
-axes[0].set_title("image, 0.4 m wide, seen from 0.4 m")
+extent = [0, 40, 40, 0]
+axes[0].imshow(scene[0].permute(1, 2, 0), extent=extent)
+axes[0].set(title="image, seen from 40 cm", ylabel="y (cm)")
 for axis, gaze in zip(axes[1:], ((0.25, 0.7), (0.8, 0.5))):
     image = blur.blur(
         scene, alpha=0.2, real_image_width=0.4, real_viewing_distance=0.4, centre=gaze
     )
-    axis.imshow(image[0].permute(1, 2, 0).clamp(0, 1))
-    axis.plot(512 * gaze[0], 512 * gaze[1], "k+", ms=14, mew=2)
+    axis.imshow(image[0].permute(1, 2, 0).clamp(0, 1), extent=extent)
+    axis.plot(40 * gaze[0], 40 * gaze[1], "k+", ms=14, mew=2)
     axis.set_title("gaze at the cross")
 for axis in axes:
-    axis.axis("off")
+    axis.set_xlabel("x (cm)")
 # Thumbnail: 0.5
 # Picture: A scene, and two versions of it that are sharp at the gaze and blurred away from it
 plt.show()

@@ -30,7 +30,7 @@ for axis, picture, title in (
     axis.set_title(title)
 drawn = axes[2].imshow(difference, cmap="viridis")
 axes[2].set_title("absolute difference")
-figure.colorbar(drawn, ax=axes[2], shrink=0.8)
+figure.colorbar(drawn, ax=axes[2], shrink=0.8, label="mean of the channels")
 rows, columns = photo.shape[-2:]
 for axis in axes:
     axis.plot(gaze[0] * columns, gaze[1] * rows, "w+", ms=14, mew=2)

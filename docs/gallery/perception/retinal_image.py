@@ -25,6 +25,7 @@ for axis, accommodation in zip(axes, (0.0, 1.5, 3.5)):
     axis.imshow(seen.clamp(0, 1).permute(1, 2, 0) ** (1 / 2.2), extent=(0, 6, 0, 6))
     axis.set_title(f"in focus: red {red:.1f}, green {green:.1f}, blue {blue:.1f} D")
     axis.set_xlabel("visual angle (degrees)")
+axes[0].set_ylabel("visual angle (degrees)")
 figure.suptitle("a picture at 0.5 m (2 dioptres), pupil of 4 mm")
 # Picture: A cup seen by an eye focused beyond it, at it, and in front of it
 plt.show()

@@ -29,6 +29,6 @@ for axis, (name, n1, n2) in zip(axes, cases):
     axis.set(title=name, xlabel="angle of incidence (°)", ylim=(0, 1.02))
     axis.legend()
 axes[0].set_ylabel("reflectance")
-# Thumbnail: 0.17
+# Thumbnail: 0.18 0.36
 # Picture: Reflectance of s and p polarised light by angle, at glass from both sides and at gold
 plt.show()

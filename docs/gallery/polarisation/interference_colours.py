@@ -40,6 +40,6 @@ for wavelength, color in ((450, "tab:blue"), (550, "tab:green"), (650, "tab:red"
         path, passed[int((wavelength - 400) / 5)], color=color, label=f"{wavelength} nm"
     )
 axes[1].set(xlabel="path difference (nm)", ylabel="transmission")
-axes[1].legend(ncols=3, loc="upper right")
+axes[1].legend(ncols=3, loc="lower right", bbox_to_anchor=(1, 0.98))
 # Picture: Newton's colours of a birefringent wedge, and its transmission at three wavelengths
 plt.show()

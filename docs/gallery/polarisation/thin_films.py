@@ -55,6 +55,6 @@ axes[2].set(
     xlabel="angle of incidence (°)",
 )
 axes[2].legend()
-# Thumbnail: 0.5
+# Thumbnail: 0.498 0.336
 # Picture: Reflectance of coated glass and of a mirror by wavelength, and of the mirror by angle for both polarisations
 plt.show()

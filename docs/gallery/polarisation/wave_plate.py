@@ -40,7 +40,9 @@ path = np.stack(
 sphere.plot(*path[:, 1:].T, color="tab:red", lw=2)
 axis_of_plate = 1.2 * np.array([np.cos(np.radians(60)), np.sin(np.radians(60)), 0])
 sphere.plot(*np.stack((-axis_of_plate, axis_of_plate)).T, "k--", lw=1)
-sphere.set(xlabel="S₁", ylabel="S₂", zlabel="S₃", box_aspect=(1, 1, 1))
-# Thumbnail: 0.82
+ticks = {f"{name}ticks": (-1, 0, 1) for name in "xyz"}
+sphere.set(xlabel="S₁", ylabel="S₂", zlabel="S₃", box_aspect=(1, 1, 1), **ticks)
+sphere.set_box_aspect((1, 1, 1), zoom=0.9)
+# Thumbnail: 0.8 0.4
 # Picture: Polarisation ellipses for eight retardances, and their path on the Poincaré sphere
 plt.show()

@@ -38,7 +38,8 @@ for axis, index in zip(axes, (0, 3)):
 axes[2].plot(1e3 * place[372:628], images[3][128])
 axes[2].axvspan(-0.5, 0.5, color="0.9", label="geometrical shadow")
 axes[2].set(title="row through the centre, 30 cm", xlabel="x (mm)", ylabel="intensity")
-axes[2].legend(loc="center right")
+axes[2].set_ylim(0, 1.25)
+axes[2].legend(loc="upper center")
 # Thumbnail: 0.42
 # Picture: Shadows of a disc with a bright spot in the centre, and the intensity along a row
 plt.show()

@@ -32,8 +32,8 @@ figure, axes = plt.subplots(1, 2, figsize=(11, 3.8), width_ratios=(1.6, 1))
 x = (np.arange(400) - 200) * 10e-3
 for radius, row in list(zip(radii, rows))[::2]:
     axes[0].plot(x, row / rows[0].max(), label=f"{1e3 * radius:g} mrad")
-axes[0].set(xlabel="x (mm)", ylabel="intensity", xlim=(-2, 2))
-axes[0].legend(title="radius of the source")
+axes[0].set(xlabel="x (mm)", ylabel="intensity", xlim=(-2, 2), ylim=(0, 1.3))
+axes[0].legend(title="radius of the source", ncols=3, loc="upper center")
 rho = 2 * np.pi * np.linspace(1e-6, 1e-3, 200) * apart / wavelength
 axes[1].plot(
     np.linspace(0, 1, 200), np.abs(2 * j1(rho) / rho), label="van Cittert–Zernike"
@@ -41,6 +41,6 @@ axes[1].plot(
 axes[1].plot(1e3 * np.array(radii), visibility, "o", label="computed fringes")
 axes[1].set(xlabel="radius of the source (mrad)", ylabel="visibility")
 axes[1].legend()
-# Thumbnail: 0.3
+# Thumbnail: 0.3 0.6
 # Picture: Fringes of two slits for three sizes of the source, and their visibility beside the closed form
 plt.show()

@@ -30,7 +30,7 @@ print(f"largest deviation from the closed form: {np.abs(radius / exact - 1).max(
 # %%
 figure, axis = plt.subplots(figsize=(9, 4))
 drawn = axis.imshow(
-    section,
+    section.clip(1e-9),  # a logarithmic scale has no place for zeros
     extent=[0, 100 * z[-1], 1e3 * place[-1], 1e3 * place[0]],
     aspect="auto",
     norm="log",
@@ -46,7 +46,8 @@ for sign in (-1, 1):
         label="w(z), closed form" if sign > 0 else None,
     )
 axis.set(xlabel="z (cm)", ylabel="x (mm)", ylim=(-1, 1))
-axis.legend(labelcolor="w")
+axis.legend(labelcolor="w", loc="upper center")
 figure.colorbar(drawn, label="intensity")
+# Thumbnail: 0.4
 # Picture: Section along a Gaussian beam that widens, with the closed form of its radius
 plt.show()
