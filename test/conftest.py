@@ -6,8 +6,17 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
 import array_api_strict
+import hypothesis
 import numpy as np
 import pytest
+
+# The same examples in every run, however long they take: what a run finds depends on neither chance nor the machine's
+# load. `--hypothesis-profile search` draws others.
+for profile, fixed in (("fixed", True), ("search", False)):
+    hypothesis.settings.register_profile(
+        profile, derandomize=fixed, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+    )
+hypothesis.settings.load_profile("fixed")
 
 
 @pytest.fixture(autouse=True)

@@ -319,7 +319,7 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
 
 
 @given(st.lists(st.text("abc MW_.", min_size=1, max_size=90), min_size=4, max_size=4), st.integers(4, 700))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_captions_stay_within_their_panels(captions, width):
     panels = [pictures.picture_panel(caption, torch.zeros(1, 8, width)) for caption in captions]
     cell = max(width, pictures.NARROWEST)

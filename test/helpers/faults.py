@@ -5,7 +5,6 @@ import os
 import random
 import signal
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -89,7 +88,7 @@ def in_a_child(work):
             work()
         os._exit(0)
     _, status = os.waitpid(child, 0)
-    return os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGKILL
+    return os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGKILL, signal.SIGALRM)
 
 
 def kill_writers(folder):
@@ -173,9 +172,10 @@ def kill_again_and_again(run, path, chance):
     """Run in children that are killed at random, ever later times until one comes to its end; return how many were."""
 
     def timed():
-        delay = chance.uniform(0.01, 0.1) * (1 + kills / 5)
-        threading.Thread(target=lambda: (time.sleep(delay), die()), daemon=True).start()
-        run(path, pause=0.004)
+        # The first two come before any machine is through the pauses of a run, which take some 0.1 s or more; the
+        # system's own timer keeps to that on a busy one too.
+        signal.setitimer(signal.ITIMER_REAL, chance.uniform(0.01, 0.03) * (1 + kills))
+        run(path, pause=0.008)
 
     kills = 0
     while in_a_child(timed):

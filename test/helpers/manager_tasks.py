@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import torch
+from processes import wait_for
 
 from odak.learn.wave import stochastic_gradient_descent
 
@@ -29,19 +30,10 @@ def nap(seconds, value):
     return value, start
 
 
-def leave_mark(path):
-    """Make a file."""
-    Path(path).touch()
-    return "quick"
-
-
 def await_mark(path):
-    """Wait for a file to be there, and a little longer."""
-    end = time.monotonic() + 30
-    while not Path(path).exists() and time.monotonic() < end:
-        time.sleep(0.02)
-    time.sleep(0.5)
-    return "slow"
+    """Wait for a file to be there."""
+    wait_for(Path(path).exists)
+    return "marked"
 
 
 def divide(a, b=1):

@@ -7,12 +7,12 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+
+from processes import LIMIT, wait_for
 
 HELPERS = Path(__file__).resolve().parent
 ROOT = HELPERS.parents[1]
-LIMIT = 60
 
 
 # Runs a module, and ends when the pipe closes: with the tests, however these end.
@@ -62,16 +62,6 @@ def tls_options(folder):
     """Return the options of `dask scheduler` and of odak for the certificates in a folder."""
     files = (("--tls-ca-file", "ca.pem"), ("--tls-cert", "cert.pem"), ("--tls-key", "key.pem"))
     return tuple(part for option, name in files for part in (option, str(folder / name)))
-
-
-def wait_for(condition, running=None):
-    """Return what `condition` returns once it is true."""
-    end = time.monotonic() + LIMIT
-    while not (found := condition()):
-        assert time.monotonic() < end, "it took too long"
-        assert running is None or running.poll() is None, "the program ended"
-        time.sleep(0.02)
-    return found
 
 
 def stop(*programs):

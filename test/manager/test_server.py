@@ -6,12 +6,12 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 
 import pytest
 from manager_tasks import divide, nap, search_path
-from running_cluster import ROOT, start_scheduler, start_workers, stop, tls_options, wait_for
+from processes import is_running, wait_for
+from running_cluster import ROOT, start_scheduler, start_workers, stop, tls_options
 
 from odak import OdakWarning
 from odak.cli import main
@@ -20,14 +20,6 @@ from odak.manager.server import check_transport
 
 distributed = pytest.importorskip("distributed")
 pytestmark = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system")
-
-
-def alive(process):
-    try:
-        with open(f"/proc/{process}/stat", encoding="utf-8") as stat:
-            return stat.read().rpartition(")")[2].split()[0] != "Z"
-    except FileNotFoundError:
-        return False
 
 
 def script(text, **options):
@@ -81,7 +73,7 @@ def test_a_plain_script_uses_all_cores_by_default_and_leaves_nothing_behind():
     with script(code) as running:
         processes = set(map(int, running.communicate(timeout=120)[0].split()))
     assert running.returncode == 0 and len(processes) == 4 and running.pid not in processes
-    wait_for(lambda: not any(map(alive, processes)))
+    wait_for(lambda: not any(map(is_running, processes)))
 
 
 @pytest.mark.slow
@@ -97,9 +89,9 @@ def test_workers_end_with_a_program_that_is_killed():
     """
     with script(code) as running:
         processes = list(map(int, running.stdout.readline().split()))
-        assert len(processes) == 2 and all(map(alive, processes))
+        assert len(processes) == 2 and all(map(is_running, processes))
         running.kill()
-    wait_for(lambda: not any(map(alive, processes)))
+    wait_for(lambda: not any(map(is_running, processes)))
 
 
 @pytest.mark.slow
@@ -143,13 +135,12 @@ def test_a_machine_leaves_when_asked(pair):
 @pytest.mark.slow
 def test_the_program_of_the_workers_killed():
     with agent(nap, workers=1, verbose=False) as work:
-        work.submit((60.0, None))
-        start = time.monotonic()
+        # Longer than pytest lets any test take: the task does not end before its process.
+        work.submit((3600.0, None))
         work.connect()
         work._backend._server._workers._program.kill()
         with pytest.raises(ConnectionError, match="program that holds this machine's workers has ended"):
             work.run()
-        assert time.monotonic() - start < 30
 
 
 def test_certificates(tmp_path, pair):

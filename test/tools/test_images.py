@@ -51,7 +51,7 @@ def filtered(samples, kinds):
     return bytes(out)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     levels=st.sampled_from([np.uint8, np.uint16]).flatmap(
         lambda dtype: hnp.arrays(

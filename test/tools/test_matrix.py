@@ -10,7 +10,7 @@ from odak.tools.matrix import blur_gaussian, crop_center, generate_2d_gaussian, 
 sides = st.integers(1, 9)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.integers(1, 3), max_size=2), sides, sides, st.integers(0, 7), st.integers(0, 7))
 def test_cropping_undoes_padding_for_every_parity(batch, rows, columns, more_rows, more_columns):
     field = np.arange(1.0, 1 + np.prod([*batch, rows, columns])).reshape(*batch, rows, columns)

@@ -5,12 +5,12 @@ import os
 import stat
 import subprocess
 import sys
-import time
 
 import numpy as np
 import plotly.colors
 import pytest
 from PIL import Image
+from processes import is_running, wait_for
 
 from odak.learn.raytracing.system import load_system
 from odak.visualize.plotly import (
@@ -206,11 +206,8 @@ def test_python_ends_without_a_word_and_takes_the_browser_along(tmp_path):
         check=True,
     )
     assert found.stderr == ""
-    for _ in range(50):
-        if not os.path.exists(f"/proc/{int(found.stdout)}"):
-            return
-        time.sleep(0.1)
-    assert not sys.platform.startswith("linux")
+    if sys.platform.startswith("linux"):
+        wait_for(lambda: not is_running(int(found.stdout)))
 
 
 def test_browser_path_overrides_and_is_checked(monkeypatch, tmp_path):

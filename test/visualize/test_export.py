@@ -47,7 +47,7 @@ def test_indices_go_on_from_ray_to_ray():
     assert np.array_equal(indices[12:24] - 8, indices[:12]) and np.array_equal(indices[24:] - 16, indices[:12])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 2**16))
 def test_a_perpendicular_section_makes_a_closed_box_around_the_ray(seed):
     random = np.random.default_rng(seed)

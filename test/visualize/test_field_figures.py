@@ -111,7 +111,7 @@ def test_titles_follow_what_is_shown(field):
     assert picture.fig.layout.title.text == "Retina"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(1, 13), st.integers(1, 13), st.integers(1, 5), st.integers(0, 2**16))
 def test_blocks_are_averaged_and_picked(rows, columns, factor, seed):
     values = np.random.default_rng(seed).normal(size=(rows, columns))

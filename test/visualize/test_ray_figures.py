@@ -68,7 +68,7 @@ def test_colours_of_single_points():
         picture.add_point(CORNERS, color=["red", "green"])
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 40), st.integers(2, 5), st.integers(0, 2**16))
 def test_all_lines_are_one_trace_with_gaps(count, stations, seed):
     lines = np.random.default_rng(seed).normal(size=(count, stations, 3))

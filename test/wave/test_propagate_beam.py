@@ -204,7 +204,7 @@ def test_averaging_over_a_pixel_is_a_mean_of_shifted_beams():
     np.testing.assert_allclose(np.abs(averaged[32] / point[32]), np.abs(envelope), atol=0.01)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     rows=st.integers(1, 12),
     columns=st.integers(1, 12),

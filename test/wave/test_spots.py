@@ -129,7 +129,7 @@ def test_batches_are_what_each_would_be():
 
 
 @given(seed=st.integers(0, 10**6), count=st.integers(1, 6))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_no_spot_holds_more_light_than_there_is(seed, count):
     points = np.random.default_rng(seed).uniform(-3e-4, 3e-4, (count, 3)) + np.asarray([0, 0, 0.05])
     _, spots = spot_hologram(points, (12, 17), WAVELENGTH, DX, 3, seed=seed)

@@ -69,7 +69,7 @@ def test_activations_keep_the_dtype(dtype):
         assert layer.to(dtype)(x).dtype == dtype
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(rows=st.integers(1, 4), features=st.integers(1, 4), octaves=st.integers(1, 70))
 def test_positional_encoding(rows, features, octaves):
     x = torch.rand(rows, features, dtype=torch.float64) - 0.5

@@ -65,7 +65,7 @@ def test_the_convolution_and_its_gradients_in_parts_of_any_size(size, stride, pa
         assert torch.allclose(ours, theirs)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(
     batch=st.integers(1, 3),
     channels=st.integers(1, 3),

@@ -149,7 +149,7 @@ def test_upsample_convtranspose2d_layer(height, width, bias):
     assert torch.allclose(layer(x1, x2), placed(transposed(x1, layer.up, 2), height, width) + x2)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(h=st.integers(1, 6), w=st.integers(1, 6), height=st.integers(2, 16), width=st.integers(2, 16))
 def test_the_larger_picture_gives_the_size(h, w, height, width):
     small = torch.rand(1, 2, h, w)

@@ -87,7 +87,7 @@ def test_gradients():
     torch.autograd.gradcheck(gaussians.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_()))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(1, 120), st.integers(1, 40), st.integers(1, 40), st.floats(0.01, 3), st.integers(0, 999))
 def test_the_sum_is_the_sum(number, height, width, size, seed):
     torch.manual_seed(seed)

@@ -48,7 +48,7 @@ def test_unet_is_its_steps_down_and_up():
     assert torch.allclose(network(x), convolved(result, network.outc))
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(depth=st.integers(1, 3), height=st.integers(8, 25), width=st.integers(8, 25), bilinear=st.booleans())
 def test_any_size_from_two_to_the_depth_on(depth, height, width, bilinear):
     network = models.unet(depth, 2, 1, 3, bilinear=bilinear)

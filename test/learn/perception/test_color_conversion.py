@@ -29,7 +29,7 @@ def listed(result):
 
 
 @pytest.mark.parametrize("name", PAIRS)
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), batch=st.sampled_from([(), (1,), (2,), (2, 2)]))
 def test_round_trip(name, seed, batch):
     there, back, tolerance = PAIRS[name]

@@ -14,7 +14,7 @@ EXACT = {"dtype": torch.float64}
 unit = st.floats(-0.5, 1.5)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(unit, unit, st.floats(0.05, 2), st.floats(0.1, 2))
 def test_eccentricity_is_the_angle_between_two_lines_of_sight(x, y, width, distance):
     rows, columns = 5, 8

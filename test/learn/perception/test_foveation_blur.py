@@ -55,7 +55,7 @@ def test_against_loops_over_pixels():
     assert torch.equal(result[0, 0][sharp], picture[0, 0][sharp])
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 40), st.integers(1, 40), st.floats(0, 5), st.booleans())
 def test_a_constant_stays_and_the_blur_is_linear(rows, columns, alpha, equi):
     blur = RadiallyVaryingBlur()

@@ -18,7 +18,7 @@ def coefficients(pyramid):
     return [pyramid[0]["h"], *[band for level in pyramid[:-1] for band in level["b"]], pyramid[-1]["l"]]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.integers(8, 50), st.integers(8, 50), st.integers(2, 4), st.integers(1, 7), st.integers(0, 99))
 def test_reconstructs_exactly_and_keeps_the_energy(rows, columns, levels, count, seed):
     picture = noise(2, 3, rows, columns, seed=seed)

@@ -37,7 +37,7 @@ def test_banded(rows, columns, step):
     torch.testing.assert_close(banded.on_columns_adjoint(wide), wide @ dense)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(rows=st.integers(1, 40), columns=st.integers(1, 40), largest=st.floats(0, 7))
 def test_against_whole_levels(rows, columns, largest):
     for sampler in samplers(rows, columns, largest).values():

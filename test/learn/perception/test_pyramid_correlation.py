@@ -18,7 +18,7 @@ def plainly(image, taps, stride):
     return functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride).unflatten(0, image.shape[:2])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     rows=st.integers(7, 40),
     columns=st.integers(7, 40),

@@ -9,7 +9,7 @@ from odak.learn.perception import blur_gaussian, check_loss_inputs, slice_rgbd_t
 from odak.learn.tools import blur_gaussian as blur_of_the_tools
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 6), st.integers(1, 3), st.integers(0, 1000))
 def test_slices_put_the_picture_together_again(count, channels, seed):
     generator = torch.Generator().manual_seed(seed)

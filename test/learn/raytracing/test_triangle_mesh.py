@@ -63,7 +63,7 @@ def soup(count, seed, size=0.3):
     return corners.reshape(-1, 3), torch.arange(3 * count).reshape(-1, 3)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(count=st.integers(1, 120), seed=st.integers(0, 10**6))
 def test_random_soups_agree_with_brute_force(count, seed):
     vertices, faces = soup(count, seed)

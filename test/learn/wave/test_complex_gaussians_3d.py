@@ -122,7 +122,7 @@ def test_trainable():
     assert all(parameter.requires_grad for parameter in model.parameters())
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(1, 5), st.integers(0, 10**6))
 def test_covariances_in_space(number, seed):
     draw = torch.Generator().manual_seed(seed)

@@ -42,7 +42,7 @@ def composite(means, conics, opacities, weights, layers, count, height, width):
     return torch.stack(pictures)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(1, 90), st.integers(1, 50), st.integers(1, 50), st.integers(0, 1000))
 def test_the_sum_is_the_double_sum(number, height, width, seed):
     means, conics, _, weights = gaussians(number, height, width, seed)
@@ -53,7 +53,7 @@ def test_the_sum_is_the_double_sum(number, height, width, seed):
     torch.testing.assert_close(sum_of_gaussians(means, conics, weights.real, height, width), expected.real)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 150), st.integers(1, 40), st.integers(1, 40), st.integers(1, 17), st.integers(0, 1000))
 def test_the_composite_is_the_ordered_sum(number, height, width, tile, seed):
     means, conics, opacities, weights = gaussians(number, height, width, seed)

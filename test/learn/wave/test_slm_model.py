@@ -98,7 +98,7 @@ def test_flyback_is_smoothed_where_the_phase_is_wrapped():
 
 
 @given(bits=st.integers(1, 6), seed=st.integers(0, 10**6), turns=st.integers(-3, 3))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_levels_round_trip(bits, seed, turns):
     lut = torch.rand(2**bits, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)) * TURN
     slm = spatial_light_modulator(bits=bits, lut=lut)
@@ -110,7 +110,7 @@ def test_levels_round_trip(bits, seed, turns):
 
 
 @given(bits=st.integers(1, 5), seed=st.integers(0, 10**6), span=st.floats(0.3, TURN))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_level_shown_is_the_nearest_around_the_circle(bits, seed, span):
     lut = span * torch.rand(2**bits, dtype=torch.float64, generator=torch.Generator().manual_seed(seed)) - 1.0
     phase = random_phase(1, 200, seed=seed)
