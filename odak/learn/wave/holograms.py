@@ -19,7 +19,7 @@ from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
-from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
+from odak.learn.wave.training import SOLVERS, Options, check_brightness, constant, fingerprint, generator_from, minimise
 from odak.wave import phase_retrieval
 from odak.wave.convolution import convolve
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
@@ -160,6 +160,8 @@ def stochastic_gradient_descent(
         _validate.function_or_none(name, function)
     if seed is not None:
         _validate.integer("seed", seed)
+    if not scale and loss_function is None and slm is None:
+        check_brightness("target", target, 1, "scale=True")
     options = Options(progress, callback, checkpoint, checkpoint_every)
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)

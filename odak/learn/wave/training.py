@@ -12,7 +12,7 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
-from odak._warnings import ConvergenceWarning, warn
+from odak._warnings import ArgumentWarning, ConvergenceWarning, warn
 from odak.learn.tools.checkpoints import read_checkpoint, taking_up, write_checkpoint
 from odak.learn.tools.device import advising_on_memory
 
@@ -247,6 +247,33 @@ def generator_from(seed: int | None, device: torch.device | str = "cpu") -> torc
     """Return a new generator with a seed; without one, with a seed drawn from torch's own generator."""
     seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
     return torch.Generator(device).manual_seed(seed)
+
+
+def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.Tensor, remedy: str = "") -> None:
+    """Issue a warning if a mean intensity exceeds what phase-only holograms, which conserve energy, can reach.
+
+    Parameters
+    ----------
+    name : str
+        Name of the targets in the warning.
+    targets : torch.Tensor
+        Intensities ``[..., rows, columns]``.
+    reachable : float or torch.Tensor
+        Mean intensity of the light on the modulator, that of its frames added up; fits ``[...]``.
+    remedy : str
+        What else may be done, after "or".
+    """
+    means = targets.mean((-2, -1))
+    limits = torch.as_tensor(reachable, dtype=means.dtype, device=means.device).expand_as(means)
+    if bool((means > limits * (1 + 1e-5)).any()):
+        place = (means - limits).argmax()
+        most, mean = (values.flatten()[place].item() for values in (limits, means))
+        warn(
+            f"{name} must have a mean intensity of at most {most:.4g}, that of the light on the modulator, "
+            f"got {mean:.4g}: give intensities of 0 … 1 (8-bit values divided by 255)"
+            + (f", or {remedy}" if remedy else ""),
+            ArgumentWarning,
+        )
 
 
 def fingerprint(*tensors: torch.Tensor) -> str:

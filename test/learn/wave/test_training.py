@@ -1,11 +1,13 @@
 """The loop that optimizers share: checkpoints, interruption, the best so far, schedules."""
 
+import contextlib
 import itertools
 import math
 
 import pytest
 import torch
 
+from odak import ArgumentWarning
 from odak.learn import wave
 from odak.learn.wave import training
 from odak.learn.wave.training import LBFGS, Adam
@@ -280,3 +282,42 @@ def test_a_callback_stops_at_the_first_plane():
         progress=False, callback=lambda step, loss: True,
     )  # fmt: skip
     assert made.optimize()[0].isfinite().all()
+
+
+class TestBrightness:
+    """Targets brighter than the light there is issue a warning; those that are just reachable do not."""
+
+    @staticmethod
+    def expected(warns, message):
+        return pytest.warns(ArgumentWarning, match=message) if warns else contextlib.nullcontext()
+
+    @pytest.mark.parametrize("brightness", [1.0, 1.1, 200.0])
+    def test_of_gradient_descent(self, brightness):
+        def descend(**options):
+            target = torch.full((16, 16), brightness)
+            wave.stochastic_gradient_descent(target, 532e-9, 1e-3, 8e-6, n_iteration=1, progress=False, **options)
+
+        message = "target must have a mean intensity of at most 1, .* got .* or scale=True"
+        with self.expected(brightness > 1, message):
+            descend()
+        descend(scale=True)
+
+    @pytest.mark.parametrize("method", ["conventional", "multi-color"])
+    @pytest.mark.parametrize("excess", [0.99, 1.01])
+    def test_of_colours(self, method, excess):
+        colours, size = [600e-9, 500e-9], [16, 16]
+        display = wave.propagator(size, colours, 8e-6, number_of_frames=2, number_of_depth_layers=1, method=method)
+        # Each colour is shown in one frame, or in both.
+        reachable = 1 if method == "conventional" else 2
+        targets = torch.full((1, 2, *size), excess * reachable)
+        with self.expected(excess > 1, f"targets must have a mean intensity of at most {reachable}"):
+            wave.multi_color_hologram_optimizer(colours, size, targets, display, 2, method=method, progress=False)
+
+    @pytest.mark.parametrize("brightness", [1.9, 2.1])
+    def test_of_planes(self, brightness):
+        targets = torch.full((1, 16, 16), brightness)
+        half = (0, 0.5, 0, 1)
+        with self.expected(brightness > 2, "targets must have a mean intensity of at most 1"):
+            wave.multiplane_hologram_optimizer(
+                532e-9, 1e-3, 1e-3, 8e-6, [16, 16], targets, number_of_planes=1, mask_limits=half, progress=False
+            )

@@ -30,7 +30,7 @@ from odak.learn.wave.optimizers.terms import (
 from odak.learn.wave.propagators import power_method
 from odak.learn.wave.propagators import propagator as propagator_type
 from odak.learn.wave.slm import TURN, even_levels
-from odak.learn.wave.training import Options, cosine, fingerprint, generator_from, minimise
+from odak.learn.wave.training import Options, check_brightness, cosine, fingerprint, generator_from, minimise
 
 
 def one_source_each(frames: int, sources: int) -> torch.Tensor:
@@ -182,6 +182,10 @@ class multi_color_hologram_optimizer:
         self.init_channel_power()
         self.init_amplitude()
         self.init_peak_amplitude_scale()
+        if not (self.amplitude.requires_grad or self.optimize_peak_amplitude):
+            learned = self.channel_power.requires_grad
+            reachable = self.number_of_frames if learned else self.channel_power.square().sum(0)
+            check_brightness("targets", self.targets * self._peak, reachable)
         self.init_phase()
         if initial_phase is not None:
             self._start_from(initial_phase)

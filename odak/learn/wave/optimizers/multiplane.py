@@ -12,7 +12,7 @@ from odak.learn._tensors import floating
 from odak.learn.wave.fields import mean_intensity, unit_phasor
 from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
-from odak.learn.wave.training import Options, constant, fingerprint, generator_from, minimise
+from odak.learn.wave.training import Options, check_brightness, constant, fingerprint, generator_from, minimise
 
 
 class multiplane_hologram_optimizer:
@@ -165,6 +165,7 @@ class multiplane_hologram_optimizer:
         self.init_amplitude(amplitude_initial)
         self.init_phase(phase_initial)
         self.init_mask()
+        check_brightness("targets", self.targets * self.mask, self.amplitude.square().mean())
         self.init_loss_function(loss_function)
 
     def init_amplitude(self, amplitude_initial: torch.Tensor | None) -> None:
