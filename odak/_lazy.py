@@ -65,7 +65,7 @@ def _read_stub(package: str, stub: Path) -> dict[str, tuple[str, str | None]]:
             home.update({alias.asname or alias.name: (alias.name, None) for alias in statement.names})
             continue
         if not isinstance(statement, ast.ImportFrom):
-            raise SyntaxError(f"{stub}, line {statement.lineno}: a stub of names holds imports alone")
+            raise SyntaxError(f"{stub}, line {statement.lineno}: a stub of names must contain imports only")
         base = package.rsplit(".", statement.level - 1)[0] if statement.level else ""
         module = ".".join(part for part in (base, statement.module) if part)
         for alias in statement.names:

@@ -234,7 +234,7 @@ def fitting(**arrays) -> tuple[int, ...]:
     sides = [[n for n in column if n != 1] for column in aligned]
     if any(n != column[0] for column in sides for n in column):
         told = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
-        raise ValueError(f"these shapes do not fit together: {told}")
+        raise ValueError(f"these shapes cannot be broadcast together: {told}")
     return tuple(column[0] if column else 1 for column in reversed(sides))
 
 

@@ -92,7 +92,8 @@ def _coefficients(where: str, formula: str, entry) -> dict:
             found[key] = _optional(where, key, entry)
     if len({len(found[key]) for key in kind.lists}) > 1:
         raise ValueError(
-            f"{where}: {' and '.join(kind.lists)} must be of one length, got {[len(found[key]) for key in kind.lists]}"
+            f"{where}: {' and '.join(kind.lists)} must have equal lengths, "
+            f"got {[len(found[key]) for key in kind.lists]}"
         )
     return found
 
@@ -199,7 +200,7 @@ def read_agf(path) -> list[Material]:
     if not found:
         raise ValueError(f"{path.name} holds no glass whose dispersion formula is known")
     if unknown:
-        warn(f"{path.name}: left out {', '.join(unknown[:8])}: dispersion formula not known", ArgumentWarning)
+        warn(f"{path.name}: skipped {', '.join(unknown[:8])}, whose dispersion formula is not known", ArgumentWarning)
     return found
 
 

@@ -226,7 +226,7 @@ def material(name: str) -> Material:
             return _glass(maker, _key(bare))
     elif len(makers) > 1:
         options = ", ".join(f"'{maker}:{bare}'" for maker in makers)
-        raise ValueError(f"name {name!r} is a glass of several makers: say which, one of {options}")
+        raise ValueError(f"name {name!r} is a glass of several makers; name one of {options}")
     elif makers:
         return _glass(makers[0], _key(bare))
     pool = [*known, *(key for found in _glasses().values() for key in found)]
@@ -422,7 +422,7 @@ def _indexed(materials, aliases, path, known) -> dict[str, Material]:
     found: dict[str, Material] = {}
     for item in materials:
         if _key(item.name) in found:
-            raise ValueError(f"{path}: {item.name!r} occurs twice, but for case, hyphens and spaces")
+            raise ValueError(f"{path}: {item.name!r} occurs twice; case, hyphens and spaces are ignored")
         found[_key(item.name)] = item
     for alias, name in aliases.items():
         target = found.get(_key(name)) or known.get(_key(name))

@@ -38,7 +38,7 @@ def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
 def check_figure(figure) -> None:
     """Raise TypeError unless surfaces can be added to a figure."""
     if not callable(getattr(figure, "add_surface", None)):
-        raise TypeError(f"figure must have a function add_surface, got {type(figure).__name__}")
+        raise TypeError(f"figure must have a method add_surface, got {type(figure).__name__}")
 
 
 def two_positive(name: str, value: Sequence[float]) -> list:

@@ -69,9 +69,9 @@ def _start(
     "Writes hologram_<nm>nm.png (one per wavelength; phase = grey * 2 pi / 256, or / 65536 for 16-bit files), with "
     "--frames hologram_<nm>nm_frame<k>.png or, with multi-color, hologram_frame<k>.png; reconstruction.png, "
     "comparison.png and report.json; with planes also focal_stack.png.\n\n"
-    "Several pictures, or folders of them, are computed one after another or, with --cluster, side by side. Each gets "
-    "a folder of its name in the output folder. What is there already from the same options is skipped; what is there "
-    "from others is named before it is replaced."
+    "Several pictures, or folders of them, are computed one after another or, with --cluster, in parallel. The results "
+    "of each are written to a folder of its name in the output folder. Results of the same options that exist already "
+    "are kept; those of other options are listed before they are replaced."
 )
 def hologram(
     context: typer.Context,
@@ -126,7 +126,7 @@ def hologram(
             values |= {name: getattr(modulator, name) for name in {"pixel_pitch", "resolution", "bits"} - given}
         if tiles:
             if len(images) > 1 or watch or (spread["cluster"] or "local") != "local":
-                raise InputError("--tiles takes one IMAGE, without --watch and with no --cluster but local")
+                raise InputError("--tiles takes one IMAGE and no --watch, and --cluster must be local or left out")
             if "resolution" not in given and preset is None:
                 from odak.cli.tiles import picture_size
 
@@ -157,7 +157,7 @@ def _single(job: Job, again: bool, workers: int | None) -> dict:
     report = None if again else files.finished_report(job)
     if report is not None:
         if not job.quiet:
-            typer.echo(f"{job.output} holds the result of this very run already; --again computes it again")
+            typer.echo(f"{job.output} already holds the result of this run; use --again to compute it again")
         return report
 
     def replaces(names: list[str]) -> None:
@@ -165,7 +165,7 @@ def _single(job: Job, again: bool, workers: int | None) -> dict:
         if not (again or job.quiet) and sys.stdin.isatty():
             typer.confirm(f"{text}. Replace?", abort=True)
         elif not (again or job.quiet):
-            typer.echo(f"odak: {text}, to be replaced", err=True)
+            typer.echo(f"odak: {text}, which will be replaced", err=True)
 
     if job.tiles:
         from odak.cli import tiles
@@ -177,11 +177,11 @@ def _single(job: Job, again: bool, workers: int | None) -> dict:
 
 
 @app.command(
-    help="Let this machine's cores and GPUs work for a Dask scheduler: one worker per GPU, or one per core where there "
-    "is none, until the scheduler ends or Ctrl-C.\n\n"
-    "Whoever reaches the scheduler runs code on this machine. Beyond this machine it must use certificates, which "
-    "`odak certificates` makes, unless --trusted-network is given. A scheduler is started with `dask scheduler "
-    "--protocol tls --host ADDRESS --tls-ca-file ... --tls-cert ... --tls-key ...`."
+    help="Start workers on this machine for a Dask scheduler: one per GPU, or one per core if there is no GPU. They "
+    "run until the scheduler ends or Ctrl-C is pressed.\n\n"
+    "Everybody who can connect to the scheduler can run code on this machine. A scheduler on another machine must use "
+    "certificates, which `odak certificates` makes, unless --trusted-network is given. A scheduler is started with "
+    "`dask scheduler --protocol tls --host ADDRESS --tls-ca-file ... --tls-cert ... --tls-key ...`."
 )
 def worker(
     address: options.Address,
@@ -218,8 +218,10 @@ def worker(
     "those who have it can run code on the cluster."
 )
 def certificates(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to write to; made if need be.")],
-    days: Annotated[int, typer.Option(metavar="COUNT", help="How long the certificates are valid.")] = 365,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder to write to; created if it does not exist.")],
+    days: Annotated[
+        int, typer.Option(metavar="COUNT", help="Number of days for which the certificates are valid.")
+    ] = 365,
 ) -> None:
     """Make certificates; see :func:`odak.manager.make_certificates`."""
     with _messages():
@@ -234,8 +236,8 @@ def certificates(
 
 @app.command(
     help="Make a picture that looks the same as another to an eye with a fixed gaze.\n\n"
-    "Away from the gaze it has the picture's local statistics, and is made of noise otherwise. Writes metamer.png, "
-    "pooling_map.png (the width of the regions that the eye pools, on a scale of doublings) and comparison.png."
+    "Away from the gaze it is noise that has the picture's local statistics. Writes metamer.png, pooling_map.png (the "
+    "width of the pooling regions of the eye, on a logarithmic scale) and comparison.png."
 )
 def metamer(
     image: options.MetamerImage = "photo",
@@ -263,8 +265,8 @@ def metamer(
     if not quiet:
         psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
         typer.echo(
-            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, of equal white noise {report['noise_loss']:.3g}, "
-            f"pooling up to {report['largest_pooling']:.3g} px"
+            f"PSNR {psnr}, metameric loss {report['loss']:.3g} (white noise of the same PSNR: "
+            f"{report['noise_loss']:.3g}), largest pooling region {report['largest_pooling']:.3g} px"
         )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
 
@@ -278,10 +280,13 @@ def metamer(
 def trace(
     system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json or .zmx file.")],
     output: options.Output = Path("trace"),
-    rings: Annotated[int, typer.Option(metavar="COUNT", help="Rings of rays in the pupil, 1 to 100.")] = 6,
-    aim: Annotated[str, typer.Option(metavar="paraxial|real", help="Pupil that rays are aimed at.")] = "paraxial",
+    rings: Annotated[int, typer.Option(metavar="COUNT", help="Number of rings of rays in the pupil, 1 to 100.")] = 6,
+    aim: Annotated[
+        str,
+        typer.Option(metavar="paraxial|real", help="Pupil that the rays are aimed at: the paraxial or the real one."),
+    ] = "paraxial",
     glasses: options.Glasses = None,
-    figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="Kind of the figures.")] = "png",
+    figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="File format of the figures.")] = "png",
     quiet: options.Quiet = False,
 ) -> None:
     """Trace a system; see :mod:`odak.cli.trace`."""
@@ -414,16 +419,20 @@ def calibrate(
         list[str] | None,
         typer.Option(
             metavar="INSTRUMENT.NAME=VALUE",
-            help="Option of a driver, as camera.source=0 or simulated.shape=[96,96]; may be repeated.",
+            help="Option of a driver, such as camera.source=0 or simulated.shape=[96,96]; may be repeated.",
         ),
     ] = None,
     wavelength: Annotated[str, typer.Option(metavar="LENGTH", help="Vacuum wavelength.")] = "532nm",
-    distance: Annotated[str, typer.Option(metavar="LENGTH", help="From the modulator to the camera.")] = "20mm",
+    distance: Annotated[
+        str, typer.Option(metavar="LENGTH", help="Distance from the modulator to the camera.")
+    ] = "20mm",
     seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the simulated table.")] = 0,
     faults: Annotated[str, typer.Option(metavar="some|all", help="Faults of the simulated table.")] = "some",
     results: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="File of the results, .npz or .h5.", show_default="in the folder"),
+        typer.Option(
+            metavar="FILE", help="File that holds the calibration results, .npz or .h5.", show_default="in the folder"
+        ),
     ] = None,
     quiet: options.Quiet = False,
 ) -> None:

@@ -95,7 +95,7 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
     try:
         if simulated:
             if len(simulated) != len([entry for entry in names.values() if entry is not None]):
-                raise InputError(f"--{simulated[0]} is simulated, the others must be too")
+                raise InputError(f"--{simulated[0]} is simulated, so all other instruments must be simulated too")
             made = instruments.SimulatedTable(seed, **{**twin, **given[SIMULATED]})
             return Table(made.modulator, made.camera, made.polariser)
         opened = {
@@ -153,8 +153,8 @@ def run(
             raise InputError(f"--results: {error}") from None
         if known.amplitude.shape != tuple(table.modulator.shape) or known.wavelength != wavelength:
             raise InputError(
-                f"--results {str(path)!r} is of another table: {list(known.amplitude.shape)} pixels at "
-                f"{known.wavelength:g} m, not {list(table.modulator.shape)} at {wavelength:g} m"
+                f"--results {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
+                f"at {wavelength:g} m, got {list(known.amplitude.shape)} at {known.wavelength:g} m"
             )
     with collected_warnings() as texts:
         try:

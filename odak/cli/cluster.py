@@ -100,9 +100,13 @@ def run(
     folder = writable_folder(Path(values["output"]))
     for frame in frames:
         if frame.job.output.exists() and not frame.job.output.is_dir():
-            raise InputError(f"IMAGE {frame.name!r} needs a folder where a file is: {str(frame.job.output)!r}")
+            raise InputError(
+                f"IMAGE {frame.name!r} needs a folder {str(frame.job.output)!r}, but a file of that name exists"
+            )
     if (folder / SUMMARY).is_dir():
-        raise InputError(f"--output holds a folder where {SUMMARY} is to be written: {str(folder)!r}")
+        raise InputError(
+            f"--output {str(folder)!r} must not contain a folder named {SUMMARY}, which is the name of a result file"
+        )
     waiting = [frame for frame in frames if again or not finished_report(frame.job)]
     failed: dict[str, str] = {}
     busy: set[str] = set()
@@ -168,7 +172,7 @@ def watched(images: Sequence[str], values: dict[str, Any], spread: dict[str, Any
     folders = [Path(os.path.expanduser(image)) for image in images]
     for folder in folders:
         if not folder.is_dir():
-            raise InputError(f"--watch needs folders, and IMAGE {str(folder)!r} is none")
+            raise InputError(f"--watch needs folders, but IMAGE {str(folder)!r} is not a folder")
     seen: dict[Path, tuple] = {}
     done: dict[Path, tuple] = {}
     try:
@@ -220,7 +224,7 @@ def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
         # Some file systems take names that differ in case alone for the same.
         folded = name.casefold()
         if folded in taken:
-            raise InputError(f"IMAGE must have different names: {taken[folded]!r} and {image!r}")
+            raise InputError(f"IMAGE must be pictures of different names, got {taken[folded]!r} and {image!r}")
         taken[folded] = image
         depth = _depth_map(values.get("depth_map"), name)
         output = Path(os.path.expanduser(values["output"])).resolve() / name
@@ -385,7 +389,7 @@ class Certificates:
         if not any(given):
             return None
         if not all(given):
-            raise InputError("--tls-ca-file, --tls-cert and --tls-key go together")
+            raise InputError("--tls-ca-file, --tls-cert and --tls-key must be given together")
         for name, file in zip(("--tls-ca-file", "--tls-cert", "--tls-key"), given, strict=True):
             if not os.path.isfile(str(file)):
                 raise InputError(f"{name} is not a file: {file!r}")
@@ -427,7 +431,7 @@ def join(
         If the scheduler is not there.
     """
     if ":" not in address:
-        raise InputError(f"ADDRESS must be that of a scheduler, such as tls://10.0.0.1:8786; got {address!r}")
+        raise InputError(f"ADDRESS must be the address of a scheduler, such as tls://10.0.0.1:8786; got {address!r}")
     security = certificates.security()
     try:
         if memory_limit is not None:

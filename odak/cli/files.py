@@ -132,7 +132,9 @@ def files_in_the_way(folder: Path, names: Iterable[str]) -> list[str]:
     found = []
     for name in names:
         if (folder / name).is_dir():
-            raise InputError(f"--output holds a folder where the file {name} is to be written: {str(folder)!r}")
+            raise InputError(
+                f"--output {str(folder)!r} must not contain a folder named {name}, which is the name of a result file"
+            )
         if (folder / name).exists():
             found.append(name)
     return found

@@ -190,7 +190,9 @@ class Job:
         if self.frames is not None:
             _validate.integer("--frames", self.frames, minimum=1)
             if self.method not in ("sgd", "multi-color"):
-                raise InputError("--frames needs --method sgd or multi-color: others show one frame for each colour")
+                raise InputError(
+                    "--frames needs --method sgd or multi-color: other methods compute one frame for each colour"
+                )
         if self.planes == 1:
             if self.depth_map is not None:
                 raise InputError("--depth-map needs --planes of at least 2")
@@ -201,12 +203,12 @@ class Job:
             )
         if self.volume_depth >= 2 * self.distance:
             raise InputError(
-                f"--volume-depth must be below twice --distance, or planes lie behind the modulator; "
+                f"--volume-depth must be less than twice --distance, otherwise planes lie behind the modulator; "
                 f"got {self.volume_depth!r} at {self.distance!r}"
             )
         if self.depth_map is None:
             if self.image not in SHIPPED_DEPTH_MAPS:
-                raise InputError(f"--planes {self.planes} needs --depth-map, to say what lies where")
+                raise InputError(f"--planes {self.planes} needs --depth-map, which assigns each pixel to a plane")
             self._set("depth_map", self.image)
 
     def _check_tiles(self) -> None:
@@ -251,7 +253,8 @@ class Job:
                 raise InputError(f"--wavelength must be positive and finite, in metres, got {value!r}")
             if value > 1e-3:
                 raise InputError(
-                    f"--wavelength {value:g} is {value:g} metres, which is not light: did you mean {value:g}nm?"
+                    f"--wavelength {value:g} is {value:g} metres, which is not a wavelength of light: "
+                    f"did you mean {value:g}nm?"
                 )
         if len({pattern_name(value) for value in self.wavelengths}) < count:
             raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
@@ -263,7 +266,7 @@ class Job:
         effects = {
             "iterations": (self.iterates, "which does not iterate"),
             "learning_rate": (descends, "which has no step size"),
-            "scale": (descends, "which leaves the brightness free anyway"),
+            "scale": (descends, "which always leaves the brightness free"),
             "propagation_type": (self.method != "network", "which was trained with Angular Spectrum"),
             "seed": (self.method != "network", "which draws no random numbers"),
         }
@@ -275,7 +278,8 @@ class Job:
             raise InputError("--volume-depth has no effect without --planes of at least 2")
         if "seed" in given and not random:
             raise InputError(
-                f"--seed has no effect with --initial-phase {self.initial_phase}; random are {', '.join(RANDOM_PHASES)}"
+                f"--seed has no effect with --initial-phase {self.initial_phase}; "
+                f"the random ones are {', '.join(RANDOM_PHASES)}"
             )
 
     def warn_of_doubtful_lengths(self) -> None:
@@ -292,14 +296,14 @@ class Job:
         if points < max(FEWEST_POINTS, side / 32):
             meant = _likely_length(self.distance, 1e-3, 1.0, "mm")
             warn(
-                f"--distance {self.distance:g}: {self.distance:g} metres away, the light of this modulator resolves "
-                f"{points:.2g} points across the whole picture; did you mean {meant}?",
+                f"--distance {self.distance:g}: at {self.distance:g} metres this modulator resolves only {points:.2g} "
+                f"points across the picture; did you mean {meant}?",
                 ArgumentWarning,
             )
         if self.distance < pitch**2 / min(wavelengths):
             warn(
-                f"--distance {self.distance:g}: the light of a pixel reaches its neighbours only beyond "
-                f"{pitch**2 / min(wavelengths):.2g} metres, and before that a phase pattern shows nothing",
+                f"--distance {self.distance:g}: the light of neighbouring pixels overlaps only beyond "
+                f"{pitch**2 / min(wavelengths):.2g} metres; at shorter distances a phase pattern forms no image",
                 ArgumentWarning,
             )
 

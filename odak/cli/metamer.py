@@ -128,8 +128,8 @@ def run(job: MetamerJob) -> dict:
         except ValueError:
             rows, columns = picture.shape[-2:]
             raise InputError(
-                f"IMAGE of {rows} x {columns} pixels is too small for --levels {job.levels}: each level halves it, and "
-                "the last one must still hold a neighbourhood; take fewer levels"
+                f"IMAGE of {rows} x {columns} pixels is too small for --levels {job.levels}: each level halves the "
+                "size, and the last one must be larger than a neighbourhood of its statistics; use fewer levels"
             ) from None
         bar.update()
         metamer = _quantised(metamer.clamp(0, 1))

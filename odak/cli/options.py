@@ -43,15 +43,14 @@ Images = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[IMAGE]...",
-        help="Picture file, folder of them, or the name of a shipped picture: "
+        help="Picture file, folder of pictures, or name of a picture that comes with odak: "
         + ", ".join(sorted(SHIPPED_IMAGES))
-        + ". Its stored "
-        "values, 0 to 1, are taken as the intensity, without undoing any display gamma. It is resized to the "
-        "largest size that fits the resolution, black around it.",
+        + ". Its stored values, 0 to 1, are the target intensity; no display gamma is removed. It is resized to the "
+        "largest size that fits the resolution and padded with black.",
         show_default="photo",
     ),
 ]
-Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; made if need be.")]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; created if it does not exist.")]
 Wavelengths = Annotated[
     list[float] | None,
     typer.Option(
@@ -59,13 +58,12 @@ Wavelengths = Annotated[
         "-w",
         parser=length,
         metavar=LENGTH,
-        help="Wavelength, in metres or with a unit (532nm); give it three times for red, green and blue. Given once, "
-        "or with --grey, a colour "
-        "picture becomes one hologram of its brightness.",
+        help="Wavelength, in metres or with a unit (532nm); give it three times for red, green and blue. If it is "
+        "given once, or with --grey, one hologram of the picture's brightness is computed.",
         show_default=f"{GREY_WAVELENGTH * 1e9:g}nm; colour pictures: {_COLOURS}",
     ),
 ]
-Grey = Annotated[bool, typer.Option("--grey", help="Make one hologram of a colour picture's brightness.")]
+Grey = Annotated[bool, typer.Option("--grey", help="Compute one hologram of the brightness of a colour picture.")]
 PixelPitch = Annotated[
     float,
     typer.Option(
@@ -93,7 +91,7 @@ Preset = Annotated[
     str | None,
     typer.Option(
         metavar="NAME",
-        help="Take pixel pitch, resolution and bits of a modulator that is sold, where these are not given: "
+        help="Commercial modulator that sets pixel pitch, resolution and bits unless these options are given: "
         + ", ".join(PRESETS)
         + ".",
         autocompletion=_complete(PRESETS),
@@ -104,18 +102,20 @@ Tiles = Annotated[
     bool,
     typer.Option(
         "--tiles",
-        help="Read, compute and judge in chunks on disk, for pictures larger than memory: TIFF, .npy and Zarr, one "
-        "pixel of the modulator for each of theirs unless --resolution is given. An interrupted run goes on. With "
-        "--cluster local, worker processes write to disk what does not fit in memory.",
+        help="Read, compute and evaluate in chunks stored on disk, for pictures larger than memory: TIFF, .npy and "
+        "Zarr, with one modulator pixel per picture pixel unless --resolution is given. An interrupted run is resumed. "
+        "With --cluster local, worker processes write to disk what does not fit in memory.",
     ),
 ]
-Planes = Annotated[int, typer.Option(metavar="COUNT", help="Planes that the picture is spread over, by its depth map.")]
+Planes = Annotated[
+    int, typer.Option(metavar="COUNT", help="Number of depth planes, to which the depth map assigns the pixels.")
+]
 DepthMap = Annotated[
     str | None,
     typer.Option(
         metavar="PICTURE",
         help="Grey picture of the depth: 0 (black) is the first plane, nearest to the modulator, 1 the last.",
-        show_default="its own for the shipped picture 'scene'",
+        show_default="its own for the picture 'scene'",
     ),
 ]
 VolumeDepth = Annotated[
@@ -123,7 +123,7 @@ VolumeDepth = Annotated[
     typer.Option(
         parser=length,
         metavar=LENGTH,
-        help="Distance from the first plane to the last, about --distance.",
+        help="Distance from the first plane to the last, centred at --distance.",
         show_default="4mm",
     ),
 ]
@@ -131,7 +131,8 @@ Frames = Annotated[
     int | None,
     typer.Option(
         metavar="COUNT",
-        help="Patterns shown one after another, faster than the eye: for each colour (sgd), for all (multi-color).",
+        help="Number of patterns shown in rapid sequence, whose images the eye averages: for each colour (sgd) or for "
+        "all colours together (multi-color).",
         show_default="sgd: 1; multi-color: one for each colour",
     ),
 ]
@@ -141,9 +142,9 @@ Method = Annotated[
         metavar="|".join(METHODS),
         autocompletion=_complete(METHODS),
         help="sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band "
-        "Fourier filter that such holograms need; network: one pass of a trained network, where light spreads to 5 to "
-        "75 pixels; multiplane: one pattern for each colour, all planes together; multi-color: patterns that are "
-        "each lit by all colours, at powers that are found too.",
+        "Fourier filter that such holograms need; network: one pass of a trained network, for distances at which the "
+        "light of a pixel covers 5 to 75 pixels; multiplane: one pattern for each colour, all planes together; "
+        "multi-color: patterns that are each lit by all colours, with source powers that are optimised too.",
         show_default="sgd; multiplane for more than one plane",
     ),
 ]
@@ -156,7 +157,7 @@ PropagationType = Annotated[
     ),
 ]
 Iterations = Annotated[
-    int, typer.Option(metavar="COUNT", help="Number of iterations (all but double-phase and network).")
+    int, typer.Option(metavar="COUNT", help="Number of iterations (all methods except double-phase and network).")
 ]
 LearningRate = Annotated[
     float, typer.Option(metavar="RADIANS", help="Step size in radians (sgd, multiplane, multi-color).")
@@ -164,8 +165,8 @@ LearningRate = Annotated[
 Scale = Annotated[
     bool,
     typer.Option(
-        help="Leave the picture's brightness free (methods with a step size) rather than ask for the stored values as "
-        "they are: 10 dB better on the shipped photo, as less light has to be thrown away."
+        help="Optimise the brightness of the image as well (methods with a step size) instead of reproducing the "
+        "stored values: 10 dB better on the picture 'photo', because less light must be directed outside the image."
     ),
 ]
 InitialPhase = Annotated[
@@ -173,9 +174,10 @@ InitialPhase = Annotated[
     typer.Option(
         metavar="|".join(INITIAL_PHASES),
         autocompletion=_complete(INITIAL_PHASES),
-        help="Phase to start from: zero, normal noise of 0.3 rad, a lens of twice the distance, normal noise of 1 rad, "
-        "noise uniform over 2 pi. Of the hologram; with the method double-phase, of the picture. With sgd also the "
-        "double phase of the picture, or 20 iterations of Gerchberg-Saxton (gs).",
+        help="Initial phase of the hologram, or of the picture with the method double-phase: zero (flat), normal noise "
+        "of 0.3 rad (slight), a lens whose focal length is twice the distance (quadratic), normal noise of 1 rad "
+        "(normal), uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or 20 iterations "
+        "of Gerchberg-Saxton (gs).",
         show_default="gs with sgd, flat with the method double-phase, uniform with the method gs, none with the method "
         "network, otherwise slight",
     ),
@@ -188,13 +190,13 @@ Bits = Annotated[int, typer.Option(help="Bits per pixel of the modulator, 1 to 1
 FillFactor = Annotated[
     float | None,
     typer.Option(
-        metavar="SHARE",
-        help="Share of the area of a square pixel that emits. The holograms are computed for such pixels behind a stop "
-        "that passes one order, and pictures and report are means over the areas of pixels.",
-        show_default="pixels are points, and pictures their middles",
+        metavar="RATIO",
+        help="Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such "
+        "pixels and an aperture that passes one diffraction order; images and report are averages over pixel areas.",
+        show_default="pixels are points, and images are sampled at points",
     ),
 ]
-Device = Annotated[str, typer.Option(help="auto (the GPU where there is one), cpu, cuda, cuda:1, ...")]
+Device = Annotated[str, typer.Option(help="auto (the GPU if there is one), cpu, cuda, cuda:1, ...")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show no progress and no summary; warnings and errors still go to stderr.")
 ]
@@ -205,41 +207,52 @@ Cluster = Annotated[
     typer.Option(
         metavar="local|ADDRESS",
         help="Compute the pictures on worker processes of this machine (local), or on those of a Dask scheduler, such "
-        "as tls://10.0.0.1:8786. Each picture gets a folder of its own name in the output folder.",
+        "as tls://10.0.0.1:8786. The results of each picture are written to a folder of its name.",
         show_default="one picture after another in this process",
     ),
 ]
 Workers = Annotated[
     int | None,
-    typer.Option(metavar="COUNT", help="Worker processes.", show_default="one per GPU; without, one per core"),
+    typer.Option(
+        metavar="COUNT", help="Number of worker processes.", show_default="one per GPU, or per core if there is no GPU"
+    ),
 ]
-Retries = Annotated[int, typer.Option(metavar="COUNT", help="How often a picture that failed is tried again.")]
+Retries = Annotated[int, typer.Option(metavar="COUNT", help="Number of times that a failed picture is computed again.")]
 Again = Annotated[
     bool,
-    typer.Option("--again", help="Compute also what is there already, and replace other results without a question."),
+    typer.Option("--again", help="Compute results that exist already again, and replace others without asking."),
 ]
 Address = Annotated[str, typer.Argument(metavar="ADDRESS", help="Address of a scheduler, such as tls://10.0.0.1:8786.")]
 Threads = Annotated[
-    int | None, typer.Option(metavar="COUNT", help="Threads of each worker.", show_default="the cores shared evenly")
+    int | None,
+    typer.Option(
+        metavar="COUNT", help="Number of threads of each worker.", show_default="the cores divided by the workers"
+    ),
 ]
 MemoryLimit = Annotated[
     float | None,
     typer.Option(
         metavar="GIB",
-        help="Memory that a worker may take before it is started anew.",
-        show_default="the memory shared evenly",
+        help="Memory of a worker in GiB, above which it is restarted.",
+        show_default="the memory divided by the workers",
     ),
 ]
-Name = Annotated[str | None, typer.Option(metavar="NAME", help="Name of the workers; a number is added to it.")]
-Timeout = Annotated[float, typer.Option(metavar="SECONDS", help="How long to wait for scheduler and workers.")]
-CaFile = Annotated[str | None, typer.Option("--tls-ca-file", metavar="FILE", help="Certificate of the authority.")]
+Name = Annotated[str | None, typer.Option(metavar="NAME", help="Name of the workers, to which a number is appended.")]
+Timeout = Annotated[
+    float, typer.Option(metavar="SECONDS", help="Longest time to wait for the scheduler and the workers.")
+]
+CaFile = Annotated[
+    str | None, typer.Option("--tls-ca-file", metavar="FILE", help="Certificate of the certificate authority.")
+]
 Cert = Annotated[str | None, typer.Option("--tls-cert", metavar="FILE", help="This machine's certificate.")]
-Key = Annotated[str | None, typer.Option("--tls-key", metavar="FILE", help="Key of this machine's certificate.")]
+Key = Annotated[
+    str | None, typer.Option("--tls-key", metavar="FILE", help="Private key of this machine's certificate.")
+]
 TrustedNetwork = Annotated[
     bool,
     typer.Option(
         "--trusted-network",
-        help="Accept plain TCP beyond this machine: everybody on that network can then run code here.",
+        help="Accept plain TCP from other machines: everybody on that network can then run code here.",
     ),
 ]
 
@@ -248,12 +261,14 @@ MetamerImage = Annotated[
     str,
     typer.Argument(
         metavar="[IMAGE]",
-        help="Picture file, or the name of a shipped picture: " + ", ".join(sorted(SHIPPED_IMAGES)) + ".",
+        help="Picture file, or name of a picture that comes with odak: " + ", ".join(sorted(SHIPPED_IMAGES)) + ".",
     ),
 ]
 Gaze = Annotated[
     tuple[float, float],
-    typer.Option(metavar="X Y", help="Point of gaze: 0 to 1 from the left and from the top; may lie outside."),
+    typer.Option(
+        metavar="X Y", help="Gaze position, 0 to 1 from the left and from the top; may lie outside the picture."
+    ),
 ]
 Width = Annotated[
     float,
@@ -274,12 +289,15 @@ PoolingMode = Annotated[
         autocompletion=_complete(("quadratic", "linear")),
     ),
 ]
-Levels = Annotated[int, typer.Option(metavar="COUNT", help="Levels of the pyramid, 2 or more.")]
-Orientations = Annotated[int, typer.Option(metavar="COUNT", help="Orientations of the pyramid's bands, 1 or more.")]
+Levels = Annotated[int, typer.Option(metavar="COUNT", help="Number of levels of the pyramid, 2 or more.")]
+Orientations = Annotated[
+    int, typer.Option(metavar="COUNT", help="Number of orientations of the pyramid's bands, 1 or more.")
+]
 Refinements = Annotated[
     int,
     typer.Option(
-        metavar="COUNT", help="Evaluations of the metameric loss by which the metamer is made; 0 for matched noise."
+        metavar="COUNT",
+        help="Number of evaluations of the metameric loss in the optimisation; 0 gives noise of matched statistics.",
     ),
 ]
 Joint = Annotated[

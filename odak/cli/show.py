@@ -93,7 +93,7 @@ def _folder(folder: Path) -> str:
         except ValueError:
             raise InputError(f"FILE {str(folder / REPORT)!r} is not the report of a run") from None
     if not pictures and not fields:
-        raise InputError(f"FILE is a folder without pictures and fields: {str(folder)!r}")
+        raise InputError(f"FILE must be a folder with pictures or fields, got {str(folder)!r}, which has neither")
     parts = [_table(report)] if isinstance(report, dict) and report else []
     parts += [
         f'<figure><img alt="{html.escape(path.name)}" src="data:image/{_kind(path)};base64,{_encoded(path)}">'

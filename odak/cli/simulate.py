@@ -255,21 +255,25 @@ def checked(config: Any, folder: Path) -> tuple[dict, list[dict]]:
             raise InputError(f"{where}: the first element must be a source: {', '.join(SOURCES)}")
         passed = passed or kind not in SOURCES
         if kind == "record" and element["name"].casefold() in recorded | {"report"}:
-            raise InputError(f"{where}: name {element['name']!r} is taken")
+            raise InputError(f"{where}: name {element['name']!r} is already used")
         recorded.add(str(element.get("name", "")).casefold())
         elements.append(element)
     if elements[-1]["kind"] != "record":
-        raise InputError(f"the last element must be a record, or nothing is kept; got {elements[-1]['kind']!r}")
+        raise InputError(
+            f"the last element must be a record, otherwise no result is saved; got {elements[-1]['kind']!r}"
+        )
     return bench, elements
 
 
 def _check_names(where: str, given: dict, known, required) -> None:
     for name in given:
         if name not in known:
-            raise InputError(f"{where} has no {name!r}; known are {', '.join(known)}.{did_you_mean(str(name), known)}")
+            raise InputError(
+                f"{where} has no parameter {name!r}; accepted: {', '.join(known)}.{did_you_mean(str(name), known)}"
+            )
     missing = [name for name in required if name not in given]
     if missing:
-        raise InputError(f"{where} lacks {', '.join(missing)}")
+        raise InputError(f"{where} needs {', '.join(missing)}")
 
 
 def _filled(where: str, given: dict, parameters: dict[str, Parameter], folder: Path) -> dict:
@@ -408,8 +412,8 @@ def _fitting(picture: torch.Tensor, bench: dict, path: str) -> np.ndarray:
     values = values[..., :3].mean(-1) if values.ndim == 3 else values
     if values.shape != tuple(bench["resolution"]):
         raise InputError(
-            f"{path!r} has {values.shape[0]} x {values.shape[1]} pixels, and the bench {bench['resolution'][0]} x "
-            f"{bench['resolution'][1]}"
+            f"{path!r} must have the resolution of the bench, {bench['resolution'][0]} x {bench['resolution'][1]} "
+            f"pixels; got {values.shape[0]} x {values.shape[1]}"
         )
     return values
 

@@ -65,7 +65,7 @@ def load_target(job: Job) -> Target:
     picture = picture.expand(len(wavelengths), -1, -1)
     intensity, window = fit(picture, job.resolution)
     if not intensity.any():
-        raise InputError(f"IMAGE is black, there is nothing to show: {str(path)!r}")
+        raise InputError(f"IMAGE must have a pixel above 0, but all pixels of {str(path)!r} are black")
     return Target(path, intensity, window, wavelengths)
 
 
@@ -138,7 +138,7 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     if len(picture) in (2, 4):
         picture = picture[:-1] * picture[-1:]
     if not bool(((picture >= 0) & (picture <= 1)).all()):
-        raise InputError(f"{name} must hold values from 0 to 1, those of {str(path)!r} go beyond")
+        raise InputError(f"{name} must have values from 0 to 1, but {str(path)!r} has values outside this range")
     return picture[:1] if bool((picture == picture[:1]).all()) else picture
 
 
@@ -231,7 +231,7 @@ def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
     path = depth_map_path(str(job.depth_map))
     depth = to_grey(read_picture(path, "--depth-map"))
     if bool((depth == depth.flatten()[0]).all()):
-        raise InputError(f"--depth-map has one depth only: {str(path)!r}; leave --planes out")
+        raise InputError(f"--depth-map must have at least two depths, but {str(path)!r} has one; leave --planes out")
     rows, columns = (part.stop - part.start for part in target.window)
     if abs(depth.shape[-2] * columns / (depth.shape[-1] * rows) - 1) > _ASPECT_TOLERANCE:
         raise InputError(

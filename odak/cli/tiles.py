@@ -171,7 +171,9 @@ def _claim(state: Path, job: Job, index: int, again: bool) -> None:
         state.mkdir(parents=True, exist_ok=True)
         files.write_json(about, identity)
     elif json.loads(about.read_text(encoding="utf-8")) != identity:
-        raise InputError(f"--output holds the state of another picture, {str(state)!r}; --again begins anew")
+        raise InputError(
+            f"--output holds the state of a run with another picture, {str(state)!r}; use --again to start over"
+        )
 
 
 def _grey(phase: np.ndarray, bits: int) -> np.ndarray:
@@ -508,7 +510,7 @@ class _Fitted:
             values = values.astype(np.float32) / np.iinfo(values.dtype).max
         values = values.astype(np.float32)
         if not np.all((values >= 0) & (values <= 1)):
-            raise InputError(f"IMAGE must hold values from 0 to 1, those of {self.path!r} go beyond")
+            raise InputError(f"IMAGE must have values from 0 to 1, but {self.path!r} has values outside this range")
         if values.shape[2] in (2, 4):
             values = values[..., :-1] * values[..., -1:]
         if values.shape[2] == 3 and self.channels == 1:

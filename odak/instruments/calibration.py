@@ -338,8 +338,9 @@ def _phases_of_interference(frames: np.ndarray) -> np.ndarray:
     noise = values[1]
     if sizes[0] <= 0 or values[-2] < 3 * noise:
         raise RuntimeError(
-            "the camera must see the phases of the levels in the interference of the two halves of the modulator; its "
-            f"captures change by {values[-1]:.3g} and {values[-2]:.3g} along two components, with noise of {noise:.3g}"
+            "the camera must observe how the interference of the two halves of the modulator depends on the level; the "
+            f"first two principal components of its captures are {values[-1]:.3g} and {values[-2]:.3g}, the noise "
+            f"{noise:.3g}"
         )
     centre = -np.linalg.solve(2 * form, np.array(linear))
     circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])
@@ -444,7 +445,9 @@ def measure_regional_response(
             column, row = np.rint(expected[index]).astype(int)
             window = frame[max(row - reach, 3) : row + reach + 1, max(column - reach, 3) : column + reach + 1]
             if not window.size:
-                raise RuntimeError(f"the camera does not see the region {np.divmod(index, across)}")
+                raise RuntimeError(
+                    f"region {[*map(int, np.divmod(index, across))]} of the modulator lies outside the camera's image"
+                )
             place = _brightest(window) + np.array([max(column - reach, 3), max(row - reach, 3)])
             corners[index] = np.clip(place[::-1] - 3, 0, np.array(camera.shape) - 7)
         for (i, level), step in itertools.product(enumerate(levels), range(STEPS)):
@@ -458,8 +461,9 @@ def measure_regional_response(
     apart = np.abs(phases.mean(0) - whole).max()
     if apart > LARGEST_DIFFERENCE:
         warn(
-            f"the mean response of the regions differs by up to {apart:.2g} rad from that of the whole modulator, as "
-            "with fringing fields between pixels; take the differences between regions, or larger pixels",
+            f"the mean response of the regions differs by up to {apart:.2g} rad from that of the whole modulator, for "
+            "example because of fringing fields between pixels; use the differences between regions only, or larger "
+            "pixels",
             AccuracyWarning,
         )
     return phases.reshape(down, across, top + 1)
@@ -476,7 +480,8 @@ def _response(levels: np.ndarray, stack: np.ndarray, top: int) -> np.ndarray:
     misfit = np.abs(np.abs(values / centre + 1) - 1)
     if np.median(misfit) > 0.1:
         warn(
-            f"the phase response is uncertain: interference misses its circle by {np.median(misfit):.0%}",
+            f"the phase response is uncertain: the interference deviates from a circle in the complex plane by "
+            f"{np.median(misfit):.0%}",
             AccuracyWarning,
         )
     phases = np.unwrap(np.angle(values / centre + 1))
@@ -558,7 +563,9 @@ def register_camera(
     reach = int(0.4 * spacing)
     inside = ((expected > reach) & (expected < np.array(camera.shape[::-1]) - reach - 1)).all(-1)
     if inside.sum() < 6:
-        raise RuntimeError(f"the camera sees {inside.sum()} of {len(points)} spots; at least 6 are needed")
+        raise RuntimeError(
+            f"{inside.sum()} of {len(points)} spots lie inside the image of the camera; at least 6 are needed"
+        )
     seen = []
     for place in expected[inside]:
         corner = np.rint(place).astype(int) - reach
@@ -585,7 +592,10 @@ def register_camera(
     found = mapping(fitted.x)
     residual = float(np.sqrt((misfit(fitted.x).reshape(-1, 2) ** 2).sum(-1).mean()))
     if residual > 0.5:
-        warn(f"the registration of the camera is uncertain: spots miss it by {residual:.2f} pixels", AccuracyWarning)
+        warn(
+            f"the registration of the camera is uncertain: the residual of the fit is {residual:.2f} pixels",
+            AccuracyWarning,
+        )
     return Registration(found.homography, found.distortion, found.shape, residual)
 
 
@@ -737,7 +747,7 @@ def measure_distance(
     values = np.array([sharpness(power) for power in powers])
     best = int(values.argmax())
     if best in (0, samples - 1):
-        warn("the sharpest focus lies at the end of the range: give a larger span", AccuracyWarning)
+        warn("the sharpest focus lies at an end of the range of distances: use a larger span", AccuracyWarning)
     # Within the depth of focus the sharpness is a parabola.
     depth = wavelength / (min(modulator.shape) * modulator.pitch) ** 2
     powers = powers[best] + np.linspace(-1.5, 1.5, samples) * max(depth, (powers[1] - powers[0]) / 2)
@@ -1053,7 +1063,7 @@ def _centroid(frame: np.ndarray, place: np.ndarray, reach: int) -> np.ndarray:
         first = max(row - reach, 0), max(column - reach, 0)
         window = frame[first[0] : row + reach + 1, first[1] : column + reach + 1]
         if not window.size:
-            raise RuntimeError(f"a spot was expected at column {column}, row {row}, which the camera does not see")
+            raise RuntimeError(f"a spot was expected at column {column}, row {row}, outside the image of the camera")
         floor = np.quantile(window, 0.3)
         light = np.clip(window - floor - 0.1 * (window.max() - floor), 0, None)
         total = light.sum() or 1.0

@@ -119,7 +119,7 @@ class VideoCamera:
     ):
         self._cv2 = _imported("cv2", "opencv-python-headless")
         if isinstance(source, bool) or not isinstance(source, (int, str)):
-            raise TypeError(f"source must be a number or a text, got {type(source).__name__}")
+            raise TypeError(f"source must be an integer or a string, got {type(source).__name__}")
         self._unit = _validate.one_of("exposure_unit", exposure_unit, ("100 us", "log2"))
         self.pitch = float(_validate.number("pitch", pitch, positive=True))
         self._skip, self.bits = _validate.integer("skip", skip), _validate.integer("bits", bits, minimum=1)
@@ -367,5 +367,5 @@ def _wait(ready, timeout: float, path: str) -> None:
     end = time.monotonic() + timeout
     while not ready():
         if time.monotonic() > end:
-            raise TimeoutError(f"{path!r} did not come within {timeout:g} s")
+            raise TimeoutError(f"the file {path!r} did not appear within {timeout:g} s")
         time.sleep(0.01)

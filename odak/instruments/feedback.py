@@ -160,7 +160,7 @@ def equalise_spots(
             set_exposure(camera)
         light = meter.light(captures) / asked
         if light.min() <= 0:
-            raise ValueError("points must hold light where the camera sees them; one of the spots is dark")
+            raise ValueError("points must be bright enough for the camera, but the intensity of a spot is zero")
         light = light / light.mean()
         even: Any = uniformity(light)
         history.append(float(even))
@@ -170,8 +170,7 @@ def equalise_spots(
         wanted = wanted / wanted.mean()
     if turns > 1 and best[0] == history[0]:
         warn(
-            f"no turn was better than the first, whose uniformity is {best[0]:.3f}: check the registration and the "
-            "radius",
+            f"no iteration improved on the first, whose uniformity is {best[0]:.3f}: check registration and radius",
             ConvergenceWarning,
         )
     modulator.show(best[1])
@@ -186,7 +185,9 @@ class _Meter:
         angle = np.arange(16) / 16 * 2 * np.pi
         rim = registration.camera_pixels(points[:, None] + radius * np.stack([np.cos(angle), np.sin(angle)], -1))
         if not ((rim >= 0) & (rim <= np.array(camera.shape[::-1]) - 1)).all():
-            raise ValueError(f"points must lie where the camera of {list(camera.shape)} pixels sees all of their discs")
+            raise ValueError(
+                f"points must be such that their discs lie inside the image of the camera, {list(camera.shape)} pixels"
+            )
         place = registration.camera_pixels(points[:1])
         pixel = float(np.linalg.norm(registration.plane_points(place + np.array([1.0, 0.0])) - points[:1]))
         steps = max(4, int(np.ceil(_FINER * radius / pixel)))

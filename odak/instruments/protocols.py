@@ -149,5 +149,7 @@ def open_instrument(name: str, **options: Any) -> Any:
         raise ValueError(f"name must be that of an installed driver ({known}), got {name!r}")
     instrument = found[name].load()(**options)
     if not isinstance(instrument, (Modulator, Camera, Laser, Stage, Rotator)):
-        raise TypeError(f"driver {name!r} returned {type(instrument).__name__}, which follows none of the protocols")
+        raise TypeError(
+            f"driver {name!r} returned {type(instrument).__name__}, which implements none of the instrument protocols"
+        )
     return instrument

@@ -78,7 +78,9 @@ def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Ba
     """Return the backend that `cluster` names; parameters are those of :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:
-        raise ValueError("workers are processes of this machine: they need cluster='local' or server=True")
+        raise ValueError(
+            "workers must be left out unless cluster='local' or server=True, as they are processes of this machine"
+        )
     if cluster is None and not has_dask():
         warn("Dask is not installed: tasks run one after another in this process", MissingPackageWarning)
         cluster = False
@@ -340,7 +342,7 @@ class Cluster:
         except OSError as error:
             if self.client is None:
                 return
-            raise ConnectionError(f"The scheduler is gone: it does not answer ({error})") from error
+            raise ConnectionError(f"The scheduler does not answer: {error}") from error
         if not workers and self._server is not None and not self._server.alive():
             raise ConnectionError("The program that holds this machine's workers has ended")
         heard = {address: worker.get("last_seen", 0.0) for address, worker in workers.items()}

@@ -281,9 +281,9 @@ def check_transport(name: str, address: str, trusted_network: bool) -> None:
     if scheme in _ENCRYPTED or scheme == "inproc" or trusted_network or _is_loopback(place):
         return
     raise ValueError(
-        f"{name} {address!r} lies beyond this machine, and plain TCP lets everybody who reaches it run code here. "
-        "Use TLS certificates (security=, and an address that begins with tls://), or say trusted_network=True if "
-        "nobody else is on that network"
+        f"{name} {address!r} is not an address of this machine only, and over plain TCP everybody who can connect can "
+        "run code here. Use TLS certificates (security=, and an address that begins with tls://), or set "
+        "trusted_network=True if nobody else is on that network"
     )
 
 

@@ -65,7 +65,9 @@ def pairs(names: tuple[str, str], first, second) -> tuple[np.ndarray, np.ndarray
     """Return two sets of points ``[m, 3]``, one point standing for all where the other set has more."""
     a, b = points(names[0], first), points(names[1], second)
     if len(a) != len(b) and 1 not in (len(a), len(b)):
-        raise ValueError(f"{names[0]} and {names[1]} must be as many, or one of them one; got {len(a)} and {len(b)}")
+        raise ValueError(
+            f"{names[0]} and {names[1]} must have equal lengths, or one of them length 1; got {len(a)} and {len(b)}"
+        )
     a, b = np.broadcast_arrays(a, b)
     return a, b
 
@@ -85,7 +87,7 @@ def faces(name: str, value, count: int) -> np.ndarray:
     if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
         raise ValueError(f"{name} must be integers [t, 3], got {found.dtype} {list(found.shape)}")
     if found.size and not 0 <= found.min() <= found.max() < count:
-        raise ValueError(f"{name} must name vertices 0 to {count - 1}, got {found.min()} to {found.max()}")
+        raise ValueError(f"{name} must be indices of vertices, 0 to {count - 1}, got {found.min()} to {found.max()}")
     return found
 
 

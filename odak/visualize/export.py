@@ -314,7 +314,7 @@ class PLY_object:
     def _content(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self.pnts, self.tris
         if vertices is None or faces is None:
-            raise ValueError("there is nothing to save: draw rays, triangles or surfaces first")
+            raise ValueError("the scene is empty: draw rays, triangles or surfaces before saving it")
         return vertices, faces
 
 
@@ -331,7 +331,7 @@ def _frame(along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     if not (length > 0).all():
         raise ValueError(
-            "a ray must have a length to be drawn with a perpendicular section: no distance of 0, no two equal points"
+            "a ray must have a length above 0 to be drawn as a tube: distance must not be 0, points must be different"
         )
     along = along / length
     # The axis least along the ray is never parallel to it.

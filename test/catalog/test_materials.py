@@ -183,7 +183,7 @@ def test_a_built_in_name_is_kept_unless_told(tmp_path, own_catalogue):
         ({"nd": 1.6}, "nd is stated as 1.6 but its formula gives 1.51159"),
         ({"vd": "64"}, "vd must be a finite number"),
         ({"colour": "red"}, "unknown keys colour"),
-        ({"formula": "gas", "B": [1, 2], "C": [1]}, "of one length"),
+        ({"formula": "gas", "B": [1, 2], "C": [1]}, "must have equal lengths"),
         ({"formula": "sellmeier", "A": 1, "B": [-9.0], "C": [0.01]}, "gives an index of"),
         ({"A": [-1.5]}, "gives an index of -1.5 at 0.4 µm"),
     ],
@@ -249,7 +249,7 @@ def test_makers_catalogues():
         for name in names["hoya"]
         if ":" in name and materials._key(name.rpartition(":")[2]) not in materials._catalogue()
     )
-    with pytest.raises(ValueError, match=f"several makers: say which, one of .*{twice}"):
+    with pytest.raises(ValueError, match=f"several makers; name one of .*{twice}"):
         catalog.material(twice)
     assert shared == [] or catalog.material(shared[0]).name == shared[0]
     with pytest.raises(ValueError, match="maker in"):

@@ -182,7 +182,7 @@ def test_shipped_pictures_by_name(tmp_path):
         (["missing.png"], "IMAGE not found"),
         (["."], "different names"),
         (["--cluster", "tcp://10.1.2.3:8786"], "or say --trusted-network if"),
-        (["--cluster", "tls://10.1.2.3:8786", "--tls-cert", "a.pem"], "--tls-key go together"),
+        (["--cluster", "tls://10.1.2.3:8786", "--tls-cert", "a.pem"], "--tls-key must be given together"),
         (["summary.json.png"], "'the file summary.json of this command' and "),
         (["FRAME1.png"], "different names"),
         (["empty"], "IMAGE is a directory without pictures"),
@@ -211,7 +211,10 @@ def test_a_cluster_that_is_not_there_is_code_1(folder, tmp_path):
         (["tcp://127.0.0.1:1", "--workers", "0"], "--workers must be at least 1"),
         (["tcp://127.0.0.1:1", "--memory-limit", "-1"], "--memory-limit must be positive"),
         (["tcp://10.1.2.3:8786"], "ADDRESS 'tcp://10.1.2.3:8786' lies beyond this machine"),
-        (["tcp://127.0.0.1:1", "--tls-cert", "a.pem"], "--tls-ca-file, --tls-cert and --tls-key go together"),
+        (
+            ["tcp://127.0.0.1:1", "--tls-cert", "a.pem"],
+            "--tls-ca-file, --tls-cert and --tls-key must be given together",
+        ),
     ],
 )
 def test_bad_workers_are_code_2(arguments, message, capsys):

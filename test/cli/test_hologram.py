@@ -393,7 +393,7 @@ def test_a_second_run_is_skipped_and_other_results_are_named(grey_file, tmp_path
     run(grey_file, "-o", tmp_path, *SMALL)
     before = (tmp_path / "report.json").read_text()
     said = run(grey_file, "-o", tmp_path, *SMALL)
-    assert "holds the result of this very run already; --again" in said.stdout
+    assert "already holds the result of this run; use --again" in said.stdout
     assert (tmp_path / "report.json").read_text() == before
     run(grey_file, "-o", tmp_path, *SMALL, "--again")
     assert (tmp_path / "report.json").read_text() != before

@@ -56,7 +56,7 @@ def test_what_cannot_be_shown_is_named(tmp_path, capsys):
     np.save(tmp_path / "objects.npy", np.array([print], object), allow_pickle=True)
     (tmp_path / "notes.txt").write_text("text")
     for name, message in (
-        ("empty", "a folder without pictures and fields"),
+        ("empty", "must be a folder with pictures or fields"),
         ("line.npy", "must hold a field or a stack of fields, got shape (3,)"),
         ("broken.npy", "cannot be drawn"),
         ("objects.npy", "cannot be drawn"),

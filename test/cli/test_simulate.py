@@ -183,16 +183,19 @@ def test_the_schema_covers_every_kind(capsys):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "CONFIG lacks bench, elements"),
+        ("", "CONFIG needs bench, elements"),
         ("x = [", "is not valid TOML"),
-        (HEAD, "CONFIG lacks elements"),
+        (HEAD, "CONFIG needs elements"),
         (elements('kind = "lense"\nfocal_length = 1'), "element 1 must have a kind of"),
         (elements('kind = "plane_wav"'), "Did you mean 'plane_wave'?"),
         (elements('kind = "lens"\nfocal_length = 1'), "element 1 (lens): the first element must be a source"),
-        (elements('kind = "gaussian_beam"'), "element 1 (gaussian_beam) lacks waist"),
+        (elements('kind = "gaussian_beam"'), "element 1 (gaussian_beam) needs waist"),
         (elements('kind = "gaussian_beam"\nwaist = "1 foot"'), "waist must be a positive length such as 8e-6"),
         (elements('kind = "gaussian_beam"\nwaist = -1'), "waist must be a positive length"),
-        (elements('kind = "plane_wave"\namplitud = 1'), "has no 'amplitud'; known are amplitude, tilt. Did you mean"),
+        (
+            elements('kind = "plane_wave"\namplitud = 1'),
+            "has no parameter 'amplitud'; accepted: amplitude, tilt. Did you mean",
+        ),
         (elements('kind = "plane_wave"', 'kind = "slm"\npattern = "no.png"'), "path of a picture that exists"),
         (
             elements('kind = "plane_wave"', 'kind = "propagate"\ndistance = 1\nmethod = "magic"'),
@@ -200,10 +203,10 @@ def test_the_schema_covers_every_kind(capsys):
         ),
         (elements('kind = "plane_wave"'), "the last element must be a record"),
         (elements('kind = "plane_wave"', 'kind = "record"\nname = "../x"'), "name must be a name of letters"),
-        (elements('kind = "plane_wave"', 'kind = "record"\nname = "report"'), "name 'report' is taken"),
+        (elements('kind = "plane_wave"', 'kind = "record"\nname = "report"'), "name 'report' is already used"),
         (
             elements('kind = "plane_wave"', *['kind = "record"\nname = "a"'] * 2),
-            "element 3 (record): name 'a' is taken",
+            "element 3 (record): name 'a' is already used",
         ),
         (elements('kind = "plane_wave"', 'kind = "record"\nname = "a"', 'kind = "plane_wave"'), "sources come first"),
         (HEAD.replace(f"{SIDE}, {SIDE}", "0, 5") + "[[elements]]\n", "resolution must be two whole numbers"),

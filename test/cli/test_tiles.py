@@ -154,7 +154,7 @@ def test_a_run_goes_on_and_knows_its_picture(grey_file, tmp_path):
     assert "already" in run(grey_file, "-o", tmp_path / "b", *GEOMETRY, "--iterations", 3).stdout
     np.save(grey_file, np.load(grey_file)[::-1])
     said = run(grey_file, "-o", tmp_path / "a", *options, 4, expect=2)
-    assert "holds the state of another picture" in said.stderr and "--again" in said.stderr
+    assert "holds the state of a run with another picture" in said.stderr and "--again" in said.stderr
     said = run(grey_file, "-o", tmp_path / "b", *options, 4, "--distance", "4e-3", "--again")
     assert read_report(tmp_path / "b")["parameters"]["distance"] == 4e-3
 
@@ -176,7 +176,7 @@ def test_worker_processes_give_the_same_pattern(grey_file, tmp_path):
         (["--no-scale"], "--no-scale cannot be used with --tiles"),
         (["--seed", "3"], "--seed has no effect with --initial-phase weak lens"),
         (["--watch"], "--tiles takes one IMAGE"),
-        (["--cluster", "tcp://127.0.0.1:1"], "no --cluster but local"),
+        (["--cluster", "tcp://127.0.0.1:1"], "--cluster must be local"),
         (["--propagation-type", "Adaptive Sampling Angular Spectrum"], "--propagation-type must be one of"),
         (["--resolution", "8", "8"], "--resolution"),
     ],

@@ -90,7 +90,7 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
 def test_a_modulator_that_does_not_modulate_is_told():
     table = instruments.SimulatedTable(4, shape=(32, 32), camera_shape=(40, 40), distance=3e-3)
     table.truth = dataclasses.replace(table.truth, phases=np.zeros(256))
-    with pytest.raises(RuntimeError, match="must see the phases of the levels"):
+    with pytest.raises(RuntimeError, match="must observe how the interference"):
         instruments.measure_phase_response(*instruments_of(table), 532e-9, 3e-3, samples=9, captures=2)
 
 
@@ -230,7 +230,7 @@ def test_drivers_are_found_by_entry_points(monkeypatch):
     drivers = {"screen": lambda display: table.modulator, "wrong": dict}
     monkeypatch.setattr(EntryPoint, "load", lambda self: drivers[self.name])
     assert instruments.open_instrument("screen", display=1) is table.modulator
-    with pytest.raises(TypeError, match="follows none of the protocols"):
+    with pytest.raises(TypeError, match="implements none of the instrument protocols"):
         instruments.open_instrument("wrong")
     with pytest.raises(ValueError, match=r"installed driver \('screen', 'wrong'\), got 'camera'"):
         instruments.open_instrument("camera")

@@ -100,7 +100,7 @@ def test_a_table_behind_a_folder(tmp_path):
 
 def test_a_folder_that_does_not_answer(tmp_path):
     modulator = instruments.FileModulator(tmp_path, (4, 4), 8e-6, timeout=0.05)
-    with pytest.raises(TimeoutError, match=r"shown\.txt' did not come within 0\.05 s"):
+    with pytest.raises(TimeoutError, match=r"shown\.txt' did not appear within 0\.05 s"):
         modulator.show(np.zeros((4, 4), int))
     camera = instruments.FileCamera(tmp_path, (4, 4), 8e-6, timeout=0.05)
     with pytest.raises(TimeoutError, match="capture_1"):

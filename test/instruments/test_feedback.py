@@ -70,7 +70,7 @@ def test_given_intensities_and_bad_arguments():
         ({"intensities": wanted[:2]}, "intensities must be"),
         ({"turns": 0}, "turns must be at least 1"),
         ({"radius": -1.0}, "radius must be positive"),
-        ({"radius": 1e-3}, "points must lie where the camera"),
+        ({"radius": 1e-3}, "points must be such that their discs lie inside"),
     ):
         with pytest.raises(ValueError, match=message):
             instruments.equalise_spots(*call, **change)

@@ -302,6 +302,6 @@ def test_batches_of_one_length_meet_and_others_are_named(function, names, argume
     result = function(*arguments)
     assert len(result if isinstance(result, np.ndarray) else result[0]) == 3
     first, last = names
-    together = rf"do not fit together: {first} \[2\].*{last} \[3\]"
+    together = rf"cannot be broadcast together: {first} \[2\].*{last} \[3\]"
     with pytest.raises(ValueError, match=rf"{together}|^{last} must be one .* each of the rays \[2\], got \[3\]"):
         function(arguments[0][:2], *arguments[1:])

@@ -119,7 +119,10 @@ def test_lens_of_the_catalogue_stands_where_it_is_traced():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (([20.0, -20.0], 1.0, 20.0), "thickness must leave an edge, got 1: at the rim -4.359 is left"),
+        (
+            ([20.0, -20.0], 1.0, 20.0),
+            "thickness must leave a positive thickness at the edge, got 1, which leaves -4.359",
+        ),
         (([5.0, -20.0], 4.0, 20.0), "diameter must be below what the front spans"),
         (([0.0, -20.0], 4.0, 20.0), "radii must not be 0"),
         (([20.0], 4.0, 20.0), "radii must be two"),

@@ -161,7 +161,7 @@ def test_queue_is_bounded_and_emptied_in_order():
     done = []
     for number in range(100):
         assert server.run_in_main_thread((done.append, [number], {}))
-    with pytest.warns(ArgumentWarning, match="100 commands wait already"):
+    with pytest.warns(ArgumentWarning, match="100 commands are waiting already"):
         assert not server.run_in_main_thread(lambda: done.append("late"))
     thread = server.whisper2blender(port=8082, host="127.0.0.1", path_max=4096)
     thread.start()

@@ -63,7 +63,7 @@ def test_lost_rays_are_left_out_with_their_colours(picture):
     assert np.allclose(item.colors.reshape(2, ROD, 3), [[[1, 0, 0]], [[0, 0, 1]]])
     item = picture.add_rays(LINE, distance=[np.inf, 2.0], color=[[1, 0, 0], [0, 1, 0]])
     assert np.allclose(item.colors, [[0, 1, 0]])
-    with pytest.raises(ValueError, match="points must hold a path"):
+    with pytest.raises(ValueError, match="rays must be finite"):
         picture.add_rays(rays[1:2])
 
 
@@ -150,9 +150,9 @@ def test_surface_takes_heights_and_points_alike(picture):
         (lambda s: s.add_rays(LINE, color="no such colour"), ValueError, "color must be a name"),
         (lambda s: s.add_rays(LINE, radius=-1), ValueError, "radius must be positive"),
         (lambda s: s.add_lines([[0, 0, 0]]), ValueError, "points must be"),
-        (lambda s: s.add_points([np.nan, 0, 0]), ValueError, "points must hold a finite one"),
+        (lambda s: s.add_points([np.nan, 0, 0]), ValueError, "points must have at least one finite point"),
         (lambda s: s.add_mesh([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]]), ValueError, "mesh must be finite"),
-        (lambda s: s.add_mesh(np.zeros((3, 3)), [[0, 1, 3]]), ValueError, "faces must name vertices from 0 to 2"),
+        (lambda s: s.add_mesh(np.zeros((3, 3)), [[0, 1, 3]]), ValueError, "faces must be indices of vertices, 0 to 2"),
         (lambda s: s.add_mesh(np.zeros((3, 3)), [[0.0, 1.0, 2.0]]), ValueError, "faces must be integers"),
         (lambda s: s.add_mesh("mesh.obj"), ValueError, r"'\.obj'"),
         (lambda s: s.add_surface(np.zeros((3, 4))), ValueError, "size must be"),
@@ -161,11 +161,11 @@ def test_surface_takes_heights_and_points_alike(picture):
         (lambda s: s.add_sphere(radius=0), ValueError, "radius must be positive"),
         (lambda s: s.add_sphere(material="N-BK77"), ValueError, "N-BK7"),
         (lambda s: s.add_sphere(material=[1, 2]), TypeError, "material must be a Material"),
-        (lambda s: s.add_cylinder([0, 0, 0], [0, 0, 0], 1), ValueError, "start and end must be apart"),
+        (lambda s: s.add_cylinder([0, 0, 0], [0, 0, 0], 1), ValueError, "start and end must be different points"),
         (lambda s: s.add_image(np.full((2, 2), 2.0), [1, 1]), ValueError, "image of floats must be from 0 to 1"),
         (lambda s: s.add_image(np.zeros((2, 2, 2)), [1, 1]), ValueError, "image must be"),
-        (lambda s: s.add_camera([0, 0, 0], [0, 0, 0]), ValueError, "location and target must be apart"),
-        (lambda s: s.add_camera([0, 0, 1], up=[0, 0, 1]), ValueError, "up must not be along"),
+        (lambda s: s.add_camera([0, 0, 0], [0, 0, 0]), ValueError, "location and target must be different points"),
+        (lambda s: s.add_camera([0, 0, 1], up=[0, 0, 1]), ValueError, "up must not be parallel"),
         (lambda s: s.add_camera(fov=180), ValueError, "fov must be below 180"),
         (lambda s: s.add_camera(projection="ortographic"), ValueError, "Did you mean 'orthographic'"),
         (lambda s: s.add_camera(clip=[2, 1]), ValueError, "clip must be"),

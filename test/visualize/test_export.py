@@ -204,7 +204,7 @@ def test_gltf_has_linear_colours_normals_and_two_sides(tmp_path):
 def test_what_cannot_be_saved_or_drawn(tmp_path, monkeypatch):
     mesh = PLY_object()
     for save, name in ((mesh.save_PLY, "a.ply"), (mesh.save_OBJ, "a.obj"), (mesh.save_glTF, "a.glb")):
-        with pytest.raises(ValueError, match="nothing to save"):
+        with pytest.raises(ValueError, match="the scene is empty"):
             save(tmp_path / name)
     for call, message in (
         (lambda: mesh.draw_a_ray([0, 0, 0], [0, 0]), r"point1 must be \[3\]"),

@@ -320,7 +320,7 @@ def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item):
 
     _, length = create_ray_from_two_points(p0, p1)
     if not length > 0:
-        raise ValueError(f"p0 and p1 must be apart, got {list(p0)} for both")
+        raise ValueError(f"p0 and p1 must be different points, got {list(p0)} for both")
     mesh = triangle_mesh(torch.from_numpy(ob.placed_vertices()), torch.from_numpy(ob.faces).long(), backend="torch")
     start = torch.tensor([three("p0", p0), three("p1", p1)], dtype=torch.float64)
     direction = (start[1] - start[0]) / (start[1] - start[0]).norm()
@@ -492,7 +492,10 @@ def validate_and_queue_command(cmd_str: str) -> bool:
         name, arguments, named = parse_function_call_safely(cmd_str, expected)
         if name is not None:
             return run_in_main_thread((globals()[name], arguments, named))
-    warn(f"refused {cmd_str!r:.100}: known are calls of {', '.join(COMMANDS)} with literals", ArgumentWarning)
+    warn(
+        f"ignored {cmd_str!r:.100}: accepted are calls of {', '.join(COMMANDS)} with literals as arguments",
+        ArgumentWarning,
+    )
     return False
 
 
@@ -513,7 +516,7 @@ def run_in_main_thread(function_tuple) -> bool:
     try:
         _waiting.put_nowait((function, arguments, named))
     except queue.Full:
-        warn(f"{_waiting.maxsize} commands wait already: {function.__name__} is dropped", ArgumentWarning)
+        warn(f"{_waiting.maxsize} commands are waiting already: {function.__name__} is discarded", ArgumentWarning)
         return False
     return True
 

@@ -76,7 +76,7 @@ class Arrays:
         values = array.array(CODES[header["descr"]])
         values.frombytes(memoryview(content)[start:])
         if len(values) != math.prod(header["shape"]):
-            raise ValueError(f"{name} is cut short")
+            raise ValueError(f"{name} is truncated")
         return values, header["shape"]
 
 
@@ -356,7 +356,7 @@ def set_quality(scene, job):
             cycles.denoiser = "OPENIMAGEDENOISE"
         except TypeError:
             cycles.use_denoising = False
-            say("odak: this Blender has no denoiser; the picture keeps its noise")
+            say("odak: this Blender has no denoiser; the image is not denoised")
     cycles.max_bounces = cycles.transmission_bounces = cycles.transparent_max_bounces = 24
     scene.view_settings.view_transform = "Standard"
     scene.view_settings.look = "None"

@@ -206,13 +206,13 @@ def aim(location, target, up=None) -> list[list[float]]:
     """
     behind = np.subtract(location, target)
     if not np.linalg.norm(behind) > 0:
-        raise ValueError(f"location and target must be apart, got {location} for both")
+        raise ValueError(f"location and target must be different points, got {location} for both")
     behind = behind / np.linalg.norm(behind)
     if up is None:
         up = [0.0, 1.0, 0.0] if abs(behind[1]) < 1 - 1e-6 else [0.0, 0.0, 1.0]
     right = np.cross(up, behind)
     if not np.linalg.norm(right) > 1e-9 * np.linalg.norm(up):
-        raise ValueError(f"up must not be along the look from location to target, got {up}")
+        raise ValueError(f"up must not be parallel to the direction from location to target, got {up}")
     right = right / np.linalg.norm(right)
     return [axis.tolist() for axis in (right, np.cross(behind, right), behind)]
 

@@ -166,7 +166,7 @@ class Lenses:
         if any(bool(item.shift.any()) or bool(item.tilt.any()) for item in surfaces):
             raise ValueError("system must not have shifted or tilted surfaces; draw its lenses one by one")
         if any(item.own_shape is not None for item in surfaces):
-            raise ValueError("system must have planes, conics and even aspheres alone, which this can draw")
+            raise ValueError("system must consist of planes, conics and even aspheres; other shapes cannot be drawn")
         unit = MICROMETRES[system.unit] * 1e-6 / self.metres
         places = np.cumsum([0.0] + [float(item.thickness) for item in surfaces])
         paths, fields = _traced(system, pupil, max(_validate.integer("count", count), 2), places)
@@ -207,10 +207,10 @@ def _curvature(radius) -> float:
 
 def _pair(name: str, value) -> list:
     if isinstance(value, str) or not isinstance(value, Iterable):
-        raise TypeError(f"{name} must be two, of front and back, got {value!r:.80}")
+        raise TypeError(f"{name} must be a pair, one for the front and one for the back, got {value!r:.80}")
     pair = list(value)
     if len(pair) != 2:
-        raise ValueError(f"{name} must be two, of front and back, got {len(pair)}")
+        raise ValueError(f"{name} must be a pair, one for the front and one for the back, got {len(pair)}")
     return pair
 
 
@@ -219,11 +219,15 @@ def _check(front: Profile, back: Profile, thickness: float) -> None:
     for which, face in (("front", front), ("back", back)):
         rim = face.at(np.array([face.semi_diameter]), np.array([0.0]))
         if not rim.defined[0]:
-            raise ValueError(f"diameter must be below what the {which} spans, got {2 * face.semi_diameter:g}")
+            raise ValueError(
+                f"diameter must be smaller than the largest diameter of the {which}, got {2 * face.semi_diameter:g}"
+            )
         heights.append(float(rim.height[0]))
     edge = thickness + heights[1] - heights[0]
     if edge <= 0:
-        raise ValueError(f"thickness must leave an edge, got {thickness:g}: at the rim {edge:.4g} is left")
+        raise ValueError(
+            f"thickness must leave a positive thickness at the edge, got {thickness:g}, which leaves {edge:.4g}"
+        )
 
 
 def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:

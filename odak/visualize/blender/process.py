@@ -235,7 +235,7 @@ def _follow(process, timeout, verbose: bool, samples: int) -> tuple[list[collect
         try:
             process.wait(timeout)
         except subprocess.TimeoutExpired:
-            raise TimeoutError(f"Blender was stopped after {timeout:g} s; timeout=None waits for ever") from None
+            raise TimeoutError(f"Blender was stopped after {timeout:g} s; timeout=None sets no limit") from None
         finally:
             if process.poll() is None:
                 _kill_with_children(process)
@@ -386,7 +386,7 @@ def _array(store, name: str) -> np.ndarray:
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         shape, _, dtype = read_header[np.lib.format.read_magic(stream)](stream)
         if math.prod(shape) * dtype.itemsize > record.file_size:
-            raise ValueError(f"{name} is cut short: its header says {list(shape)}")
+            raise ValueError(f"{name} is truncated: its header says {list(shape)}")
     return store[name]
 
 
@@ -399,7 +399,7 @@ def _with_arrays(entry: dict, store) -> dict:
                 raise ValueError(f"{key} of {entry['name']!r} must be {dtype}, got {entry[key].dtype}")
     count = len(entry["vertices"])
     if entry["faces"].size and not 0 <= entry["faces"].min() <= entry["faces"].max() < count:
-        raise ValueError(f"a face of {entry['name']!r} names a vertex beyond its {count}")
+        raise ValueError(f"a face of {entry['name']!r} has a vertex index beyond {count - 1}")
     if entry["material"]["kind"] not in KINDS:
         raise ValueError(f"material of {entry['name']!r} must be one of {', '.join(KINDS)}")
     return entry

@@ -74,9 +74,7 @@ class Lines:
         kept = np.isfinite(directions.reshape(count, 6)).all(-1) & np.isfinite(lengths.reshape(-1))
         lines = np.stack((starts, ends), axis=1)
         if not (starts != ends).any():
-            raise ValueError(
-                "points must hold a path of more than one finite point: rays must be finite and distance not 0"
-            )
+            raise ValueError("rays must be finite and distance must not be 0, so that a ray has a start and an end")
         return self.add_lines(lines, radius=radius, color=_of_kept(color, kept), material=material, name=name)
 
     def add_lines(
@@ -109,7 +107,7 @@ class Lines:
         starts, ends = paths[:, :-1], paths[:, 1:]
         drawn = reached[:, 1:] & (np.where(reached[:, 1:, None], ends - starts, 0.0) != 0).any(-1)
         if not drawn.any():
-            raise ValueError(f"points must hold a path of more than one finite point, got {len(paths)} without any")
+            raise ValueError(f"points must have a path with at least two finite points, got {len(paths)} paths without")
         starts, ends = starts[drawn], ends[drawn]
         if radius is None:
             corners = np.concatenate((starts, ends))
@@ -152,7 +150,7 @@ class Lines:
         places = _arrays.points("points", points).astype(np.float64)
         kept = np.isfinite(places).all(-1)
         if not kept.any():
-            raise ValueError(f"points must hold a finite one, got {len(places)} without any")
+            raise ValueError(f"points must have at least one finite point, got {len(places)} that are not finite")
         one, many = _colors(color, len(places))
         places = places[kept]
         if radius is None:
@@ -196,7 +194,7 @@ class Lines:
         if len(starts) != 1 or len(ends) != 1 or not np.isfinite([starts, ends]).all():
             raise ValueError(f"start and end must be finite points [3], got {starts.tolist()} and {ends.tolist()}")
         if (starts == ends).all():
-            raise ValueError(f"start and end must be apart, got {starts[0].tolist()} for both")
+            raise ValueError(f"start and end must be different points, got {starts[0].tolist()} for both")
         segments = _validate.integer("segments", segments, minimum=3)
         mesh = tube_mesh(starts, ends, positive("radius", radius), segments)
         return self._add(name, mesh, material, color, diffuse(), smooth=True)
@@ -529,7 +527,7 @@ def _mesh(mesh, faces) -> tuple[str, Mesh]:
         raise ValueError(f"faces must be integers [f, 3], got {faces.dtype} {list(faces.shape)}")
     if len(faces) and not 0 <= faces.min() <= faces.max() < len(vertices):
         raise ValueError(
-            f"faces must name vertices from 0 to {len(vertices) - 1} of mesh, got {faces.min()} … {faces.max()}"
+            f"faces must be indices of vertices, 0 to {len(vertices) - 1} of mesh, got {faces.min()} … {faces.max()}"
         )
     return "mesh", Mesh(vertices, faces)
 
