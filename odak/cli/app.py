@@ -265,8 +265,8 @@ def metamer(
     if not quiet:
         psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
         typer.echo(
-            f"PSNR {psnr}, metameric loss {report['loss']:.3g} (white noise of the same PSNR: "
-            f"{report['noise_loss']:.3g}), largest pooling region {report['largest_pooling']:.3g} px"
+            f"PSNR {psnr}, metameric loss {report['loss']:.3g}, that of white noise of the same PSNR "
+            f"{report['noise_loss']:.3g}, largest pooling region {report['largest_pooling']:.3g} px"
         )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
 

@@ -354,7 +354,7 @@ def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
     monkeypatch.setattr(materials, "_found", {})
     path = tmp_path / "mine.agf"
     path.write_text(AGF, encoding="utf-16")
-    with pytest.warns(ArgumentWarning, match="left out STRANGE"):
+    with pytest.warns(ArgumentWarning, match="skipped STRANGE"):
         names = catalog.load_materials(path)
     assert names == ("SCHOTTISH", "SELL", "CONRADY", "HANDBOOK")
     assert catalog.material("sell").index(0.5875618) == pytest.approx(1.5168, abs=2e-6)

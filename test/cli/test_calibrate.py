@@ -59,7 +59,7 @@ def test_instruments_that_do_not_open_are_named(tmp_path, capsys):
     for arguments, message in (
         (["nothing"], "STEP must be one of exposure"),
         (["phase", "--modulator", "none", "--camera", "none"], "must be that of an installed driver"),
-        (["phase", "--camera", "video"], "--modulator is simulated, the others must be too"),
+        (["phase", "--camera", "video"], "--modulator is simulated, so all other instruments must be"),
         (["phase", "--option", "nonsense"], "--option must be modulator|camera|polariser|simulated.NAME=VALUE"),
         (["phase", "--option", "simulated.nothing=1"], "an instrument cannot be opened"),
         (["phase", "--wavelength", "-3nm"], "--wavelength must be positive"),
@@ -78,7 +78,7 @@ def test_results_of_another_table_are_refused(tmp_path, capsys):
     start = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 5e-3)
     instruments.save_calibration(tmp_path / "calibration.npz", start)
     assert calibrate("exposure", tmp_path)[0] == 2
-    assert "is of another table: [20, 20] pixels" in capsys.readouterr().err
+    assert "belongs to another setup: it must have" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -176,12 +176,12 @@ def test_shipped_pictures_by_name(tmp_path):
     [
         (["--cluster", "slurm"], "--cluster must be 'local', the address of a scheduler"),
         (["--workers", "0"], "--workers must be at least 1"),
-        (["--workers", "2"], "--workers are processes of this machine: they need cluster='local'"),
+        (["--workers", "2"], "--workers must be left out unless cluster='local'"),
         (["--retries", "-1"], "--retries must be at least 0"),
         (["--iterations", "0"], "--iterations must be at least 1"),
         (["missing.png"], "IMAGE not found"),
         (["."], "different names"),
-        (["--cluster", "tcp://10.1.2.3:8786"], "or say --trusted-network if"),
+        (["--cluster", "tcp://10.1.2.3:8786"], "or set --trusted-network if"),
         (["--cluster", "tls://10.1.2.3:8786", "--tls-cert", "a.pem"], "--tls-key must be given together"),
         (["summary.json.png"], "'the file summary.json of this command' and "),
         (["FRAME1.png"], "different names"),
@@ -207,10 +207,10 @@ def test_a_cluster_that_is_not_there_is_code_1(folder, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["somewhere"], "ADDRESS must be that of a scheduler, such as tls://10.0.0.1:8786; got 'somewhere'"),
+        (["somewhere"], "ADDRESS must be the address of a scheduler, such as tls://10.0.0.1:8786; got 'somewhere'"),
         (["tcp://127.0.0.1:1", "--workers", "0"], "--workers must be at least 1"),
         (["tcp://127.0.0.1:1", "--memory-limit", "-1"], "--memory-limit must be positive"),
-        (["tcp://10.1.2.3:8786"], "ADDRESS 'tcp://10.1.2.3:8786' lies beyond this machine"),
+        (["tcp://10.1.2.3:8786"], "ADDRESS 'tcp://10.1.2.3:8786' is not an address of this machine only"),
         (
             ["tcp://127.0.0.1:1", "--tls-cert", "a.pem"],
             "--tls-ca-file, --tls-cert and --tls-key must be given together",

@@ -197,7 +197,7 @@ def test_plain_tcp_stays_on_this_machine_unless_the_network_is_trusted(address, 
 
 
 def test_a_server_beyond_this_machine_needs_certificates():
-    with pytest.raises(ValueError, match=r"host '0\.0\.0\.0' lies beyond this machine"):
+    with pytest.raises(ValueError, match=r"host '0\.0\.0\.0' is not an address of this machine only"):
         start_server(host="0.0.0.0", port=0, workers=1)
     with agent(divide, server=True, host="0.0.0.0", verbose=False) as work, pytest.raises(ValueError, match="host"):
         work.connect()

@@ -123,9 +123,9 @@ def test_lens_of_the_catalogue_stands_where_it_is_traced():
             ([20.0, -20.0], 1.0, 20.0),
             "thickness must leave a positive thickness at the edge, got 1, which leaves -4.359",
         ),
-        (([5.0, -20.0], 4.0, 20.0), "diameter must be below what the front spans"),
+        (([5.0, -20.0], 4.0, 20.0), "diameter must be smaller than the largest diameter of the front"),
         (([0.0, -20.0], 4.0, 20.0), "radii must not be 0"),
-        (([20.0], 4.0, 20.0), "radii must be two"),
+        (([20.0], 4.0, 20.0), "radii must be a pair, one for the front"),
         (([20.0, 20.0], -4.0, 20.0), "thickness must be positive"),
     ],
 )

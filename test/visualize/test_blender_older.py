@@ -143,7 +143,7 @@ def test_nothing_else_is_carried_out(text):
     before = commands.current().scene
     with pytest.raises(ValueError, match="cmds must be calls of import_ply, prepare"):
         blender.send_msg(["cylinder_between([0, 0, 0], [0, 1, 0])", text])
-    with pytest.warns(ArgumentWarning, match="refused"):
+    with pytest.warns(ArgumentWarning, match="accepted are calls of"):
         assert not server.validate_and_queue_command(text)
     assert server.execute_queued_functions() == 0.1
     assert commands.current().scene is before and before.objects == []

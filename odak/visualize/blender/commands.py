@@ -510,7 +510,7 @@ def run_in_main_thread(function_tuple) -> bool:
     Returns
     -------
     bool
-        Whether there was room: at most 100 calls wait.
+        Whether the call was queued: at most 100 calls wait.
     """
     function, arguments, named = (function_tuple, [], {}) if callable(function_tuple) else function_tuple
     try:
