@@ -148,8 +148,6 @@ ONE = np.ones((4, 4), complex)
         ((ONE, WAVELENGTH, (np.zeros((2, 3)), np.ones(2)), 1e-3, DX), "source"),
         ((ONE, WAVELENGTH, (np.zeros((2, 2)), np.ones(3)), 1e-3, DX), "source"),
         ((ONE, WAVELENGTH, np.zeros((2, 2)), 1e-3, DX), "source"),
-        ((ONE, WAVELENGTH, None, 1e-3, 0.0), "dx"),
-        ((ONE, WAVELENGTH, None, float("nan"), DX), "distance"),
         ((ONE[0], WAVELENGTH, None, 1e-3, DX), "field"),
     ],
 )

@@ -177,7 +177,6 @@ def test_double_phase_needs_its_iris():
         ({"frame_time": 0.0}, ValueError, "frame_time must be positive"),
         ({"response_time": -1.0}, ValueError, "response_time must be at least 0"),
         ({"lit": (0.5, 0.5)}, ValueError, "lit must be the start and the end"),
-        ({"slm": 3}, TypeError, "slm must be a spatial_light_modulator"),
         ({"time_samples": 0}, ValueError, "time_samples must be at least 1"),
     ],
 )

@@ -366,7 +366,6 @@ def test_padding_of_ones_own(phases):
         ({"laser_channel_power": torch.ones(2, 3)}, "laser_channel_power must be"),
         ({"laser_channel_power": -torch.eye(3)}, "laser_channel_power must not be negative"),
         ({"distances": []}, "distances must hold"),
-        ({"aperture_size": -1.0}, "aperture_size"),
         ({"memory_budget": -1}, "memory_budget"),
         ({"volume_depth": math.inf}, "volume_depth"),
     ],
