@@ -179,12 +179,13 @@ def seen_through(field: Array, transfer: Array, lens: Array) -> Array:
     transfer : array
         ``[2·rows, 2·columns]``, or ``[K, 2·rows, 2·columns]`` for K eyes, an axis that the result has then too.
     lens : array
-        ``[rows, columns]``.
+        ``[rows, columns]``, or ``[K, rows, columns]`` for K eyes that are turned by different angles.
     """
     xp = _array.namespace(field)
     rows, columns = field.shape[-2:]
+    field = field[..., None, :, :] if lens.ndim > 2 else field
     spectrum = xp.fft.fftn(_padded(xp, field * lens, (2 * rows, 2 * columns)), axes=_AXES)
-    spectrum = spectrum[..., None, :, :] if transfer.ndim > 2 else spectrum
+    spectrum = spectrum[..., None, :, :] if transfer.ndim > lens.ndim else spectrum
     return xp.fft.ifftn(spectrum * transfer, axes=_AXES)[..., :rows, :columns] * xp.conj(lens)
 
 

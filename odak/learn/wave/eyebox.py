@@ -29,6 +29,7 @@ def eyebox_hologram(
     loss_function: Callable | None = None,
     learning_rate: float = 0.2,
     *,
+    rotation: Sequence[float] | torch.Tensor = (0.0, 0.0),
     optimizer: str = "adam",
     initial_phase: torch.Tensor | None = None,
     frames: int = 1,
@@ -69,6 +70,10 @@ def eyebox_hologram(
         ``loss_function(images, targets)`` of ``[K, rows, columns]``; mean squared error by default.
     learning_rate : float
         Adam's step size in radians.
+    rotation : sequence of float or torch.Tensor
+        Angles in degrees (rows, columns) by which the eye is turned about its centre, ``[2]`` or ``[K, 2]``: the pupil
+        moves to the side and back, and appears narrower, as in :func:`odak.learn.wave.eye_image`. Positions are those
+        of the pupil before the turn.
     optimizer : str
         "adam" or "lbfgs".
     initial_phase : torch.Tensor, optional
@@ -153,6 +158,11 @@ def eyebox_hologram(
     device, generator = targets.device, generator_from(seed)
     places = places.to(device)
     diameters, foci = (_of_each(*pair, places) for pair in (("pupil_diameter", pupil_diameter), ("focus", focus)))
+    turns = tensor("rotation", rotation, torch.float64, torch.device("cpu"))
+    if tuple(turns.shape) not in ((2,), (len(places), 2)):
+        raise ValueError(f"rotation must be [2] or [{len(places)}, 2], got {list(turns.shape)}")
+    turned = bool(turns.any())
+    turns = turns.detach().expand(len(places), 2)
     modulate = unit_phasor if slm is None else slm
     loss_of = torch.nn.functional.mse_loss if loss_function is None else loss_function
     phase = _start(initial_phase, (frames, *targets.shape[-2:]), generator, targets).requires_grad_()
@@ -161,13 +171,16 @@ def eyebox_hologram(
         like = modulate(phase)[0]
         eyes: Any = [
             eye_transfer(
-                like, pixel_pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k]
+                like, pixel_pitch, wavelength, distance, place, diameters[k], None if foci is None else foci[k], turn
             )
-            for k, place in enumerate(places)
+            for k, (place, turn) in enumerate(zip(places, turns.tolist(), strict=True))
         ]
-    transfers, lens = torch.stack([transfer for transfer, _ in eyes]), eyes[0][1]
+    transfers, lenses = (torch.stack(parts) for parts in zip(*eyes, strict=True))
+    # Pupils at one distance share the transform of the field.
+    shared = bool((turns == turns[0]).all())
 
     def images(chosen):
+        lens = lenses[0] if shared else lenses[chosen]
         return intensity(seen_through(modulate(phase), transfers[chosen], lens)).mean(0)
 
     def gradient(iteration):
@@ -183,7 +196,7 @@ def eyebox_hologram(
 
     about = {"learning_rate": learning_rate, "optimizer": optimizer, "pupils": at_once}
     if checkpoint is not None:
-        about["targets and places"] = fingerprint(targets, places)
+        about["targets and places"] = fingerprint(targets, places, *([turns] if turned else []))
     minimise(
         {"phase": phase},
         gradient,

@@ -304,6 +304,7 @@ BY_CALL = {
         "pixel_pitch": 8e-6,
         "pupil_positions": [[0.0, 0.0], [0.0, 1e-3]],
         "pupil_diameter": 1e-3,
+        "rotation": [[0.0, 0.0], [0.0, 2.0]],
         "focus": 6e-2,
         "n_iteration": 2,
         "initial_phase": tensor(16, 16),

@@ -158,6 +158,26 @@ def test_each_place_of_the_eyebox_sees_its_own_image():
     assert decibels(judged(plain.numpy(), (0.0, 1.2e-3), 2e-3), targets[1]) < 12
 
 
+def test_each_direction_of_gaze_sees_its_own_image():
+    """One eye that turns to either side, judged by direct sums to the place, width and distance of its pupil."""
+    angles, targets = (6.0, -4.0), torch.stack([picture(0), picture(1)])
+    hologram, seen = wave.eyebox_hologram(
+        targets, WAVELENGTH, DISTANCE, PITCH, [[2e-4, 0.0]] * 2, 1.6e-3,
+        rotation=[[0.0, angle] for angle in angles], n_iteration=50, frames=3, seed=0, progress=False,
+    )  # fmt: skip
+    lights = []
+    for angle in map(math.radians, angles):
+        away = DISTANCE + 10.5e-3 * (1 - math.cos(angle))
+        view = ((2e-4, 10.5e-3 * math.sin(angle)), 1.6e-3, away, away, (1.0, math.cos(angle)))
+        lights.append(np.mean([judged(field.numpy(), *view) for field in hologram], 0))
+    assert np.linalg.norm(seen.numpy() - lights) < 0.03 * np.linalg.norm(lights)
+    assert decibels(lights, targets) > 20
+    assert decibels(lights[::-1], targets) < 12
+    for light, angle in zip(seen, angles, strict=True):
+        alone = wave.eye_image(hologram, PITCH, WAVELENGTH, DISTANCE, (2e-4, 0.0), 1.6e-3, rotation=(0.0, angle))
+        torch.testing.assert_close(light, wave.intensity(alone).mean(0), rtol=1e-4, atol=1e-5)
+
+
 def test_places_drawn_by_step_and_checkpoints(tmp_path):
     places = torch.tensor([[0.0, -1e-3], [0.0, 0.0], [0.0, 1e-3]])
     options = {"pupil_positions": places, "pupils_per_step": 2, "seed": 3, "progress": False}
@@ -181,6 +201,7 @@ def test_places_drawn_by_step_and_checkpoints(tmp_path):
         ({"pupil_positions": [0.0, 0.0]}, ValueError, "pupil_positions must be"),
         ({"pupil_diameter": [1e-3] * 3}, ValueError, "pupil_diameter must be one number or"),
         ({"focus": [-1.0, 1.0]}, ValueError, "focus must be positive"),
+        ({"rotation": [[0.0, 1.0]] * 3}, ValueError, r"rotation must be \[2\] or \[2, 2\]"),
         ({"pupils_per_step": 1, "optimizer": "lbfgs"}, ValueError, "pupils_per_step must be left out"),
         ({"initial_phase": torch.zeros(4, 4)}, ValueError, "initial_phase must be"),
     ],
