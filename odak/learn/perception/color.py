@@ -772,7 +772,7 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     5.0
     """
     first, second = _pair(first, second)
-    return _root((first - second).square().sum(-3, keepdim=True))
+    return root((first - second).square().sum(-3, keepdim=True))
 
 
 def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
@@ -819,7 +819,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     # A small tolerance, so that exactly opposite hues are treated alike on every machine.
     wide = apart.abs() > math.pi * (1 + 4 * torch.finfo(apart.dtype).eps)
     turn = torch.where(wide, 2 * math.pi * torch.sign(apart), 0.0)
-    hue_step = 2 * _root(c1 * c2) * torch.sin((apart - turn) / 2)
+    hue_step = 2 * root(c1 * c2) * torch.sin((apart - turn) / 2)
     total = h1 + h2
     shift = 2 * math.pi * torch.where(wide, torch.where(total < 2 * math.pi, 1.0, -1.0), 0.0).to(total.dtype)
     mean_hue = torch.where(coloured, (total + shift) / 2, total)
@@ -827,7 +827,7 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     terms = ((l2 - l1) / _lightness_scale(lightness), (c2 - c1) / (1 + 0.045 * chroma),
              hue_step / (1 + 0.015 * chroma * _hue_weight(mean_hue)))  # fmt: skip
     squares = sum(term**2 for term in terms) + _rotation(mean_hue, chroma) * terms[1] * terms[2]
-    return _root(squares.clamp_min(0)).unsqueeze(-3)
+    return root(squares.clamp_min(0)).unsqueeze(-3)
 
 
 def _pair(first, second):
@@ -860,7 +860,7 @@ def _rotation(hue, chroma):
 
 def _saturating(chroma):
     """Return √(C⁷/(C⁷ + 25⁷))."""
-    return _root(1 / (1 + _25_TO_7 / chroma.clamp_min(1e-3) ** 7))
+    return root(1 / (1 + _25_TO_7 / chroma.clamp_min(1e-3) ** 7))
 
 
 def _hue(a, b):
@@ -871,10 +871,10 @@ def _hue(a, b):
 
 
 def _norm(a, b):
-    return _root(a**2 + b**2)
+    return root(a**2 + b**2)
 
 
-def _root(value):
+def root(value):
     """Return √value with a gradient of 0 at 0."""
     # NaN stays NaN.
     none = value <= 0
@@ -941,7 +941,7 @@ def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     49.5
     """
     image = as_pictures("image", image)
-    x, y, z = _cube_root(image / _column(_white(white), image)).unbind(-3)
+    x, y, z = cube_root(image / _column(_white(white), image)).unbind(-3)
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
 
 
@@ -1018,7 +1018,7 @@ def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     """
     white = _white(white)
     x, y, z = as_pictures("image", image).unbind(-3)
-    level = 116 * _cube_root(y / white[1]) - 16
+    level = 116 * cube_root(y / white[1]) - 16
     sum_white = white[0] + 15 * white[1] + 3 * white[2]
     total = x + 15 * y + 3 * z
     none = total == 0
@@ -1484,7 +1484,7 @@ def _column(white, like):
     return constant(tuple(white.tolist()), like.dtype, like.device)[:, None, None]
 
 
-def _cube_root(relative):
+def cube_root(relative):
     """Return the cube root above (6/29)³ and the straight line of L* below."""
     high = relative > _LAB_JOINT**3
     return torch.where(high, torch.where(high, relative, 1.0) ** (1 / 3), _LAB_FACTOR * relative + _LAB_OFFSET)

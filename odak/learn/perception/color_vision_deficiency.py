@@ -95,9 +95,12 @@ def simulate_color_vision_deficiency(
     light = image if linear else srgb_decoded(image)
     if method == "Machado":
         seen = mix(_machado_matrix(deficiency, severity), light)
+    elif method == "Vienot":
+        # The plane of white and of the display's blue.
+        matrix = _array.outside_graphs(_onto_plane, deficiency, tuple(_RGB_TO_LMS[:, 2]))
+        seen = torch.lerp(light, mix(rows(matrix), light), severity)
     else:
-        dichromat = _vienot(deficiency, light) if method == "Vienot" else _brettel(deficiency, light)
-        seen = torch.lerp(light, dichromat, severity)
+        seen = torch.lerp(light, _brettel(deficiency, light), severity)
     return seen if linear else srgb_encoded(seen)
 
 
@@ -212,11 +215,6 @@ def _onto_plane(deficiency, anchor):
     projection[row] = -normal / normal[row]
     projection[row, row] = 0.0
     return np.linalg.inv(_RGB_TO_LMS) @ projection @ _RGB_TO_LMS
-
-
-def _vienot(deficiency, light):
-    # The plane of white and of the display's blue.
-    return mix(rows(_array.outside_graphs(_onto_plane, deficiency, tuple(_RGB_TO_LMS[:, 2]))), light)
 
 
 def _brettel(deficiency, light):

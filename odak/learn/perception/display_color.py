@@ -190,7 +190,14 @@ def read_spectra(path: str | os.PathLike, wavelengths: torch.Tensor | Sequence[f
     >>> from odak.learn.perception import display_color_hvs, read_spectra
     >>> display = display_color_hvs(primaries_spectrum=read_spectra("display.csv"))  # doctest: +SKIP
     """
-    lines = _number_lines(_checked_path(path))
+    if not isinstance(path, (str, os.PathLike)):
+        raise TypeError(f"path must be a string or a path, got {type(path).__name__}")
+    if "\0" in os.fspath(path):
+        raise ValueError(f"path must not hold a null byte, got {path!r}")
+    try:
+        lines = _numbers_of(Path(path).read_text(encoding="utf-8-sig"))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ValueError(f"{path} is not a UTF-8 text of numbers: {error}") from error
     if len(lines) < 2 or len({len(line) for line in lines}) != 1 or len(lines[0]) < 2:
         raise ValueError(f"{path} must hold two or more lines of a wavelength and as many values each")
     table = np.array(sorted(lines))
@@ -233,21 +240,6 @@ def _interpolated(table, axis):
 def _table(name):
     folder = resources.files("odak.learn.perception").joinpath("data")
     return np.array(_numbers_of(folder.joinpath(_TABLES[name]).read_text(encoding="utf-8")))
-
-
-def _checked_path(path):
-    if not isinstance(path, (str, os.PathLike)):
-        raise TypeError(f"path must be a string or a path, got {type(path).__name__}")
-    if "\0" in os.fspath(path):
-        raise ValueError(f"path must not hold a null byte, got {path!r}")
-    return Path(path)
-
-
-def _number_lines(path):
-    try:
-        return _numbers_of(path.read_text(encoding="utf-8-sig"))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ValueError(f"{path} is not a UTF-8 text of numbers: {error}") from error
 
 
 def _numbers_of(text):

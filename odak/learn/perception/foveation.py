@@ -737,11 +737,27 @@ def plane_chunks(sampler: Sampler, planes: torch.Tensor) -> list[slice]:
 
 
 class _Sampled(torch.autograd.Function):
-    """The linear map on planes ``[H, P, W]``, or its adjoint; each is the other's gradient."""
+    """The linear map of a sampler on planes ``[H, P, W]``, or its adjoint; each is the other's gradient."""
 
     @staticmethod
     def forward(planes, sampler, adjoint):
-        return sampled_planes(planes, sampler, adjoint)
+        result = torch.empty_like(planes)
+        for chunk in plane_chunks(sampler, planes):
+            part, target = planes[:, chunk], result[:, chunk]
+            memory = strip_memory(sampler, part, part.shape[1])
+            if adjoint:
+                totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
+                for strip in sampler.strips:
+                    rows = part[strip.rows]
+                    torch.mul(rows, strip.fine, out=target[strip.rows])
+                    strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
+                sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
+            else:
+                coarse = sampler.coarse(sampler.levels[0].halve(part))
+                for strip in sampler.strips:
+                    total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
+                    strip.add(total[:, None], coarse, memory[: len(total), None])
+        return result
 
     @staticmethod
     def setup_context(context, inputs, output):
@@ -750,42 +766,6 @@ class _Sampled(torch.autograd.Function):
     @staticmethod
     def backward(context, gradient):
         return _Sampled.apply(gradient, context.sampler, not context.adjoint), None, None
-
-
-def sampled_planes(planes: torch.Tensor, sampler: Sampler, adjoint: bool = False) -> torch.Tensor:
-    """Return planes ``[H, P, W]`` sampled in strips, or the adjoint of that, without a graph.
-
-    Parameters
-    ----------
-    planes : torch.Tensor
-        ``[H, P, W]`` on a CPU.
-    sampler : Sampler
-        Of pictures of this size, with levels.
-    adjoint : bool
-        Apply the adjoint of the linear map.
-
-    Returns
-    -------
-    torch.Tensor
-        In the shape of the planes.
-    """
-    result = torch.empty_like(planes)
-    for chunk in plane_chunks(sampler, planes):
-        part, target = planes[:, chunk], result[:, chunk]
-        memory = strip_memory(sampler, part, part.shape[1])
-        if adjoint:
-            totals = [part.new_zeros(level.enlarged.shape[1], *part.shape[1:]) for level in sampler.levels]
-            for strip in sampler.strips:
-                rows = part[strip.rows]
-                torch.mul(rows, strip.fine, out=target[strip.rows])
-                strip.add_adjoint(rows[:, None], totals, memory[: len(rows), None])
-            sampler.levels[0].halve_adjoint(sampler.coarse_adjoint(totals), target)
-        else:
-            coarse = sampler.coarse(sampler.levels[0].halve(part))
-            for strip in sampler.strips:
-                total = torch.mul(part[strip.rows], strip.fine, out=target[strip.rows])
-                strip.add(total[:, None], coarse, memory[: len(total), None])
-    return result
 
 
 def _halved(size):

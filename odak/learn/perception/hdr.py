@@ -69,7 +69,8 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
     [0.5081, 1.0]
     """
-    return _pq_encoded(_floats("luminance", luminance))
+    relative = _floats("luminance", luminance).clamp(0, PQ_PEAK) / PQ_PEAK
+    return _with_bounded_gradient(_pq_signal, relative, _PQ_FLOOR, _PQ_DERIVATIVE)
 
 
 def pq_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -97,7 +98,10 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     >>> [round(value) for value in pq_decode(torch.tensor([0.0, 0.508078, 1.0])).tolist()]
     [0, 100, 10000]
     """
-    return _pq_decoded(_floats("signal", signal))
+    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
+    e = torch.expm1(_floats("signal", signal).clamp(_C1**_M2, 1).log() / _M2)
+    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
+    return PQ_PEAK * ratio ** (1 / _M1)
 
 
 def hlg_encode(light: torch.Tensor) -> torch.Tensor:
@@ -125,7 +129,7 @@ def hlg_encode(light: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in hlg_encode(torch.tensor([0.0, 1 / 12, 1.0])).tolist()]
     [0.0, 0.5, 1.0]
     """
-    return _hlg_encoded(_floats("light", light))
+    return _with_bounded_gradient(_hlg_signal, _floats("light", light).clamp_min(0), _HLG_FLOOR, _HLG_DERIVATIVE)
 
 
 def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -153,7 +157,9 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in hlg_decode(torch.tensor([0.0, 0.5, 1.0])).tolist()]
     [0.0, 0.0833, 1.0]
     """
-    return _hlg_decoded(_floats("signal", signal))
+    signal = _floats("signal", signal).clamp_min(0)
+    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
+    return torch.where(signal > 0.5, bright, signal**2 / 3)
 
 
 def hlg_system_gamma(peak_luminance: float) -> float:
@@ -297,7 +303,9 @@ def pu21_encode(luminance: torch.Tensor, variant: str = "banding_glare") -> torc
     (256, 595.4)
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    return _pu21_encoded(_floats("luminance", luminance), p)
+    power = in_float64(_floats("luminance", luminance)).clamp(*PU21_LIMITS) ** p[3]
+    values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
+    return values.clamp_min(0).to(luminance)
 
 
 def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.Tensor:
@@ -329,41 +337,10 @@ def pu21_decode(values: torch.Tensor, variant: str = "banding_glare") -> torch.T
     50.0
     """
     p = PU21_PARAMETERS[_validate.one_of("variant", variant, PU21_PARAMETERS)]
-    return _pu21_decoded(_floats("values", values), p)
-
-
-def _pq_encoded(luminance):
-    return _with_bounded_gradient(_pq_signal, luminance.clamp(0, PQ_PEAK) / PQ_PEAK, _PQ_FLOOR, _PQ_DERIVATIVE)
-
-
-def _pq_decoded(signal):
-    # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
-    e = torch.expm1(signal.clamp(_C1**_M2, 1).log() / _M2)
-    ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
-    return PQ_PEAK * ratio ** (1 / _M1)
-
-
-def _hlg_encoded(light):
-    return _with_bounded_gradient(_hlg_signal, light.clamp_min(0), _HLG_FLOOR, _HLG_DERIVATIVE)
-
-
-def _hlg_decoded(signal):
-    signal = signal.clamp_min(0)
-    bright = (torch.exp((signal.clamp_min(0.5) - _HLG_C) / _HLG_A) + _HLG_B) / 12
-    return torch.where(signal > 0.5, bright, signal**2 / 3)
-
-
-def _pu21_encoded(luminance, p):
-    power = in_float64(luminance).clamp(*PU21_LIMITS) ** p[3]
-    values = p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5])
-    return values.clamp_min(0).to(luminance)
-
-
-def _pu21_decoded(values, p):
     # Roots of the eleventh order lose two digits in float32.
     power_limits = [limit ** p[3] for limit in PU21_LIMITS]
     low, high = (p[6] * (((p[0] + p[1] * power) / (1 + p[2] * power)) ** p[4] - p[5]) for power in power_limits)
-    root = (in_float64(values).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
+    root = (in_float64(_floats("values", values)).clamp(low, high) / p[6] + p[5]) ** (1 / p[4])
     power = (root - p[0]) / (p[1] - p[2] * root)
     # Rounding must not leave the range, below which the power has no gradient.
     return (power.clamp(*power_limits) ** (1 / p[3])).to(values)

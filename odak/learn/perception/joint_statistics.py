@@ -1,6 +1,5 @@
 """Statistics of pairs of steerable bands, across channels, orientations, scales and places; textures made from them."""
 
-import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -8,7 +7,6 @@ import torch
 from torch.nn import functional
 
 from odak import _validate
-from odak.learn.perception.foveation import Sampler, is_blocked, sampled_planes
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 from odak.learn.perception.util import as_pictures, check_values
 
@@ -112,12 +110,6 @@ def _pairs_within(channels, count):
 
 def _correlated(pool, slices, shifts, compared, values):
     """Return the pooled covariances of pairs over their deviations' geometric mean, and roots of pooled differences."""
-    if isinstance(pool, Sampler) and pool.levels and is_blocked(compared):
-        return _Correlations.apply(pool, slices, shifts, compared, *values)
-    return _plainly_correlated(pool, slices, shifts, compared, *values)
-
-
-def _plainly_correlated(pool, slices, shifts, compared, *values):
     values = torch.cat(values, 1)
     products = torch.cat([values[:, one] * values[:, two] for one, two in slices], 1)
     differences = [(compared - neighbours) ** 2 for neighbours in _neighbours(compared, shifts)]
@@ -130,117 +122,15 @@ def _plainly_correlated(pool, slices, shifts, compared, *values):
     return torch.cat([(product - expected) * scales, squared.clamp_min(POWER_FLOOR).sqrt()], 1)
 
 
-class _Correlations(torch.autograd.Function):
-    """The same on a CPU: on planes ``[H, B, N, W]``, which samplers read fastest, with the gradient written out."""
-
-    @staticmethod
-    def forward(context, pool, slices, shifts, compared, *values):
-        context.rest = pool, slices, shifts
-        rows, columns = compared.shape[-2:]
-        sizes = [one.shape[1] for one in values]
-        context.sizes = [sum(sizes)] * 2 + [sum(two.stop - two.start for _, two in slices)]
-        context.sizes.append(compared.shape[1] * len(shifts))
-        planes = compared.new_empty(rows, len(compared), sum(context.sizes), columns)
-        value, power, product, squared = planes.split(context.sizes, 2)
-        for part, given in zip(value.split(sizes, 2), values, strict=True):
-            part.copy_(given.permute(2, 0, 1, 3))
-        torch.mul(value, value, out=power)
-        for place, one, two in _places(slices):
-            torch.mul(value[:, :, one], value[:, :, two], out=product[:, :, place])
-        for part, neighbours in zip(squared.split(compared.shape[1], 2), _neighbours(compared, shifts), strict=True):
-            torch.sub(compared.permute(2, 0, 1, 3), neighbours.permute(2, 0, 1, 3), out=part).square_()
-        pooled = sampled_planes(planes.flatten(1, 2), pool).view_as(planes)
-        mean, power, _, _ = pooled.split(context.sizes, 2)
-        # The variance, then one over the root of the deviation.
-        power.addcmul_(mean, mean, value=-1)
-        varies = power > POWER_FLOOR
-        scale = power.clamp_min_(POWER_FLOOR).sqrt_().rsqrt_()
-        found = pooled[:, :, 2 * context.sizes[0] :]
-        for place, one, two in _places(slices):
-            part = found[:, :, place].addcmul_(mean[:, :, one], mean[:, :, two], value=-1)
-            part.mul_(scale[:, :, one]).mul_(scale[:, :, two])
-        found[:, :, context.sizes[2] :].clamp_min_(POWER_FLOOR).sqrt_()
-        if any(context.needs_input_grad):
-            context.save_for_backward(compared, *values, value.clone(), pooled, varies)
-        return found.permute(1, 2, 0, 3).clone(memory_format=torch.preserve_format)
-
-    @staticmethod
-    def backward(context, outer):
-        compared, *values, value, pooled, varies = context.saved_tensors
-        pool, slices, shifts = context.rest
-        if torch.is_grad_enabled():
-            # Derivatives of the gradient are wanted: computed again by differentiable operations.
-            found = _plainly_correlated(pool, slices, shifts, compared, *values)
-            return (None,) * 3 + torch.autograd.grad(found, (compared, *values), outer, create_graph=True)
-        mean, scale, covariance, root = pooled.split(context.sizes, 2)
-        outer = outer.permute(2, 0, 1, 3)
-        gradient = torch.empty_like(pooled)
-        by_mean, by_power, by_product, by_squared = gradient.split(context.sizes, 2)
-        gradient[:, :, : 2 * context.sizes[0]].zero_()
-        for place, one, two in _places(slices):
-            part = torch.mul(scale[:, :, one], scale[:, :, two], out=by_product[:, :, place])
-            part.mul_(outer[:, :, place])
-            by_mean[:, :, one].addcmul_(part, mean[:, :, two], value=-1)
-            by_mean[:, :, two].addcmul_(part, mean[:, :, one], value=-1)
-            for side in (one, two):
-                by_power[:, :, side].addcmul_(covariance[:, :, place], outer[:, :, place])
-        # A scale is the variance to the power of −1/4; 0 where the variance is clipped.
-        by_power.mul_(scale.square().square_()).mul_(-0.25).mul_(varies)
-        by_mean.addcmul_(mean, by_power, value=-2)
-        torch.div(outer[:, :, context.sizes[2] :], root, out=by_squared).mul_(
-            0.5 * (root > root.new_tensor(POWER_FLOOR).sqrt())
-        )
-        by_mean, by_power, by_product, by_squared = (
-            sampled_planes(gradient.flatten(1, 2), pool, adjoint=True).view_as(pooled).split(context.sizes, 2)
-        )
-        total = by_mean.addcmul_(value, by_power, value=2)
-        for place, one, two in _places(slices):
-            total[:, :, one].addcmul_(by_product[:, :, place], value[:, :, two])
-            total[:, :, two].addcmul_(by_product[:, :, place], value[:, :, one])
-        parts = total.permute(1, 2, 0, 3).split([one.shape[1] for one in values], 1)
-        return None, None, None, _neighbours_gradient(compared, shifts, by_squared.permute(1, 2, 0, 3)), *parts
-
-
-def _places(slices):
-    """Return, for each pair of slices, where its products are, and the two."""
-    ends = list(itertools.accumulate((two.stop - two.start for _, two in slices), initial=0))
-    return [(slice(start, end), *pair) for (start, end), pair in zip(itertools.pairwise(ends), slices, strict=True)]
-
-
 def _neighbours(picture, shifts):
     """Return, for each shift, a picture shifted by rows and columns, its last pixels repeated at the borders."""
     rows, columns = picture.shape[-2:]
-    left, right, top, bottom = _margins(shifts)
+    down, along = zip(*shifts, strict=True)
+    left, right, top, bottom = max(0, *along), max(0, *(-n for n in along)), max(0, *down), max(0, *(-n for n in down))
     padded = functional.pad(picture, (left, right, top, bottom), mode="replicate")
     return [
         padded[..., top - down : top - down + rows, left - along : left - along + columns] for down, along in shifts
     ]
-
-
-def _margins(shifts):
-    down, along = zip(*shifts, strict=True)
-    return max(0, *along), max(0, *(-one for one in along)), max(0, *down), max(0, *(-one for one in down))
-
-
-def _neighbours_gradient(picture, shifts, gradient):
-    """Return the gradient by a picture of its squared differences from :func:`_neighbours`."""
-    rows, columns = picture.shape[-2:]
-    left, right, top, bottom = _margins(shifts)
-    neighbours = _neighbours(picture, shifts)
-    total = torch.zeros_like(picture)
-    beside = picture.new_zeros(*picture.shape[:2], rows + top + bottom, columns + left + right)
-    for part, neighbour, (down, along) in zip(gradient.split(picture.shape[1], 1), neighbours, shifts, strict=True):
-        change = (picture - neighbour).mul_(part)
-        total.add_(change)
-        beside[..., top - down : top - down + rows, left - along : left - along + columns].sub_(change)
-    # Repeated pixels are added to the ones that they repeat.
-    for axis, before, length in ((-2, top, rows), (-1, left, columns)):
-        inside = beside.narrow(axis, before, length)
-        inside.narrow(axis, 0, 1).add_(beside.narrow(axis, 0, before).sum(axis, keepdim=True))
-        after = beside.shape[axis] - before - length
-        inside.narrow(axis, length - 1, 1).add_(beside.narrow(axis, before + length, after).sum(axis, keepdim=True))
-        beside = inside
-    return total.add_(beside).mul_(2)
 
 
 def texture_statistics(

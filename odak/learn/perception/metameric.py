@@ -933,17 +933,13 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     check_values(**pictures)
 
 
-def checked_maps(name: str, value: Sequence[torch.Tensor]) -> list[torch.Tensor]:
-    """Return statistics as a list after checking that they are tensors ``[B, C, H, W]``."""
-    maps: list[Any] = list(value) if isinstance(value, (list, tuple)) else [None]
-    if not maps or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in maps):
-        raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
-    return maps
-
-
 def checked_statistics(**lists: Sequence[torch.Tensor]) -> list[list[torch.Tensor]]:
     """Return two lists of statistics after checking that they come from pictures of one size."""
-    checked = [checked_maps(name, value) for name, value in lists.items()]
+    checked: list[list[Any]] = []
+    for name, value in lists.items():
+        checked.append(list(value) if isinstance(value, (list, tuple)) else [])
+        if not checked[-1] or any(not isinstance(one, torch.Tensor) or one.ndim != 4 for one in checked[-1]):
+            raise TypeError(f"{name} must be a list of tensors [B, C, H, W] as calc_statsmaps returns it")
     if [one.shape[-2:] for one in checked[0]] != [two.shape[-2:] for two in checked[1]]:
         raise ValueError(f"{' and '.join(lists)} must be statistics of pictures of one size and as many levels")
     return checked
@@ -1010,18 +1006,25 @@ class _Distance(torch.autograd.Function):
     @staticmethod
     def forward(context, bands, sampler, mask, target):
         context.rest = (sampler, mask, target)
-        wanted = context.needs_input_grad[0]
-        value, gradient = _evaluate(bands, sampler, mask, target, wanted)
-        if wanted:
-            context.save_for_backward(bands, gradient)
-        return value
+        planes, weights = _planes(bands), None if mask is None else mask[:, None, None]
+        gradient = torch.empty_like(planes) if context.needs_input_grad[0] else None
+        values = []
+        for chunk in plane_chunks(sampler, planes):
+            part = None if gradient is None else gradient[:, chunk]
+            values += _compare(planes[:, chunk], sampler, weights, target[:, :, chunk], part)
+        if gradient is not None:
+            context.save_for_backward(bands, gradient.unflatten(1, bands.shape[:3]).permute(1, 2, 3, 0, 4))
+        return torch.stack(values).sum()
 
     @staticmethod
     def backward(context, outer):
         bands, gradient = context.saved_tensors
         if torch.is_grad_enabled():
             # Derivatives of the gradient are wanted: computed again by differentiable operations.
-            (gradient,) = torch.autograd.grad(_plain_distance(bands, *context.rest), bands, create_graph=True)
+            sampler, mask, target = context.rest
+            found = torch.stack([_planes(statistic) for statistic in pooled(bands, sampler)], 1)
+            found = found if mask is None else found * mask[:, None, None]
+            (gradient,) = torch.autograd.grad(((found - target) ** 2).sum(), bands, create_graph=True)
         return outer * gradient, None, None, None
 
 
@@ -1058,20 +1061,6 @@ def _moments(strip, planes, coarse, result, memory):
     variance.addcmul_(mean, mean, value=-1)
 
 
-def _evaluate(bands, sampler, mask, target, wanted):
-    """Return the distance and, if wanted, its gradient."""
-    planes = _planes(bands)
-    gradient = torch.empty_like(planes) if wanted else None
-    weights = None if mask is None else mask[:, None, None]
-    values = []
-    for chunk in plane_chunks(sampler, planes):
-        part = gradient[:, chunk] if wanted else None
-        values += _compare(planes[:, chunk], sampler, weights, target[:, :, chunk], part)
-    if wanted:
-        gradient = gradient.unflatten(1, bands.shape[:3]).permute(1, 2, 3, 0, 4)
-    return torch.stack(values).sum(), gradient
-
-
 def _compare(planes, sampler, weights, target, gradient):
     """Return the distances of each strip of some planes; write the gradient if there is room for one."""
     moments, errors, memory = (_memory(sampler, planes) for _ in range(3))
@@ -1088,24 +1077,20 @@ def _compare(planes, sampler, weights, target, gradient):
         torch.sub(counted, target[strip.rows], out=error)
         values.append(torch.dot(error.flatten(), error.flatten()))
         if gradient is not None:
-            _to_moments(error, found, weight, varies)
-            torch.addcmul(error[:, 0], planes[strip.rows], error[:, 1], value=2, out=gradient[strip.rows])
+            # Errors become gradients by the means of planes and of their squares: d(e²) = 2e·dσ and
+            # dσ = d(power)/2σ − mean·d(mean)/σ; 0 where the variance is clipped.
+            if weight is not None:
+                error.mul_(weight)
+            by_mean, by_power = error.unbind(1)
+            mean, deviation = found.unbind(1)
+            by_power.div_(deviation).mul_(varies)
+            by_mean.addcmul_(mean, by_power, value=-1).mul_(2)
+            torch.addcmul(by_mean, planes[strip.rows], by_power, value=2, out=gradient[strip.rows])
             gradient[strip.rows].mul_(strip.fine)
             strip.add_adjoint(error, totals, rest)
     if totals:
         _add_coarse(gradient, planes, sampler, totals)
     return values
-
-
-def _to_moments(error, found, weight, varies):
-    """Turn errors into gradients by local means of planes and of their squares, in place."""
-    if weight is not None:
-        error.mul_(weight)
-    by_mean, by_power = error.unbind(1)
-    mean, deviation = found.unbind(1)
-    # d(e²) = 2e·dσ and dσ = d(power)/2σ − mean·d(mean)/σ; 0 where the variance is clipped.
-    by_power.div_(deviation).mul_(varies)
-    by_mean.addcmul_(mean, by_power, value=-1).mul_(2)
 
 
 def _add_coarse(gradient, planes, sampler, totals):
@@ -1118,14 +1103,6 @@ def _add_coarse(gradient, planes, sampler, totals):
     by_mean, by_power = halved.unbind(1)
     pairs = gradient.unflatten(0, (-1, 2))
     pairs.add_(by_mean[:, None], alpha=0.5).addcmul_(planes.unflatten(0, (-1, 2)), by_power[:, None])
-
-
-def _plain_distance(bands, sampler, mask, target):
-    with torch.enable_grad():
-        mean, deviation = pooled(bands, sampler)
-        found = torch.stack([_planes(mean), _planes(deviation)], 1)
-        found = found if mask is None else found * mask[:, None, None]
-        return ((found - target) ** 2).sum()
 
 
 def pooled(bands: torch.Tensor, sampler: Sampler) -> tuple[torch.Tensor, torch.Tensor]:

@@ -214,7 +214,9 @@ class _Problem:
             start += len(taps)
         self.length = start
         self.halved = self._response(self.parts[0][0], 0, 0, 0.5)
-        self.power = self._power()
+        # C with Σₖ|Bₖ|² = Σᵢⱼ Cᵢⱼ·Mᵢ·Mⱼ for the products Mᵢ.
+        shares = steering(n_orientations, orientations(n_orientations))
+        self.power = shares.T @ shares
         self.normal, self.pulled, self.constant = self._quadratic()
 
     def _parts(self, sizes):
@@ -247,11 +249,6 @@ class _Problem:
         sign = -1.0 if odd_x or odd_y else 1.0
         outer = along_y[:, :, None] * along_x[:, None, :]
         return sign * outer.reshape(-1, size * size) @ taps.reshape(len(taps), -1).T
-
-    def _power(self):
-        """Return C with Σₖ|Bₖ|² = Σᵢⱼ Cᵢⱼ·Mᵢ·Mⱼ for the products Mᵢ."""
-        shares = steering(self.count, orientations(self.count))
-        return shares.T @ shares
 
     def products(self, taps):
         """Return the gains of the K products ``[K, points]``, and the taps and responses that each comes from."""

@@ -762,15 +762,11 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
     by one column more, are sixteen channels of a convolution that takes sixteen columns at a step: more products, and
     several times less time.
     """
-    if _is_laned(image, taps):
+    if is_plain(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
         return _Correlation.apply(image, taps, stride)
     padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
     planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)
     return planes.unflatten(0, image.shape[:2])
-
-
-def _is_laned(image, taps):
-    return is_plain(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad
 
 
 class _Correlation(torch.autograd.Function):

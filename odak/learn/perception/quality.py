@@ -11,7 +11,17 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._precision import in_own_precision
-from odak.learn.perception.color import BT709_PRIMARIES, IEC_WHITE, _rgb_to_xyz_rows, constant, mix, rows, srgb_decoded
+from odak.learn.perception.color import (
+    BT709_PRIMARIES,
+    IEC_WHITE,
+    _rgb_to_xyz_rows,
+    constant,
+    cube_root,
+    mix,
+    root,
+    rows,
+    srgb_decoded,
+)
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.hdr import PU21_LIMITS, PU21_PARAMETERS, pu21_encode
 from odak.learn.perception.util import as_pictures, checked_pair
@@ -430,10 +440,7 @@ def _filtered(pictures, kernels):
 def _hunt_lab(rgb):
     """Return L*a*b* of linear RGB, a* and b* times L*/100 (Hunt's effect)."""
     relative = mix(rows(_FLIP_TO_XYZ), rgb) / _white(rgb)
-    joint = 6 / 29
-    high = relative > joint**3
-    roots = torch.where(high, torch.where(high, relative, 1.0) ** (1 / 3), relative / (3 * joint**2) + 4 / 29)
-    x, y, z = roots.unbind(-3)
+    x, y, z = cube_root(relative).unbind(-3)
     lightness = 116 * y - 16
     return torch.stack([lightness, 5 * lightness * (x - y), 2 * lightness * (y - z)], -3)
 
@@ -441,9 +448,7 @@ def _hunt_lab(rgb):
 def _hyab(one, two):
     """Return the difference of lightness plus the distance in a* and b* ``[N, 1, H, W]``."""
     difference = one - two
-    square = difference[:, 1:].square().sum(1, keepdim=True)
-    none = square <= 0
-    return difference[:, :1].abs() + torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
+    return difference[:, :1].abs() + root(difference[:, 1:].square().sum(1, keepdim=True))
 
 
 def _redistributed(distance):
@@ -466,17 +471,12 @@ def _feature_difference(one, two, density):
         kernel = profile * gauss
         # Positive and negative taps have sums of 1 and −1.
         kernel = kernel / torch.where(kernel > 0, kernel.clamp_min(0).sum(), -kernel.clamp_max(0).sum())
-        pair = [_length(*(_filtered(picture, taps[None]) for taps in (kernel, kernel.T))) for picture in (one, two)]
+        pair = [
+            root(_filtered(picture, kernel[None]) ** 2 + _filtered(picture, kernel.T[None]) ** 2)
+            for picture in (one, two)
+        ]
         differences.append((pair[0] - pair[1]).abs())
-    larger = torch.maximum(*differences) / math.sqrt(2)
-    none = larger <= 0
-    return torch.where(none, 0.0, torch.where(none, 1.0, larger).sqrt())
-
-
-def _length(x, y):
-    square = x**2 + y**2
-    none = square <= 0
-    return torch.where(none, 0.0, torch.where(none, 1.0, square).sqrt())
+    return root(torch.maximum(*differences) / math.sqrt(2))
 
 
 def _checked(predictions, targets, smallest, data_range):
@@ -866,6 +866,7 @@ def content_aware_contrast_ratio(
     _validate.number("eps", eps, least=0)
     side = _validate.integer("window_size", window_size, minimum=3)
     step = _validate.integer("step", step, minimum=1)
+    max_iter = _validate.integer("max_iter", max_iter, minimum=1)
     if side % 2 == 0 or side > min(pictures.shape[-2:]):
         raise ValueError(f"window_size must be odd and fit the picture {tuple(pictures.shape[-2:])}, got {side}")
     if not 0 < _validate.number("pooling_percentile", pooling_percentile) <= 100:
@@ -873,7 +874,10 @@ def content_aware_contrast_ratio(
     results = []
     for picture in pictures:
         windows = picture.unfold(0, side, step).unfold(1, side, step)
-        maps = _in_strips(windows, eps, _validate.integer("max_iter", max_iter, minimum=1))
+        # As many rows of windows at once as fit in memory.
+        strips = windows.split(max(1, _PIXELS_AT_ONCE // windows[0].numel()))
+        parts = [_split(strip.flatten(-2), eps, max_iter) for strip in strips]
+        maps = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
         results.append(
             {name: _at_centres(values, picture, side, step) for name, values in maps.items()}
             | _pooled(maps["contrast_map"].flatten(), pooling_percentile)
@@ -903,13 +907,6 @@ def _lightness(image, channel) -> torch.Tensor:
     # Half precision would lose the sums of windows.
     image = image if image.dtype in (torch.float32, torch.float64) else image.float()
     return image.reshape(-1, *image.shape[-2:]).clamp(0, 1)
-
-
-def _in_strips(windows, eps, max_iter) -> dict[str, torch.Tensor]:
-    """Return :func:`_split` of windows ``[rows, columns, side, side]``, as many at once as fit in memory."""
-    rows = max(1, _PIXELS_AT_ONCE // windows[0].numel())
-    parts = [_split(strip.flatten(-2), eps, max_iter) for strip in windows.split(rows)]
-    return {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
 
 
 def _split(windows, eps, max_iter) -> dict[str, torch.Tensor]:
