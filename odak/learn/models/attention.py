@@ -273,6 +273,13 @@ class convolutional_block_attention(nn.Module):
         Global pools of the channel gate.
     no_spatial : bool
         Leave the spatial gate out.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models import convolutional_block_attention
+    >>> tuple(convolutional_block_attention(32)(torch.rand(1, 32, 8, 8)).shape)
+    (1, 32, 8, 8)
     """
 
     Flatten = nn.Flatten

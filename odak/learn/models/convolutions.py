@@ -201,7 +201,13 @@ class residual_layer(nn.Module):
         )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return x plus its convolutions, ``[B, input_channels, H, W]``."""
+        """Return x plus its convolutions, ``[B, input_channels, H, W]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Images ``[B, input_channels, H, W]``.
+        """
         return x + self.convolution(x)
 
 

@@ -88,7 +88,18 @@ class gaussian_activation(nn.Module):
         self.alpha = nn.Parameter(torch.randn(1, channels("dim", dim)))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return exp(−(alpha·x)²) for an input ``[..., dim]``."""
+        """Return exp(−(alpha·x)²) for an input ``[..., dim]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Real floats ``[..., dim]``.
+
+        Returns
+        -------
+        torch.Tensor
+            In the shape of `x`.
+        """
         return gaussian(features("x", x, self.alpha.shape[-1]), self.alpha)
 
 
@@ -104,7 +115,18 @@ class swish_activation(nn.Module):
     """
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return x·sigmoid(x) for an input of any shape."""
+        """Return x·sigmoid(x) for an input of any shape.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Real floats of any shape.
+
+        Returns
+        -------
+        torch.Tensor
+            In the shape of `x`.
+        """
         return swish(x)
 
 
@@ -131,7 +153,18 @@ class siren_activation(nn.Module):
         self.multiplier = _validate.real("multiplier", multiplier)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return sin(multiplier·x) for an input of any shape."""
+        """Return sin(multiplier·x) for an input of any shape.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Real floats of any shape.
+
+        Returns
+        -------
+        torch.Tensor
+            In the shape of `x`.
+        """
         return torch.sin(self.multiplier * features("x", x))
 
     def extra_repr(self) -> str:
@@ -160,7 +193,18 @@ class film_siren_activation(nn.Module):
         self.alpha = nn.Parameter(torch.randn(2, channels("dim", dim)))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
-        """Return sin(alpha[0]·x + alpha[1]) for an input ``[..., dim]``."""
+        """Return sin(alpha[0]·x + alpha[1]) for an input ``[..., dim]``.
+
+        Parameters
+        ----------
+        x : torch.Tensor
+            Real floats ``[..., dim]``.
+
+        Returns
+        -------
+        torch.Tensor
+            In the shape of `x`.
+        """
         return torch.sin(self.alpha[0] * features("x", x, self.alpha.shape[-1]) + self.alpha[1])
 
 

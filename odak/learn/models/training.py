@@ -47,6 +47,17 @@ class TrainingHistory:
         Loss of that epoch.
     finished : bool
         True if the training was completed; False after a KeyboardInterrupt.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.models.training import train
+    >>> line, x = torch.nn.Linear(1, 1), torch.linspace(-1, 1, 64)[:, None]
+    >>> def squared_error(model, batch):
+    ...     return torch.nn.functional.mse_loss(model(batch), 2 * batch)
+    >>> history = train(line, squared_error, [x], 5, progress=False)
+    >>> len(history.training), history.best_epoch, history.finished
+    (5, 5, True)
     """
 
     training: list[float] = field(default_factory=list)
@@ -250,7 +261,9 @@ class TrainingRun:
         try:
             with bar:
                 bar.update(self.steps(self.done) or 0)
-                while not self._over():
+                while self.done < self.epochs and not self.stopped:
+                    if self.patience is not None and self.done - self.history.best_epoch >= self.patience:
+                        break
                     self._epoch(bar)
         except KeyboardInterrupt:
             self._save()
@@ -267,10 +280,6 @@ class TrainingRun:
             if self.best is not None and (judged or not self.history.finished):
                 self.model.load_state_dict(self.best)
             self.model.eval()
-
-    def _over(self) -> bool:
-        waited = self.done - self.history.best_epoch
-        return self.done >= self.epochs or self.stopped or (self.patience is not None and waited >= self.patience)
 
     def _epoch(self, bar):
         self.torn = True

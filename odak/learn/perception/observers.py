@@ -297,6 +297,18 @@ class MetamericFailure(NamedTuple):
         CIEDE2000 difference for each person, ``[N]``.
     weights : torch.Tensor
         Of the three primaries in the match of the standard observer, ``[3]``.
+
+    Examples
+    --------
+    A target that is one of the primaries is matched by it alone, for everybody:
+
+    >>> import torch
+    >>> from odak.learn.perception import metameric_failure, sample_observers
+    >>> waves = torch.arange(390.0, 781.0, dtype=torch.float64)
+    >>> lasers = torch.stack([torch.exp(-((waves - peak) ** 2) / 2) for peak in (638.0, 520.0, 450.0)])
+    >>> found = metameric_failure(lasers, lasers[1], sample_observers(3))
+    >>> tuple(found.differences.shape), bool(found.differences.max() < 1e-6)
+    ((3,), True)
     """
 
     differences: torch.Tensor

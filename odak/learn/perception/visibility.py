@@ -77,6 +77,13 @@ class BudgetRing(NamedTuple):
         Pixels of the display in it.
     samples : float
         Samples that the eye can tell apart there: never more than pixels.
+
+    Examples
+    --------
+    >>> from odak.learn.perception import foveated_budget
+    >>> ring = foveated_budget((540, 960), real_image_width=1.0, real_viewing_distance=0.6)[0]
+    >>> ring.inner, ring.samples <= ring.pixels
+    (0.0, True)
     """
 
     inner: float
