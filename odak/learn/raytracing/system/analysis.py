@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
-from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order, matrix, signed_indices
+from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
 from odak.learn.raytracing.system.surfaces import Prescription
 from odak.learn.raytracing.system.tracing import trace
@@ -406,6 +406,7 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
 def paraxial_points(system, prescription: Prescription | None = None, fields=None) -> torch.Tensor:
     """Return where the paraxial chief rays meet the image plane, ``[..., F, 2]``, at the reference wavelength."""
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    check_media(system, numbers)
     index = signed_indices(system, numbers)
     whole = matrix(numbers, index, 0, len(system.surfaces), gap=True)
     pupil = entrance_pupil(system, prescription=numbers)

@@ -16,7 +16,7 @@ from odak.raytracing.gradients import Gradient, integrate, ray_equation, stage, 
 from odak.raytracing.surfaces import Shape
 
 
-def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int) -> tuple:
+def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, turns: bool = False) -> tuple:
     """Return rays where they meet the next surface behind a graded-index medium.
 
     Parameters
@@ -33,12 +33,14 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
         Shape of the surface.
     sign : int
         Sign of the direction cosine along z with which rays arrive.
+    turns : bool
+        Find out how polarisation turns and how far rays go, see :func:`transported`.
 
     Returns
     -------
     tuple
-        Points and unit directions in the frame of the surface, the index there, the optical path, and which rays
-        arrived.
+        Points and unit directions in the frame of the surface, the index there, the optical path, which rays arrived,
+        and what :func:`transported` returns, None if it is not asked for.
     """
     dtype = point[0].dtype
     place: Any = torch.broadcast_tensors(*(value.double() for value in (*point, *direction)))
@@ -59,7 +61,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
     numbers = (base, *gradient.parameters())
     if is_transformed(start, *numbers):
         found = to_surface(gradient, base, start, level, sign)
-        end, arrived = found.state, found.arrived
+        end, arrived, time = found.state, found.arrived, found.time
     else:
         with torch.no_grad():
             fixed = type(gradient)(*(value.detach() for value in gradient.parameters()))
@@ -76,13 +78,58 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
             error, slope, _ = level(tuple(end[:3]), tuple(end[3:6]))
             usable = arrived & (slope != 0)
             late = torch.where(usable, -error, 0.0) / torch.where(usable, slope, 1.0)
-            end = _short_step(field, end, late)
+            end, time = _short_step(field, end, late), time + late
     arrived = arrived & exists
+    carried = transported(gradient, base, start, torch.where(arrived, time, 0.0), found.steps) if turns else None
     index = vec.dot(tuple(end[3:6]), tuple(end[3:6]))
     index = torch.where(index > 0, index, 1.0).sqrt()
     point, direction = frame.enter(tuple(end[:3]), tuple(end[i] / index for i in range(3, 6)))
     point, direction = (tuple(value.to(dtype) for value in part) for part in (point, direction))
-    return point, direction, index.to(dtype), end[6].to(dtype), arrived
+    return point, direction, index.to(dtype), end[6].to(dtype), arrived, carried
+
+
+def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return how the field of a wave turns along curved rays, and the length of the rays.
+
+    Parameters
+    ----------
+    gradient : Gradient
+        The medium.
+    base : torch.Tensor
+        Index of its material.
+    start : torch.Tensor
+        States of :func:`ray_equation` where the rays begin, ``[7, ...]``.
+    time : torch.Tensor
+        Parameter t at their ends.
+    count : int
+        Steps of equal length.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Rotations ``[..., 3, 3]`` in the coordinates of the medium, and lengths ``[...]``.
+
+    Notes
+    -----
+    Rytov's law: the field stays across the ray and does not turn about it, dE/ds = −(E·dk/ds)·k (Born and Wolf,
+    Principles of Optics, 7th edition (1999), section 3.1.3). The rotation has the angular velocity k × dk/ds.
+    """
+    rays = ray_equation(gradient, base)
+
+    def field(state):
+        change = rays(state[:7])
+        size = change[6].clamp_min(1e-300).sqrt()
+        # The component of the bend along the ray drops out of the product.
+        velocity = torch.linalg.cross(change[:3] / size, change[3:6] / size, dim=0)
+        columns = state[7:16].unflatten(0, (3, 3))
+        turned = torch.linalg.cross(velocity[:, None].expand_as(columns), columns, dim=0)
+        return torch.cat([change, turned.flatten(0, 1), size[None]])
+
+    one = torch.eye(3, dtype=start.dtype, device=start.device).reshape(9, *(1,) * (start.ndim - 1))
+    state = torch.cat([start, one.expand(9, *start.shape[1:]), torch.zeros_like(start[:1])])
+    for _ in range(count):
+        state, _ = step(field, state, time / count)
+    return state[7:16].unflatten(0, (3, 3)).movedim((0, 1), (-2, -1)), state[16]
 
 
 def points_within(gradient: Gradient, base, rays, height, count: int) -> torch.Tensor:

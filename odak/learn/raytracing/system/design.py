@@ -18,9 +18,9 @@ from odak.learn.raytracing.system.operands import (
     values_of,
 )
 from odak.learn.raytracing.system.optimise import LADDER, least_squares, linearised_forward
-from odak.learn.raytracing.system.paraxial import entrance_pupil, matrix, signed_indices
+from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import AIMS, pupil_of
-from odak.learn.raytracing.system.surfaces import Prescription, checked_system
+from odak.learn.raytracing.system.surfaces import Prescription, checked_system, is_break
 
 VARIED = ("curvature", "conic", "thickness", "coefficients", "index", "shift", "tilt", "glass")
 COPIED = ("curvature", "conic", "thickness", "coefficients")
@@ -272,8 +272,8 @@ class lens_design:
             if item.material is not None:
                 raise ValueError(f"index of surface {place} cannot vary: its material is not a number")
             return [float(self.base.index[self.system.reference, place + 1])]
-        if name in ("curvature", "conic", "coefficients") and item.own_shape is not None:
-            raise ValueError(f"{name} of surface {place} cannot vary: it is a {item.own_shape.kind.__name__}")
+        if name in ("curvature", "conic", "coefficients"):
+            self._check_own_numbers(name, place)
         if name in ("shift", "tilt"):
             return [float(v) for v in getattr(item, name)]
         if name == "coefficients":
@@ -282,11 +282,20 @@ class lens_design:
             return [float(v) for v in item.coefficients]
         return [float(getattr(self.base, name)[place])]
 
+    def _check_own_numbers(self, name: str, place: int) -> None:
+        """Raise ValueError for a surface whose shape has other numbers than curvature, conic and coefficients."""
+        item: Any = self.system.surfaces[place]
+        if item.own_shape is not None or is_break(item):
+            kind = "coordinate break" if is_break(item) else item.own_shape.kind.__name__
+            raise ValueError(f"{name} of surface {place} cannot vary: it is a {kind}")
+
     def _checked_pickup(self, item: Pickup) -> Pickup:
         count = len(self.system.surfaces)
         name = _validate.one_of("name of a pickup", item.name, COPIED)
         places = [_validate.place_in("surface of a pickup", place, count) for place in (item.surface, item.source)]
         scale, offset = (float(_validate.number("scale of a pickup", v)) for v in (item.scale, item.offset))
+        for place in places if name != "thickness" else ():
+            self._check_own_numbers(name, place)
         return Pickup(name, places[0], places[1], scale, offset)
 
     def _checked_solve(self, item: Solve) -> Solve:
@@ -295,8 +304,18 @@ class lens_design:
         value = float(_validate.number("value of a solve", item.value))
         if kind == "edge_thickness" and item.height is None:
             raise ValueError("a solve for the edge thickness needs the height of the edge")
-        if kind == "focal_length" and value == 0:
-            raise ValueError("value of a solve for the focal length must not be 0")
+        if kind == "focal_length":
+            if value == 0:
+                raise ValueError("value of a solve for the focal length must not be 0")
+            self._check_own_numbers("curvature", place)
+            here = self.system.surfaces[place]
+            before, behind = self.base.index[self.system.reference, place : place + 2]
+            if not here.reflects and here.own_gradient is None and bool(before == behind):
+                raise ValueError(f"curvature of surface {place} has no power for a solve: one medium is on both sides")
+        if kind != "edge_thickness":
+            check_media(self.system, self.base)
+        if kind == "marginal_height" and self.system.surfaces[place].own_gradient is not None:
+            raise ValueError(f"thickness of surface {place} cannot be solved for: the medium behind it is graded")
         height = None if item.height is None else float(_validate.number("height of a solve", item.height, least=0))
         return Solve(kind, place, value, height)
 
@@ -679,20 +698,15 @@ def _with(p: Prescription, name: str, value: Any) -> Prescription:
 
 
 def _solve_focal_length(system, p: Prescription, item: Solve) -> Prescription:
-    """Return the numbers with a curvature for the focal length: element C of the whole is linear in the power."""
+    """Return the numbers with a curvature for the focal length: element C of the whole is linear in the curvature."""
     one = p.at(system.reference)
-    index = signed_indices(system, one)
-    i, count = item.surface, len(system.surfaces)
-    before, behind = matrix(one, index, 0, i, gap=True), matrix(one, index, i + 1, count)
-    if i + 1 < count:
-        gap = p.thickness[..., i] / index[..., i + 1]
-        # What follows the surface begins with the gap behind it.
-        behind = behind._replace(b=behind.b + behind.a * gap, d=behind.d + behind.c * gap)
-    power = (behind.c * before.a + behind.d * before.c + 1 / item.value) / (behind.d * before.a)
-    curvature = power / (index[..., i + 1] - index[..., i])
-    if p.coefficients.shape[-1]:
-        curvature = curvature - 2 * p.coefficients[..., i, 0]
-    return p._replace(curvature=_set(p.curvature, i, curvature, -1))
+    index, scale = signed_indices(system, one), abs(1 / item.value)
+    found = []
+    for curvature in (0.0, scale):
+        bent = _set(one.curvature, item.surface, torch.full((), curvature, dtype=torch.float64), -1)
+        found.append(matrix(one._replace(curvature=bent), index, 0, len(system.surfaces)).c)
+    curvature = (-1 / item.value - found[0]) * scale / (found[1] - found[0])
+    return p._replace(curvature=_set(p.curvature, item.surface, curvature, -1))
 
 
 def _solve_marginal_height(system, p: Prescription, item: Solve) -> Prescription:

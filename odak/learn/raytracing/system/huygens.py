@@ -10,7 +10,7 @@ from odak import _validate
 from odak._array import phasor_of_cycles
 from odak._torch_private import load_forward_rules
 from odak.learn.raytracing.system.analysis import path_at_start
-from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.paraxial import check_image_space, first_order
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
 from odak.learn.raytracing.system.tracing import trace
@@ -81,6 +81,7 @@ def huygens_point_spread_function(
     found = trace(system, rays, prescription=prescription, vignetting=vignetting)
     centre = trace(system, rays, prescription=prescription, vignetting=False) if vignetting else found
     numbers = system.prescription() if prescription is None else prescription
+    check_image_space(system, numbers)
     kept = found.arrived[..., 1:]
     weight = torch.where(kept, share[inside].to(found.x), 0.0)
     index = numbers.index[..., -1][..., None, None].abs()

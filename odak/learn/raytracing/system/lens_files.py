@@ -881,7 +881,7 @@ def _zmx_text(system) -> str:
     factor = scale if kind else 1.0
     makers = {str(getattr(item.material, "name", "")).partition(":") for item in system.surfaces}
     makers = sorted({maker.upper() for maker, colon, _ in makers if colon} | {"SCHOTT"})
-    lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {system.name}", "UNIT MM X W X CM MR CPMM"]
+    lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {' '.join(system.name.split())}", "UNIT MM X W X CM MR CPMM"]
     lines += [f"GCAT {' '.join(makers)}", _APERTURES[system.aperture_type].format(repr(size)).strip()]
     lines += [f"FTYP {kind} {int(system.telecentric)} {len(system.fields)} {len(system.wavelengths)} 0 0 0"]
     lines += [
@@ -987,7 +987,9 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
         else:
             name = name.replace(" ", "_")
             lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
-    lines += _written_limits(item, scale)
-    if stop and item.semi_diameter is None and system.aperture_type == "stop":
-        lines += [f"  DIAM {system.aperture * scale / 2!r} 1 0 0 1"]
-    return lines
+    limits = _written_limits(item, scale)
+    if stop and system.aperture_type == "stop":
+        # The aperture is twice the semi-diameter of the stop, whatever limits the rays.
+        limits = [line for line in limits if not line.startswith("  DIAM")]
+        limits += [f"  DIAM {system.aperture * scale / 2!r} 1 0 0 1"]
+    return lines + limits

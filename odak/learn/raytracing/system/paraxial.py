@@ -112,6 +112,11 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     FirstOrder
         float64, differentiable in the numbers.
 
+    Raises
+    ------
+    ValueError
+        If a graded medium goes on behind a mirror or a coordinate break, or reaches the image.
+
     Notes
     -----
     Kingslake and Johnson, Lens Design Fundamentals (2010), chapter 3; after a mirror, index and thickness change sign.
@@ -127,6 +132,8 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     checked_system(system), checked_prescription(prescription)
     wavelength = None if wavelength is None else float(_validate.number("wavelength", wavelength, positive=True))
     p = _at_one_wavelength(system, wavelength, prescription)
+    check_media(system, p)
+    check_image_space(system, p)
     index = signed_indices(system, p)
     whole = matrix(p, index, 0, len(system.surfaces))
     after = matrix(p, index, system.stop, len(system.surfaces))
@@ -194,6 +201,8 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
         Numbers in place of the system's own.
     """
     p = _at_one_wavelength(system, wavelength, prescription)
+    by_image = system.aperture_type == "F-number" or (system.aperture_type == "NA" and system.at_infinity)
+    check_media(system, p, None if by_image else system.stop)
     index = signed_indices(system, p)
     whole = matrix(p, index, 0, len(system.surfaces))
     before = matrix(p, index, 0, system.stop, gap=True)
@@ -224,6 +233,30 @@ def _at_one_wavelength(system, wavelength, prescription):
     if wavelength is not None and prescription.index.shape[-2] > 1:
         raise ValueError("wavelength must be left out where prescription holds several")
     return prescription.at(system.reference)
+
+
+def check_media(system, p: Prescription, last: int | None = None) -> None:
+    """Raise ValueError for a graded medium in front of surface `last` that goes on behind a mirror or a break."""
+    for i, gradient in enumerate((p.gradients or ())[:last]):
+        following = system.surfaces[i + 1] if gradient is not None and i + 1 < len(system.surfaces) else None
+        if following is not None and (is_break(following) or following.reflects):
+            kind = "coordinate break" if is_break(following) else "mirror"
+            raise ValueError(
+                f"surfaces[{i}] has a graded medium behind it that goes on behind a {kind}, surfaces[{i + 1}]: no "
+                "paraxial properties"
+            )
+
+
+def check_image_space(system, p: Prescription) -> None:
+    """Raise ValueError where the image lies in a graded medium, in which rays do not end straight."""
+    i = len(system.surfaces) - 1
+    while i > 0 and (is_break(system.surfaces[i]) or system.surfaces[i].reflects):
+        i -= 1
+    if p.gradients is not None and p.gradients[i] is not None:
+        raise ValueError(
+            f"surfaces[{i}] has a graded medium behind it that reaches the image: end it by a plane surface in front "
+            "of the image"
+        )
 
 
 def signed_indices(system, p: Prescription) -> torch.Tensor:
@@ -348,13 +381,14 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     Raises
     ------
     ValueError
-        If a surface has a shape or a phase without rotational symmetry.
+        If a surface is no plane, conic or even asphere, is shifted or tilted, or has a phase or a graded medium.
 
     Notes
     -----
     Welford, Aberrations of Optical Systems (1986), chapter 8 and section 10.2: marginal and chief rays traced
     paraxially. The powers r² and r⁴ of aspheres enter, with the stop shift of section 8.5. The lateral colour
-    "LAT" and the distortion are heights in the image plane.
+    "LAT" and the distortion are heights in the image plane. Coordinate breaks are left out: the sums are those of the
+    system without its folds.
 
     Examples
     --------
@@ -368,6 +402,9 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
         raise ValueError(
             "system must consist of planes, conics and even aspheres without diffractive phases and graded indices"
         )
+    for i, item in enumerate(system.surfaces):
+        if item.is_off_axis and not is_break(item):
+            raise ValueError(f"surfaces[{i}] is shifted or tilted: Seidel sums are those of centred systems")
     one = p.at(system.reference)
     n = signed_indices(system, one)
     pupil = entrance_pupil(system, prescription=one)

@@ -137,16 +137,12 @@ def polarized_trace(
     PolarizedRays
         complex128, differentiable in rays, numbers and the thicknesses of the films.
 
-    Raises
-    ------
-    ValueError
-        If the system has graded indices, which turn the polarisation on the way.
-
     Notes
     -----
     Yun, Crabtree and Chipman, Appl. Opt. 50, 2855 (2011): P is the product of the matrices of the surfaces, each made
     of the coefficients along s, p and the ray. Here the coefficients of transmission are multiplied by
-    √(n₂·cos θ₂/(n₁·cos θ₁)), so that squares are powers.
+    √(n₂·cos θ₂/(n₁·cos θ₁)), so that squares are powers. In media of graded index the field turns with the ray without
+    turning about it (Rytov's law), and is absorbed as in their material.
 
     Examples
     --------
@@ -158,8 +154,6 @@ def polarized_trace(
     checked_system(system), checked_prescription(prescription)
     vignetting = _validate.flag("vignetting", vignetting)
     numbers = system.prescription() if prescription is None else prescription
-    if numbers.gradients is not None:
-        raise ValueError("system must be without graded indices, which turn the polarisation on the way")
     rays = checked_rays(rays)
     layout = layout_of(system.surfaces, numbers, system.image, vignetting)
     flat, shape = spread_rays(rays, numbers)
@@ -188,9 +182,15 @@ class _Record:
     def __call__(self, passage: Passage) -> None:
         """Multiply by the matrix of a surface, or change the frame."""
         if passage.action == "break":
-            rows = [torch.stack(self._held(row), -1) for row in passage.turned.matrix]
-            turn = torch.stack(rows, -2).mT
+            turn = self._axes(passage.turned).mT
             self._multiply(turn.to(self.matrix.dtype), turn)
+            return
+        if passage.action == "bend":
+            frame, turn = passage.turned
+            axes = self._axes(frame)
+            turn = axes.mT @ turn @ axes
+            self._multiply(turn.to(self.matrix.dtype), turn)
+            self.absorption = self.absorption * self._passed(passage.length)
             return
         item = self.system.surfaces[passage.place] if passage.place < len(self.system.surfaces) else None
         self.absorption = self.absorption * self._passed(passage.length)
@@ -215,9 +215,10 @@ class _Record:
     def _multiply(self, matrix, rotation) -> None:
         self.matrix, self.rotation = matrix @ self.matrix, rotation @ self.rotation
 
-    def _held(self, row) -> list:
-        like = self.absorption
-        return [value + 0 * like if isinstance(value, torch.Tensor) else torch.full_like(like, value) for value in row]
+    def _axes(self, frame) -> torch.Tensor:
+        """Return the axes of a frame as columns, ``[..., 3, 3]``."""
+        zero = torch.zeros_like(self.absorption)
+        return torch.stack([torch.stack([value + zero for value in row], -1) for row in frame.matrix], -2)
 
     def _coefficients(self, item, passage, k, out, normal) -> tuple:
         """Return the complex amplitude coefficients along s and p."""

@@ -153,15 +153,16 @@ class Passage(NamedTuple):
     place : int
         Number of the surface.
     action : str
-        As in :class:`Layout`.
+        As in :class:`Layout`, or "bend".
     incoming, outgoing, normal : tuple of torch.Tensor
         Unit vectors before and behind, and normals; along the axis for rays that are lost.
     before, behind : torch.Tensor
         Indices on both sides.
     length : torch.Tensor
         Distance from the surface before.
-    turned : Frame or None
-        Of a break: the change of the frame.
+    turned : Frame or tuple, optional
+        Of a break the change of the frame. Of a "bend", the way through a graded medium, the frame of the axis in that
+        of the medium, and rotations of the field ``[..., 3, 3]`` in the latter.
     """
 
     place: int
@@ -239,10 +240,12 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
         n1 = index[..., i]
         if medium is not None:
             here = medium.frame if place is None else medium.frame.then(place)
-            curved = arrive(medium.gradient, medium.base, here, point, direction, shape, sign)
-            point, direction, n1, length, arrived = curved
+            curved = arrive(medium.gradient, medium.base, here, point, direction, shape, sign, record is not None)
+            point, direction, n1, length, arrived, carried = curved
             status = _with_event(status, arrived, RayStatus.NOT_CONVERGED)
             path = path + torch.where(status == HIT, length, 0.0)
+            if record is not None and carried is not None:
+                record(Passage(i, "bend", turned=(medium.frame, carried[0]), length=carried[1]))
         # A ray must arrive from the side that its surface is passed from.
         moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
         status = _with_event(status, moves, RayStatus.MISS)

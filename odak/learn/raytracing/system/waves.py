@@ -11,7 +11,7 @@ from odak._array import is_readable, phasor_of_cycles
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.raytracing.system.analysis import path_at_start, wavefront
-from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
+from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import (
     AIMS,
     aimed,
@@ -643,6 +643,7 @@ def exit_field(
     point = point.to(system.surfaces[0].thickness.device)
     distance = _exit_pupil(system, prescription) if distance is None else _validate.number("distance", distance)
     rays = RayMap(system, prescription, place, point, distance, plane == "chief")
+    check_image_space(system, rays.numbers)
     vacuum, index = system.wavelengths[place], rays.numbers.index[..., 0, -1].detach()
     grid = _grid(rays, aim, (rows, columns), pitch, vacuum / float(index.abs().max()))
     pieces = zip(grid.chosen.split(PIECE), grid.guess.split(PIECE, -2), strict=True)

@@ -26,6 +26,8 @@ from odak.learn.raytracing.system import (
     trace_fields,
 )
 from odak.learn.raytracing.system.operands import OPERANDS
+from odak.raytracing import Toroid
+from odak.raytracing.phases import RadialPhase
 
 F64 = torch.float64
 
@@ -34,6 +36,11 @@ def _singlet(front=80.0, rear=-120.0, index=1.5, aperture=5.0, **options):
     return optical_system(
         [surface(front, thickness=1e-6, material=index), surface(rear, thickness=100.0)], aperture, **options
     )
+
+
+def _toric():
+    front = surface(shape=Toroid(0.01, 0.02), thickness=3.0, material=1.5)
+    return optical_system([front, surface(-60.0, thickness=50.0), surface(thickness=1.0)], 5.0)
 
 
 def test_the_best_form_of_a_thin_lens_is_that_of_third_order_theory():
@@ -114,6 +121,15 @@ def test_solves_hold_exactly_at_every_value_of_the_variables():
     torch.testing.assert_close(p.thickness[:, 0] - sags[0] + sags[1], torch.full((2,), 1.25, dtype=F64))
     design.apply(values)
     assert float(first_order(triplet).focal_length) == pytest.approx(47.0, rel=1e-12)
+
+
+def test_a_solve_for_the_focal_length_counts_diffractive_power():
+    front = surface(50.0, thickness=3.0, material=1.5, phase=RadialPhase([-200.0], 10.0))
+    lens = optical_system([front, surface(-60.0, thickness=50.0)], 5.0)
+    design = lens_design(lens, "spot", Variable("thickness", 1), solves=[Solve("focal_length", 0, 50.0)])
+    design.apply(design.values)
+    edge = trace_fields(lens, torch.tensor([[0.0, 1e-4]], dtype=F64))
+    assert -2.5e-4 * float(edge.w / edge.v) == pytest.approx(50.0, rel=1e-6)
 
 
 def test_pickups_hold_and_bounds_are_kept():
@@ -234,6 +250,15 @@ def test_a_model_glass_in_a_design_is_that_of_the_catalogue():
         (lambda s: lens_design(s, "spot", Variable("thickness", 1), solves=Solve("edge_thickness", 0)), "height"),
         (lambda s: lens_design(s, "spot", Variable("thickness", 1, 2.0, 1.0)), "at most"),
         (lambda s: lens_design(s, Operand("spot", lower=2.0, upper=1.0), Variable("thickness", 1)), "at most"),
+        (
+            lambda s: lens_design(_toric(), "spot", Variable("thickness", 1), solves=Solve("focal_length", 0, 9.0)),
+            "Tor",
+        ),
+        (lambda s: lens_design(_toric(), "spot", Variable("thickness", 1), pickups=Pickup("conic", 0, 1)), "a Toroid"),
+        (
+            lambda s: lens_design(_toric(), "spot", Variable("thickness", 1), solves=Solve("focal_length", 2, 9.0)),
+            "no p",
+        ),
     ],
 )
 def test_descriptions_that_make_no_sense_are_refused(what, message):

@@ -194,3 +194,5 @@ def test_third_order_sums_are_differentiable_and_name_what_they_cannot_do():
     assert torch.autograd.gradcheck(sums, [numbers.curvature.requires_grad_(), numbers.thickness.requires_grad_()])
     with pytest.raises(ValueError, match="planes, conics and even aspheres"):
         seidel_sums(optical_system([surface(shape=Toroid(0.1, 0.2))], 1.0))
+    with pytest.raises(ValueError, match=r"surfaces\[0\] is shifted or tilted"):
+        seidel_sums(optical_system([surface(9.0, material=1.5, tilt=(1.0, 0.0))], 1.0))

@@ -8,11 +8,17 @@ import pytest
 import torch
 
 from odak.learn.raytracing.system import (
+    Solve,
+    Variable,
     coordinate_break,
     curved_paths,
+    distortion,
+    exit_field,
     first_order,
+    huygens_point_spread_function,
     launch,
     layout_figure,
+    lens_design,
     optical_system,
     ray_paths,
     seidel_sums,
@@ -21,6 +27,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace,
     trace_fields,
+    wavefront,
 )
 from odak.raytracing import RayStatus
 from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
@@ -211,3 +218,54 @@ def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
     assert found.status[0, 0].tolist() == [RayStatus.NOT_CONVERGED, RayStatus.HIT]
     torch.where(found.arrived, found.y, 0.0).sum().backward()
     assert bool(torch.isfinite(front.own_gradient.coefficients.grad).all())
+
+
+def test_a_solve_for_the_focal_length_knows_graded_media_on_both_sides():
+    for place in (0, 1):
+        lens = rod_of()
+        design = lens_design(
+            lens, "spot", Variable("thickness", 1), solves=[Solve("focal_length", place, 5.0)], count=2
+        )
+        design.apply(design.values)
+        edge = trace_fields(lens, torch.tensor([[0.0, 1e-3]], dtype=F64), fields=[(0.0, 0.0)])
+        assert -0.5e-3 * float(edge.w / edge.v) == pytest.approx(5.0, rel=1e-6)
+    with pytest.raises(ValueError, match="thickness of surface 0 cannot be solved for: the medium behind it is graded"):
+        lens_design(rod_of(), "spot", Variable("thickness", 1), solves=[Solve("marginal_height", 0, 0.1)])
+
+
+def test_images_within_graded_media_are_refused_and_those_behind_their_ends_are_right():
+    def lens_of(*more):
+        graded = surface(20.0, thickness=7.0, material=1.5, gradient=RadialGradient([-0.03]))
+        return optical_system([surface(9.0, thickness=1.0, material=1.6), graded, *more], 2e-3, fields=[0.0, 1.0])
+
+    within = lens_of()
+    edge = trace_fields(within, "y", 3)
+    for function in (first_order, wavefront, exit_field):
+        with pytest.raises(ValueError, match=r"surfaces\[1\] has a graded medium behind it that reaches the image"):
+            function(within)
+    with pytest.raises(ValueError, match="reaches the image"):
+        huygens_point_spread_function(within, 8, 8, pitch=1e-3)
+    # The paraxial chief ray at the image within the medium is that of a small field.
+    small = 1e-3
+    assert abs(float(distortion(within, fields=[(0.0, small)]))) < 1e-6
+    # An end plane of the base index in front of the image: real and paraxial image agree.
+    ended = lens_of(surface(thickness=1.0, material=1.5))
+    ray = trace_fields(ended, "y", 3, until=2)
+    expected = -ray.y[0, 0, 2] * ray.w[0, 0, 2] / ray.v[0, 0, 2]
+    assert float(first_order(ended).image_distance) == pytest.approx(float(expected), rel=1e-5)
+    assert torch.allclose(ray.y, edge.y, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("folded", "kind"),
+    [(surface(material="mirror", thickness=-3.0), "mirror"), (coordinate_break(), "coordinate break")],
+)
+def test_paraxial_matrices_refuse_media_that_go_on_behind_mirrors_and_breaks(folded, kind):
+    front = surface(9.0, thickness=3.0, material=1.6, gradient=RadialGradient([-0.09]))
+    lens = optical_system([front, folded, surface(thickness=-2.0)], 1.0, fields=[0.0, 1.0])
+    for function in (first_order, distortion):
+        with pytest.raises(ValueError, match=f"goes on behind a {kind}"):
+            function(lens)
+    lens.aperture_type, lens.aperture = "F-number", 4.0
+    with pytest.raises(ValueError, match=f"goes on behind a {kind}"):
+        launch(lens, "y", 3)

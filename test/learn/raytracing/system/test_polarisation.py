@@ -24,6 +24,7 @@ from odak.learn.raytracing.system import (
     trace,
 )
 from odak.learn.raytracing.system.coatings import Coating
+from odak.raytracing.gradients import RadialGradient
 from odak.raytracing.phases import LinearGrating
 
 F64 = torch.float64
@@ -287,3 +288,86 @@ def test_films_in_files_gratings_and_what_is_refused():
         Coating((-1.4,), [1.0])
     with pytest.raises(ValueError, match="substrate is the end"):
         metal.reversed()
+
+
+def rod(length):
+    return optical_system(
+        [surface(thickness=length, material=1.6, gradient=RadialGradient([-0.09])), surface(thickness=1.0)], 1.0
+    )
+
+
+def test_the_field_of_a_helical_ray_turns_by_rytovs_law():
+    """n² = n0²(1 − g²r²): after a turn about the axis the field has turned by the solid angle 2π(1 − cos θ)."""
+    n0, g, radius = 1.6, 0.3, 0.9
+    pitch = 2 * math.pi / g * math.sqrt(1 - 2 * (g * radius) ** 2)
+    index = n0 * math.sqrt(1 - (g * radius) ** 2)
+    within = n0 * g * radius / index
+    # In front of the plane face the direction that is refracted into the helix.
+    sine = index * within
+    ray = torch.tensor([[[radius, 0.0, 0.0], [0.0, sine, math.sqrt(1 - sine * sine)]]], dtype=F64)
+    lens = rod(pitch)
+    found = polarized_trace(lens, ray)
+    assert torch.allclose(found.traced.x, ray[0, 0, 0], rtol=0, atol=1e-9)
+    assert torch.allclose(found.outgoing, found.incoming, rtol=0, atol=1e-9)
+    cosine = math.sqrt(1 - within * within)
+    k = torch.tensor([0.0, within, cosine], dtype=F64)
+    across = torch.tensor([[0.0, -k[2], k[1]], [k[2], 0.0, -k[0]], [-k[1], k[0], 0.0]], dtype=F64)
+    angle = 2 * math.pi * (1 - cosine)
+    expected = torch.eye(3, dtype=F64) + math.sin(angle) * across + (1 - math.cos(angle)) * across @ across
+    # Within the rod: the refractions at its faces turn about x, the normal of the plane of incidence.
+    tilt = math.asin(within) - math.asin(sine)
+    turn = torch.tensor(
+        [[1.0, 0, 0], [0, math.cos(tilt), math.sin(tilt)], [0, -math.sin(tilt), math.cos(tilt)]], dtype=F64
+    )
+    assert torch.allclose(turn @ found.incoming.reshape(3), k, atol=1e-9)
+    assert torch.allclose(found.rotation.reshape(3, 3), turn.mT @ expected @ turn, rtol=0, atol=1e-9)
+
+
+def test_graded_media_without_a_gradient_are_glass_behind_breaks_and_mirrors_too():
+    """A medium of constant index, and losses of its material over the way."""
+
+    def system_of(**options):
+        turn = {"tilt": (40.0, 10.0, 5.0)}
+        return optical_system(
+            [
+                surface(30.0, thickness=5.0, material="SF6", **options),
+                coordinate_break(**turn),
+                surface(material="mirror"),
+                coordinate_break(**turn, thickness=-6.0),
+                surface(25.0, thickness=-20.0),
+            ],
+            2.0,
+            wavelengths=[400e-6, 550e-6],
+        )
+
+    plain, curved = (
+        polarized_trace(lens, launch(lens, "rings", 1))
+        for lens in (system_of(), system_of(gradient=RadialGradient([0.0])))
+    )
+    for name in ("matrix", "rotation", "absorption", "transmittance"):
+        assert torch.allclose(getattr(plain, name), getattr(curved, name), rtol=0, atol=1e-11), name
+    assert float(plain.absorption.min()) < 0.99
+
+
+def test_polarised_gradients_through_graded_media():
+    lens = rod(4.0)
+    values = [lens.surfaces[0].vary(name) for name in ("thickness", "coefficients")]
+    ray = torch.tensor([[[0.5, 0.2, 0.0], [0.1, 0.3, math.sqrt(0.9)]]], dtype=F64)
+    names = [name for name, _ in lens.named_parameters()]
+
+    def matrix(ray, *given):
+        held = dict(zip(names, given, strict=True))
+
+        class Whole(torch.nn.Module):
+            def __init__(self):
+                super().__init__()
+                self.lens = lens
+
+            def forward(self, ray):
+                return torch.view_as_real(polarized_trace(self.lens, ray).matrix)
+
+        return torch.func.functional_call(Whole(), {f"lens.{name}": value for name, value in held.items()}, (ray,))
+
+    order = {id(value): name for name, value in lens.named_parameters()}
+    given = sorted(values, key=lambda value: names.index(order[id(value)]))
+    assert torch.autograd.gradcheck(matrix, (ray.requires_grad_(), *given), fast_mode=True)

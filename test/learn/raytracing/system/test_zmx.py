@@ -311,6 +311,19 @@ def test_radii_may_be_parameters():
     assert [name for name, _ in system.named_parameters()] == ["surfaces.0.curvature_value"]
 
 
+def test_the_aperture_of_a_stop_is_not_its_limit_and_names_stay_on_a_line(tmp_path):
+    lens = optical_system(
+        [surface(50.0, thickness=3.0, material="N-BK7", stop=True, semi_diameter=9.0), surface(-60.0, thickness=50.0)],
+        10.0,
+        "stop",
+        name="first\n  SURF 7",
+    )
+    write_zmx(lens, tmp_path / "lens.zmx")
+    found, _ = read_zmx(tmp_path / "lens.zmx")
+    assert (found.aperture, found.aperture_type, found.surfaces[0].semi_diameter) == (10.0, "stop", 9.0)
+    assert found.name == "first SURF 7"
+
+
 @pytest.mark.parametrize("write", [save_system, write_zmx])
 def test_what_is_no_path_makes_no_file(tmp_path, monkeypatch, write):
     monkeypatch.chdir(tmp_path)
