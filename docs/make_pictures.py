@@ -81,6 +81,8 @@ def run_page(path: Path, folder: Path) -> list[tuple[Block, str]]:
             results.append((block, printed.getvalue()))
     finally:
         os.chdir(before)
+        if "matplotlib.pyplot" in sys.modules:
+            sys.modules["matplotlib.pyplot"].close("all")
     return results
 
 
