@@ -181,18 +181,6 @@ def _first(array, count: int, axis: int):
     return array[..., :count] if axis == -1 else array[..., :count, :]
 
 
-def linear_grid(
-    grid: Grid,
-    cutoff: float | None = None,
-    pixel_fill: float | None = None,
-    tolerance: float = TOLERANCE,
-    stored: Any = None,
-) -> LinearGrid:
-    """Return the grid on which transfer functions are those of linear convolution, of the shape of a padded `grid`."""
-    own = {field.name: getattr(grid, field.name) for field in fields(Grid)}
-    return LinearGrid(**own, cutoff=cutoff, pixel_fill=pixel_fill, tolerance=tolerance, stored=stored)
-
-
 @dataclass(frozen=True)
 class linear_kernel:
     """Function of a grid that gives a transfer function of linear convolution.
@@ -236,4 +224,6 @@ class linear_kernel:
         return xp.reshape(xp.stack(kernels), (*batch, *grid.shape))
 
     def _build(self, grid: Grid, stored):
-        return self.transfer(linear_grid(grid, self.cutoff, self.pixel_fill, self.tolerance, stored))
+        own = {field.name: getattr(grid, field.name) for field in fields(Grid)}
+        given = {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance}
+        return self.transfer(LinearGrid(**own, **given, stored=stored))

@@ -445,15 +445,11 @@ def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, flo
     return method_named(name), error
 
 
-def warn_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> None:
-    """Issue a SamplingWarning where a method is used outside its criteria."""
-    for message in warnings_outside_range(method, shape, request, padded):
-        warn(message, SamplingWarning)
-
-
 def warnings_outside_range(method: Method, shape: tuple[int, int], request: Request, padded: bool) -> Iterator[str]:
-    """Yield a text for each of the criteria of a method that is not met."""
-    for report in _reports(shape, request, padded):
+    """Yield a text for each of the criteria of a method that is not met; none while lengths are traced."""
+    fine = tuple(request.scale * n for n in shape)
+    for z, wavelength, step in _geometries(request):
+        report = criteria(fine, tuple(value / request.scale for value in step), wavelength, z, padded)
         failure = method.failure(report)
         if failure is not None:
             rows, columns = report.shape
@@ -464,15 +460,6 @@ def warnings_outside_range(method: Method, shape: tuple[int, int], request: Requ
                 f"wavelength = {report.wavelength:.4g} m): {failure}. Use {recommend((axes,), request.tolerance)[0]}, "
                 "or 'auto'."
             )
-
-
-def _reports(shape, request: Request, padded: bool) -> list[Criteria]:
-    """Return the criteria at the extremes of the distances and wavelengths asked for; none while they are traced."""
-    fine = tuple(request.scale * n for n in shape)
-    return [
-        criteria(fine, tuple(value / request.scale for value in pitch), wavelength, z, padded)
-        for z, wavelength, pitch in _geometries(request)
-    ]
 
 
 def _geometries(request: Request) -> list[tuple]:
@@ -540,7 +527,8 @@ def linear_method(propagation_type: str, shape, dx, wavelength, distance, relaye
             if error > PARAXIAL_TOLERANCE:
                 warn(f"{method.name}: the paraxial phase is off by up to {error:.2g} wavelengths", SamplingWarning)
     elif method.name not in ("Angular Spectrum", "Bandlimited Angular Spectrum"):
-        warn_outside_range(method, shape, request, padded=True)
+        for message in warnings_outside_range(method, shape, request, padded=True):
+            warn(message, SamplingWarning)
     elif chosen is None:
         warn_above_tolerance(shape, request)
     return method.name

@@ -170,7 +170,7 @@ def _tilted_path(field, request: Request, window: Window, angles, source_angles,
     xp, shape = _array.namespace(field), tuple(field.shape[-2:])
     with outside_inference(xp):
         grid = request.grid(shape, xp, _array.device_of(field), field.dtype)
-        straight = _is_unrotated(source_angles)
+        straight = isinstance(source_angles, (tuple, list)) and all(map(_is_zero, source_angles))
         window = replace(window, axes=_rotated_axes("angles", angles, grid))
         if not straight:
             grid, window = _seen_from(_rotated_axes("source_angles", source_angles, grid), grid, window)
@@ -240,10 +240,6 @@ def _is_zero(value) -> bool:
     return not _array.is_array(value) and value == 0
 
 
-def _is_unrotated(angles) -> bool:
-    return not _array.is_array(angles) and isinstance(angles, (tuple, list)) and all(map(_is_zero, angles))
-
-
 def _axis_kept(angles) -> int | None:
     """Return the axis (-2 or -1) whose frequencies a rotation about y or x alone leaves as they are, or None."""
     if _array.is_array(angles) or not _is_zero(angles[2]):
@@ -286,16 +282,9 @@ def _seen_from(source, grid: Grid, window: Window) -> tuple[Grid, Window]:
     centre = [grid.distance * own[2] for own in source]
     distance = dot(centre, axes[2]) / axes[2][2]
     rest = (centre[0], centre[1], centre[2] - distance)
-    offset = tuple(
-        _array.cast(given, grid.wavelength) + _scalar(dot(rest, axes[k]))
-        for given, k in zip(window.offset, (1, 0), strict=True)
-    )
+    moved = (dot(rest, axes[k])[..., 0, 0] for k in (1, 0))
+    offset = tuple(_array.cast(given, grid.wavelength) + move for given, move in zip(window.offset, moved, strict=True))
     return replace(grid, distance=distance), replace(window, offset=offset, axes=axes)
-
-
-def _scalar(value):
-    """Return a length ``[..., 1, 1]`` as ``[...]``."""
-    return _array.namespace(value).reshape(value, value.shape[:-2])
 
 
 def _transfer(grid: Grid, window: Window, rays: Rays, lines):

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from odak import _array, _validate
 from odak._array import Array
@@ -152,7 +151,8 @@ def eye_transfer(
     pupil = _covered(xp, down, across, [p / (s * radius) for p, s in zip(pitch, squeeze, strict=True)])
     cycles = 0 * pupil
     if focus is not None:
-        vergence = _vergence(xp, focus, away, device)
+        # The curvature in 1/m that an eye focused at a distance lacks for a field at another.
+        vergence = 1 / away - 1 / _array.converted(focus, xp, device, xp.float64)
         _check_blur(shape, steps, vergence, away, diameter)
         # About the middle of the pupil, so that directions from there are what stays in place.
         squared = from_middle[0] ** 2 + from_middle[1] ** 2
@@ -226,11 +226,6 @@ def _covered(xp, down, across, spacing):
     radius = xp.sqrt(down**2 + across**2 + 1e-30)
     along = xp.sqrt((down * spacing[0]) ** 2 + (across * spacing[1]) ** 2 + 1e-60) / radius
     return xp.clip((1 - radius) / along + 0.5, 0.0, 1.0)
-
-
-def _vergence(xp, focus: Any, distance, device):
-    """Return the curvature in 1/m that an eye focused at a distance lacks for a field at another."""
-    return 1 / distance - 1 / _array.converted(focus, xp, device, xp.float64)
 
 
 def _checked_focus(focus):

@@ -200,3 +200,25 @@ def test_coarse_slices_and_short_series_warn():
         scattered_field(field, medium[0], 0.2, 1.0, iterations=3)
     with pytest.raises(ValueError, match=r"index must be .* \[slices, 8, 8\]"):
         propagate_through_medium(field, medium[..., :4], 0.6, 0.1, 1.0)
+
+
+@pytest.mark.parametrize("levels", [2, 8])
+def test_plane_waves_of_few_indices_are_those_of_each(random, levels):
+    """Each sample has the wave of its own index; a medium of one index that is learned has no NaN."""
+    field = random.normal(size=(12, 16)) + 1j * random.normal(size=(12, 16))
+    indices = np.array([1.0, 1.3, 1.5])[:levels]
+    which = random.integers(len(indices), size=(12, 16))
+    options = {"method": "wave propagation", "levels": levels}
+    found = propagate_through_medium(field, indices[which][None], 1.0, 2.0, 0.6, **options)
+    fy, fx = np.fft.fftfreq(12)[:, None], np.fft.fftfreq(16)
+    for k, index in enumerate(indices):
+        axial = np.emath.sqrt((index / 0.6) ** 2 - fy**2 - fx**2)
+        wave = np.fft.ifft2(np.fft.fft2(field) * np.exp(2j * np.pi * 2.0 * axial))
+        np.testing.assert_allclose(found[which == k], wave[which == k], atol=1e-12)
+    learned = torch.full((1, 12, 16), 1.3, dtype=torch.float64, requires_grad=True)
+    through = propagate_through_medium(torch.from_numpy(field), learned, 1.0, 2.0, 0.6, **options)
+    axial = np.emath.sqrt((1.3 / 0.6) ** 2 - fy**2 - fx**2)
+    wave = np.fft.ifft2(np.fft.fft2(field) * np.exp(2j * np.pi * 2.0 * axial))
+    np.testing.assert_allclose(through.detach().numpy(), wave, atol=1e-12)
+    (slope,) = torch.autograd.grad(through.abs().sum(), learned)
+    assert bool(slope.isfinite().all())

@@ -179,8 +179,8 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     shape = (*batch, *field.shape[-2:])
     result = allocate_like(workspace, "field", shape, field)
     full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
-    arrays = (_members(array, full) for array in (field, kernel, result))
-    triples = list(zip(*arrays, strict=True))
+    whole = [array.expand(*full, *array.shape[-2:]) for array in (field, kernel, result)]
+    triples = [tuple(array[place] for array in whole) for place in itertools.product(*map(range, full))]
     summed = result.numel() < math.prod(full) * math.prod(field.shape[-2:])
     for group in _grouped(triples, 2 if summed else 0):
         if len(group) == 1:
@@ -190,11 +190,6 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
         else:
             _scatter(group, adjoint)
     return result
-
-
-def _members(array, batch) -> list[torch.Tensor]:
-    """Return the images of an array, one for each place of the axes that it is broadcast to."""
-    return [array.expand(*batch, *array.shape[-2:])[place] for place in itertools.product(*map(range, batch))]
 
 
 def _grouped(triples, which: int):

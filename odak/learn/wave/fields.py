@@ -321,7 +321,9 @@ class _Exposure(torch.autograd.Function):
             raise RuntimeError("the fields were overwritten: exposure(..., workspace=) has one backward pass")
         to_field = to_power = None
         if ctx.needs_input_grad[1]:
-            to_power = 2 * power * _collected(field, gradient, ctx.one_each)
+            own = (gradient[:, frame : frame + 1] if ctx.one_each else gradient for frame in range(len(field)))
+            overlaps = [_overlap(frame, slope) for frame, slope in zip(field, own, strict=True)]
+            to_power = 2 * power * torch.stack(overlaps)
         if ctx.needs_input_grad[0]:
             to_field = _slope(field, gradient, power, ctx.one_each, None if saved else field)
         return to_field, to_power, None, None
@@ -339,12 +341,6 @@ def _slope(field, gradient, power, one_each, result=None):
         factor = (own * weights[frame, :, None, None])[..., None]
         torch.mul(torch.view_as_real(field[frame, plane]), factor, out=torch.view_as_real(result[frame, plane]))
     return result
-
-
-def _collected(field, gradient, one_each):
-    """Return Σ g·|u|² over planes and pixels, ``[frames, colours]``."""
-    own = (gradient[:, index : index + 1] if one_each else gradient for index in range(len(field)))
-    return torch.stack([_overlap(frame, slope) for frame, slope in zip(field, own, strict=True)])
 
 
 def _overlap(field, slope):

@@ -91,7 +91,10 @@ def defocused_targets(
     side = _validate.integer("target_blur_size", blur_size, minimum=1) | 1
     sigmas = torch.tensor([int(distance * blur_ratio) for distance in range(number_of_planes)], device=image.device)
     widths, which = sigmas.unique(return_inverse=True)
-    blurred = torch.stack([_blurred(image, width, side) for width in widths.tolist()])
+    # A width of zero leaves the image as it is.
+    blurred = torch.stack(
+        [blur_gaussian(image, (side, side), (w, w), keep_sum=True) if w else image for w in widths.tolist()]
+    )
     planes = torch.arange(number_of_planes, device=image.device)
     source = which[(indices - planes[:, None, None]).abs()]
     return blurred.gather(0, source[:, None].expand(-1, *image.shape))
@@ -152,10 +155,6 @@ def geometric_targets(
                 blurred = torch.fft.ifft2(spectrum * torch.stack(discs).to(image.dtype)).real[..., :rows, :columns]
             targets[focus] += masks[plane] * blurred.clamp_min(0)
     return targets.to(dtype)
-
-
-def _blurred(image, sigma, side):
-    return blur_gaussian(image, (side, side), (sigma, sigma), keep_sum=True) if sigma else image
 
 
 class FocalTargets(nn.Module):

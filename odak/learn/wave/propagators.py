@@ -507,7 +507,7 @@ class propagator(display_volume):
             shape = (self.number_of_frames, self.number_of_depth_layers, self.number_of_channels, *self.field_shape)
             for planes in self.plane_chunks():
                 kernels = self.transfer(planes, holograms.dtype) if self._has_kernels else None
-                for frames in self._frame_chunks():
+                for frames in _parts(self._lit_frames(), self._pairs_at_once()):
                     fields = self._fields_on(planes, holograms, frames, kernels)
                     light = fields if get_complex else intensity(fields)
                     # Of the light itself, so that torch.func.vmap may write it.
@@ -522,9 +522,6 @@ class propagator(display_volume):
     def plane_chunks(self) -> list[slice]:
         """Return the planes in parts whose fields, of all frames and colours, fit the memory budget."""
         return _parts(self.number_of_depth_layers, self._pairs_at_once() // self.number_of_frames)
-
-    def _frame_chunks(self) -> list[slice]:
-        return _parts(self._lit_frames(), self._pairs_at_once())
 
     def _lit_frames(self) -> int:
         return (

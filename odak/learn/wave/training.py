@@ -110,7 +110,8 @@ def minimise(
     FloatingPointError
         If the loss is not finite in the end.
     """
-    run = _Run(parameters, make_solver(solver, list(parameters.values())), iterations, options, about or {}, generators)
+    chosen = {"adam": Adam, "lbfgs": LBFGS}[solver](list(parameters.values()))
+    run = _Run(parameters, chosen, iterations, options, about or {}, generators)
     run.resume()
     with advising_on_memory(_LESS_MEMORY):
         return run.go(gradient, learning_rate, description, keep_best)
@@ -301,11 +302,6 @@ def linear(rate: float, lowest: float, iterations: int) -> Callable[[int], float
 
 
 SOLVERS = ("adam", "lbfgs")
-
-
-def make_solver(name: str, parameters: Sequence[torch.Tensor]):
-    """Return the solver of that name ("adam" or "lbfgs") for some leaf tensors."""
-    return {"adam": Adam, "lbfgs": LBFGS}[name](parameters)
 
 
 class Adam:

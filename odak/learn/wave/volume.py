@@ -390,7 +390,8 @@ class display_volume(torch.nn.Module):
             raise TypeError(f"dtype must be torch.complex64 or torch.complex128, got {dtype!r:.80}")
         distances = self._drawn_distances()
         if self._is_traced(distances):
-            return self._masked(self._stacked(distances[planes], dtype, self._cutoffs))
+            kernels = self._stacked(distances[planes], dtype, self._cutoffs)
+            return kernels * torch.fft.ifftshift(self.aperture) if self._stop == "mask" else kernels
         if self.vaccination or not self._may_keep(dtype):
             return self._fill(self._empty(len(distances[planes]), dtype), distances[planes])
         return self._kept(planes, distances, dtype)
@@ -404,9 +405,6 @@ class display_volume(torch.nn.Module):
                 for distance in distances
             ]
         )
-
-    def _masked(self, kernels):
-        return kernels * torch.fft.ifftshift(self.aperture) if self._stop == "mask" else kernels
 
     def _need_kernels(self):
         if not self._has_kernels:

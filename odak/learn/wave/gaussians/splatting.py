@@ -426,7 +426,9 @@ class _Composite(torch.autograd.Function):
                 slope = slopes[group[: len(blocks)]]
                 by_weight = torch.bmm(slope.mT, filled[tiled.lists.slots[blocks]].mT)
                 tiled.gather(weight_sums, blocks, torch.bmm(slope, alpha * visible))
-                covered = _sum_behind(behind[: len(blocks)], by_weight * alpha * visible)
+                # Sums over what lies behind each Gaussian of a block, the last first, and behind the block before.
+                seen = (by_weight * alpha * visible).flip(-1)
+                covered = torch.cat([behind[: len(blocks), ..., None], seen], dim=-1).cumsum(-1)
                 behind[: len(blocks)] = covered[..., -1]
                 # Where 1 − α is below the bound nothing behind is visible, and the quotient is zero.
                 hidden = covered[..., :-1].flip(-1) / (1 - alpha).clamp_min(FAINTEST)
@@ -475,8 +477,3 @@ def _lights(tiled, rounds, opaque):
         _, alpha = _alphas(tiled, blocks, opaque)
         lights.append(_transmit(lights[-1][: len(blocks)], alpha)[: len(following), :, -1])
     return lights
-
-
-def _sum_behind(behind, seen):
-    """Return the sum behind each Gaussian of a block, the last first, and that behind the block before."""
-    return torch.cat([behind[..., None], seen.flip(-1)], dim=-1).cumsum(-1)

@@ -33,11 +33,6 @@ from odak.learn.wave.slm import TURN, even_levels
 from odak.learn.wave.training import Options, check_brightness, cosine, fingerprint, generator_from, minimise
 
 
-def one_source_each(frames: int, sources: int) -> torch.Tensor:
-    """Return powers ``[frames, sources]`` of one in source f mod sources of frame f, zero in the others."""
-    return torch.eye(sources).repeat(-(-frames // sources), 1)[:frames]
-
-
 class multi_color_hologram_optimizer:
     """Optimizer of F phase patterns and of the powers at which C colours light each, for images on D planes.
 
@@ -237,7 +232,9 @@ class multi_color_hologram_optimizer:
         """Set the channel powers ``[F, C]``: those of the file, one source per frame, or ones to learn from."""
         shape = (self.number_of_frames, len(self.wavelengths))
         learned = self.method.endswith("multi-color")
-        powers = torch.ones(shape) if learned else one_source_each(*shape)
+        # Frame f is lit by source f mod C alone where the powers are not learned.
+        one_each = torch.eye(shape[1]).repeat(-(-shape[0] // shape[1]), 1)[: shape[0]]
+        powers = torch.ones(shape) if learned else one_each
         if self.channel_power_filename:
             powers = powers_from(self.channel_power_filename, shape)
         self.propagator.method = self.method.replace("_", " ")
