@@ -400,7 +400,7 @@ def depth_map_path(depth_map: str) -> Path:
 
 def _existing(name, value, shipped) -> Path:
     path = Path(os.path.expanduser(value))
-    if is_zarr(path):
+    if (path / "zarr.json").is_file() or (path / ".zarray").is_file():
         return path.resolve()
     if value in shipped and not path.is_file():
         return Path(__file__).resolve().parents[1] / "assets" / shipped[value]
@@ -411,8 +411,3 @@ def _existing(name, value, shipped) -> Path:
             f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)}).{did_you_mean(value, shipped)}"
         )
     return path.resolve()
-
-
-def is_zarr(path: Path) -> bool:
-    """Return whether a folder holds a Zarr array."""
-    return (path / "zarr.json").is_file() or (path / ".zarray").is_file()

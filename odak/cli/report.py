@@ -2,6 +2,7 @@
 
 import math
 import platform
+import sys
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -187,7 +188,8 @@ def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[li
     texts: list[str] = []
     with warnings.catch_warnings():
         before = warnings.showwarning
-        if not _are_errors():
+        # Warnings that the user asked for as errors (python -W error) stay errors.
+        if not any(option.startswith("error") for option in sys.warnoptions):
             warnings.simplefilter("always", OdakWarning)
 
         def collect(message, category, *place, **more) -> None:
@@ -201,13 +203,6 @@ def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[li
 
         warnings.showwarning = collect
         yield texts
-
-
-def _are_errors() -> bool:
-    """Return whether the user asked for warnings as errors (``python -W error``)."""
-    import sys
-
-    return any(option.startswith("error") for option in sys.warnoptions)
 
 
 def find_device(name: str) -> torch.device:
@@ -242,7 +237,9 @@ def describe_machine() -> list[tuple[str, str]]:
     rows.append(("platform", platform.platform()))
     rows.append(("devices", ", ".join(device_name(device) for device in devices())))
     rows.append(("threads", str(torch.get_num_threads())))
-    rows.append(("fft", fft_backends()))
+    cpu = "MKL" if torch.backends.mkl.is_available() else "PocketFFT"
+    gpu = f", torch on CUDA: cuFFT (CUDA {torch.version.cuda})" if torch.cuda.is_available() else ""
+    rows.append(("fft", f"torch on CPU: {cpu}{gpu}, NumPy: PocketFFT"))
     return rows
 
 
@@ -253,13 +250,6 @@ def devices() -> list[torch.device]:
     if torch.backends.mps.is_available():
         found.append(torch.device("mps"))
     return found
-
-
-def fft_backends() -> str:
-    """Return the libraries behind torch's FFT on this machine's devices, and NumPy's."""
-    cpu = "MKL" if torch.backends.mkl.is_available() else "PocketFFT"
-    gpu = f", torch on CUDA: cuFFT (CUDA {torch.version.cuda})" if torch.cuda.is_available() else ""
-    return f"torch on CPU: {cpu}{gpu}, NumPy: PocketFFT"
 
 
 def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:

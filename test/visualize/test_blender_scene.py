@@ -171,7 +171,7 @@ def test_surface_takes_heights_and_points_alike(picture):
         (lambda s: s.add_camera(clip=[2, 1]), ValueError, "clip must be"),
         (lambda s: s.add_light([0, 0, 1], kind="spot"), ValueError, "kind must be one of"),
         (lambda s: s.add_light([0, 0, 1], power=-1), ValueError, "power must be positive"),
-        (lambda s: s.set_background(strength=-1), ValueError, "strength must not be negative"),
+        (lambda s: s.set_background(strength=-1), ValueError, "strength must be at least 0"),
         (lambda s: s.render("picture.jpg"), ValueError, r"'\.jpg'"),
         (lambda s: s.render(resolution=(2, 9)), ValueError, "resolution must be at least 4 rows and columns"),
         (lambda s: s.render(samples=0), ValueError, "samples must be at least 1"),

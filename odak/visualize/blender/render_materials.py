@@ -1,6 +1,5 @@
 """Materials of the objects of a scene, as plain data."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from numbers import Real
@@ -80,7 +79,7 @@ def emission(color: str | Sequence[float] = "white", strength: float = 1.0) -> M
     >>> from odak.visualize.blender import emission
     >>> lamp = emission("white", strength=5.0)
     """
-    return Material("emission", linear_color(color), strength=_not_negative("strength", strength))
+    return Material("emission", linear_color(color), strength=float(_validate.number("strength", strength, least=0)))
 
 
 def glass(
@@ -215,11 +214,4 @@ def _share(name: str, value) -> float:
     value = float(_validate.real(name, value))
     if not 0 <= value <= 1:
         raise ValueError(f"{name} must be from 0 to 1, got {value}")
-    return value
-
-
-def _not_negative(name: str, value) -> float:
-    value = float(_validate.real(name, value))
-    if value < 0 or math.isinf(value):
-        raise ValueError(f"{name} must not be negative, got {value}")
     return value

@@ -138,9 +138,7 @@ class Views:
         if power is None:
             irradiance, squared = LIT * math.pi, (distance * self.metres) ** 2
             power = irradiance * {"point": 4 * math.pi * squared, "area": math.pi * squared, "sun": 1.0}[kind]
-        size = distance / 20 if size is None else float(_validate.real("size", size))
-        if size < 0:
-            raise ValueError(f"size must not be negative, got {size}")
+        size = distance / 20 if size is None else float(_validate.number("size", size, least=0))
         self.lights.append(
             Light(kind, location, axes, positive("power", power), size, list(linear_color(color)), visible)
         )
@@ -156,9 +154,7 @@ class Views:
         strength : float
             How bright; 0 is darkness.
         """
-        strength = float(_validate.real("strength", strength))
-        if strength < 0:
-            raise ValueError(f"strength must not be negative, got {strength}")
+        strength = float(_validate.number("strength", strength, least=0))
         self.background = {"color": list(linear_color(color)), "strength": strength}
 
     def project(self, points, resolution: Sequence[int] | None = None) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Figures of lens systems in space: glass, rays of each field, and image plane."""
 
 import os
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -16,17 +16,6 @@ RADII, ANGLES = 12, 72
 # Direction to the camera: beside the axis, slightly above and in front.
 VIEW = (-1.0, 0.3, -0.25)
 GLASS, MIRROR, SCREEN = "rgb(140, 195, 240)", "rgb(150, 150, 160)", "rgb(90, 90, 90)"
-
-
-class _Sheet(NamedTuple):
-    """A surface as points ``[RADII + 1, ANGLES, 3]``, from the vertex to the rim."""
-
-    points: np.ndarray
-
-    @property
-    def rim(self) -> np.ndarray:
-        """Points on the edge of the surface."""
-        return self.points[-1]
 
 
 def system_show(
@@ -126,17 +115,18 @@ def _paths(system, rays) -> np.ndarray:
 def _draw_surfaces(figure, system, frames, paths) -> None:
     """Draw each piece of glass as one closed mesh, mirrors as sheets, and the image plane."""
     heights = _heights(system, frames, paths)
-    sheets = [_sheet(item, frame, h) for item, frame, h in zip(system.surfaces, frames, heights, strict=False)]
+    sheets = [_points_of(item, frame, h) for item, frame, h in zip(system.surfaces, frames, heights, strict=False)]
     for i, item in enumerate(system.surfaces):
         if item.order is not None:
             continue
         if item.reflects:
-            figure.add_mesh(*_mesh([sheets[i]]), color=MIRROR, opacity=0.6, label="mirror")
+            figure.add_mesh(*_mesh(sheets[i]), color=MIRROR, opacity=0.6, label="mirror")
         elif item.material != "air" and i + 1 < len(sheets):
             behind = next((j for j in range(i + 1, len(sheets)) if system.surfaces[j].order is None), i)
-            figure.add_mesh(*_mesh([sheets[i], sheets[behind]]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
+            figure.add_mesh(*_mesh(sheets[i], sheets[behind]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
         if i == system.stop:
-            ring = np.concatenate([sheets[i].rim, sheets[i].rim[:1]])[None]
+            rim = sheets[i][-1]
+            ring = np.concatenate([rim, rim[:1]])[None]
             figure.add_path(ring, color="black", label="stop")
     matrix, origin = frames[-1]
     local = (paths[..., -1, :] - origin) @ matrix
@@ -162,8 +152,8 @@ def _heights(system, frames, paths) -> list[float]:
     return heights
 
 
-def _sheet(item, frame, height: float) -> _Sheet:
-    """Return a surface in space, up to where it exists."""
+def _points_of(item, frame, height: float) -> np.ndarray:
+    """Return points on a surface in space ``[RADII + 1, ANGLES, 3]``, from the vertex to the rim, where it exists."""
     radius = np.linspace(0, height, RADII + 1)[:, None]
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -173,12 +163,12 @@ def _sheet(item, frame, height: float) -> _Sheet:
         x, y, height = 0.98 * x, 0.98 * y, 0.98 * height
         sag = type(item.shape)(*parameters).sag(x, y)
     matrix, origin = frame
-    return _Sheet(np.stack([x, y, sag.height], axis=-1) @ matrix.T + origin)
+    return np.stack([x, y, sag.height], axis=-1) @ matrix.T + origin
 
 
-def _mesh(sheets: list[_Sheet]) -> tuple[np.ndarray, np.ndarray]:
-    """Return vertices and faces of a sheet, or of the body between two, closed at the rims."""
-    rings = sheets[0].points if len(sheets) == 1 else np.concatenate([sheets[0].points, sheets[1].points[::-1]])
+def _mesh(front: np.ndarray, back: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return vertices and faces of the points of a surface, or of the body between two, closed at the rims."""
+    rings = front if back is None else np.concatenate([front, back[::-1]])
     number = np.arange(len(rings) * ANGLES).reshape(len(rings), ANGLES)
     here, beside = number, np.roll(number, -1, axis=1)
     first = np.stack([here[:-1], here[1:], beside[1:]], axis=-1).reshape(-1, 3)
