@@ -48,7 +48,7 @@ def _case(path):
     return pytest.param(path, id=name, marks=marks)
 
 
-# A page shows a training that is interrupted; and Matplotlib asks tensors for a copy in a way that torch does not take yet.
+# A page shows a training that is interrupted. Matplotlib asks tensors for a copy in a way that torch does not take yet.
 @pytest.mark.filterwarnings("ignore::odak.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore:__array:DeprecationWarning")
 @pytest.mark.parametrize("path", [_case(path) for path in make_pictures.pages()])

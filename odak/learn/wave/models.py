@@ -143,8 +143,14 @@ class holobeam_multiholo(nn.Module):
             Folder to write to; it is made if need be.
         save_at_every : int
             Epochs from one file of weights to the next.
-        seed, mixed_precision, checkpoint, progress
-            As in :func:`odak.learn.models.train`.
+        seed : int, optional
+            Seed of what torch draws during the training; by default it is drawn from torch's generator.
+        mixed_precision : bool
+            Compute the loss in half precision where that is safe; on CUDA only.
+        checkpoint : path, optional
+            File of the state of the training (``.pt``, ``.pth``), from which a training continues if it exists.
+        progress : bool
+            Show a progress bar.
 
         Returns
         -------

@@ -347,8 +347,10 @@ class propagator(display_volume):
 
         Parameters
         ----------
-        hologram_phases, amplitude : torch.Tensor
-            As in :meth:`reconstruct`.
+        hologram_phases : torch.Tensor
+            Phases ``[F, m, n]``, ``[1, F, m, n]``, or ``[m, n]`` for a single frame, in radians.
+        amplitude : torch.Tensor, optional
+            Amplitude of the light on the modulator, ``[m, n]``, ``[C, m, n]`` or ``[C, ms, ns]``; one by default.
 
         Returns
         -------

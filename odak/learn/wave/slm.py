@@ -429,7 +429,8 @@ class temporal_modulator(torch.nn.Module):
         phase : torch.Tensor
             Phases asked for in radians, ``[frames, ..., m, n]``, float32 or float64.
         scale : float or torch.Tensor
-            As in :class:`spatial_light_modulator`.
+            Multiplies the phase that is shown, and the aberration: λ0/λ for a panel set up at λ0 and lit at λ. A
+            tensor broadcasts against the phase, as ``[colours, 1, 1]``.
 
         Returns
         -------

@@ -55,15 +55,18 @@ class Lenses:
         diameter : float
             Of its edge.
         material : str, float or Material
-            As in :meth:`add_mesh`; a name is taken at the scene's wavelength.
+            A material of ``odak.catalog`` by name or by itself, taken at the scene's wavelength, an index, or what
+            :func:`glass` returns.
         conics : sequence of float
             Conic constants of front and back.
         coefficients : sequence of sequence of float
             Of r², r⁴, r⁶, …, added to the conics.
         location, rotation : sequence of float
             Where its front vertex stands; degrees about X, then Y, then Z about that vertex. Unrotated, its axis is z.
-        color, name
-            As in :meth:`add_mesh`.
+        color : str or sequence of float, optional
+            A name or "#rrggbb", or sRGB from 0 to 1 ``[3]``.
+        name : str, optional
+            Name of the object.
         segments : int
             Number of facets around its edge; the normals are exact for any number.
         ground : bool

@@ -150,7 +150,7 @@ class Views:
         Parameters
         ----------
         color : str or sequence of float
-            As in :meth:`add_light`.
+            A name or "#rrggbb" as in web pages, or red, green, blue from 0 to 1.
         strength : float
             How bright; 0 is darkness.
         """
@@ -436,8 +436,16 @@ class scene(Lines, Shapes, Lenses, Views):
 
         Parameters
         ----------
-        resolution, device, blender, timeout, verbose
-            As in :meth:`render`.
+        resolution : sequence of int, optional
+            Height and width in pixels, in place of the scene's.
+        device : str, optional
+            What Cycles computes on, in place of the scene's.
+        blender : str or os.PathLike, optional
+            Which Blender; see :func:`odak.visualize.blender.find_blender`.
+        timeout : float, optional
+            Seconds after which to give up; None to wait for ever.
+        verbose : bool
+            Show a progress bar.
 
         Returns
         -------
@@ -464,8 +472,12 @@ class scene(Lines, Shapes, Lenses, Views):
         ----------
         path : str or os.PathLike
             ".blend", to be opened in Blender; or ".json", beside which a ".npz" of the same name holds the arrays.
-        blender, timeout, verbose
-            As in :meth:`render`, for a ".blend" file.
+        blender : str or os.PathLike, optional
+            Which Blender writes a ".blend" file; see :func:`odak.visualize.blender.find_blender`.
+        timeout : float, optional
+            Seconds after which to give up a ".blend" file; None to wait for ever.
+        verbose : bool
+            Show a progress bar while a ".blend" file is written.
 
         Returns
         -------

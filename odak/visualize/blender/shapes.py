@@ -86,8 +86,14 @@ class Lines:
         ----------
         points : array
             ``[k, 3]`` or ``[m, k, 3]``: m paths of k points. A path ends where a point is not finite.
-        radius, color, material, name
-            As in :meth:`add_rays`; a colour may be given for each path.
+        radius : float, optional
+            Of a rod; by default 1/400 of the extent of all paths.
+        color : str or array
+            A name or "#rrggbb", or sRGB from 0 to 1: ``[3]``, or a colour for each path ``[m, 3]``.
+        material : optional
+            What they are made of, in place of something that shines; see :meth:`add_mesh`.
+        name : str
+            Name of the object.
 
         Returns
         -------
@@ -134,8 +140,14 @@ class Lines:
         ----------
         points : array
             ``[3]`` or ``[m, 3]``; those that are not finite are left out.
-        radius, color, material, name
-            As in :meth:`add_rays`; a colour may be given for each point.
+        radius : float, optional
+            Of a ball; by default 3/400 of the extent of all points.
+        color : str or array
+            A name or "#rrggbb", or sRGB from 0 to 1: ``[3]``, or a colour for each point ``[m, 3]``.
+        material : optional
+            What they are made of, in place of something that shines; see :meth:`add_mesh`.
+        name : str
+            Name of the object.
 
         Returns
         -------
@@ -180,8 +192,13 @@ class Lines:
             Middles of its two ends.
         radius : float
             Its radius.
-        color, material, name
-            As in :meth:`add_mesh`.
+        color : str or array, optional
+            A name or "#rrggbb", or sRGB from 0 to 1 ``[3]``.
+        material : Material, str, float or catalogue material, optional
+            From :func:`diffuse` (the default), :func:`emission`, :func:`glass` or :func:`metal`; or a glass by its name
+            or index, or "mirror".
+        name : str, optional
+            Name of the object.
         segments : int
             How many flat sides it is cut into.
 
@@ -384,8 +401,13 @@ class Shapes:
             Its centre ``[3]``, or a sphere of odak ``[4]``: centre and radius, in place of `radius`.
         radius : float
             Its radius.
-        color, material, name
-            As in :meth:`add_mesh`.
+        color : str or array, optional
+            A name or "#rrggbb", or sRGB from 0 to 1 ``[3]``.
+        material : Material, str, float or catalogue material, optional
+            From :func:`diffuse` (the default), :func:`emission`, :func:`glass` or :func:`metal`; or a glass by its name
+            or index, or "mirror".
+        name : str, optional
+            Name of the object.
         segments : int
             How many pieces its equator is cut into.
 
@@ -419,8 +441,17 @@ class Shapes:
         ----------
         size : sequence of float
             Extent along x and y.
-        location, rotation, color, material, name
-            As in :meth:`add_mesh`.
+        location : sequence of float
+            Where its middle stands.
+        rotation : sequence of float
+            Degrees about X, then Y, then Z.
+        color : str or array, optional
+            A name or "#rrggbb", or sRGB from 0 to 1 ``[3]``.
+        material : Material, str, float or catalogue material, optional
+            From :func:`diffuse` (the default), :func:`emission`, :func:`glass` or :func:`metal`; or a glass by its name
+            or index, or "mirror".
+        name : str, optional
+            Name of the object.
 
         Returns
         -------
@@ -468,8 +499,12 @@ class Shapes:
             or floats from 0 to 1. From behind it is mirrored.
         size : sequence of float
             Width and height.
-        location, rotation, name
-            As in :meth:`add_mesh`.
+        location : sequence of float
+            Where its middle stands.
+        rotation : sequence of float
+            Degrees about X, then Y, then Z.
+        name : str, optional
+            Name of the object.
         shines : bool
             Show it like a screen; else like a print, in the light of the scene.
 

@@ -29,7 +29,7 @@ class Spots(NamedTuple):
     rms, largest : torch.Tensor
         Root mean square and largest distance from the reference point, all wavelengths together, ``[..., F]``.
     status : torch.Tensor
-        As in Traced.
+        int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
 
     Examples
     --------
@@ -494,7 +494,7 @@ class Wavefront(NamedTuple):
     cosines : torch.Tensor
         Direction cosines u, v of the rays in image space less those of the chief ray, ``[..., W, F, P, 2]``.
     status : torch.Tensor
-        As in Traced.
+        int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
 
     Examples
     --------

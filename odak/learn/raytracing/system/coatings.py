@@ -73,7 +73,7 @@ class Coating:
         Parameters
         ----------
         media : sequence
-            As of the class.
+            Films in the order in which light meets them: names of the catalogue, Materials or indices.
         wavelength : float
             Design wavelength.
         unit : str

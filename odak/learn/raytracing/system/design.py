@@ -444,8 +444,10 @@ class lens_design:
         ----------
         iterations : int
             Steps at most, in each round.
-        damping, tolerance
-            As in :func:`levenberg_marquardt`.
+        damping : float
+            Damping of the first step, relative to the diagonal of JᵀJ.
+        tolerance : float
+            A round ends when the merit or the numbers change by less than this, relatively.
         rounds : int
             Runs one after the other; before each the clear semi-diameters are taken anew.
         callback : callable, optional

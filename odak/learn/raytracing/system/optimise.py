@@ -178,8 +178,12 @@ def least_squares(
     lower, upper : torch.Tensor, optional
         Bounds ``[V]``. A number at its bound, which the gradient drives across it, is left out of the step; steps are
         cut off at the bounds.
-    iterations, damping, tolerance
-        As in :func:`levenberg_marquardt`.
+    iterations : int
+        Steps at most.
+    damping : float
+        Damping of the first step, relative to the diagonal of JᵀJ.
+    tolerance : float
+        A problem ends when its loss or its numbers change by less than this, relatively.
     callback : callable, optional
         ``callback(number, losses)``; ends the run by returning True.
     ladder : tuple

@@ -50,7 +50,7 @@ class PlaneRays(NamedTuple):
     path : torch.Tensor
         Optical path less that of the chief ray.
     status : torch.Tensor
-        As in Traced.
+        int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
     """
 
     x: torch.Tensor

@@ -234,8 +234,20 @@ class Scene:
             Focal lengths and principal point in pixels.
         cam_means_3D : torch.Tensor
             Centres in the axes of the camera ``[N, 3]``.
-        z_vals, quats, scales, colours, phase, opacities, plane_probs : torch.Tensor
-            As in :meth:`splat`.
+        z_vals : torch.Tensor
+            Depths ``[N]``, by which Gaussians are sorted.
+        quats : torch.Tensor
+            Quaternions w, x, y, z ``[N, 4]``.
+        scales : torch.Tensor
+            Standard deviations along the Gaussians' axes ``[N, 3]``.
+        colours : torch.Tensor
+            Amplitudes ``[N, C]``.
+        phase : torch.Tensor
+            Phases of the Gaussians in radians, as from :meth:`complex_3d_gaussians.apply_activations`.
+        opacities : torch.Tensor
+            Opacities from 0 to 1, as from :meth:`complex_3d_gaussians.apply_activations`.
+        plane_probs : torch.Tensor
+            Share of each Gaussian on each plane ``[N, P]``.
         tile_x, tile_y : int
             Column and row of the tile, counted in tiles.
         tile_size : tuple of int
@@ -304,7 +316,7 @@ class Scene:
         bg_colour : tuple of float
             Without effect; kept for callers that pass it.
         tile_size : tuple of int
-            As in :meth:`splat`.
+            Largest width and height of the tiles that the picture is computed by; they do not change the picture.
         step, max_step : int
             Handed to :meth:`complex_3d_gaussians.apply_activations`.
 

@@ -312,8 +312,10 @@ class complex_3d_gaussians(nn.Module):
         ----------
         cam_means_3D : torch.Tensor
             Centres in the axes of the camera ``[N, 3]``.
-        quats, scales : torch.Tensor
-            As in :meth:`compute_cov_3D`.
+        quats : torch.Tensor
+            Quaternions w, x, y, z of any length but 0, ``[N, 4]``.
+        scales : torch.Tensor
+            Standard deviations along the Gaussians' axes ``[N, 3]``.
         fx, fy : float or torch.Tensor
             Focal lengths in pixels.
         R : torch.Tensor
