@@ -36,17 +36,26 @@ class _Wrapper(nn.Module):
 
 
 class _DifferencePredictor(_Wrapper):
-    """Quality on a "standard_4k" display, one picture after the other so that pictures cannot influence each other."""
+    """Quality on a "standard_4k" display, one picture or video after the other so that they cannot influence others."""
 
-    def forward(self, predictions: torch.Tensor, targets: torch.Tensor, dim_order: str = "BCHW") -> torch.Tensor:
-        """Return the mean quality of pictures.
+    def forward(
+        self,
+        predictions: torch.Tensor,
+        targets: torch.Tensor,
+        dim_order: str = "BCHW",
+        frames_per_second: float | None = None,
+    ) -> torch.Tensor:
+        """Return the mean quality of pictures or videos.
 
         Parameters
         ----------
         predictions, targets : torch.Tensor
-            Display-encoded pictures ``[B, C, H, W]`` or ``[C, H, W]`` of one or three channels, 0 … 1.
+            Display-encoded pictures ``[B, C, H, W]`` or ``[C, H, W]``, or videos of F frames ``[B, C, F, H, W]``, of
+            one or three channels, 0 … 1.
         dim_order : str
-            Order of the axes of pictures that have four.
+            Order of the axes of pictures that have four, and of videos; of the latter "BCFHW" by default.
+        frames_per_second : float, optional
+            Rate of the frames of videos, which determines how visible flicker and motion are; required for videos.
 
         Returns
         -------
@@ -57,16 +66,28 @@ class _DifferencePredictor(_Wrapper):
         Raises
         ------
         ValueError, TypeError
-            If the shapes differ, or there are not three or four axes and one or three channels.
+            If the shapes differ, there are not three to five axes and one or three channels, or the rate is missing
+            for a video, not positive, or given for pictures.
         """
-        predictions, targets = (
-            _as_batch(pictures, dim_order).float() for pictures in checked_pair(predictions, targets)
-        )
+        predictions, targets = checked_pair(predictions, targets)
+        if not isinstance(dim_order, str):
+            raise TypeError(f"dim_order must be a string, got {type(dim_order).__name__}")
+        if predictions.ndim == 5:
+            if frames_per_second is None:
+                raise ValueError("frames_per_second must be given for videos, which have five axes")
+            rate = _validate.number("frames_per_second", frames_per_second, positive=True)
+            axes, options = "BCFHW", {"frames_per_second": rate}
+            dim_order = axes if dim_order == "BCHW" else dim_order
+        elif frames_per_second is not None:
+            raise ValueError(f"frames_per_second is for videos of five axes, got {tuple(predictions.shape)}")
+        else:
+            axes, options = "BCHW", {}
+        predictions, targets = (_as_batch(value, dim_order, axes).float() for value in (predictions, targets))
         if not self.available:
             return predictions.new_full((), torch.nan)
         with _quietly():
             scores = [
-                self._metric().predict(one[None], two[None], dim_order="BCHW")[0].reshape(())
+                self._metric().predict(one[None], two[None], dim_order=axes, **options)[0].reshape(())
                 for one, two in zip(predictions, targets, strict=True)
             ]
         return torch.stack(scores).mean()
@@ -76,7 +97,7 @@ class _DifferencePredictor(_Wrapper):
 
 
 class CVVDP(_DifferencePredictor):
-    """ColorVideoVDP: visual difference in colour, in JOD; a quality, larger is better.
+    """ColorVideoVDP: visual difference of pictures or videos in colour, in JOD; a quality, larger is better.
 
     Mantiuk, Hanji, Ashraf, Asano and Chapiro, ACM Trans. Graph. 43, 129 (2024).
 
@@ -106,6 +127,14 @@ class CVVDP(_DifferencePredictor):
     >>> measure, picture = CVVDP(), torch.rand(1, 3, 64, 64)  # doctest: +SKIP
     >>> measure(picture, picture).item()  # doctest: +SKIP
     10.0
+
+    Of a video that flickers, at 30 frames per second:
+
+    >>> video = torch.full((1, 3, 12, 64, 64), 0.5)  # doctest: +SKIP
+    >>> flickering = video.clone()  # doctest: +SKIP
+    >>> flickering[:, :, ::2] += 0.02  # doctest: +SKIP
+    >>> measure(flickering, video, frames_per_second=30.0).item() < 10  # doctest: +SKIP
+    True
     """
 
     _module, _package = "pycvvdp", "cvvdp"
@@ -116,14 +145,14 @@ class CVVDP(_DifferencePredictor):
         self.cvvdp = None
         if self.available:
             with _quietly():
-                self.cvvdp = self._import().cvvdp(display_name="standard_4k", device=device)
+                self.cvvdp = self._import().cvvdp(display_name="standard_4k", quiet=True, device=device)
 
     def _metric(self):
         return self.cvvdp
 
 
 class FVVDP(_DifferencePredictor):
-    """FovVideoVDP: visual difference in luminance, in JOD; a quality, larger is better.
+    """FovVideoVDP: visual difference of pictures or videos in luminance, in JOD; a quality, larger is better.
 
     Mantiuk et al., ACM Trans. Graph. 40, 49 (2021).
 
@@ -163,7 +192,7 @@ class FVVDP(_DifferencePredictor):
         self.fvvdp = None
         if self.available:
             with _quietly():
-                self.fvvdp = self._import().fvvdp(display_name="standard_4k", heatmap="none", device=device)
+                self.fvvdp = self._import().fvvdp(display_name="standard_4k", heatmap="none", quiet=True, device=device)
 
     def _metric(self):
         return self.fvvdp
@@ -225,7 +254,7 @@ class LPIPS(_Wrapper):
         ValueError, TypeError
             If the shapes differ, or there are not three or four axes and one or three channels.
         """
-        pictures = [_as_batch(value, "BCHW").float() for value in checked_pair(predictions, targets)]
+        pictures = [_as_batch(value).float() for value in checked_pair(predictions, targets)]
         if not self.available:
             return pictures[0].new_full((), torch.nan)
         # The network was trained on −1 … 1.
@@ -247,18 +276,16 @@ def _quietly():
         yield
 
 
-def _as_batch(pictures, dim_order):
-    """Return pictures as ``[B, C, H, W]``, C being 1 or 3."""
-    if not isinstance(dim_order, str):
-        raise TypeError(f"dim_order must be a string, got {type(dim_order).__name__}")
-    if pictures.ndim not in (3, 4):
+def _as_batch(pictures, dim_order="BCHW", axes="BCHW"):
+    """Return pictures or videos with their axes in the order `axes`, C being 1 or 3."""
+    if pictures.ndim not in (3, len(axes)):
         raise ValueError(f"predictions and targets must have three or four axes, got {tuple(pictures.shape)}")
     if pictures.ndim == 3:
         batch = pictures[None]
-    elif sorted(dim_order) != sorted("BCHW"):
-        raise ValueError(f"dim_order must name the axes B, C, H and W once each, got {dim_order!r}")
+    elif sorted(dim_order) != sorted(axes):
+        raise ValueError(f"dim_order must name the axes {', '.join(axes)} once each, got {dim_order!r}")
     else:
-        batch = pictures.permute(*(dim_order.index(axis) for axis in "BCHW"))
+        batch = pictures.permute(*(dim_order.index(axis) for axis in axes))
     if batch.shape[1] not in (1, 3):
         raise ValueError(f"predictions and targets must have one or three channels, got {batch.shape[1]}")
     return batch

@@ -149,16 +149,23 @@ def test_without_the_package(measure, module, package, without_packages):
 
 
 class Predictor:
-    """Stands in for the two predictors: ten less the mean difference, of one picture at a time."""
+    """Stands in for the two predictors: ten less the mean difference, of one picture or video at a time.
+
+    The difference of frame k of a video counts k times over the rate of the frames.
+    """
 
     def __init__(self, **options):
         self.options = options
 
-    def predict(self, one, two, dim_order):
+    def predict(self, one, two, dim_order, frames_per_second=0):
         assert one.shape[0] == 1
-        assert dim_order == "BCHW"
+        assert dim_order == ("BCFHW" if frames_per_second else "BCHW")
         assert one.dtype == torch.float32
-        return 10 - (one - two).abs().mean(), {}
+        difference = (one - two).abs()
+        if frames_per_second:
+            time = torch.arange(one.shape[2]) / frames_per_second
+            difference = difference * time[:, None, None]
+        return 10 - difference.mean(), {}
 
 
 @pytest.mark.parametrize(("measure", "module"), [(CVVDP, "pycvvdp"), (FVVDP, "pyfvvdp")])
@@ -183,6 +190,25 @@ def test_difference_predictors(measure, module, monkeypatch):
     ):
         with pytest.raises(ValueError, match=message):
             metric(*wrong)
+
+
+@pytest.mark.parametrize(("measure", "module"), [(CVVDP, "pycvvdp"), (FVVDP, "pyfvvdp")])
+def test_difference_predictors_of_videos(measure, module, monkeypatch):
+    monkeypatch.setitem(sys.modules, module, types.SimpleNamespace(cvvdp=Predictor, fvvdp=Predictor))
+    metric, (one, two) = measure(), pictures(2, 3, 4, 6, 7)
+    expected = 10 - ((one - two).abs().mean((0, 1, 3, 4)) * torch.arange(4)).mean().item() / 60
+    assert metric(one, two, frames_per_second=60).item() == pytest.approx(expected, rel=1e-6)
+    last = [video.movedim(1, -1) for video in (one, two)]
+    assert metric(*last, dim_order="BFHWC", frames_per_second=60.0).item() == pytest.approx(expected, rel=1e-6)
+    for arguments, message in (
+        ({}, "frames_per_second must be given for videos"),
+        ({"frames_per_second": 0}, "frames_per_second must be positive"),
+        ({"frames_per_second": 30, "dim_order": "BCHWX"}, "dim_order must name the axes B, C, F, H, W"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            metric(one, two, **arguments)
+    with pytest.raises(ValueError, match="frames_per_second is for videos"):
+        metric(one[:, :, 0], two[:, :, 0], frames_per_second=30)
 
 
 def test_lpips(monkeypatch):
@@ -228,6 +254,29 @@ def test_with_the_package(measure):
     assert two.grad.isfinite().all()
     assert two.grad.any()
     assert metric(one, one).item() == pytest.approx(10, abs=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::odak.MissingPackageWarning")
+@pytest.mark.parametrize("measure", [CVVDP, FVVDP])
+def test_videos_with_the_package(measure):
+    """Scores of a grating that reverses are the package's own, depend on the rate, and are averaged over a batch."""
+    metric = measure()
+    if not metric.available:
+        pytest.skip(f"{measure.__name__}'s package is not installed")
+    still = torch.full((1, 3, 24, 64, 64), 0.5)
+    grating = 0.05 * (torch.arange(64) * (2 * torch.pi / 16)).sin()
+    flicker = still + grating * (1 - 2 * (torch.arange(24) % 2))[:, None, None]
+    slow, fast = (metric(flicker, still, frames_per_second=rate).item() for rate in (10, 120))
+    assert abs(slow - fast) > 0.2 and max(slow, fast) < 9.9
+    pair = [torch.cat([flicker, still]), torch.cat([still, still])]
+    assert metric(*pair, frames_per_second=10).item() == pytest.approx((slow + 10) / 2, abs=1e-3)
+    predictor = getattr(metric, measure.__name__.lower())
+    alone, _ = predictor.predict(flicker, still, dim_order="BCFHW", frames_per_second=10)
+    assert slow == pytest.approx(alone.item(), abs=1e-5)
+    flicker.requires_grad_()
+    metric(flicker, still, frames_per_second=10).backward()
+    assert flicker.grad.isfinite().all() and flicker.grad.any()
 
 
 def test_names():
