@@ -92,21 +92,17 @@ def _box_tables(corners: torch.Tensor, solid: torch.Tensor) -> list[torch.Tensor
     corners, solid = corners.float(), solid[..., None, None]
     low = torch.where(solid, corners, torch.inf).amin(dim=(1, 2)) - MARGIN
     high = torch.where(solid, corners, -torch.inf).amax(dim=(1, 2)) + MARGIN
+    bits = torch.arange(8, device=low.device)[:, None] >> torch.arange(3, device=low.device) & 1
+    backwards = bits.bool()[:, None, None]
     tables = []
     while len(low) > 1:
         children = min(BRANCHES, len(low))
         low, high = low.reshape(-1, children, 3), high.reshape(-1, children, 3)
-        tables.append(_octants(low, high))
+        # The sides that rays of each octant enter and leave by, ``[6·children, 8·nodes]``.
+        sides = torch.cat((torch.where(backwards, high, low), torch.where(backwards, low, high)), dim=-1)
+        tables.append(sides.permute(3, 2, 0, 1).reshape(6 * children, 8 * len(low)))
         low, high = low.amin(dim=1), high.amax(dim=1)
     return tables[::-1]
-
-
-def _octants(low: torch.Tensor, high: torch.Tensor) -> torch.Tensor:
-    """Return the sides that rays enter and leave by, ``[6·children, 8·nodes]``, from ``[nodes, children, 3]``."""
-    bits = torch.arange(8, device=low.device)[:, None] >> torch.arange(3, device=low.device) & 1
-    backwards = bits.bool()[:, None, None]
-    sides = torch.cat((torch.where(backwards, high, low), torch.where(backwards, low, high)), dim=-1)
-    return sides.permute(3, 2, 0, 1).reshape(6 * low.shape[1], 8 * len(low))
 
 
 # Bytes of a pair of ray and node for each of its children: sides of boxes twice, distances, indices; and for each level
@@ -421,14 +417,13 @@ def evaluate(frame: Frame, table: torch.Tensor, faces: torch.Tensor, normals, st
         known, shares = torch.where(hit[:, None, None], normals[faces[chosen]], 1.0), torch.where(hit, weights, 1.0)
         normal = geometry.unit((shares.t()[..., None] * known).sum(dim=1)).t()
     void = torch.where(hit, 0.0, torch.nan).to(near.dtype)
-    distance, point, normal, weights = (_or_nan(value, hit, void) for value in (distance, point, normal, weights))
+    # NaN for rays without a hit, whose gradients are zero.
+    distance, point, normal, weights = (
+        torch.where(hit, value, torch.nan) if value.requires_grad else value + void
+        for value in (distance, point, normal, weights)
+    )
     face = torch.where(hit, face, -1)
     return MeshHit(distance, _rows(point), _rows(normal), face, _rows(weights), intersections.status_array(hit))
-
-
-def _or_nan(value: torch.Tensor, hit: torch.Tensor, void: torch.Tensor) -> torch.Tensor:
-    """Return ``[..., m]`` with NaN for rays without a hit, whose gradients are zero; `void` is 0 or NaN accordingly."""
-    return torch.where(hit, value, torch.nan) if value.requires_grad else value + void
 
 
 def _rows(vectors: torch.Tensor) -> torch.Tensor:

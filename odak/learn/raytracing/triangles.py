@@ -213,7 +213,9 @@ class triangle_mesh:
         normals = self.vertex_normals() if isinstance(self.normals, str) and self.normals == "smooth" else self.normals
         normals = normals.to(vertices) if torch.is_tensor(normals) else None
         table = self._table(frame, vertices)
-        embree = self._embree_scene(tree) if leaving is None and self._uses_embree(vertices) else None
+        fits = vertices.dtype == torch.float32 and vertices.device.type == "cpu" and triangle_search.has_embree()
+        by_embree = self.backend == "embree" or (self.backend == "auto" and fits)
+        embree = self._embree_scene(tree) if leaving is None and by_embree else None
         # Pieces that stay in the cache, shared out among the threads of a CPU.
         threads = 1 if rays.is_cuda else torch.get_num_threads()
         budget = self.memory_budget // threads
@@ -258,10 +260,6 @@ class triangle_mesh:
         else:
             face = triangle_search.nearest_faces(tree, near, direction, first, leaving, budget)
         return torch.where(solid, face, -1), shift
-
-    def _uses_embree(self, start: torch.Tensor) -> bool:
-        fits = start.dtype == torch.float32 and start.device.type == "cpu" and triangle_search.has_embree()
-        return self.backend == "embree" or (self.backend == "auto" and fits)
 
     def _sorted(self) -> torch.Tensor:
         if self._leaves is None:

@@ -211,7 +211,8 @@ def automatic_design(
     # Where the beam will be as it grows, aspheres must not have run away.
     beyond = (1.15,) if terms else ()
     fixed = [
-        Operand(_bending, weight=0.1 * f, lower=-limit * f, upper=limit * f, options={"surface": bent[0], "f": f}),
+        # The curvature that the focal length is solved by, in units of 1/f.
+        Operand(lambda _, p: f * p.curvature[..., bent[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
         Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": (0.5, 0.75, 1.0, *beyond)}),
         Operand("thickness", lower=back if cover is None else 0.3 * back, options={"surfaces": [last]}),
     ]
@@ -276,11 +277,6 @@ def automatic_design(
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
     return AutomaticResult(system, tuple(taken), start)
-
-
-def _bending(system, prescription, surface: int, f: float) -> torch.Tensor:
-    """Return a curvature in units of 1/f."""
-    return f * prescription.curvature[..., surface]
 
 
 def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):

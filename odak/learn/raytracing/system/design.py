@@ -705,7 +705,7 @@ def _solve_focal_length(system, p: Prescription, item: Solve) -> Prescription:
     index, scale = signed_indices(system, one), abs(1 / item.value)
     found = []
     for curvature in (0.0, scale):
-        bent = _set(one.curvature, item.surface, torch.full((), curvature, dtype=torch.float64), -1)
+        bent = _set(one.curvature, item.surface, torch.full_like(one.curvature[..., item.surface], curvature), -1)
         found.append(matrix(one._replace(curvature=bent), index, 0, len(system.surfaces)).c)
     curvature = (-1 / item.value - found[0]) * scale / (found[1] - found[0])
     return p._replace(curvature=_set(p.curvature, item.surface, curvature, -1))

@@ -578,14 +578,12 @@ def _svg(figure: Figure) -> str:
 
 def _table(head, rows) -> str:
     top = "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head)
-    body = "".join("<tr>" + "".join(f"<td>{html.escape(_cell(c))}</td>" for c in row) + "</tr>" for row in rows)
+    body = ""
+    for row in rows:
+        cells = [float(value.detach()) if isinstance(value, torch.Tensor) else value for value in row]
+        texts = [f"{value:.6g}" if isinstance(value, float) else str(value) for value in cells]
+        body += "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in texts) + "</tr>"
     return f"<table><tr>{top}</tr>{body}</table>"
-
-
-def _cell(value) -> str:
-    if isinstance(value, torch.Tensor):
-        value = float(value.detach())
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 @torch.no_grad()

@@ -5,7 +5,8 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -213,7 +214,7 @@ def _film(medium):
 def _by_fields(item: Any) -> dict:
     """Return a shape, a phase, a gradient or an aperture as the name of its class and its fields."""
     if isinstance(item, FunctionGradient):
-        raise ValueError("a graded index given by a function cannot be written: define a class of Gradient")
+        raise ValueError("a graded index given by a function cannot be written: derive a class from Gradient")
     values = {field.name: _plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
     return {"kind": type(item).__name__} | values
 
@@ -236,7 +237,8 @@ def _kinds(base: type) -> dict[str, type]:
 def _from_fields(where: str, base: type, entry):
     kinds = _kinds(base)
     if not isinstance(entry, dict) or "kind" not in entry:
-        raise ValueError(f'{where} must be an object with a "kind", one of {", ".join(sorted(kinds))}')
+        accepted = f'{where} must be an object with a "kind", one of {", ".join(sorted(kinds))}'
+        raise ValueError(f"{accepted}; got {entry!r:.80}")
     entry = dict(entry)
     kind = kinds[_validate.one_of(f"kind in {where}", entry.pop("kind"), sorted(kinds))]
     _known(where, entry, [field.name for field in dataclasses.fields(kind)])
@@ -245,7 +247,8 @@ def _from_fields(where: str, base: type, entry):
         entry = {
             k: np.asarray(v) if isinstance(v, list) and v and isinstance(v[0], list) else v for k, v in entry.items()
         }
-    return kind(**entry)
+    with _named_errors(where):
+        return kind(**entry)
 
 
 def _medium(item: Any) -> dict:
@@ -283,20 +286,17 @@ def system_from_dict(entry: dict) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
-    built = [_built_item(f"surfaces[{number}]", item) for number, item in enumerate(surfaces)]
+    built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
     if entry.get("image") is not None:
         entry["image"] = _built("image", entry["image"], _IMAGE)
     return optical_system(built, **entry)
 
 
-def _built_item(where: str, entry) -> surface:
-    if not (isinstance(entry, dict) and entry.get("break")):
-        return _built(where, entry, _SURFACE)
-    _known(where, entry, _BREAK)
-    return coordinate_break(**{key: value for key, value in entry.items() if key != "break"})
-
-
 def _built(where: str, entry, keys) -> surface:
+    if keys is _SURFACE and isinstance(entry, dict) and entry.get("break"):
+        _known(where, entry, _BREAK)
+        with _named_errors(where):
+            return coordinate_break(**{key: value for key, value in entry.items() if key != "break"})
     _known(where, entry, keys)
     entry = {"radius": math.inf, **entry}
     for key, base in (("shape", Shape), ("phase", Phase), ("gradient", Gradient)):
@@ -307,9 +307,20 @@ def _built(where: str, entry, keys) -> surface:
         entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
     if "coating" in entry:
         _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate"})
-        entry["coating"] = Coating(**entry["coating"])
+        with _named_errors(f"coating of {where}"):
+            entry["coating"] = Coating(**entry["coating"])
     radius = entry.pop("radius")
-    return surface(math.inf if radius is None else radius, **entry)
+    with _named_errors(where):
+        return surface(math.inf if radius is None else radius, **entry)
+
+
+@contextmanager
+def _named_errors(where: str) -> Iterator[None]:
+    """Put in front of a message which surface of a file it is about."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{where}: {error}") from error
 
 
 def _known(where: str, entry, keys) -> None:
@@ -521,8 +532,13 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
     general, surfaces = read_lines(path)
     notes: list[str] = []
-    ignored = [_named(line) for line in general if line.key not in _GENERAL_KEYS and _has_effect(line)]
+    ignored: list[str] = []
     try:
+        for line in general:
+            # Vignetting factors of zero have no effect.
+            factors = line.key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")
+            if line.key not in _GENERAL_KEYS and (not factors or any(_numbers(line))):
+                ignored.append(_named(line))
         head = {line.key: line for line in reversed(general)}
         if "MODE" in head and head["MODE"].words[:1] != ("SEQ",):
             raise ValueError(f"MODE must be SEQ, got {' '.join(head['MODE'].words)!r}")
@@ -559,13 +575,6 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     return found, ZmxReport(tuple(ignored), tuple(notes))
-
-
-def _has_effect(line: Line) -> bool:
-    """Return whether a line belongs in the report: vignetting factors and the like of zeros alone have no effect."""
-    if line.key not in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"):
-        return True
-    return any(line.value(i) for i in range(len(line.words)))
 
 
 def _check_object(lines, ignored: list) -> None:
@@ -609,15 +618,17 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
         return coordinate_break(shift, tuple(p.get(i, 0.0) for i in (3, 4, 5)), thickness, order=order)
     shape, phase = _form(number, kind, lines, scale)
     limit, apertures = _limits(number, lines, scale)
-    return surface(
-        shape=shape,
-        phase=phase,
-        thickness=thickness,
-        material=_glass(number, surfaces, context),
-        semi_diameter=limit,
-        aperture=apertures or None,
-        stop=any(line.key == "STOP" for line in lines),
-    )
+    medium = _glass(number, surfaces, context)
+    with _named_errors(f"surface {number}"):
+        return surface(
+            shape=shape,
+            phase=phase,
+            thickness=thickness,
+            material=medium,
+            semi_diameter=limit,
+            aperture=apertures or None,
+            stop=any(line.key == "STOP" for line in lines),
+        )
 
 
 def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | None]:
@@ -645,7 +656,9 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         return OddAsphere(curvature, conic, given or [0.0]), None
     if kind == "TOROIDAL":
         if terms:
-            raise ValueError(f"surface {number}: TOROIDAL with Zernike terms is not supported")
+            raise ValueError(
+                f"surface {number}: TOROIDAL with Zernike terms (XDAT) is not supported, got {terms} terms"
+            )
         rotation = p.get(1, 0.0) * scale
         given = [p.get(i, 0.0) * scale ** (3 - 2 * i) for i in range(2, max(last, 1) + 1)]
         return Toroid(1 / rotation if rotation else 0.0, curvature, conic, given), None
@@ -653,7 +666,7 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         radius = p.get(1, 0.0) * scale
         return Biconic(1 / radius if radius else 0.0, curvature, p.get(2, 0.0), conic), None
     if any(given) and kind == "SZERNSAG":
-        raise ValueError(f"surface {number}: SZERNSAG with powers of r is not supported")
+        raise ValueError(f"surface {number}: SZERNSAG with powers of r (PARM) is not supported, got {given}")
     extra = [value * scale for value in extra] or [0.0]
     return (ZernikeFreeform if kind == "SZERNSAG" else PolynomialFreeform)(curvature, conic, extra, norm), None
 
@@ -665,7 +678,10 @@ def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Apertu
     center = next(((line.value(0) * scale, line.value(1) * scale) for line in lines if line.key == "OBDC"), (0.0, 0.0))
     for line in lines:
         if line.key in ("UDAP", "UDOB", "UDAD"):
-            raise ValueError(f"line {line.number}: {line.key}, a polygon of a file of its own, is not supported")
+            raise ValueError(
+                f"line {line.number}: {line.key}, a polygon of a file of its own, is not supported: apertures must be "
+                "circles, rectangles or ellipses"
+            )
         if line.key == "FLAP":
             # The semi-diameter limits; older files repeat it here.
             limit = (_of(lines, "DIAM", 0.0) or (line.value(1) if len(line.words) > 1 else 0.0)) * scale or None
@@ -730,7 +746,8 @@ def _image(number: int, surfaces, context: _Context) -> surface | None:
     found = _surface(0, [lines], context._replace(ignored=[]))
     context.ignored.extend([_named(line, number) for line in lines if line.key not in _SURFACE_KEYS])
     if is_break(found) or found.phase is not None:
-        raise ValueError(f"surface {number}, the image, must be a surface without diffraction")
+        kind = "COORDBRK" if is_break(found) else type(found.phase).__name__
+        raise ValueError(f"surface {number}, the image, must be a surface without diffraction, got {kind}")
     flat = found.own_shape is None and found.curvature == 0 and not bool(found.coefficients.any())
     return None if flat and found.limit is None else found
 
@@ -792,7 +809,8 @@ def _fields_of_image_heights(system, points, real: bool) -> tuple[tuple[float, f
                 change = torch.where(slope != 0, now / torch.where(slope != 0, slope, 1.0), 0.0)
             before, error, found = found, now, (found - change).clamp(min=0.0)
             if not bool(torch.isfinite(found).all()):
-                raise ValueError("fields by real image height: the chief rays do not arrive")
+                heights = ", ".join(f"{value:g}" for value in size.tolist())
+                raise ValueError(f"fields by real image height ({heights} mm): the chief rays do not arrive")
             if float(change.abs().max()) < 1e-13:
                 break
     direction = math.copysign(1.0, scale) * wanted / torch.where(size > 0, size, 1.0)[:, None]
@@ -895,7 +913,7 @@ def _zmx_text(system) -> str:
         lines += _written(number, item, scale, number - 1 == system.stop, system)
     image = system.image or surface()
     lines += [f"SURF {len(system.surfaces) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
-    return "\n".join([*lines, *_written_limits(image, scale)]) + "\n"
+    return "\n".join([*lines, *_written_limits("image", image, scale)]) + "\n"
 
 
 def _written_form(name: str, item, scale: float) -> list[str]:
@@ -946,14 +964,14 @@ def _written_form(name: str, item, scale: float) -> list[str]:
     return text + [f"  XDAT {i} {float(a)!r} 0 0 1.0 0.0 0" for i, a in enumerate(extra, start=1)]
 
 
-def _written_limits(item, scale: float) -> list[str]:
+def _written_limits(name: str, item, scale: float) -> list[str]:
     found = []
     if item.semi_diameter is not None:
         radius = item.semi_diameter * scale
         found += [f"  CLAP 0 {radius!r} 0", f"  DIAM {radius!r} 1 0 0 1"]
     centers = {part.center for part in item.apertures}
     if len(centers) > 1 or (centers and item.semi_diameter is not None and centers != {(0.0, 0.0)}):
-        raise ValueError("apertures about different centres are not written")
+        raise ValueError(f"{name} has apertures about different centres, which are not written, got {sorted(centers)}")
     for part in (part.scaled(scale) for part in item.apertures):
         if isinstance(part, CircularAperture):
             found += [f"  {'OBSC' if part.obscures else 'CLAP'} {part.inner!r} {part.radius!r} 0"]
@@ -961,7 +979,7 @@ def _written_limits(item, scale: float) -> list[str]:
             word = "SQ" if isinstance(part, RectangularAperture) else "EL"
             found += [f"  {word}{'OB' if part.obscures else 'AP'} {part.half_width!r} {part.half_height!r} 0"]
         else:
-            raise ValueError(f"an aperture is a {type(part).__name__}, which is not written")
+            raise ValueError(f"{name} has a {type(part).__name__} as aperture, which is not written")
         if part.center != (0.0, 0.0):
             found += [f"  OBDC {part.center[0]!r} {part.center[1]!r}"]
     return found
@@ -977,7 +995,9 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
         return [f"SURF {number}", "  TYPE COORDBRK", "  CURV 0.0", *parameters, thickness]
     shape = _written_form(f"surfaces[{number - 1}]", item, scale)
     if item.material is None:
-        raise ValueError(f"surfaces[{number - 1}] is followed by an index, not by a glass with a name")
+        raise ValueError(
+            f"surfaces[{number - 1}] is followed by an index, {float(item.index.detach()):g}, not by a named glass"
+        )
     lines = [f"SURF {number}", *(["  STOP"] if stop else []), *shape, thickness]
     if item.material != AIR:
         name = "MIRROR" if item.material == MIRROR else item.material.name.rpartition(":")[2]
@@ -987,7 +1007,7 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
         else:
             name = name.replace(" ", "_")
             lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
-    limits = _written_limits(item, scale)
+    limits = _written_limits(f"surfaces[{number - 1}]", item, scale)
     if stop and system.aperture_type == "stop":
         # The aperture is twice the semi-diameter of the stop, whatever limits the rays.
         limits = [line for line in limits if not line.startswith("  DIAM")]

@@ -177,7 +177,10 @@ class surface(torch.nn.Module):
             _hold(self, "index", _validate.real("material", material, positive=True))
             self.material = None
         if gradient is not None and self.material == MIRROR:
-            raise ValueError("gradient belongs to the medium behind a surface that refracts, not to a mirror")
+            raise ValueError(
+                "gradient belongs to the medium behind a surface that refracts, not to a mirror, got "
+                f"{type(gradient).__name__}"
+            )
         self.own_coating: _Films | None = None
         self.coating = coating
         self.semi_diameter = semi_diameter
@@ -229,7 +232,10 @@ class surface(torch.nn.Module):
             self.own_coating = None
             return
         if _checked("coating", value, Coating).substrate is not None and self.material != MIRROR:
-            raise ValueError("substrate of a coating belongs to mirrors: of other surfaces it is the medium behind")
+            raise ValueError(
+                "substrate of a coating belongs to mirrors: of other surfaces it is the medium behind; got "
+                f"{value.substrate!r:.80}"
+            )
         self.own_coating = _Films(value)
 
     @property
@@ -801,11 +807,17 @@ class optical_system(torch.nn.Module):
         stops = [i for i, item in enumerate(surfaces) if item.stop]
         first = next((i for i, item in enumerate(surfaces) if not is_break(item)), None)
         if first is None:
-            raise ValueError("surfaces must hold a surface beside coordinate breaks")
+            raise ValueError(
+                f"surfaces must hold a surface beside coordinate breaks, got {len(surfaces)} coordinate breaks"
+            )
         if len(stops) > 1:
-            raise ValueError(f"only one surface may be the stop, got {stops}")
-        if surfaces[0].reflects is False and any(a is b for a, b in pairwise(surfaces)):
-            raise ValueError("a surface occurs twice in a row; make one for each place")
+            raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
+        twice = next((i for i, (a, b) in enumerate(pairwise(surfaces)) if a is b), None)
+        if surfaces[0].reflects is False and twice is not None:
+            raise ValueError(
+                f"surfaces[{twice}] and surfaces[{twice + 1}] are the same surface twice in a row; make one for each "
+                "place"
+            )
         self.surfaces = torch.nn.ModuleList(surfaces)
         self.stop = stops[0] if stops else first
         self.aperture = float(_validate.number("aperture", aperture, positive=True))
@@ -827,7 +839,10 @@ class optical_system(torch.nn.Module):
             raise ValueError(f"fields must be below 90 degrees from the axis, got {self.fields}")
         self.telecentric = _validate.flag("telecentric", telecentric)
         if self.telecentric and (self.at_infinity or self.aperture_type not in ("NA", "stop")):
-            raise ValueError('telecentric needs a near object, and an aperture given as "NA" or "stop"')
+            raise ValueError(
+                'telecentric needs a near object, and an aperture given as "NA" or "stop"; got an object at '
+                f"{self.object_distance:g} and the aperture_type {self.aperture_type!r}"
+            )
         self.image = _image(image)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 

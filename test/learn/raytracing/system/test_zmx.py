@@ -279,6 +279,24 @@ def test_malformed_descriptions_are_refused(tmp_path):
         load_system(tmp_path / "bad.json")
 
 
+def test_messages_name_the_surface_that_they_are_about(tmp_path):
+    entry = system_to_dict(load_system("singlet"))
+    for key, value, message in (
+        ("radius", 0, r"surfaces\[1\]: radius must not be 0"),
+        ("tilt", [1.0], r"surfaces\[1\]: tilt must be"),
+        ("coating", {"media": [1.4], "thicknesses": []}, r"coating of surfaces\[1\]: thicknesses must be as many"),
+        ("shape", {"kind": "Toroid", "curvature_x": "a", "curvature_y": 1.0}, r"surfaces\[1\]"),
+    ):
+        surfaces = [dict(item) for item in entry["surfaces"]]
+        surfaces[1][key] = value
+        with pytest.raises((TypeError, ValueError), match=message):
+            system_from_dict(entry | {"surfaces": surfaces})
+    lens = load_system("singlet")
+    lens.surfaces[1].apertures = (CircularAperture((0.0, 1.0), True, 1.0), CircularAperture((0.0, 2.0), True, 1.0))
+    with pytest.raises(ValueError, match=r"surfaces\[1\] has apertures about different centres"):
+        write_zmx(lens, tmp_path / "lens.zmx")
+
+
 def test_surfaces_and_systems_check_their_arguments():
     with pytest.raises(ValueError, match="not a known material; the nearest known are"):
         surface(10.0, material="N-BK77")
