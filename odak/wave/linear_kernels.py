@@ -224,6 +224,6 @@ class linear_kernel:
         return xp.reshape(xp.stack(kernels), (*batch, *grid.shape))
 
     def _build(self, grid: Grid, stored):
-        own = {field.name: getattr(grid, field.name) for field in fields(Grid)}
-        given = {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance}
-        return self.transfer(LinearGrid(**own, **given, stored=stored))
+        own: dict[str, Any] = {field.name: getattr(grid, field.name) for field in fields(Grid)}
+        own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
+        return self.transfer(LinearGrid(**own))
