@@ -87,6 +87,15 @@ def measure_dark(camera: Camera, laser: Laser, count: int = 16) -> np.ndarray:
     -------
     numpy.ndarray
         Counts ``[rows, columns]`` of the region.
+
+    Examples
+    --------
+    >>> from odak.instruments import SimulatedTable, measure_dark
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    >>> lit = table.camera.capture(4).mean()
+    >>> dark = measure_dark(table.camera, table.laser, count=4)
+    >>> dark.shape, bool(dark.mean() < lit)
+    ((32, 32), True)
     """
     power = laser.power
     laser.power = 0.0
@@ -132,6 +141,15 @@ def capture_hdr(
     -----
     Debevec and Malik, Proc. SIGGRAPH, 369 (1997), with a linear response; weights after Granados et al., Proc. CVPR,
     215 (2010).
+
+    Examples
+    --------
+    >>> from odak.instruments import SimulatedTable, capture_hdr
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    >>> exposures = [table.camera.exposure / 4, table.camera.exposure]
+    >>> counts_per_second = capture_hdr(table.camera, exposures, captures=2)
+    >>> counts_per_second.shape, bool(counts_per_second.max() > 0)
+    ((32, 32), True)
     """
     times = _validate.several("exposures", exposures, positive=True)
     if len(times) < 2:
