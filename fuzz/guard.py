@@ -72,6 +72,8 @@ def breach(call: Callable, folder: str, names: tuple[str, ...], megabytes: float
     _watched["folder"], _watched["seen"] = os.path.realpath(folder), []
     former = signal.signal(signal.SIGPROF, _over_time)
     signal.setitimer(signal.ITIMER_PROF, seconds)
+    # A module that is first imported meanwhile would be compiled, and kept beside its source.
+    kept, sys.dont_write_bytecode = sys.dont_write_bytecode, True
     found, read = None, False
     try:
         with warnings.catch_warnings():
@@ -89,6 +91,7 @@ def breach(call: Callable, folder: str, names: tuple[str, ...], megabytes: float
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
         signal.signal(signal.SIGPROF, former)
+        sys.dont_write_bytecode = kept
         _watched["folder"] = None
     if _watched["seen"]:
         found = _watched["seen"][0]

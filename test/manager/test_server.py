@@ -1,5 +1,6 @@
 """Workers of this machine, with a scheduler here and for one elsewhere: starting, ending, being killed."""
 
+import contextlib
 import ipaddress
 import os
 import signal
@@ -223,13 +224,13 @@ def listening(processes):
     """Return the addresses on which processes listen, from the tables of the kernel."""
     sockets = set()
     for process in processes:
-        for entry in Path(f"/proc/{process}/fd").iterdir():
-            try:
-                target = os.readlink(entry)
-            except OSError:
-                continue
-            if target.startswith("socket:["):
-                sockets.add(target[8:-1])
+        # Files, and processes, may be gone by now.
+        with contextlib.suppress(OSError):
+            for entry in os.listdir(f"/proc/{process}/fd"):
+                with contextlib.suppress(OSError):
+                    target = os.readlink(f"/proc/{process}/fd/{entry}")
+                    if target.startswith("socket:["):
+                        sockets.add(target[8:-1])
     found = []
     for table in ("tcp", "tcp6"):
         file = Path(f"/proc/net/{table}")

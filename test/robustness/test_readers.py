@@ -72,7 +72,7 @@ def test_files_found_once_are_read_or_refused_by_name(name, tmp_path, monkeypatc
     read = 0
     # What earlier tests left behind may remove its files when it is freed: not while a reader is watched.
     gc.collect()
-    # The first call imports what it needs, which takes memory and writes where Python keeps compiled files.
+    # The first call imports what it needs, which takes memory.
     judged(name, tmp_path, held[0].suffix, (CORPUS / held[0]).read_bytes())
     for path in held:
         found, was_read = judged(name, tmp_path, path.suffix, (CORPUS / path).read_bytes())
@@ -149,6 +149,15 @@ def test_the_guard_tells_threads_of_the_reader_from_those_that_ran_before(tmp_pa
     other.join()
     found, _ = guard.breach(start_one, str(inside), ("case.",))
     assert "open outside its folder" in found
+
+
+def test_the_guard_lets_modules_be_imported(tmp_path, monkeypatch):
+    (tmp_path / "imported_meanwhile.py").write_text("")
+    (tmp_path / "inside").mkdir()
+    monkeypatch.syspath_prepend(str(tmp_path))
+    found = guard.breach(lambda: __import__("imported_meanwhile"), str(tmp_path / "inside"), ())
+    del sys.modules["imported_meanwhile"]
+    assert found == (None, True)
 
 
 def test_the_guard_lets_pass_what_is_allowed(tmp_path):
