@@ -233,8 +233,8 @@ def fitting(**arrays) -> tuple[int, ...]:
     aligned = itertools.zip_longest(*(reversed(shape) for shape in shapes.values()), fillvalue=1)
     sides = [[n for n in column if n != 1] for column in aligned]
     if any(n != column[0] for column in sides for n in column):
-        told = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
-        raise ValueError(f"these shapes cannot be broadcast together: {told}")
+        listed = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
+        raise ValueError(f"these shapes cannot be broadcast together: {listed}")
     return tuple(column[0] if column else 1 for column in reversed(sides))
 
 
@@ -244,8 +244,8 @@ def one_device(**arrays) -> None:
     places = {name: v.device for name, v in tensors.items() if v.ndim or v.device.type != "cpu"}
     first, *others = places.values() or [None]
     if any(place != first for place in others):
-        told = ", ".join(f"{name} {device}" for name, device in places.items())
-        raise ValueError(f"these must be on one device: {told}")
+        listed = ", ".join(f"{name} {device}" for name, device in places.items())
+        raise ValueError(f"these must be on one device: {listed}")
 
 
 def alike(**arrays) -> None:

@@ -83,7 +83,7 @@ class plane_detector:
     def raytrace(
         self, ray: Array, field: complex | Array | None = None, channel: int | Sequence[int] = 0
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Add rays to the field where they meet the detector.
+        """Add rays to the field where they intersect the detector.
 
         Parameters
         ----------

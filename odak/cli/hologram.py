@@ -1,6 +1,7 @@
 """Computation of holograms for `odak hologram`: from the picture to the files and the report.
 
-Each pattern is judged as saved: quantised, written, read back, and propagated by the method that its distance asks for.
+Each pattern is evaluated as saved: quantised, written, read back, and propagated with the method recommended for its
+distance.
 """
 
 import math

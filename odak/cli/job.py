@@ -122,7 +122,7 @@ class Job:
     preset : str, optional
         Name of the modulator that pitch, resolution and bits were taken from, one of `PRESETS`.
     tiles : bool
-        Read, compute and judge in chunks on disk, for pictures larger than memory.
+        Read, compute and evaluate in chunks stored on disk, for pictures larger than memory.
     """
 
     image: str = "photo"

@@ -19,7 +19,7 @@ LENGTH = "LENGTH"
 
 
 def length(text: str | float) -> float:
-    """Parse a length; typer wants its own kind of error."""
+    """Parse a length; raise the exception that typer reports as a usage error."""
     try:
         return parse_length(text)
     except ValueError as error:

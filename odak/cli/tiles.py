@@ -45,7 +45,7 @@ def run(
     replaces : callable, optional
         Called before the computation with the names of the files that will be replaced, if there are any.
     again : bool
-        Begin anew, without the state of an earlier run.
+        Start over, ignoring the state of an earlier run.
     workers : int, optional
         Number of worker processes, which write to disk what does not fit in memory; by default the threads of this
         process compute.
@@ -117,7 +117,7 @@ def _computed_by(workers: int | None, folder: Path) -> Iterator[None]:
 
 
 def _channel(job: Job, target: Target, index: int, folder: Path, stem: str, again: bool) -> dict:
-    """Compute, quantise, store and judge the pattern of one wavelength; return its part of the report."""
+    """Compute, quantise, store and evaluate the pattern of one wavelength; return its part of the report."""
     import dask.array as da
 
     wavelength, intensity = target.wavelengths[index], target.intensity[index]
@@ -198,7 +198,7 @@ def _write_zarr(array: Any, path: Path) -> None:
 
 
 def _judge(job: Job, wavelength: float) -> str:
-    """Return the propagation type that judges the pattern: the one recommended, if it can be computed in chunks."""
+    """Return the propagation type for the evaluation of the pattern: the one recommended, if it runs in chunks."""
     recommended = hologram.verification_type(job, wavelength)
     method = find_method(recommended)
     return recommended if method is not None and method.chunked else job.propagation_type

@@ -7,7 +7,7 @@ import numpy as np
 
 # Perceptually uniform scale of amplitudes and intensities, and cyclic scale of phases, whose two ends are one colour.
 SEQUENTIAL_SCALE, CYCLIC_SCALE, HEIGHT_SCALE = "Inferno", "Twilight", "Viridis"
-# Colours that are told apart with colour-vision deficiencies (Okabe and Ito 2008), for curves and fields of view.
+# Colours that can be distinguished with colour-vision deficiencies (Okabe and Ito 2008), for curves and fields of view.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 
 # In CSS pixels, at the font size below: a colour bar with numbers and title; the space left of an image, and between an
