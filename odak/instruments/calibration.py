@@ -715,7 +715,8 @@ def measure_distance(
     registration : Registration
         Mapping of the camera, from :func:`register_camera`.
     wavefront : numpy.ndarray or float
-        Aberration in radians that is corrected; its defocus is excluded, because it cannot be distinguished from the distance.
+        Aberration in radians that is corrected; its defocus is excluded, as it cannot be distinguished from the
+        distance.
     span : float
         Half the range of the focal lengths, as a fraction of the distance.
     samples : int
