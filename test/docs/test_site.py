@@ -233,7 +233,6 @@ async def explored(url):
             found[name.rpartition("/")[2]] = True
         await value("gd = document.querySelector('[data-figure$=\"glasses.json\"]'), 1")
         await value("gd.scrollIntoView({block: 'center', behavior: 'instant'}), 1")
-        await asyncio.sleep(1)
         place = """(k => {
             const box = gd.getBoundingClientRect(), { xaxis, yaxis } = gd._fullLayout, data = gd.calcdata[0][k]
             return [box.x + xaxis._offset + xaxis.l2p(data.x), box.y + yaxis._offset + yaxis.l2p(data.y)]
@@ -244,20 +243,26 @@ async def explored(url):
             await tab.send_command("Input.dispatchMouseEvent", params=parameters)
             await asyncio.sleep(0.3)
 
-        x, y = await value(f"{place}(0)")
+        spot = None
+        while spot != (spot := await value(f"{place}(0)")):  # until the page has come to rest
+            await asyncio.sleep(1)
+        x, y = spot
         await mouse("Moved", x - 3, y)
         await mouse("Moved", x, y)
         found["name"] = await value("gd.data[0].text[0]")
-        found["hover"] = await value("gd.querySelector('.hovertext')?.textContent || ''", 20)
+        found["hover"] = await value("gd.querySelector('.hovertext')?.textContent || ''", 60)
         found["before"] = await value("gd._fullLayout.xaxis.range.slice()")
+        range_now = "JSON.stringify(gd._fullLayout.xaxis.range)"
+        await value(f"earlier = {range_now}")
         await mouse("Pressed", x, y, button="left", clickCount=1)
         await mouse("Moved", x + 60, y - 60, button="left", buttons=1)
         await mouse("Moved", x + 120, y - 90, button="left", buttons=1)
         await mouse("Released", x + 120, y - 90, button="left", clickCount=1)
+        await value(f"{range_now} !== earlier", 60)
         found["after"] = await value("gd._fullLayout.xaxis.range.slice()")
-        found["light"] = await value("gd.layout.font.color")
+        found["light"] = await value("light = gd.layout.font.color")
         await value("document.body.setAttribute('data-md-color-scheme', 'slate'), 1")
-        await asyncio.sleep(1)
+        await value("gd.layout.font.color !== light", 60)
         found["dark"] = await value("gd.layout.font.color")
     return found
 
