@@ -47,6 +47,35 @@ def propagation(device: str) -> Iterator[dict]:
     yield row("propagation, first call", measure(propagate_first, 5, device).best, floor, "2 fft2", 4.0)
 
 
+def sizes(device: str) -> Iterator[dict]:
+    """Yield padded propagations of small fields and batches, alone and with their gradient, against bare FFTs."""
+    for shape in ((64, 64), (128, 128), (256, 256), (384, 384), (512, 512), (64, 128, 128), (16, 256, 256)):
+        field = torch.randn(shape, dtype=torch.complex64, device=device)
+        followed = field.clone().requires_grad_()
+        padded = torch.randn(*shape[:-2], *(2 * n for n in shape[-2:]), dtype=torch.complex64, device=device)
+        # As many calls as make a millisecond or more.
+        calls = max(1, 2**19 // padded.numel())
+
+        def bare(padded=padded, calls=calls):
+            for _ in range(calls):
+                torch.fft.ifft2(torch.fft.fft2(padded))
+
+        def forward(field=field, calls=calls):
+            for _ in range(calls):
+                wave.propagate_beam(field, None, 1e-3, PITCH, WAVELENGTH)
+
+        def both(field=field, followed=followed, calls=calls):
+            for _ in range(calls):
+                result = wave.propagate_beam(followed, None, 1e-3, PITCH, WAVELENGTH)
+                torch.autograd.grad(result, followed, field)
+
+        timings = interleave({"bare": bare, "forward": forward, "both": both}, 15, device)
+        best = {name: timing.best / calls for name, timing in timings.items()}
+        name, bound = " × ".join(map(str, shape)), None if shape == (64, 64) else 1.5
+        yield row(f"propagation, {name}", best["forward"], best["bare"], "2 fft2", bound)
+        yield row(f"propagation with gradient, {name}", best["both"], 2 * best["bare"], "4 fft2", bound)
+
+
 def hologram(device: str) -> Iterator[dict]:
     """Yield one iteration of gradient descent against four bare FFTs of the padded size."""
     target = torch.rand(SHAPE, device=device)
@@ -135,4 +164,4 @@ def import_time(device: str) -> Iterator[dict]:
     yield {"task": "import odak, seconds above numpy", "ours_s": added, "floor": "1 s", "ratio": added, "bound": 0.1}
 
 
-ALL = (import_time, memory, impulse_response, propagation, hologram)
+ALL = (import_time, memory, impulse_response, propagation, sizes, hologram)

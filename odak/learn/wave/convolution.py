@@ -16,8 +16,6 @@ import torch
 from odak import _array, _torch_private
 from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
 
-# Fields are filtered in blocks if the spectra of a batch have this many samples together, and one of them BLOCKED_FROM.
-_BLOCKED_BATCH_FROM = 1 << 20
 # Small parts stay in the cache, but each synchronises all threads, which costs milliseconds on a busy machine.
 # 4 MB is as quick as 1 MB on an idle one and several times quicker when something else runs.
 _BLOCK_BYTES = 1 << 22
@@ -88,10 +86,13 @@ def _apply(field, kernel, adjoint, batch, workspace):
 
 def _filtered(field, kernel, adjoint, batch, workspace):
     size = kernel.shape[-2] * kernel.shape[-1]
-    fields = max(math.prod(field.shape[:-2]), math.prod(kernel.shape[:-2]))
-    if field.device.type != "cpu" or size < BLOCKED_FROM or size * fields < _BLOCKED_BATCH_FROM:
+    if field.device.type != "cpu":
         return _convolve_whole(field, kernel, adjoint, batch)
-    return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
+    if size >= BLOCKED_FROM:
+        return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
+    if kernel.numel() > size or size * field.element_size() * math.prod(batch) <= _BLOCK_BYTES:
+        return _convolve_whole(field, kernel, adjoint, batch)
+    return _convolve_by_fields(field, kernel.reshape(kernel.shape[-2:]), adjoint, batch)
 
 
 class _RecordedConvolution(torch.autograd.Function):
@@ -160,13 +161,22 @@ def _convolve_whole(field, kernel, adjoint, batch):
     kernel = kernel.conj() if adjoint else kernel
     rows, columns = field.shape[-2:]
     spectrum = torch.fft.fft2(field, s=kernel.shape[-2:])
-    if kernel.dtype == spectrum.dtype and torch.broadcast_shapes(spectrum.shape, kernel.shape) == spectrum.shape:
-        spectrum = spectrum.mul_(kernel)
-    else:
-        spectrum = spectrum * kernel
+    # By the leading axes alone: torch.broadcast_shapes takes as long as the product of a small field.
+    ours, theirs = spectrum.shape[-3::-1], kernel.shape[-3::-1]
+    fits = len(theirs) <= len(ours) and all(n in (1, m) for n, m in zip(theirs, ours, strict=False))
+    spectrum = spectrum.mul_(kernel) if fits and kernel.dtype == spectrum.dtype else spectrum * kernel
     spectrum = spectrum.sum_to_size(*batch, *kernel.shape[-2:])
     # A copy: a view would keep the padded field.
     return torch.fft.ifft2(spectrum)[..., :rows, :columns].to(field.dtype).contiguous()
+
+
+def _convolve_by_fields(field, kernel, adjoint, batch):
+    """Return many small fields filtered by one kernel, as many at once as have spectra that fit a core's cache."""
+    result = field.new_empty(*batch, *field.shape[-2:])
+    fields, results = field.reshape(-1, *field.shape[-2:]), result.view(-1, *field.shape[-2:])
+    for part in _parts(len(fields), kernel.numel(), field):
+        results[part] = _convolve_whole(fields[part], kernel, adjoint, fields[part].shape[:-2])
+    return result
 
 
 def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):

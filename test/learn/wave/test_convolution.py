@@ -16,7 +16,6 @@ from odak.wave.convolution import convolve_plainly
 def blocked(monkeypatch):
     """Send even small fields through the blocked path, in blocks of a few columns."""
     monkeypatch.setattr(convolution, "BLOCKED_FROM", 0)
-    monkeypatch.setattr(convolution, "_BLOCKED_BATCH_FROM", 0)
     monkeypatch.setattr(convolution, "_BLOCK_BYTES", 700)
 
 
@@ -34,6 +33,28 @@ def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance)
     torch.testing.assert_close(convolution.convolve(field, factor), expected, rtol=tolerance, atol=tolerance)
     columns = factor.mT.contiguous().mT
     torch.testing.assert_close(convolution.convolve(field, columns), expected, rtol=tolerance, atol=tolerance)
+
+
+@pytest.mark.parametrize("kernel", [(24, 31), (1, 1, 24, 31)])
+@pytest.mark.parametrize("shape", [(5, 12, 15), (2, 3, 12, 15)])
+@pytest.mark.parametrize("at_once", [1, 2, 4])
+def test_batches_in_parts_equal_whole_ones(shape, kernel, at_once, monkeypatch):
+    field, factor = pair(*shape, kernel=kernel)
+    expected = convolve_plainly(field, factor)
+    counts = []
+
+    def counting(part, s):
+        counts.append(part.shape[:-2].numel())
+        return torch.fft.fftn(part, s=s, dim=(-2, -1))
+
+    monkeypatch.setattr(torch.fft, "fft2", counting)
+    monkeypatch.setattr(convolution, "_BLOCK_BYTES", at_once * 24 * 31 * 16)
+    torch.testing.assert_close(convolution.convolve(field, factor), expected, rtol=0, atol=1e-12)
+    assert max(counts) == at_once and sum(counts) == field[..., 0, 0].numel()
+    result = convolution.convolve(field.requires_grad_(), factor)
+    (back,) = torch.autograd.grad(result, field, result.detach())
+    (wanted,) = torch.autograd.grad(convolve_plainly(field, factor), field, result.detach())
+    torch.testing.assert_close(back, wanted, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("path", ["whole", "blocked"])
