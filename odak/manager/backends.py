@@ -3,6 +3,7 @@
 import asyncio
 import concurrent.futures
 import contextlib
+import gc
 import inspect
 import itertools
 import queue
@@ -212,6 +213,9 @@ class Cluster:
             self.client = target
             return
         security = {"security": self._security} if isinstance(self._security, distributed.Security) else {}
+        # A client that was dropped with an exception takes Dask's lock while it is freed. That must not happen in the
+        # thread that the next client starts, which holds this lock meanwhile.
+        gc.collect()
         self.client = distributed.Client(
             target, set_as_default=False, direct_to_workers=self._direct, **security, **limit
         )
