@@ -54,3 +54,4 @@ for column, (name, picture) in zip(axes.T, seen.items()):
     column[0].set_title(name)
 # Picture: A photograph, and how a single lens and a triplet image it, with enlarged parts
 plt.show()
+# Thumbnail: 0.5 1
