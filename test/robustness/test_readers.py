@@ -40,6 +40,12 @@ matplotlib.get_configdir()
 matplotlib.get_cachedir()
 
 
+@pytest.fixture(autouse=True, scope="module")
+def nothing_left_behind():
+    """Free what tests of other modules left behind, which may remove its files then: not while a reader is watched."""
+    gc.collect()
+
+
 @pytest.fixture(autouse=True)
 def one_thread():
     """Compute on one thread: small work on several threads waits for them more than it computes."""
@@ -70,8 +76,6 @@ def test_files_found_once_are_read_or_refused_by_name(name, tmp_path, monkeypatc
     monkeypatch.chdir(tmp_path)
     held = [path for path in FILES if path.parts[0] == name]
     read = 0
-    # What earlier tests left behind may remove its files when it is freed: not while a reader is watched.
-    gc.collect()
     # The first call imports what it needs, which takes memory.
     judged(name, tmp_path, held[0].suffix, (CORPUS / held[0]).read_bytes())
     for path in held:
@@ -87,7 +91,6 @@ def test_random_files_are_read_or_refused_by_name(name, tmp_path, monkeypatch):
     reader, chance = READERS[name], random.Random(7)
     seeds = [(path.suffix, (CORPUS / path).read_bytes()) for path in FILES if path.parts[0] == name]
     contents = [content for _, content in seeds]
-    gc.collect()
     judged(name, tmp_path, *seeds[0])
     for number in range(CASES):
         extension, content = chance.choice(seeds)
