@@ -51,6 +51,7 @@ def test_a_folder_gives_what_each_picture_gives(folder, tmp_path):
         assert together["psnr_db"] == alone["psnr_db"]
 
 
+@pytest.mark.slow
 @pytest.mark.xdist_group("cluster")
 def test_on_a_cluster_the_patterns_are_the_same(folder, tmp_path):
     count = torch.get_num_threads()

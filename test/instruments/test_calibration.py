@@ -60,6 +60,7 @@ def calibrated():
     return table, found
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_phase_response_within_two_hundredths(calibrated):
     table, found = calibrated
     assert np.abs(found.phases - table.truth.phases).max() < 0.02
@@ -94,6 +95,7 @@ def test_a_modulator_that_does_not_modulate_is_told():
         instruments.measure_phase_response(*instruments_of(table), 532e-9, 3e-3, samples=9, captures=2)
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
     table, found = calibrated
     low = low_modes(table.modulator)
@@ -101,22 +103,26 @@ def test_wavefront_within_a_hundredth_of_a_wavelength(calibrated):
     assert rms(error) < 2 * np.pi / 100 < 0.1 * rms(table.truth.wavefront)
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_registration_within_a_tenth_of_a_pixel(calibrated):
     table, found = calibrated
     assert distance_in_pixels(found.registration, table).max() < 0.1
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_distance_within_a_thousandth(calibrated):
     table, found = calibrated
     assert found.distance == pytest.approx(table.truth.distance, rel=1e-3)
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_illumination_within_two_percent(calibrated):
     table, found = calibrated
     assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
     assert found.amplitude.max() == 1.0
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     table, found = calibrated
     ideal = instruments.SimulatedTable(
@@ -134,6 +140,7 @@ def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     assert corrected > 0.95 * perfect and uncorrected < 0.5 * perfect
 
 
+@pytest.mark.xdist_group("calibrated")
 def test_files_are_read_back(calibrated, tmp_path):
     _, found = calibrated
     instruments.save_calibration(tmp_path / "a.npz", found)

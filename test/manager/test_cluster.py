@@ -227,6 +227,7 @@ def test_tasks_for_a_gpu_wait_for_one(address):
         work.run()
 
 
+@pytest.mark.slow
 def test_tasks_for_a_gpu_go_to_the_worker_that_has_it():
     worker = {"cls": distributed.Worker, "options": {"nthreads": 1, "dashboard": False}}
     with_gpu = {"cls": distributed.Worker, "options": {**worker["options"], "resources": {"GPU": 1}}}
@@ -279,6 +280,7 @@ def test_a_task_that_ends_its_process_is_named_and_isolated(address):
     assert sorted(record["index"] for record in work.records) == sorted([*range(60), 17])
 
 
+@pytest.mark.slow
 def test_the_tasks_that_travel_with_it_are_not_charged(address, tmp_path):
     jobs = [(99, tmp_path / "always"), *((0, tmp_path / f"never {index}") for index in range(5))]
     with spread(address, crash, jobs, retries=0, chunk=3) as work:
@@ -293,6 +295,7 @@ def test_a_task_whose_process_is_killed_runs_again(address, tmp_path):
         assert work.run() == [2]
 
 
+@pytest.mark.slow
 def test_a_stopped_process_is_replaced(address, tmp_path):
     with spread(address, stop_at_first, [(tmp_path / "mark",)], retries=0) as work:
         assert work.run() == ["the second time"]

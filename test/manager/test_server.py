@@ -144,6 +144,7 @@ def test_the_program_of_the_workers_killed():
             work.run()
 
 
+@pytest.mark.slow
 def test_certificates(tmp_path, pair):
     pytest.importorskip("cryptography")
     folder = make_certificates(tmp_path / "certificates")
@@ -303,6 +304,7 @@ def test_no_process_imports_from_the_current_folder_and_its_modules_travel_with_
     assert "" not in path and str(poisoned) not in map(os.path.realpath, path)
 
 
+@pytest.mark.slow
 def test_a_worker_of_the_command_line_imports_nothing_from_the_current_folder(poisoned):
     options = {"host": "127.0.0.1", "port": 0, "dashboard_address": "127.0.0.1:0"}
     with distributed.SpecCluster(scheduler={"cls": distributed.Scheduler, "options": options}, workers={}) as there:

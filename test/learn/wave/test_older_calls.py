@@ -64,7 +64,13 @@ def plane_phase(seed):
 
 
 @pytest.mark.parametrize(
-    "made", [single_phase, plane_phase, colour_phases, lambda seed: colour_phases(seed, loss_of_planes())]
+    "made",
+    [
+        single_phase,
+        plane_phase,
+        pytest.param(colour_phases, marks=pytest.mark.slow),
+        pytest.param(lambda seed: colour_phases(seed, loss_of_planes()), marks=pytest.mark.slow),
+    ],
 )
 def test_seeded_results_in_threads_are_the_serial_ones(made):
     seeds = [0, 1, 2, 3] * 4
