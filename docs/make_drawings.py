@@ -98,11 +98,8 @@ class Drawing:
 
 def eye() -> Drawing:
     """The eye in a horizontal section, to scale, with rays traced to the fovea."""
-    import torch
-
     from odak.learn.raytracing.system import launch, navarro_eye, ray_paths
 
-    torch.set_num_threads(1)
     drawing = Drawing(
         "Horizontal section of an eye, to scale: parallel rays pass the cornea, the pupil and the lens and meet on the "
         "fovea; the optic nerve leaves the retina beside it.",

@@ -21,13 +21,17 @@ hypothesis.settings.load_profile("fixed")
 
 @pytest.fixture(autouse=True)
 def _fresh_state():
-    """Let no test depend on those before it: each builds its own kernels, and draws the same random numbers."""
+    """Let no test depend on those before it: kernels, random numbers and the number of threads are as at the start."""
     import torch
 
     from odak.wave.transfer_functions import kernels
 
     kernels.clear()
     torch.default_generator.manual_seed(0)  # torch.manual_seed formats the stack each time, for CUDA
+    threads = torch.get_num_threads()
+    yield
+    if torch.get_num_threads() != threads:
+        torch.set_num_threads(threads)
 
 
 @pytest.fixture
