@@ -2,9 +2,18 @@
 
 # Earlier path of a module: the module that holds its names now, or several that share them. One line each, sorted.
 MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
+    "odak.catalog.detectors": "odak.catalog.optics",
+    "odak.catalog.diffusers": "odak.catalog.optics",
+    "odak.catalog.lenses": "odak.catalog.optics",
+    "odak.fit.descent": "odak.fit.regression",
+    "odak.fit.line": "odak.fit.regression",
+    "odak.fit.threshold": "odak.fit.regression",
+    "odak.learn.jones.elements": "odak.learn.jones.calculus",
+    "odak.learn.jones.stokes_vectors": "odak.learn.jones.calculus",
     "odak.learn.tools.fitcurve": "odak.learn.tools.models",
     "odak.learn.tools.mask": "odak.learn.tools.matrix",
     "odak.tools.latex": "odak.tools.texts",
+    "odak.tools.nonuniform": "odak.tools.matrix",
     "odak.tools.markdown": "odak.tools.texts",
     "odak.learn.lensless.models": "odak.learn.lensless.speckle_tracking",
     "odak.learn.models.adaptive_convolution": "odak.learn.models.adaptive",

@@ -1,8 +1,5 @@
-from .detectors import plane_detector as plane_detector
-from .diffusers import thin_diffuser as thin_diffuser
 from .dispersion import Material as Material
 from .dispersion import model_glass as model_glass
-from .lenses import plano_convex_lens as plano_convex_lens
 from .materials import abbe_number as abbe_number
 from .materials import glass_makers as glass_makers
 from .materials import internal_transmittance as internal_transmittance
@@ -11,3 +8,6 @@ from .materials import material as material
 from .materials import material_names as material_names
 from .materials import nearest_materials as nearest_materials
 from .materials import refractive_index as refractive_index
+from .optics import plane_detector as plane_detector
+from .optics import plano_convex_lens as plano_convex_lens
+from .optics import thin_diffuser as thin_diffuser

@@ -1,7 +1,9 @@
-"""Conversion of arguments to tensors, and checks of what torch alone knows: devices, dtypes and generators."""
+"""Conversion of arguments to tensors; checks of their devices, dtypes and generators; precision under autocast."""
 
 import functools
-from typing import overload
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import ParamSpec, TypeVar, overload
 
 import numpy as np
 import torch
@@ -155,3 +157,27 @@ def rows_of(**given: tuple) -> list[torch.Tensor]:
     _validate.one_device(**dict(zip(given, values, strict=True)))
     dtype = functools.reduce(torch.promote_types, (value.dtype for value in values), torch.float32)
     return [value.resolve_neg().to(dtype) for value in values]
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def in_own_precision(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the function, run with torch.autocast off.
+
+    Differences of nearly equal means, colours and coordinates need the digits that bfloat16 does not have; networks
+    are what it is for.
+    """
+
+    @functools.wraps(function)
+    def careful(*args: P.args, **options: P.kwargs) -> R:
+        on = [kind for kind in ("cpu", "cuda") if torch.is_autocast_enabled(kind)]
+        if not on:
+            return function(*args, **options)
+        with ExitStack() as stack:
+            for kind in on:
+                stack.enter_context(torch.autocast(kind, enabled=False))
+            return function(*args, **options)
+
+    return careful

@@ -10,7 +10,6 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
-from odak.wave import chunked
 from odak.wave import transfer_functions as tf
 from odak.wave.convolution import convolve
 from odak.wave.fourier import chirp, convolve_with_chirp
@@ -89,7 +88,7 @@ def _filter(build: Callable) -> Callable:
 def _kernel_for(field, request: Request, build: Callable, size: tuple[int, int]):
     """Return the transfer function `build` for a field, in chunks for a field in chunks."""
     if _array.is_chunked(field):
-        return chunked.transfer_function(request, build, size, field.dtype)
+        return tf.transfer_function_in_chunks(request, build, size, field.dtype)
     return request.kernel_for(field, build, size)
 
 

@@ -4,9 +4,7 @@ import numpy as np
 import pytest
 
 from odak import catalog
-from odak.catalog.detectors import plane_detector
-from odak.catalog.diffusers import thin_diffuser
-from odak.catalog.lenses import plano_convex_lens
+from odak.catalog.optics import plane_detector, plano_convex_lens, thin_diffuser
 from odak.raytracing import create_ray_from_two_points
 from odak.tools.transformation import rotation_matrix
 

@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy import ndimage, signal
 
-from odak.tools import nonuniform
+from odak.tools import matrix
 from odak.tools.matrix import (
     convolve2d,
     correlation_2d,
@@ -101,7 +101,7 @@ def test_soft_border_factors_and_gradient():
 
 
 def test_nonuniform_transforms_at_the_uniform_places_are_ffts(random, monkeypatch):
-    monkeypatch.setattr(nonuniform, "_BLOCK", 64)
+    monkeypatch.setattr(matrix, "_BLOCK", 64)
     field = random.random((6, 5)) + 1j * random.random((6, 5))
     frequencies = np.meshgrid(2 * np.pi * np.fft.fftfreq(6), 2 * np.pi * np.fft.fftfreq(5), indexing="ij")
     centred = np.roll(field, (3, 2), (0, 1))
@@ -120,7 +120,7 @@ def test_nonuniform_transforms_are_adjoint(random):
 
 def test_large_transform_asks_for_finufft(monkeypatch):
     monkeypatch.setitem(sys.modules, "finufft", None)
-    monkeypatch.setattr(nonuniform, "_LARGEST_SUM", 10)
+    monkeypatch.setattr(matrix, "_LARGEST_SUM", 10)
     with pytest.raises(ImportError, match="pip install finufft"):
         nufft2(np.ones((2, 3)), np.ones(6), np.ones(6))
 

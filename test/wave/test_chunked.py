@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import odak.wave
-from odak.wave import chunked, hologram_in_chunks, propagate_beam
+from odak.wave import hologram_in_chunks, propagate_beam, transfer_functions
 
 da = pytest.importorskip("dask.array")
 dask = pytest.importorskip("dask")
@@ -61,8 +61,8 @@ def test_propagation_back_is_the_adjoint(method):
 
 
 def test_kernels_are_computed_in_parts(monkeypatch):
-    made, column_grid = [], chunked.ColumnGrid
-    monkeypatch.setattr(chunked, "ColumnGrid", lambda **values: made.append(column_grid(**values)) or made[-1])
+    made, grid = [], transfer_functions.ColumnGrid
+    monkeypatch.setattr(transfer_functions, "ColumnGrid", lambda **values: made.append(grid(**values)) or made[-1])
     propagate_beam(da.zeros((100, 120), chunks=50, dtype="complex64"), None, 1e-3, 8e-6, 532e-9, "AS").compute()
     assert sum(grid.stop - grid.start for grid in made) >= 120
     assert max((grid.stop - grid.start) * 100 * 8 for grid in made) <= 16 * 1024

@@ -14,7 +14,7 @@ import torch
 from torch.nn import functional
 
 from odak import _validate
-from odak.learn._precision import in_own_precision
+from odak.learn._tensors import in_own_precision
 from odak.learn.perception.hdr import pq_decode, pq_encode
 from odak.learn.perception.util import as_pictures, by_pixels, by_values, in_float64
 

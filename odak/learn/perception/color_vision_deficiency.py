@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._precision import in_own_precision
+from odak.learn._tensors import in_own_precision
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
 from odak.learn.perception.util import as_pictures, check_values
 from odak.learn.tools.matrix import blur_gaussian

@@ -10,8 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
-from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
 from odak.learn.perception import pyramid_filter_design
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, quadrature, steering
 from odak.learn.perception.util import is_plain

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn._precision import in_own_precision
+from odak.learn._tensors import in_own_precision
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,

@@ -7,8 +7,7 @@ import torch
 
 from odak import _validate
 from odak.learn._face import torch_face
-from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 

@@ -6,8 +6,7 @@ import torch
 
 from odak import _validate
 from odak.learn._face import torch_face
-from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, floating, tensors_of
+from odak.learn._tensors import checked_device, floating, in_own_precision, tensors_of
 from odak.tools import transformation
 from odak.tools.asset import read_PLY
 from odak.tools.paths import validate_path

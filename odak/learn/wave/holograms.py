@@ -12,8 +12,7 @@ from tqdm import tqdm
 from odak import _validate
 from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._precision import in_own_precision
-from odak.learn._tensors import checked_device, floating, tensor, trainable
+from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, trainable
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.compat import accepts_descent_form, accepts_older_form
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor

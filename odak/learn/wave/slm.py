@@ -8,8 +8,7 @@ import torch
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._precision import in_own_precision
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, in_own_precision
 from odak.learn.wave.fields import unit_phasor
 from odak.wave.linear_kernels import checked_pixel_fill
 
