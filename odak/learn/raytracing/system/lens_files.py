@@ -5,7 +5,7 @@ import dataclasses
 import json
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,10 +14,10 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak.catalog.dispersion import model_glass
+from odak.catalog.dispersion import Material, model_glass
 from odak.catalog.materials import MICROMETRES, glass_makers, load_materials, material, nearest_materials  # noqa: F401
 from odak.learn.raytracing.system.coatings import Coating
-from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import (
     AIR,
@@ -29,8 +29,8 @@ from odak.learn.raytracing.system.surfaces import (
     surface,
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
-from odak.raytracing.gradients import FunctionGradient, Gradient
-from odak.raytracing.phases import IdealLens, LinearGrating, Phase, RadialPhase
+from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
+from odak.raytracing.phases import IdealLens, LinearGrating, Phase, PolynomialPhase, RadialPhase
 from odak.raytracing.surfaces import (
     Biconic,
     Conic,
@@ -42,6 +42,7 @@ from odak.raytracing.surfaces import (
     ZernikeFreeform,
 )
 from odak.tools.paths import _text, replacing
+from odak.tools.zernike import noll_to_nm, zernike_norm
 
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
@@ -330,7 +331,9 @@ def _known(where: str, entry, keys) -> None:
         _validate.one_of(f"key in {where}", key, sorted(keys))
 
 
-MAXIMUM_SURFACES = 1000
+MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
+# How far beyond the range of a glass a file may use it.
+MAXIMUM_STRETCH = 1.5
 _MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
 
 
@@ -349,7 +352,8 @@ class Line(NamedTuple):
         if word.upper() in ("INFINITY", "-INFINITY"):
             return float(word)
         try:
-            found = float(word)
+            # Programs of some countries write a decimal comma, Fortran an exponent D.
+            found = float(re.sub(r"(?<=\d)[dD](?=[+-]?\d)", "e", word.replace(",", ".", 1)))
         except ValueError:
             raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}") from None
         if found != found:
@@ -401,8 +405,8 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
                 accepted = f"SURF must count 0, 1, 2, … below {MAXIMUM_SURFACES}"
                 raise ValueError(f"{path.name}, line {number}: {accepted}, got {text.strip()[:80]!r}")
             surfaces.append([])
-        # What belongs to a surface is indented.
-        elif surfaces and text[0] in " \t":
+        # What belongs to a surface is indented, though not in all files.
+        elif surfaces and (text[0] in " \t" or line.key in _SURFACE_KEYS | _INERT_KEYS):
             surfaces[-1].append(line)
         else:
             general.append(line)
@@ -415,6 +419,8 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
 
 def _decoded(data: bytes, name: str) -> str:
     encoding = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and b"\x00" in data[:2]:
+        encoding = "utf-16-le" if data[1:2] == b"\x00" else "utf-16-be"
     try:
         return data.decode(encoding)
     except UnicodeDecodeError:
@@ -424,26 +430,41 @@ def _decoded(data: bytes, name: str) -> str:
 
 
 LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
-TYPES = (
-    "STANDARD",
-    "EVENASPH",
-    "ODDASPHE",
-    "TOROIDAL",
-    "BICONICX",
-    "XPOLYNOM",
-    "SZERNSAG",
-    "COORDBRK",
-    "DGRATING",
-    "BINARY_2",
-    "PARAXIAL",
-)
+# Types of surfaces, and which of their numbers PARM are used.
+TYPES: dict[str, Sequence[int]] = {
+    "STANDARD": (),
+    "EVENASPH": range(1, 9),
+    "ODDASPHE": range(1, 9),
+    "XASPHERE": (),
+    "XOSPHERE": (),
+    "TOROIDAL": range(1, 9),
+    "BICONICX": (1, 2),
+    "TILTSURF": (1, 2),
+    "XPOLYNOM": (),
+    "SZERNSAG": range(9),
+    "FZERNSAG": range(9),
+    "COORDBRK": range(1, 7),
+    "DGRATING": (1, 2),
+    "BINARY_1": range(9),
+    "BINARY_2": range(9),
+    "PARAXIAL": (1, 2),
+    "GRINSUR1": (1, 2, 3),
+    "GRINSUR2": range(1, 9),
+    "GRINSUR3": range(1, 9),
+}
 # Keys that are understood, of the whole system and of surfaces.
-_GENERAL = "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL PWAV FTYP XFLN YFLN ENPD FNUM OBNA FLOA AUTH IWDP STUD LANG"
+_GENERAL = (
+    "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL WWGT PWAV FTYP XFLN YFLN XFLD YFLD ENPD FNUM OBNA FLOA AUTH IWDP STUD LANG"
+)
 _GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL))
 _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
 _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
+# Keys of surfaces without effect on rays.
+_INERT_KEYS = frozenset(
+    ("DIAM", "MEMA", "OEMA", "FIMP", "COAT", "VDSZ", "VPAR", "PPAR", "UDAP", "UDOB", "UDAD", "SPID")
+)
 # Values in files for an index and an Abbe number that were not entered.
 _PLACEHOLDER = (1.5, 40.0)
 
@@ -505,15 +526,17 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ------
     ValueError
         If the file is malformed, or holds what would change the paths of rays and is not understood: a surface type
-        that is not among STANDARD, EVENASPH, ODDASPHE, TOROIDAL, BICONICX, XPOLYNOM, SZERNSAG, COORDBRK, DGRATING,
-        BINARY_2 and PARAXIAL, a polygon of a file of its own as aperture, a glass that neither the catalogue knows (the
-        message names the nearest known ones) nor the file describes.
+        that is not among STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE, TOROIDAL, BICONICX, TILTSURF, XPOLYNOM,
+        SZERNSAG, FZERNSAG, COORDBRK, DGRATING, BINARY_1, BINARY_2, PARAXIAL and GRINSUR1 to GRINSUR3, a glass that
+        neither the catalogue knows (the message names the nearest known ones) nor the file describes.
 
     Notes
     -----
     Semi-diameters (DIAM) limit rays only where the file says so, by a circular (CLAP) or floating (FLAP) aperture. A
-    glass that is not known but whose index and Abbe number the file states is a model glass; the report names it. Image
-    heights as fields become object angles or heights: paraxially, or by tracing chief rays.
+    glass is looked up in the catalogues that the file names (GCAT) before all others. An unknown one is a model glass
+    where the file states its index and Abbe number, or where its name is their six-digit code; a former glass, such as
+    SK5, is replaced by its successor N-SK5. The report names each of these. Image heights as fields become object
+    angles or heights: paraxially, or by tracing chief rays. Vignetting factors and weights are not used.
 
     Examples
     --------
@@ -545,45 +568,61 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         unit = head["UNIT"].words[0].upper() if "UNIT" in head and head["UNIT"].words else "MM"
         if unit not in LENGTHS:
             raise ValueError(f"UNIT must be one of {', '.join(LENGTHS)}, got {unit!r}")
-        makers = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
-        makers = [maker for maker in glass_makers() if any(word.startswith(maker) for word in makers)]
+        words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
+        makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
         waves, reference = _wavelengths(general, head, notes)
         context = _Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
         built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
         image = _image(len(surfaces) - 1, surfaces, context)
-        _check_object(surfaces[0], ignored)
         distance = _of(surfaces[0], "DISZ", math.inf) * context.scale
-        size, form = _aperture(head, surfaces, context.scale, notes)
+        _check_object(surfaces[0], math.isinf(distance), context)
+        _note_settings(head, surfaces, notes)
         names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
         names |= {"source": path.name, "wavelengths": waves, "reference": reference}
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
-        kind, points = _field_points(head, math.isinf(distance), notes)
-        names["telecentric"] = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
-        if _count(head, 1) and not names["telecentric"]:
+
+        def system(size, form, **others):
+            return optical_system(built, size, form, object_distance=distance, image=image, **names, **others)
+
+        size, form = _aperture(head, surfaces, context, system)
+        telecentric = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
+        if _count(head, 1) and not telecentric:
             notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
-        factor = 1.0 if kind == 0 else context.scale
-        points = [(x * factor, y * factor) for x, y in points]
-
-        def system(fields):
-            return optical_system(built, size, form, object_distance=distance, image=image, fields=fields, **names)
-
-        found = system([(0.0, 0.0)] if kind > 1 else points)
-        if kind > 1:
-            found.fields = _fields_of_image_heights(found, points, kind == 3)
-            notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
+        found = system(size, form, telecentric=telecentric)
+        found = system(size, form, telecentric=telecentric, fields=_field_points(head, found, context))
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     return found, ZmxReport(tuple(ignored), tuple(notes))
 
 
-def _check_object(lines, ignored: list) -> None:
+def _check_object(lines, far: bool, context: _Context) -> None:
     """Raise ValueError for an object that is curved or not in air; note the rest."""
     for line in lines:
-        if line.key == "GLAS" or (line.key in ("CURV", "CONI") and line.words and line.value()):
+        curved = line.key in ("CURV", "CONI") and line.words and line.value()
+        if line.key == "GLAS" or (curved and not far):
             raise ValueError(f"line {line.number}: the object must be flat and in air, got {' '.join(line.words)!r}")
-        if line.key not in _SURFACE_KEYS:
-            ignored.append(_named(line, 0))
+        if line.key not in _SURFACE_KEYS or curved:
+            context.ignored.append(_named(line, 0))
+
+
+def _note_settings(head, surfaces, notes: list) -> None:
+    """Note settings of the whole file that its reader may miss."""
+    if "MNUM" in head and head["MNUM"].words and head["MNUM"].value() > 1:
+        notes.append(
+            f"the file holds {head['MNUM'].whole()} configurations: read as the one that its surfaces describe"
+        )
+    if _count(head, 6):
+        notes.append("the image space is afocal (FTYP): no other than a focal one is read, the image lies in its plane")
+    held = [
+        number
+        for number, lines in enumerate(surfaces)
+        for line in lines
+        if line.key == "CURV" and len(line.words) > 1 and line.words[1].strip('"') not in ("", "0")
+    ]
+    if held:
+        where = ", ".join(map(str, held))
+        notes.append(f"curvatures of surfaces {where} are variables or solves in the file: read as they stand")
 
 
 def _named(line: Line, surface_number: int | None = None) -> str:
@@ -606,25 +645,33 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
     kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
     if kind not in TYPES:
         raise ValueError(f"surface {number}: TYPE must be one of {', '.join(TYPES)}, got {kind!r}")
+    extended = 2 + int(_parameters(lines, "XDAT").get(1, 0.0))
     for line in lines:
-        unused = line.key == "PARM" and kind == "STANDARD" and len(line.words) > 1 and line.value(1)
-        if line.key not in _SURFACE_KEYS or unused:
+        used = line.key in _SURFACE_KEYS
+        if line.key in ("PARM", "XDAT") and len(line.words) > 1 and line.value(1):
+            used = line.whole() in TYPES[kind] if line.key == "PARM" else line.whole() <= extended
+        if not used:
             context.ignored.append(_named(line, number))
     thickness = _of(lines, "DISZ", 0.0) * scale
     p = _parameters(lines, "PARM")
     if kind == "COORDBRK":
+        if any(line.key == "STOP" for line in lines):
+            context.notes.append(f"surface {number}: a coordinate break cannot be the stop")
         order = "tilt" if p.get(6, 0.0) else "shift"
         shift = (p.get(1, 0.0) * scale, p.get(2, 0.0) * scale)
         return coordinate_break(shift, tuple(p.get(i, 0.0) for i in (3, 4, 5)), thickness, order=order)
     shape, phase = _form(number, kind, lines, scale)
     limit, apertures = _limits(number, lines, scale)
-    medium = _glass(number, surfaces, context)
+    gradient, medium = None, _glass(number, surfaces, context)
+    if kind.startswith("GRINSUR"):
+        gradient, medium = _graded(number, kind, p, scale)
     with _named_errors(f"surface {number}"):
         return surface(
             shape=shape,
             phase=phase,
             thickness=thickness,
             material=medium,
+            gradient=gradient,
             semi_diameter=limit,
             aperture=apertures or None,
             stop=any(line.key == "STOP" for line in lines),
@@ -636,24 +683,33 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     curvature, conic = _of(lines, "CURV", 0.0) / scale, _of(lines, "CONI", 0.0)
     p, x = _parameters(lines, "PARM"), _parameters(lines, "XDAT")
     terms, norm = int(x.get(1, 0.0)), x.get(2, 1.0) * scale or 1.0
+    if not 0 <= terms <= MAXIMUM_TERMS:
+        raise ValueError(f"surface {number}: XDAT must hold at most {MAXIMUM_TERMS} terms, got {terms}")
     extra = [x.get(i, 0.0) for i in range(3, 3 + terms)]
-    powers = {"EVENASPH": 2, "BINARY_2": 2, "ODDASPHE": 1, "SZERNSAG": 2}.get(kind)
     last = max((i for i, value in p.items() if value), default=0)
     if kind in ("EVENASPH", "ODDASPHE") and last > 8:
         raise ValueError(f"surface {number}: PARM must be 1 to 8, got {last}")
-    given = [p.get(i, 0.0) * scale ** (1 - powers * i) for i in range(1, min(last, 8) + 1)] if powers else []
-    if kind in ("STANDARD", "DGRATING", "PARAXIAL"):
-        phase: Phase | None = None
-        if kind == "DGRATING":
-            phase = LinearGrating(0.0, p.get(1, 0.0) * 1e3, p.get(2, 0.0))
-        if kind == "PARAXIAL":
-            phase = IdealLens(p.get(1, 100.0) * scale)
-        return Conic(curvature, conic), phase
-    if kind in ("EVENASPH", "BINARY_2"):
-        phase = RadialPhase(extra, norm, p.get(0, 1.0)) if kind == "BINARY_2" and extra else None
+    step = 1 if kind == "ODDASPHE" else 2
+    given = [p.get(i, 0.0) * scale ** (1 - step * i) for i in range(1, min(last, 8) + 1)]
+    if kind == "DGRATING":
+        return Conic(curvature, conic), LinearGrating(0.0, p.get(1, 0.0) * 1e3, p.get(2, 0.0))
+    if kind == "PARAXIAL":
+        return Conic(curvature, conic), IdealLens(p.get(1, 100.0) * scale)
+    if kind == "STANDARD" or kind.startswith("GRINSUR"):
+        return Conic(curvature, conic), None
+    if kind in ("EVENASPH", "BINARY_1", "BINARY_2"):
+        phases = {"BINARY_1": PolynomialPhase, "BINARY_2": RadialPhase}
+        phase = phases[kind](extra, norm, p.get(0, 1.0)) if kind in phases and extra else None
         return EvenAsphere(curvature, conic, given), phase
     if kind == "ODDASPHE":
         return OddAsphere(curvature, conic, given or [0.0]), None
+    if kind in ("XASPHERE", "XOSPHERE"):
+        # Powers of r over the radius of normalisation.
+        step = 2 if kind == "XASPHERE" else 1
+        given = [value * scale / norm ** (step * i) for i, value in enumerate(extra, start=1)]
+        return (EvenAsphere if step == 2 else OddAsphere)(curvature, conic, given or [0.0]), None
+    if kind == "TILTSURF":
+        return PolynomialFreeform(0.0, 0.0, [p.get(1, 0.0), p.get(2, 0.0)], 1.0), None
     if kind == "TOROIDAL":
         if terms:
             raise ValueError(
@@ -665,10 +721,82 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     if kind == "BICONICX":
         radius = p.get(1, 0.0) * scale
         return Biconic(1 / radius if radius else 0.0, curvature, p.get(2, 0.0), conic), None
-    if any(given) and kind == "SZERNSAG":
-        raise ValueError(f"surface {number}: SZERNSAG with powers of r (PARM) is not supported, got {given}")
-    extra = [value * scale for value in extra] or [0.0]
-    return (ZernikeFreeform if kind == "SZERNSAG" else PolynomialFreeform)(curvature, conic, extra, norm), None
+    heights = [value * scale for value in extra] or [0.0]
+    if kind == "XPOLYNOM":
+        return PolynomialFreeform(curvature, conic, heights, norm), None
+    if p.get(9, 0.0) or p.get(10, 0.0):
+        shift = p.get(9, 0.0), p.get(10, 0.0)
+        raise ValueError(
+            f"surface {number}: {kind} with shifted Zernike terms (PARM 9 and 10) is not supported: {shift}"
+        )
+    modes = _fringe_modes(len(heights)) if kind == "FZERNSAG" else None
+    return ZernikeFreeform(curvature, conic, _zernike_terms(heights, modes, given, norm), norm), None
+
+
+def _fringe_modes(count: int) -> list[tuple[int, int]]:
+    """Return the orders (n, m) of the fringe Zernike polynomials: by n + |m|, then by falling |m|, cosines first.
+
+    The last of 37 is that of n = 12 and m = 0, out of order.
+    """
+    pairs = [(n, m) for n in range(11) for m in range(-n, n + 1, 2) if n + abs(m) <= 10]
+    modes = [*sorted(pairs, key=lambda pair: (pair[0] + abs(pair[1]), -abs(pair[1]), pair[1] < 0)), (12, 0)]
+    if count > len(modes):
+        raise ValueError(f"XDAT must hold at most {len(modes)} fringe Zernike terms, got {count}")
+    return modes[:count]
+
+
+def _zernike_terms(heights, modes, powers, radius: float) -> list[float]:
+    """Return coefficients in Noll's order, of RMS 1, of a sum of Zernike polynomials and even powers of r.
+
+    Parameters
+    ----------
+    heights : list of float
+        Coefficients in Noll's order, of RMS 1; of `modes`, if given, with the norm of :func:`zernike_polynomial`.
+    modes : list of tuple of int or None
+        Orders (n, m).
+    powers : list of float
+        Coefficients of r², r⁴, …
+    radius : float
+        Radius of the disc.
+    """
+    parts = {noll_to_nm(j): height for j, height in enumerate(heights, start=1)}
+    if modes is not None:
+        parts = {mode: height / zernike_norm(*mode) for mode, height in zip(modes, heights, strict=True)}
+    for i, power in enumerate(powers, start=1):
+        # ρ^(2i) in Legendre polynomials of 2ρ² − 1, which are the Zernike polynomials of m = 0.
+        share = np.polynomial.legendre.poly2leg(np.polynomial.polynomial.polypow([0.5, 0.5], i))
+        for k, value in enumerate(share.tolist()):
+            mode = (2 * k, 0)
+            parts[mode] = parts.get(mode, 0.0) + power * radius ** (2 * i) * value / zernike_norm(*mode)
+    highest = max(n for n, _ in parts)
+    ordered = [parts.get(noll_to_nm(j), 0.0) for j in range(1, (highest + 1) * (highest + 2) // 2 + 1)]
+    while len(ordered) > 1 and not ordered[-1]:
+        ordered.pop()
+    return ordered
+
+
+def _graded(number: int, kind: str, p: dict, scale: float) -> tuple[Gradient, float]:
+    """Return the gradient behind a surface and its index on the axis.
+
+    GRINSUR1 has n = n0 + a·r², GRINSUR2 n² = n0 + a·r² + b·r⁴ + …, GRINSUR3 n = n0 + a·r² + b·r⁴ + c·r⁶ + d·z + e·z² +
+    f·z³; PARM 1 is a step of the numerical trace, PARM 2 is n0.
+    """
+    base = p.get(2, 1.0)
+    if not base > 0:
+        raise ValueError(f"surface {number}: PARM 2, the index on the axis, must be positive, got {base:g}")
+    values = [p.get(i, 0.0) for i in range(3, 9)]
+    radial = [value / scale ** (2 * i) for i, value in enumerate(values, start=1)]
+    if kind == "GRINSUR2":
+        return RadialGradient([value / base for value in radial]), base**0.5
+    radial = radial[: 1 if kind == "GRINSUR1" else 3]
+    axial = [value / scale**i for i, value in enumerate(values[3:], start=1)] if kind == "GRINSUR3" else []
+    if any(axial):
+        if any(radial):
+            raise ValueError(f"surface {number}: GRINSUR3 both radial and axial is not supported, got {values}")
+        return AxialGradient(axial), base
+    # The square of the index, over that on the axis.
+    squared = np.polynomial.polynomial.polypow([1.0, *(value / base for value in radial)], 2)
+    return RadialGradient(squared[1:].tolist()), base
 
 
 def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Aperture]]:
@@ -677,11 +805,6 @@ def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Apertu
     found: list[Aperture] = []
     center = next(((line.value(0) * scale, line.value(1) * scale) for line in lines if line.key == "OBDC"), (0.0, 0.0))
     for line in lines:
-        if line.key in ("UDAP", "UDOB", "UDAD"):
-            raise ValueError(
-                f"line {line.number}: {line.key}, a polygon of a file of its own, is not supported: apertures must be "
-                "circles, rectangles or ellipses"
-            )
         if line.key == "FLAP":
             # The semi-diameter limits; older files repeat it here.
             limit = (_of(lines, "DIAM", 0.0) or (line.value(1) if len(line.words) > 1 else 0.0)) * scale or None
@@ -715,28 +838,75 @@ def _glass(number: int, surfaces, context: _Context):
         source = line.whole(2)
         if 0 < source < number:
             return _glass(source, surfaces, context)
+    if code == "4" and (nd or vd):
+        context.notes.append(f"surface {number}: the offset of {name}, {nd:g} in nd and {vd:g} in Vd, is not used")
     stated = nd > 1 and vd > 0 and (round(nd, 6), round(vd, 6)) != _PLACEHOLDER
-    unnamed = name == "___BLANK" or code == "1"
-    problem = ""
-    if not unnamed:
-        for maker in ("", *(f"{maker}:" for maker in context.makers)):
-            try:
-                return material(f"{maker}{name}")
-            except ValueError as error:
-                problem = problem or str(error)
-    if not stated and not (unnamed and nd > 1 and vd > 0):
-        near = (
-            "" if not nd > 1 else f" Nearest to its nd = {nd:g}, Vd = {vd:g}: {', '.join(nearest_materials(nd, vd))}."
-        )
-        raise ValueError(f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx") from None
-    found = model_glass(nd, vd, line.value(5) if len(line.words) > 5 else 0.0)
+    dpgf = line.value(5) if len(line.words) > 5 else 0.0
+    if not (name == "___BLANK" or code == "1"):
+        found, problem = _catalogued(number, name, context)
+        if found is not None:
+            return _within(number, found, context)
+        digits = re.fullmatch(r"(\d{3})\.?(\d{3})", name)
+        if digits and not stated:
+            nd, vd, dpgf, stated = 1 + int(digits[1]) / 1000, int(digits[2]) / 10, 0.0, digits[2] != "000"
+        if not stated:
+            near = (
+                ""
+                if not nd > 1
+                else f" Nearest to its nd = {nd:g}, Vd = {vd:g}: {', '.join(nearest_materials(nd, vd))}."
+            )
+            raise ValueError(f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx")
+    elif not (nd > 1 and vd > 0):
+        raise ValueError(f"surface {number}: {name} must state an index above 1 and an Abbe number, got {nd:g}, {vd:g}")
     near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
     context.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
+    return _within(number, model_glass(nd, vd, dpgf), context)
+
+
+def _catalogued(number: int, name: str, context: _Context) -> tuple[Material | None, str]:
+    """Return a glass by its name, or by that of its successor, and what is wrong with the name otherwise."""
+    makers, problem = context.makers, ""
+    first = makers[: makers.index("schott")] if "schott" in makers else makers
+    for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
+        try:
+            return material(f"{maker}{name}"), ""
+        except ValueError as error:
+            problem = str(error) if not maker else problem
+    several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
+    # Names of glasses with lead and arsenic, and those of their successors.
+    former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
+    for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
+        if former and (maker in makers or (prefix == "N" and not makers and not several)):
+            for successor in (f"{prefix}-{name.upper()}", f"{prefix}-{former[1]}{former[2]}"):
+                for full in (successor, f"{maker}:{successor}"):
+                    try:
+                        found = material(full)
+                    except ValueError:
+                        continue
+                    context.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
+                    return found, ""
+    if several:
+        context.notes.append(f"surface {number}: {name} is a glass of several makers; that of {several[0]} is taken")
+        return material(f"{several[0]}:{name}"), ""
+    return None, problem
+
+
+def _within(number: int, found: Any, context: _Context) -> Any:
+    """Return a material whose range holds the wavelengths, which may reach somewhat beyond its own; noted."""
     low, high = min(context.waves) * 1e3, max(context.waves) * 1e3
-    if low < found.range[0] or high > found.range[1]:
-        context.notes.append(f"surface {number}: the model glass is extrapolated to {low:g} … {high:g} µm")
-        found = dataclasses.replace(found, range=(min(low, found.range[0]), max(high, found.range[1])))
-    return found
+    own = found.range
+    if own[0] <= low and high <= own[1]:
+        return found
+    ends = [found.index(value) for value in (low, high)]
+    stretched = low < own[0] / MAXIMUM_STRETCH or high > own[1] * MAXIMUM_STRETCH
+    if stretched or any(isinstance(value, complex) or not value > 0 for value in ends):
+        raise ValueError(
+            f"surface {number}: {found.name} must be used from {own[0]:g} to {own[1]:g} µm, got wavelengths from "
+            f"{low:g} to {high:g} µm"
+        )
+    kind = "the model glass" if found.name.startswith("model ") else found.name
+    context.notes.append(f"surface {number}: {kind} is extrapolated to {low:g} … {high:g} µm")
+    return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
 
 
 def _image(number: int, surfaces, context: _Context) -> surface | None:
@@ -773,17 +943,35 @@ def _wavelengths(general, head, notes: list) -> tuple[list[float], int]:
     return waves, min(max(reference, 0), len(waves) - 1)
 
 
-def _field_points(head, far: bool, notes: list) -> tuple[int, list[tuple[float, float]]]:
-    """Return the kind of the fields (0 angles, 1 object heights, 2 and 3 image heights) and their points."""
-    kind = head["FTYP"].whole() if "FTYP" in head else 0
-    if kind not in (0, 1, 2, 3) or (kind < 2 and (kind == 0) != far):
+def _field_points(head, system, context: _Context) -> list[tuple[float, float]]:
+    """Return the field points: angles for an object at infinity, heights in millimetres for a near one."""
+    kind, far, notes = head["FTYP"].whole() if "FTYP" in head else 0, system.at_infinity, context.notes
+    x, y = (_numbers(head.get(key, head.get(older))) for key, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")))
+    pairs = _pairs(x, y)
+    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(pairs) if any(pair))])
+    points = pairs[:count] or [(0.0, 0.0)]
+    if kind not in range(5) or (kind == 1 and far and any(map(any, points))):
         raise ValueError(
-            "FTYP must be 0 (angles, object at infinity), 1 (object heights, object near), 2 or 3 (image heights), "
-            f"got {kind}"
+            f"FTYP must be 0 or 4 (angles), 1 (object heights, object near), 2 or 3 (image heights), got {kind}"
         )
-    x, y = (_numbers(head.get(key)) for key in ("XFLN", "YFLN"))
-    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(_pairs(x, y)) if any(pair))])
-    return kind, _pairs(x, y)[:count] or [(0.0, 0.0)]
+    if kind in (1, 2, 3):
+        points = [(a * context.scale, b * context.scale) for a, b in points]
+    if kind == 4:
+        # Azimuth and elevation, the latter from the x–z plane.
+        points = [
+            (a, math.degrees(math.atan(math.tan(math.radians(b)) / math.cos(math.radians(a))))) for a, b in points
+        ]
+        notes.append("fields are theodolite angles, turned into angles along x and y")
+    if kind in (0, 4) and not far and any(map(any, points)):
+        reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
+        if not math.isfinite(reach) or system.telecentric:
+            raise ValueError("FTYP 0, angles, of a near object must be seen from a pupil that is not at infinity")
+        points = [(-reach * math.tan(math.radians(a)), -reach * math.tan(math.radians(b))) for a, b in points]
+        notes.append("fields are angles from the entrance pupil, turned into object heights")
+    if kind in (2, 3):
+        notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
+        return list(_fields_of_image_heights(system, points, kind == 3))
+    return points
 
 
 def _fields_of_image_heights(system, points, real: bool) -> tuple[tuple[float, float], ...]:
@@ -835,22 +1023,51 @@ def _count(head, place: int) -> int:
     return head["FTYP"].whole(place) if "FTYP" in head and len(head["FTYP"].words) > place else 0
 
 
-def _aperture(head, surfaces, scale: float, notes: list) -> tuple[float, str]:
+def _aperture(head, surfaces, context: _Context, system) -> tuple[float, str]:
+    """Return the size of the aperture and its kind; `system` builds the system from both."""
     if "ENPD" in head:
-        return head["ENPD"].value() * scale, "EPD"
+        return head["ENPD"].value() * context.scale, "EPD"
     if "FNUM" in head:
-        if len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
-            notes.append("FNUM is a working F-number; taken as that of infinite conjugates")
-        return head["FNUM"].value(), "F-number"
+        number, near = head["FNUM"].value(), not math.isinf(_of(surfaces[0], "DISZ", math.inf))
+        if near and len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
+            # A working F-number: the slope of the marginal ray at the image, linear in that at the object.
+            slope = 0.01 * float(first_order(system(math.sin(math.atan(0.01)), "NA")).working_f_number) / number
+            return math.sin(math.atan(slope)), "NA"
+        return number, "F-number"
     if "OBNA" in head:
-        return head["OBNA"].value(), "NA"
+        if math.isinf(_of(surfaces[0], "DISZ", math.inf)):
+            raise ValueError(
+                "OBNA, an aperture of the object's side, must belong to a near object, got one at infinity"
+            )
+        size = head["OBNA"].value()
+        if len(head["OBNA"].words) > 1 and head["OBNA"].value(1):
+            context.notes.append(f"OBNA is a cone of {size:g} degrees, turned into a numerical aperture")
+            size = math.sin(math.radians(size))
+        return size, "NA"
     if "FLOA" in head:
-        stop = next((lines for lines in surfaces if any(line.key == "STOP" for line in lines)), surfaces[1])
-        size = 2 * _of(stop, "DIAM", 0.0) * scale
+        sizes = [_of(lines, "DIAM", 0.0) * context.scale for lines in surfaces[1:-1]]
+        size = sizes[next((i for i, lines in enumerate(surfaces[1:-1]) if any(v.key == "STOP" for v in lines)), 0)]
+        if not size and any(sizes):
+            size = _widest_stop(system(1.0, "stop"), sizes)
+            context.notes.append(
+                f"FLOA without a semi-diameter of the stop: {size:g} mm, so that the axial bundle fills the narrowest "
+                "of the other surfaces' semi-diameters, paraxially"
+            )
         if not size:
             raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
-        return size, "stop"
+        return 2 * size, "stop"
     raise ValueError("no aperture: one of ENPD, FNUM, OBNA, FLOA must be given")
+
+
+def _widest_stop(system, sizes) -> float:
+    """Return the radius of the stop at which the axial bundle keeps within semi-diameters, 0 where there is none."""
+    p = system.prescription([system.wavelengths[system.reference]])
+    index, heights = signed_indices(system, p), []
+    for i in range(len(sizes)):
+        found = matrix(p, index, 0, i, gap=True)
+        heights.append(abs(float(found.a if system.at_infinity else found.a * system.object_distance + found.b)))
+    shares = [size / height for size, height in zip(sizes, heights, strict=True) if size and height]
+    return heights[system.stop] * min(shares, default=0.0)
 
 
 _APERTURES = {"EPD": "ENPD {} ", "F-number": "FNUM {} 0", "NA": "OBNA {} 0", "stop": "FLOA"}
@@ -953,8 +1170,9 @@ def _written_form(name: str, item, scale: float) -> list[str]:
             word, parameters = "DGRATING", {1: held["frequency_y"] / scale / 1e3, 2: held["order"]}
         elif isinstance(phase, IdealLens) and word == "STANDARD":
             word, parameters = "PARAXIAL", {1: held["focal_length"] * scale, 2: 1.0}
-        elif isinstance(phase, RadialPhase) and word in ("STANDARD", "EVENASPH"):
-            word, parameters = "BINARY_2", {0: held["order"], **parameters}
+        elif isinstance(phase, (RadialPhase, PolynomialPhase)) and word in ("STANDARD", "EVENASPH"):
+            word = "BINARY_2" if isinstance(phase, RadialPhase) else "BINARY_1"
+            parameters = {0: held["order"], **parameters}
             extra = [len(held["coefficients"]), held["radius"] * scale, *held["coefficients"]]
         else:
             raise ValueError(f"{name} has a {type(phase).__name__}, which the format does not know on this shape")

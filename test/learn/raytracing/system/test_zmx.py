@@ -22,7 +22,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.raytracing import Biconic, OddAsphere, PolynomialFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, RectangularAperture
-from odak.raytracing.phases import IdealLens, LinearGrating, RadialPhase
+from odak.raytracing.phases import IdealLens, LinearGrating, PolynomialPhase, RadialPhase
 
 FILE = """VERS 140124 258 36214
 MODE SEQ
@@ -123,9 +123,8 @@ def test_lengths_in_inches_become_millimetres(tmp_path):
         ("CURV -0.0078", "CURV nan", "CURV must have a number, got 'nan'"),
         ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
         ("PARM 2", "PARM 9", "PARM must be 1 to 8"),
-        ("CLAP 0 12.0", "UDAP 3 3", "UDAP, a polygon"),
         ("SURF 0\n", "SURF 0\n  GLAS WATER 0 0 1.33 55\n", "the object must be flat and in air"),
-        ("SURF 0\n", "SURF 0\n  CURV 0.1\n", "the object must be flat and in air"),
+        ("CURV 0.0\n  DISZ INFINITY", "CURV 0.1\n  DISZ 100", "the object must be flat and in air"),
     ],
 )
 def test_what_would_be_wrong_is_refused(tmp_path, old, new, message):
@@ -175,6 +174,7 @@ FORMS = {
     "Zernike": surface(shape=ZernikeFreeform(0.01, 0.1, [0.0, 0.01, 0.0, 0.02, 0.01], 10.0)),
     "grating": surface(-80.0, phase=LinearGrating(0.0, 50.0, -1.0)),
     "binary": surface(60.0, coefficients=[0.0, 1e-6], phase=RadialPhase([-20.0, 1.0], 10.0)),
+    "phase polynomial": surface(60.0, phase=PolynomialPhase([1.0, 0.0, -20.0, 3.0, -18.0], 10.0, -1.0)),
     "ideal": surface(phase=IdealLens(80.0)),
     "rectangle": surface(50.0, aperture=RectangularAperture((0.5, -0.2), half_width=3.0, half_height=4.0)),
     "ring": surface(50.0, aperture=[CircularAperture(radius=6.0, inner=1.5)]),
