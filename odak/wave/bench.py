@@ -197,7 +197,9 @@ class FreeSpace:
             Wavelength in vacuum in metres.
         """
         wavelength = wavelength / self.index
-        if self.window_shape is None and self.window_dx is None and tuple(self.offset) == (0.0, 0.0):
+        # A tensor may require the derivative at zero.
+        on_axis = all(not _array.is_array(place) and place == 0 for place in self.offset)
+        if self.window_shape is None and self.window_dx is None and on_axis:
             method = self.propagation_type
             return propagate_beam(field, None, self.distance, pitch, wavelength, method, zero_padding=_PADDED), pitch
         window = propagate_to_window(

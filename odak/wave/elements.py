@@ -68,18 +68,28 @@ def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
 
     Its step is n·dx/(n − 1) and its centre lies at the index (n − 1)/2. :func:`grid_positions` has the grid of a field.
     """
-    _validate.real("dx", dx, positive=True)
     offset = _validate.several("offset", offset, 2)
     xp = _validate.library("xp", xp)
     along_x, along_y = (
-        xp.linspace(-n * dx / 2, n * dx / 2, n, dtype=xp.float64, device=device) - shift * dx
-        for n, shift in ((nx, offset[1]), (ny, offset[0]))
+        _older_positions(n, step, xp, device) - shift * step
+        for n, step, shift in zip((nx, ny), pitches(dx), reversed(offset), strict=True)
     )
     return along_x[:, None] ** 2 + along_y[None, :] ** 2
 
 
+def _older_positions(count: int, pitch, xp, device=None):
+    """Return linspace(−n·dx/2, n·dx/2, n) along one axis."""
+    half = count * _validate.real("dx", pitch, positive=True) / 2
+    return xp.linspace(-half, half, count, dtype=xp.float64, device=device)
+
+
 def quadratic_phase_function(
-    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
+    nx: int,
+    ny: int,
+    k: float,
+    focal: float = 0.4,
+    dx: float | Sequence[float] = 0.001,
+    offset: Sequence[float] = (0, 0),
 ) -> np.ndarray:
     """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
@@ -93,8 +103,8 @@ def quadratic_phase_function(
         Wave number in rad/m.
     focal : float
         Focal length in metres.
-    dx : float
-        Pixel pitch in metres, on the grid described in the notes.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
     offset : sequence of float
         Shift of the lens in pixels: `offset[1]` along x, `offset[0]` along y.
 
@@ -125,10 +135,10 @@ def quadratic_phase_function(
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
     _validate.real("focal", focal, nonzero=True)
-    return phasor(-k * squared_radius(nx, ny, dx, offset) / (2 * focal)).T
+    return phasor(-k * squared_radius(nx, ny, pitches(dx)[::-1], offset) / (2 * focal)).T
 
 
-def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: Any = None) -> Array:
+def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequence[float], *, xp: Any = None) -> Array:
     """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
 
     Parameters
@@ -141,8 +151,8 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: A
         Wave number in rad/m.
     r : float
         Distance R in metres.
-    dx : float
-        Pixel pitch in metres, on the grid described in the notes.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
     xp : module, optional
         Array namespace of the result, NumPy by default.
 
@@ -172,7 +182,7 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float, *, xp: A
 
 
 def prism_phase_function(
-    nx: int, ny: int, k: float, angle: float, dx: float = 0.001, axis: str = "x", *, xp: Any = None
+    nx: int, ny: int, k: float, angle: float, dx: float | Sequence[float] = 0.001, axis: str = "x", *, xp: Any = None
 ) -> Array:
     """Return the transmission of a thin prism, exp(−ik·sin(angle)·x).
 
@@ -186,8 +196,8 @@ def prism_phase_function(
         Wave number in rad/m.
     angle : float
         Tilt in degrees.
-    dx : float
-        Pixel pitch in metres, on the grid described in the notes.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
     axis : str
         "x" (the phase runs from column to column) or "y" (from row to row).
     xp : module, optional
@@ -216,10 +226,9 @@ def prism_phase_function(
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.real("k", k)
-    _validate.real("dx", dx, positive=True)
-    axis = _validate.one_of("axis", axis, ("x", "y"))
-    xp, count = _validate.library("xp", xp), ny if axis == "x" else nx
-    line = xp.linspace(-count * dx / 2, count * dx / 2, count, dtype=xp.float64)
+    axis, (rows, columns) = _validate.one_of("axis", axis, ("x", "y")), pitches(dx)
+    xp = _validate.library("xp", xp)
+    line = _older_positions(ny, columns, xp) if axis == "x" else _older_positions(nx, rows, xp)
     position = xp.broadcast_to(line[None, :] if axis == "x" else line[:, None], (nx, ny))
     return phasor(-k * _of_degrees("angle", angle, math.sin) * position)
 
@@ -229,7 +238,7 @@ def prism_grating(
     ny: int,
     k: float,
     angle: float,
-    dx: float = 0.001,
+    dx: float | Sequence[float] = 0.001,
     axis: str = "x",
     phase_offset: float = 0.0,
     *,
@@ -247,8 +256,8 @@ def prism_grating(
         Wave number in rad/m.
     angle : float
         Deflection in degrees.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     axis : str
         "x" (the phase changes from row to row) or "y" (from column to column).
     phase_offset : float
@@ -272,10 +281,11 @@ def prism_grating(
     line, shape = _line_along(nx, ny, axis, _validate.library("xp", xp))
     xp = namespace(line)
     _validate.real("k", k)
-    _validate.real("dx", dx, positive=True)
+    rows, columns = pitches(dx)
+    pitch = _validate.real("dx", rows if line.shape[1] == 1 else columns, positive=True)
     _validate.real("phase_offset", phase_offset)
     sine = _of_degrees("angle", angle, math.sin)
-    phase = k * sine * line * dx + phase_offset * (math.pi / 180)
+    phase = k * sine * line * pitch + phase_offset * (math.pi / 180)
     return xp.broadcast_to(phasor(-phase), shape) + 0
 
 

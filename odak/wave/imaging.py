@@ -210,7 +210,7 @@ def incoherent_focal_stack_rgbd(
     targets: Array,
     masks: Array,
     distances: Array,
-    dx: float,
+    dx: float | Sequence[float],
     wavelengths: Any,
     zero_padding: Sequence[bool] = (True, False, True),
     apertures: float | Array = 1.0,
@@ -232,8 +232,8 @@ def incoherent_focal_stack_rgbd(
         Positions of the planes along the axis ``[P]`` in metres; or the P + 1 edges of slices, as
         :func:`odak.learn.perception.slice_rgbd_targets` takes them, where each plane stands at the first edge of its
         slice. Only their differences matter.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelengths : float, sequence of float or array
         Wavelength of each colour ``[C]``, metres.
     zero_padding : sequence of bool

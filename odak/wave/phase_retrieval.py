@@ -23,7 +23,7 @@ def gerchberg_saxton(
     field: np.ndarray,
     n_iterations: int,
     distance: float,
-    dx: float,
+    dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
     propagation_type: str = "IR Fresnel",
@@ -44,8 +44,8 @@ def gerchberg_saxton(
         Number of iterations.
     distance : float
         Distance from hologram to image in metres.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
     slm_range : float
@@ -183,7 +183,7 @@ def gerchberg_saxton_3d(
     fields: np.ndarray,
     n_iterations: int,
     distances: Sequence[float],
-    dx: float,
+    dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
     propagation_type: str = "IR Fresnel",
@@ -207,8 +207,8 @@ def gerchberg_saxton_3d(
         Number of iterations, each of which visits all planes.
     distances : sequence of float
         Distance of each plane in metres.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
     slm_range : float, default: 6.28

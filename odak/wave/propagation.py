@@ -789,7 +789,9 @@ def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavel
     return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer Inverse")
 
 
-def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavelength: float) -> Array:
+def fraunhofer_equal_size_adjust(
+    field: Array, distance: float, dx: float | Sequence[float], wavelength: float
+) -> Array:
     """Return the centre of a Fraunhofer pattern that spans the same width as the field it came from.
 
     Parameters
@@ -798,8 +800,8 @@ def fraunhofer_equal_size_adjust(field: Array, distance: float, dx: float, wavel
         Fraunhofer pattern ``[..., rows, columns]``.
     distance : float
         Distance in metres that was given to :func:`fraunhofer`.
-    dx : float
-        Pixel pitch in metres of the field that was given to :func:`fraunhofer`.
+    dx : float or sequence of float
+        Pixel pitch in metres of the field that was given to :func:`fraunhofer`, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
 
@@ -873,7 +875,7 @@ def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
 def get_propagation_kernel(
     nu: int,
     nv: int,
-    dx: float = 8e-6,
+    dx: float | Sequence[float] = 8e-6,
     wavelength: float = 515e-9,
     distance: float = 0.0,
     propagation_type: str = "Bandlimited Angular Spectrum",
@@ -892,8 +894,8 @@ def get_propagation_kernel(
         Rows of the field.
     nv : int
         Columns of the field.
-    dx : float, default: 8e-6
-        Pixel pitch in metres.
+    dx : float or pair of float, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or array, default: 515e-9
         Wavelength in metres; an array gives a kernel for each of its values, as leading axes.
     distance : float or array, default: 0.0

@@ -217,7 +217,7 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     lengths = np.where(limited, np.ceil(np.log2(np.where(limited, reach, 0) + axis.samples)), -1)
     for exponent in np.unique(lengths[limited]):
         chosen = lengths == exponent
-        count = _even_fast(2**exponent * 2 * math.pi / _REFERENCE_TURN)
+        count = _even_fast(max(2**exponent * 2 * math.pi / _REFERENCE_TURN, _SHORTEST))
         rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN))
         found[chosen] = response(axis, transverse[chosen], rule)
     rest = transverse[~limited]

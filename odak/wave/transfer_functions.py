@@ -513,6 +513,18 @@ def pitches(dx, name: str = "dx") -> tuple[Any, Any]:
     return dx[0], dx[1]
 
 
+def checked_pitch(name: str, dx):
+    """Return a pitch, one number or a pair (rows, columns), after checking that it is positive."""
+    for pitch in pitches(dx, name):
+        _validate.real(name, pitch, positive=True)
+    return dx
+
+
+def divided_pitch(dx, samples: int):
+    """Return the pitch, or the pair of them, of a grid with so many samples per pixel."""
+    return tuple(pitch / samples for pitch in dx) if isinstance(dx, (tuple, list)) else dx / samples
+
+
 def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = None) -> None:
     """Raise ValueError or TypeError unless the geometry is physical, fits a batch of fields, and k the wavelength.
 

@@ -69,11 +69,12 @@ def unwrapped_propagation(field, distance, dx, wavelength, cutoff=np.inf, paddin
     """Return a field propagated to its own window by the angular spectrum (Goodman 2005, eq. 3-70) in complex128.
 
     The window is `padding` times wider, so that what leaves it does not come back. `cutoff` is the radius of a round
-    stop in cycles per metre.
+    stop in cycles per metre. `dx` is one pitch, or a pair (rows, columns).
     """
     field = np.asarray(field, dtype=np.complex128)
     shape = tuple(padding * n for n in field.shape[-2:])
-    fy, fx = np.fft.fftfreq(shape[0], dx)[:, None], np.fft.fftfreq(shape[1], dx)
+    down, across = np.broadcast_to(dx, 2)
+    fy, fx = np.fft.fftfreq(shape[0], down)[:, None], np.fft.fftfreq(shape[1], across)
     squared = fy**2 + fx**2
     axial = np.sqrt((1 / wavelength**2 - squared).astype(np.complex128))
     transfer = np.exp(2j * np.pi * distance * np.where(distance < 0, axial.conj(), axial)) * (squared <= cutoff**2)

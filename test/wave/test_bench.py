@@ -172,6 +172,17 @@ def test_gradients_and_faces(random):
     assert torch.autograd.gradcheck(lambda a, z: system(0.01 * z - 2 * a, 1e-4 * z), ones[:2])
 
 
+def test_the_place_of_a_window_has_a_derivative_on_the_axis():
+    field = torch.as_tensor(np.exp(-sum(c**2 for c in np.mgrid[-8:8, -8:8]) / 20.0) + 0j)
+
+    def slope(start):
+        place = torch.tensor(start, dtype=torch.float64, requires_grad=True)
+        result, _ = FreeSpace(1e-3, offset=(0.0, place)).apply(field, 8e-6, 532e-9)
+        return torch.autograd.grad((result.abs() ** 2)[8, 10], place)[0]
+
+    assert slope(0.0) < 0 and torch.allclose(slope(0.0), slope(1e-12), rtol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("matrix", "message"),
     [([[1, 0.1], [0, 2]], "determinant"), ([1, 2], "matrix must be"), ([[1, 2, 3], [1, 2, 3]], "matrix must be")],

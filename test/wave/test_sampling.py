@@ -184,3 +184,19 @@ def test_fourier_sum_is_the_sum(count_in, count_out, sign, axis, as_array, rando
         field, expected = field.T.copy(), expected.T
     result = fourier_sum(as_array(field), as_array(np.full((1, 1), 0.031)), count_out, sign, axis)
     np.testing.assert_allclose(np.asarray(result), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", [(1, 33), (33, 1), (1, 1), (1, 2)])
+def test_fields_of_one_row_or_column_propagate_over_any_distance(shape, random):
+    """The field is Σ u_n·sinc of row and column: an integral over the plane waves of the band, by Gauss's points."""
+    field = random.normal(size=shape) + 1j * random.normal(size=shape)
+    points, weights = np.polynomial.legendre.leggauss(150)
+    places = [(np.arange(n) - n // 2) * 8e-6 for n in shape]
+    frequency = points / 16e-6
+    axial = np.sqrt(1 / 532e-9**2 - frequency[:, None] ** 2 - frequency**2)
+    down, across = (np.exp(2j * np.pi * np.outer(place, frequency)) for place in places)
+    spectrum = down.conj().T @ field @ across.conj()
+    for distance in (1e-6, 2e-5, -3e-4):
+        waves = spectrum * np.exp(2j * np.pi * distance * axial) * np.outer(weights, weights) / 4
+        found = odak.wave.propagate_beam(field, None, distance, 8e-6, 532e-9, "Linear Angular Spectrum")
+        assert physics.relative_error(found, down @ waves @ across.T) < 1e-4

@@ -1,6 +1,6 @@
 """Simulation of a display with a camera in front of it, for camera-in-the-loop optimization."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -11,6 +11,7 @@ from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
+from odak.wave.transfer_functions import checked_pitch, divided_pitch
 
 
 def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor:
@@ -73,8 +74,8 @@ class simulated_camera(torch.nn.Module):
         Wavelength in metres.
     distance : float
         Distance from hologram to sensor in metres: the real one, which may differ from the model's.
-    pixel_pitch : float
-        Pixel pitch of the hologram in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch of the hologram in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`; computed without wrap-around.
     slm : callable, optional
@@ -132,7 +133,7 @@ class simulated_camera(torch.nn.Module):
         self,
         wavelength: float,
         distance: float,
-        pixel_pitch: float,
+        pixel_pitch: float | Sequence[float],
         propagation_type: str = "Bandlimited Angular Spectrum",
         *,
         slm: Callable | None = None,
@@ -150,7 +151,7 @@ class simulated_camera(torch.nn.Module):
         super().__init__()
         self.wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.distance = _validate.real("distance", distance)
-        self.pixel_pitch = _validate.real("pixel_pitch", pixel_pitch, positive=True)
+        self.pixel_pitch = checked_pitch("pixel_pitch", pixel_pitch)
         check_has_kernel(propagation_type)
         self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
@@ -192,7 +193,7 @@ class simulated_camera(torch.nn.Module):
         there: Any = propagate_within_window(
             field,
             self.distance,
-            self.pixel_pitch / s,
+            divided_pitch(self.pixel_pitch, s),
             self.wavelength,
             self.propagation_type,
             self.cutoff,

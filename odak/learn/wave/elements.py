@@ -49,7 +49,12 @@ thin_film_transfer = torch_face(polarized.thin_film_transfer)
 
 
 def quadratic_phase_function(
-    nx: int, ny: int, k: float, focal: float = 0.4, dx: float = 0.001, offset: Sequence[float] = (0, 0)
+    nx: int,
+    ny: int,
+    k: float,
+    focal: float = 0.4,
+    dx: float | Sequence[float] = 0.001,
+    offset: Sequence[float] = (0, 0),
 ) -> torch.Tensor:
     """Return the transmission of a thin lens, exp(−ik·r²/(2f)), converging for a positive focal length.
 
@@ -63,8 +68,8 @@ def quadratic_phase_function(
         Wave number in rad/m.
     focal : float
         Focal length in metres.
-    dx : float
-        Pixel pitch in metres, on the grid described in the notes.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns), on the grid described in the notes.
     offset : sequence of float
         Shift of the lens in pixels: `offset[1]` along the first axis, `offset[0]` along the second.
 

@@ -21,8 +21,8 @@ class holographic_display(display_volume):
     ----------
     wavelengths : sequence of float
         Wavelengths of the C light sources in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     resolution : sequence of int
         Rows m and columns n of the modulator.
     volume_depth : float
@@ -63,7 +63,7 @@ class holographic_display(display_volume):
     def __init__(
         self,
         wavelengths: Sequence[float],
-        pixel_pitch: float = 3.74e-6,
+        pixel_pitch: float | Sequence[float] = 3.74e-6,
         resolution: Sequence[int] = (1920, 1080),
         volume_depth: float = 0.01,
         number_of_depth_layers: int = 10,

@@ -3,7 +3,7 @@
 import functools
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -24,6 +24,7 @@ from odak.wave.convolution import convolve
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
+from odak.wave.transfer_functions import checked_pitch, pitches
 
 STARTS = ("quadratic", "flat", "random", "double phase", "gs")
 # Of the Nyquist frequency, reached at the edges of the hologram.
@@ -36,7 +37,7 @@ def stochastic_gradient_descent(
     target: torch.Tensor,
     wavelength: float,
     distance: float,
-    pixel_pitch: float,
+    pixel_pitch: float | Sequence[float],
     propagation_type: str = "Bandlimited Angular Spectrum",
     n_iteration: int = 100,
     loss_function: Callable | None = None,
@@ -67,8 +68,8 @@ def stochastic_gradient_descent(
         Wavelength in metres.
     distance : float
         Distance from hologram to image in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`. Methods with a transfer function are computed
         without wrap-around, so that the two angular spectra are the same, and "auto" stands for them.
@@ -152,7 +153,7 @@ def stochastic_gradient_descent(
     n_iteration = _validate.integer("n_iteration", n_iteration, minimum=1)
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance)
-    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    checked_pitch("pixel_pitch", pixel_pitch)
     _validate.real("learning_rate", learning_rate, positive=True)
     scale = _validate.flag("scale", scale)
     for name, function in (("loss_function", loss_function), ("slm", slm), ("camera", camera)):
@@ -243,7 +244,7 @@ def starting_phase(
     target: torch.Tensor,
     wavelength: float,
     distance: float,
-    dx: float,
+    dx: float | Sequence[float],
     propagation_type: str = "Angular Spectrum",
     seed: int | None = None,
     frames: int = 1,
@@ -262,8 +263,8 @@ def starting_phase(
         Wavelength in metres.
     distance : float
         Distance from hologram to image in metres.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type of "double phase" and "gs".
     seed : int, optional
@@ -326,7 +327,7 @@ def gerchberg_saxton(
     field: torch.Tensor,
     n_iterations: int,
     distance: float,
-    dx: float,
+    dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
     propagation_type: str = "Transfer Function Fresnel",
@@ -349,8 +350,8 @@ def gerchberg_saxton(
         Number of iterations.
     distance : float
         Distance from hologram to image in metres.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
     slm_range : float
@@ -405,7 +406,12 @@ def gerchberg_saxton(
 
 @torch.no_grad()
 def point_wise(
-    target: torch.Tensor, wavelength: float, distance: float, dx: float, device: torch.device, lens_size: int = 401
+    target: torch.Tensor,
+    wavelength: float,
+    distance: float,
+    dx: float | Sequence[float],
+    device: torch.device,
+    lens_size: int = 401,
 ) -> torch.Tensor:
     """Return the hologram that focuses a lens on each lit pixel (Maimone, Georgiou and Kollin, ACM TOG 36, 85 (2017)).
 
@@ -417,12 +423,12 @@ def point_wise(
         Wavelength in metres.
     distance : float
         Distance from hologram to image in metres; each lens has this focal length.
-    dx : float
-        Pixel pitch in metres.
+    dx : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     device : torch.device
         Where to compute.
     lens_size : int
-        Radius of each lens in pixels.
+        Radius of each lens in pixels, along both axes.
 
     Returns
     -------
@@ -451,19 +457,19 @@ def point_wise(
     device = target.device
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance, nonzero=True)
-    _validate.real("dx", dx, positive=True)
+    steps = [_validate.number("dx", pitch, positive=True) for pitch in pitches(dx)]
     radius = _validate.side("lens_size", lens_size)
     dtype = torch.complex128 if target.dtype == torch.float64 else torch.complex64
     y, x = (torch.fft.fftfreq(2 * n, 1 / (2 * n), dtype=torch.float64, device=device) for n in target.shape[-2:])
-    squared = y[:, None] ** 2 + x[None, :] ** 2
-    lens = phasor(-math.pi * dx**2 / (wavelength * distance) * squared, dtype) * (squared <= radius**2)
+    squared = (steps[0] * y[:, None]) ** 2 + (steps[1] * x) ** 2
+    lens = phasor(-math.pi / (wavelength * distance) * squared, dtype) * (y[:, None] ** 2 + x**2 <= radius**2)
     return convolve(target.sqrt().to(dtype), torch.fft.fft2(lens))
 
 
 def shift_w_double_phase(
     phase: torch.Tensor,
     depth_shift: float,
-    pixel_pitch: float,
+    pixel_pitch: float | Sequence[float],
     wavelength: float,
     propagation_type: str = "Transfer Function Fresnel",
     kernel_length: int = 4,
@@ -480,8 +486,8 @@ def shift_w_double_phase(
         Phase ``[rows, columns]`` in radians.
     depth_shift : float
         Distance to move by, in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float
         Wavelength in metres.
     propagation_type : str
@@ -522,7 +528,7 @@ def shift_w_double_phase(
     phase = _validate.image("phase", floating("phase", phase))
     check_has_kernel(propagation_type)
     _validate.real("depth_shift", depth_shift)
-    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    checked_pitch("pixel_pitch", pixel_pitch)
     kernel_length, sigma = _validate.whole("kernel_length", kernel_length), _validate.real("sigma", sigma)
     field = generate_complex_field(torch.ones_like(phase) if amplitude is None else amplitude, phase)
     undo = {} if pixel_fill is None else {"aperture": 1 / pixel_aperture(field, checked_pixel_fill(pixel_fill))}
@@ -539,7 +545,7 @@ def double_phase_hologram(
     target: torch.Tensor,
     wavelength: float,
     distance: float,
-    pixel_pitch: float,
+    pixel_pitch: float | Sequence[float],
     propagation_type: str = "Bandlimited Angular Spectrum",
     *,
     image_phase: torch.Tensor | None = None,
@@ -561,8 +567,8 @@ def double_phase_hologram(
         Wavelength in metres.
     distance : float
         Distance from hologram to image in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type with a transfer function, see :func:`odak.learn.wave.propagate_beam`, or "auto".
     image_phase : torch.Tensor, optional
@@ -572,7 +578,7 @@ def double_phase_hologram(
         where most of it is lost, and issues an AccuracyWarning.
     iris_radius : float, optional
         Radius in metres of a round iris in the focal plane of a lens. By default the iris passes frequencies up to
-        1/(4·pixel_pitch), half of the band of the pixels.
+        1/(4·pixel_pitch), half of the band of the pixels; with two pitches the larger one counts.
     iris_focal_length : float, optional
         Focal length in metres of that lens.
     pixel_fill : float, optional
@@ -611,7 +617,7 @@ def double_phase_hologram(
     target = _checked_target(target)
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("distance", distance)
-    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    checked_pitch("pixel_pitch", pixel_pitch)
     check_has_kernel(propagation_type)
     cutoff = iris_cutoff(wavelength, iris_radius, iris_focal_length)
     if not _validate.flag("iris", iris):
@@ -619,9 +625,10 @@ def double_phase_hologram(
             raise ValueError("iris_radius excludes iris=False")
         passes = "there is no iris"
     else:
-        cutoff = 0.25 / pixel_pitch if cutoff is None else cutoff
+        quarters = [0.25 / _validate.numbers(pitch)[0] for pitch in pitches(pixel_pitch)]
+        cutoff = min(quarters) if cutoff is None else cutoff
         # The orders of the checkerboard lie at (±1, ±1)/(2·pitch), and the image about them is as wide as the iris.
-        passes = "the iris passes more than that" if cutoff > math.sqrt(0.125) / pixel_pitch else ""
+        passes = "the iris passes more than that" if cutoff > math.hypot(*quarters) else ""
     if passes:
         warn(
             "double phase needs an iris that passes frequencies up to about 1/(4·pixel_pitch), or the orders of its "

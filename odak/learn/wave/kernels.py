@@ -26,7 +26,7 @@ def _on_torch(*arguments, device, dtype):
 def get_propagation_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device = _CPU,
@@ -43,8 +43,8 @@ def get_propagation_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -86,7 +86,7 @@ def get_propagation_kernel(
 def get_angular_spectrum_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device | str = _CPU,
@@ -100,8 +100,8 @@ def get_angular_spectrum_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -132,7 +132,7 @@ def get_angular_spectrum_kernel(
 def get_band_limited_angular_spectrum_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device | str = _CPU,
@@ -146,8 +146,8 @@ def get_band_limited_angular_spectrum_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -178,7 +178,7 @@ def get_band_limited_angular_spectrum_kernel(
 def get_incoherent_angular_spectrum_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device | str = _CPU,
@@ -192,8 +192,8 @@ def get_incoherent_angular_spectrum_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -224,7 +224,7 @@ def get_incoherent_angular_spectrum_kernel(
 def get_transfer_function_fresnel_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device | str = _CPU,
@@ -238,8 +238,8 @@ def get_transfer_function_fresnel_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -270,7 +270,7 @@ def get_transfer_function_fresnel_kernel(
 def get_impulse_response_fresnel_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 8e-6,
+    dx: float | Sequence[float] | torch.Tensor = 8e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     device: torch.device | str = _CPU,
@@ -286,8 +286,8 @@ def get_impulse_response_fresnel_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 8e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 8e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -330,7 +330,7 @@ def get_impulse_response_fresnel_kernel(
 def get_seperable_impulse_response_fresnel_kernel(
     nu: int,
     nv: int,
-    dx: float | torch.Tensor = 3.74e-6,
+    dx: float | Sequence[float] | torch.Tensor = 3.74e-6,
     wavelength: float | torch.Tensor = 515e-9,
     distance: float | torch.Tensor = 0.0,
     scale: int = 1,
@@ -346,8 +346,8 @@ def get_seperable_impulse_response_fresnel_kernel(
         Rows.
     nv : int
         Columns.
-    dx : float or torch.Tensor, default: 3.74e-6
-        Pixel pitch in metres.
+    dx : float, pair of float or torch.Tensor, default: 3.74e-6
+        Pixel pitch in metres, one number or a pair (rows, columns).
     wavelength : float or torch.Tensor, default: 515e-9
         Wavelength in metres.
     distance : float or torch.Tensor, default: 0.0
@@ -378,7 +378,8 @@ def get_seperable_impulse_response_fresnel_kernel(
     >>> bool((ratio / ratio[0, 0] - 1).abs().max() < 1e-4)
     True
     """
-    for name, value in (("dx", dx), ("wavelength", wavelength), ("distance", distance)):
+    down, across = transfer_functions.pitches(dx)
+    for name, value in (("dx", down), ("dx", across), ("wavelength", wavelength), ("distance", distance)):
         if getattr(value, "ndim", 0) or isinstance(value, (list, tuple)):
             raise ValueError(f"{name} must be one number, got {value!r:.80}")
     if 0 in _validate.numbers(_validate.real("distance", distance)):

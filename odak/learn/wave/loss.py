@@ -13,6 +13,7 @@ from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, in_own_precision, tensor
 from odak.learn.tools.device import get_device
 from odak.learn.tools.matrix import blur_gaussian
+from odak.wave.transfer_functions import checked_pitch, pitches
 
 SCHEMES = ("defocus", "naive")
 
@@ -104,7 +105,7 @@ def geometric_targets(
     indices: torch.Tensor,
     distances: torch.Tensor,
     wavelengths: Sequence[float],
-    pixel_pitch: float,
+    pixel_pitch: Sequence[float],
     numerical_aperture: float | None = None,
 ) -> torch.Tensor:
     """Return the targets of planes on which the pixels of other planes are out of focus, from their geometry.
@@ -122,10 +123,11 @@ def geometric_targets(
         Distances of the planes in metres, ``[P]``.
     wavelengths : sequence of float
         Wavelength of each colour in metres.
-    pixel_pitch : float
-        Pixel pitch of the picture in metres.
+    pixel_pitch : sequence of float
+        Pixel pitch of the picture along rows and columns, in metres.
     numerical_aperture : float, optional
-        That of the iris or of the eye; by default that of the modulator, λ/(2·pixel_pitch), for each colour.
+        That of the iris or of the eye; by default that of the modulator along each axis, λ/(2·pixel_pitch), for each
+        colour: the disc is an ellipse where the pitches differ.
 
     Returns
     -------
@@ -135,8 +137,10 @@ def geometric_targets(
     dtype = image.dtype
     image = image.float() if dtype in (torch.float16, torch.bfloat16) else image
     rows, columns = image.shape[-2:]
-    fy, fx = (torch.fft.fftfreq(2 * n, dtype=torch.float64, device=image.device) for n in (rows, columns))
-    frequency = 2 * torch.pi * (fy[:, None] ** 2 + fx**2).sqrt()
+    fy, fx = (
+        2 * torch.pi * torch.fft.fftfreq(2 * n, pitch, dtype=torch.float64, device=image.device)
+        for n, pitch in zip((rows, columns), pixel_pitch, strict=True)
+    )
     spectrum = torch.fft.fft2(image, (2 * rows, 2 * columns))
     masks = plane_masks(indices, len(distances))
     targets = torch.zeros(len(distances), *image.shape, dtype=image.dtype, device=image.device)
@@ -146,14 +150,22 @@ def geometric_targets(
             if near != far:
                 discs = []
                 for wavelength in wavelengths:
-                    sine = wavelength / (2 * pixel_pitch) if numerical_aperture is None else numerical_aperture
-                    argument = frequency * abs(near - far) * math.tan(math.asin(min(sine, 0.999))) / pixel_pitch
+                    down, across = (
+                        abs(near - far) * math.tan(math.asin(min(sine, 0.999)))
+                        for sine in _sines(wavelength, pixel_pitch, numerical_aperture)
+                    )
+                    argument = ((down * fy[:, None]) ** 2 + (across * fx) ** 2).sqrt()
                     # The transform of a disc of unit area, 2·J₁(x)/x.
                     safe = argument.clamp_min(1e-6)
                     discs.append(2 * torch.special.bessel_j1(safe) / safe)
                 blurred = torch.fft.ifft2(spectrum * torch.stack(discs).to(image.dtype)).real[..., :rows, :columns]
             targets[focus] += masks[plane] * blurred.clamp_min(0)
     return targets.to(dtype)
+
+
+def _sines(wavelength: float, pixel_pitch: Sequence[float], numerical_aperture: float | None) -> list[float]:
+    """Return the sine of the largest angle of the light along rows and columns."""
+    return [wavelength / (2 * pitch) if numerical_aperture is None else numerical_aperture for pitch in pixel_pitch]
 
 
 class FocalTargets(nn.Module):
@@ -243,13 +255,12 @@ class FocalTargets(nn.Module):
             raise ValueError(f"distances must be one for each of {self.number_of_planes} planes, got {len(places)}")
         if len(waves) != colours:
             raise ValueError(f"wavelengths must be one for each of {colours} colours, got {len(waves)}")
-        pitch = float(_validate.real("pixel_pitch", pixel_pitch, positive=True))
+        pitch = [float(step) for step in pitches(checked_pitch("pixel_pitch", pixel_pitch))]
         if numerical_aperture is not None:
             numerical_aperture = float(_validate.real("numerical_aperture", numerical_aperture, positive=True))
             if numerical_aperture >= 1:
                 raise ValueError(f"numerical_aperture must be below 1, got {numerical_aperture}")
-        sines = [w / (2 * pitch) if numerical_aperture is None else numerical_aperture for w in waves]
-        focus = min(w / sine**2 for w, sine in zip(waves, sines, strict=True))
+        focus = min(w / max(_sines(w, pitch, numerical_aperture)) ** 2 for w in waves)
         volume = float(places.max() - places.min())
         if 0 < volume < focus:
             warn(
@@ -521,8 +532,8 @@ class multiplane_loss(FocalTargets):
         :func:`odak.learn.wave.loss.geometric_targets`, and `blur_ratio` and `target_blur_size` have no effect.
     wavelengths : sequence of float, optional
         Wavelength of each of the C colours in metres, with `distances`.
-    pixel_pitch : float, optional
-        Pixel pitch of the picture in metres, with `distances`.
+    pixel_pitch : float or sequence of float, optional
+        Pixel pitch of the picture in metres, one number or a pair (rows, columns), with `distances`.
     numerical_aperture : float, optional
         Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
         the modulator, λ/(2·pixel_pitch).
@@ -572,7 +583,7 @@ class multiplane_loss(FocalTargets):
         generator: torch.Generator | None = None,
         distances: Sequence[float] | None = None,
         wavelengths: Sequence[float] | None = None,
-        pixel_pitch: float | None = None,
+        pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
     ):
         super().__init__(
@@ -686,8 +697,8 @@ class perceptual_multiplane_loss(FocalTargets):
         :func:`odak.learn.wave.loss.geometric_targets`, and `blur_ratio` and `target_blur_size` have no effect.
     wavelengths : sequence of float, optional
         Wavelength of each of the C colours in metres, with `distances`.
-    pixel_pitch : float, optional
-        Pixel pitch of the picture in metres, with `distances`.
+    pixel_pitch : float or sequence of float, optional
+        Pixel pitch of the picture in metres, one number or a pair (rows, columns), with `distances`.
     numerical_aperture : float, optional
         Sine of the half angle of the cone in which light arrives, as an iris or a pupil limits it; by default that of
         the modulator, λ/(2·pixel_pitch).
@@ -730,7 +741,7 @@ class perceptual_multiplane_loss(FocalTargets):
         generator: torch.Generator | None = None,
         distances: Sequence[float] | None = None,
         wavelengths: Sequence[float] | None = None,
-        pixel_pitch: float | None = None,
+        pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
     ):
         super().__init__(

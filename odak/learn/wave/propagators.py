@@ -119,8 +119,8 @@ class propagator(display_volume):
         Rows m and columns n of the modulator.
     wavelengths : sequence of float
         Wavelengths of the C light sources in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     resolution_factor : int
         Samples s per pixel along each axis, for the impulse-response methods; 1 for the others.
     number_of_frames : int
@@ -212,7 +212,7 @@ class propagator(display_volume):
         self,
         resolution: Sequence[int] = (1920, 1080),
         wavelengths: Sequence[float] = (515e-9,),
-        pixel_pitch: float = 8e-6,
+        pixel_pitch: float | Sequence[float] = 8e-6,
         resolution_factor: int = 1,
         number_of_frames: int = 1,
         number_of_depth_layers: int = 1,

@@ -15,7 +15,7 @@ from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.methods import WITH_TRANSFER_FUNCTION, linear_kernel_of, linear_method, method_named, spread
 from odak.wave.propagation import sample_counts
-from odak.wave.transfer_functions import Request
+from odak.wave.transfer_functions import Request, checked_pitch, divided_pitch, pitches
 
 PROPAGATOR_TYPES = ("forward", "back and forth")
 
@@ -26,8 +26,8 @@ class LightPath:
 
     Attributes
     ----------
-    pitch : float
-        Sample pitch on the modulator in metres.
+    pitch : float or tuple of float
+        Sample pitch on the modulator in metres, a pair (rows, columns) where the two differ.
     propagation_type : str
         Name of a method that has a transfer function.
     relayed : bool
@@ -44,7 +44,7 @@ class LightPath:
         Share of a square pixel's area that emits; None for point samples.
     """
 
-    pitch: float
+    pitch: Any
     propagation_type: str
     relayed: bool
     scale: int
@@ -73,7 +73,7 @@ class LightPath:
         sampled_response = method_named(self.propagation_type).scalable
         name, pitch, scale = self.propagation_type, self.pitch, self.scale
         if sampled_response and self.relayed:
-            name, pitch, scale = "Transfer Function Fresnel", self.pitch / self.scale, 1
+            name, pitch, scale = "Transfer Function Fresnel", divided_pitch(self.pitch, self.scale), 1
         request = Request(pitch, wavelength, distance, scale=scale, samples=self.samples)
         grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
         if name == "Transfer Function Fresnel" or not sampled_response:
@@ -85,7 +85,11 @@ class LightPath:
             kernel = kernel * self._averaging(grid) if sampled_response else kernel
         else:
             kernel = method_named(name).kernel(grid)  # type: ignore[misc]
-        return kernel if cutoff is None else kernel * disc_of_frequencies(shape, pitch / scale, cutoff).to(device)
+        return (
+            kernel
+            if cutoff is None
+            else kernel * disc_of_frequencies(shape, divided_pitch(pitch, scale), cutoff).to(device)
+        )
 
     def _averaging(self, grid) -> torch.Tensor:
         """Return the spectrum of the averages over source and target apertures, for scale² samples per pixel."""
@@ -95,7 +99,8 @@ class LightPath:
                 n * grid.pitch[axis]
             ).reshape(())
             factor = torch.full_like(frequency, self.scale)
-            for count, extent in ((self.samples[axis], self.pitch), (self.samples[2 + axis], self.pitch / self.scale)):
+            pitch = pitches(self.pitch)[axis]
+            for count, extent in ((self.samples[axis], pitch), (self.samples[2 + axis], pitch / self.scale)):
                 if count > 1:
                     points = torch.linspace(-0.5, 0.5, count, dtype=torch.float64, device=grid.device) * extent
                     factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
@@ -147,8 +152,8 @@ class display_volume(torch.nn.Module):
         Rows m and columns n of the modulator.
     wavelengths : sequence of float
         Wavelengths of the C light sources in metres.
-    pixel_pitch : float
-        Pixel pitch in metres.
+    pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     distances : torch.Tensor
         Distances of the D planes in metres, see :func:`odak.learn.wave.volume.plane_distances`.
     propagation_type : str
@@ -189,7 +194,7 @@ class display_volume(torch.nn.Module):
         self,
         resolution: Sequence[int],
         wavelengths: Sequence[float],
-        pixel_pitch: float,
+        pixel_pitch: float | Sequence[float],
         distances: torch.Tensor,
         propagation_type: str,
         *,
@@ -210,7 +215,7 @@ class display_volume(torch.nn.Module):
         self.resolution = list(_validate.size("resolution", resolution))
         self.wavelengths = _checked_wavelengths(wavelengths)
         self.number_of_channels = len(self.wavelengths)
-        self.pixel_pitch = _validate.real("pixel_pitch", pixel_pitch, positive=True)
+        self.pixel_pitch = checked_pitch("pixel_pitch", pixel_pitch)
         self.number_of_depth_layers = len(distances)
         self.image_location_offset = offset
         self.memory_budget = None if memory_budget is None else _validate.integer("memory_budget", memory_budget)
@@ -219,7 +224,8 @@ class display_volume(torch.nn.Module):
         self._generator = None if seed is None else generator_from(seed)
         # No buffer: `.to(dtype)` would round distances that phases of 10⁶ rad depend on.
         self._distances, self._relay = distances, relay
-        shape, pitch = tuple(n * samples_per_pixel for n in self.resolution), self.pixel_pitch / samples_per_pixel
+        shape = tuple(n * samples_per_pixel for n in self.resolution)
+        pitch = divided_pitch(self.pixel_pitch, samples_per_pixel)
         self.propagation_type = linear_method(
             propagation_type,
             shape,
@@ -316,7 +322,7 @@ class display_volume(torch.nn.Module):
         if aperture_size is not None:
             _validate.real("aperture_size", aperture_size, positive=True)
         self._cutoffs = [None] * self.number_of_channels
-        self._stop, pitch = "open", self._path.pitch / self.resolution_factor
+        self._stop, pitch = "open", divided_pitch(self._path.pitch, self.resolution_factor)
         if aperture is not None:
             self._stop = "mask"
             aperture = _validate.image("aperture", tensor("aperture", aperture))
@@ -325,7 +331,8 @@ class display_volume(torch.nn.Module):
             aperture = zero_pad(aperture, padded).reshape(padded)
         elif aperture_size is not None:
             self._stop = "round"
-            radius = aperture_size / (max(padded) * pitch)
+            longer = padded.index(max(padded))
+            radius = aperture_size / (padded[longer] * pitches(pitch)[longer])
             self._cutoffs = [float(radius)] * self.number_of_channels
             aperture = torch.fft.fftshift(disc_of_frequencies(padded, pitch, radius))
         elif iris_radius is not None:
@@ -440,7 +447,7 @@ class display_volume(torch.nn.Module):
         return fingerprint(torch.tensor(numbers, dtype=torch.float64), name, self.aperture)
 
     def _is_traced(self, distances) -> bool:
-        return any(_array.is_traced(value) for value in (distances, self.pixel_pitch, *self.wavelengths))
+        return any(_array.is_traced(value) for value in (distances, *pitches(self.pixel_pitch), *self.wavelengths))
 
     def _kept(self, planes: slice, distances, dtype) -> torch.Tensor:
         """Return the transfer functions of some planes, those built that were not yet."""
@@ -601,7 +608,9 @@ def disc(shape: Sequence[int], radius: float, offset: Sequence[float] = (0.0, 0.
     return (rows[:, None] ** 2 + columns**2 < radius**2).float()
 
 
-def disc_of_frequencies(shape: Sequence[int], pitch: float, cutoff: float) -> torch.Tensor:
+def disc_of_frequencies(shape: Sequence[int], pitch: Any, cutoff: float) -> torch.Tensor:
     """Return ones at frequencies up to a cut-off in cycles per metre, float32 ``[rows, columns]`` in FFT order."""
-    rows, columns = (torch.fft.fftfreq(n, pitch, dtype=torch.float64) for n in shape)
+    rows, columns = (
+        torch.fft.fftfreq(n, step, dtype=torch.float64) for n, step in zip(shape, pitches(pitch), strict=True)
+    )
     return (rows[:, None] ** 2 + columns**2 <= cutoff**2).float()

@@ -13,6 +13,7 @@ from odak.learn.wave.fields import mean_intensity, unit_phasor
 from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
 from odak.learn.wave.training import Options, check_brightness, constant, fingerprint, generator_from, minimise
+from odak.wave.transfer_functions import checked_pitch
 
 
 class multiplane_hologram_optimizer:
@@ -26,8 +27,8 @@ class multiplane_hologram_optimizer:
         Distance of the middle of the planes in metres.
     image_spacing : float
         The planes are spread evenly over a depth of P·image_spacing.
-    slm_pixel_pitch : float
-        Pixel pitch in metres.
+    slm_pixel_pitch : float or sequence of float
+        Pixel pitch in metres, one number or a pair (rows, columns).
     slm_resolution : sequence of int
         Rows m and columns n.
     targets : torch.Tensor
@@ -96,7 +97,7 @@ class multiplane_hologram_optimizer:
         wavelength: float,
         image_location: float,
         image_spacing: float,
-        slm_pixel_pitch: float,
+        slm_pixel_pitch: float | Sequence[float],
         slm_resolution: Sequence[int],
         targets: torch.Tensor,
         propagation_type: str = "Bandlimited Angular Spectrum",
@@ -123,7 +124,7 @@ class multiplane_hologram_optimizer:
         self.number_of_iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.learning_rate = _validate.real("learning_rate", learning_rate, positive=True)
         _validate.real("wavelength", wavelength, positive=True)
-        _validate.real("slm_pixel_pitch", slm_pixel_pitch, positive=True)
+        checked_pitch("slm_pixel_pitch", slm_pixel_pitch)
         for name, length in (
             *(("image_location", image_location), ("image_spacing", image_spacing)),
             ("zero_mode_distance", zero_mode_distance),
