@@ -1,6 +1,6 @@
 """A double Gauss objective
 
-The sample system `double_gauss` with its image plane, seen from behind.
+The sample system `double_gauss` with its image plane, rendered from behind.
 """
 
 from odak.learn.raytracing.system import load_system

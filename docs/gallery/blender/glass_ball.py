@@ -1,6 +1,6 @@
 """A ball of glass before a photograph
 
-Seen through a ball of glass, the photograph behind it stands on its head.
+A ball of glass forms an inverted image of the photograph behind it.
 """
 
 from importlib.resources import files

@@ -1,7 +1,7 @@
 """A lens and its focus
 
-Rays traced by odak through a plano-convex lens of the catalogue, rendered by Blender. The rods look broken inside the
-lens because Blender refracts in glass of the same index.
+Rays traced by odak through a plano-convex lens of the catalogue, rendered by Blender. The rays inside the lens appear
+displaced because Blender renders refraction with the same index.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """A scene for holograms: colours and depth
 
-A rendered scene with its depth map is what a hologram of several planes starts from.
+A rendered scene and its depth map, as used for holograms of several planes.
 """
 
 from odak.visualize import blender

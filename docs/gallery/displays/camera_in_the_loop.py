@@ -1,7 +1,7 @@
 """Camera in the loop
 
-The display has an aberration that the model does not know. With a camera in the loop, the error of the captured image
-drives the optimisation, which then compensates for the aberration.
+The display has an aberration that the model does not include. With a camera in the loop, the error of the captured
+image drives the optimisation, which then compensates for the aberration.
 """
 
 from importlib.resources import files

@@ -1,9 +1,9 @@
 """A table to misalign and to register
 
-A simulated table whose camera is turned, shifted, tilted and distorted, whose beam is
-aberrated and whose modulator does not respond linearly; the seed draws all of it. The
-calibration sees the table through the modulator and the camera alone. Change the seed for
-another table: the faults differ, the registration finds them.
+A simulated optical table with a rotated, shifted, tilted and distorting camera, an
+aberrated beam and a modulator with a nonlinear response, all drawn from a seed. The
+calibration uses only the modulator and the camera. Another seed gives a table with other
+errors, which the registration determines in the same way.
 """
 
 import matplotlib.pyplot as plt

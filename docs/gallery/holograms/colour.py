@@ -1,6 +1,6 @@
 """Hologram in three colours
 
-Three phase patterns are shown one after another, each with one of three lasers; the eye adds up the frames.
+Three phase patterns are displayed in sequence, each with one of three lasers; the eye averages the frames.
 """
 
 from importlib.resources import files

@@ -1,8 +1,8 @@
 """A hologram seen from several places of the eyebox
 
-One hologram of four frames shows an eye another view of a scene at each of three places of its pupil: near things move
-against the wall. The views are those of the eye's own optics, behind a pupil of 2 mm. The hologram of the middle view
-alone shows nothing of it to the places beside.
+A hologram of four frames shows a different view of a scene at each of three positions of the pupil, with parallax
+between near objects and the wall. The views are computed with the optics of the eye and a pupil of 2 mm. A hologram of
+the central view alone is dark at the other two positions.
 """
 
 from importlib.resources import files
@@ -27,7 +27,7 @@ places = torch.tensor([[0.0, -2e-3], [0.0, 0.0], [0.0, 2e-3]])
 
 
 def view(place):
-    """The scene from a place of the pupil: depths of 98 to 103 mm."""
+    """Return the scene seen from a position of the pupil, at depths of 98 to 103 mm."""
     apart = place[1] * (1 - distance / (0.098 + 0.005 * depth)) / pitch
     y, x = torch.meshgrid(
         torch.linspace(-1, 1, 128), torch.linspace(-1, 1, 192), indexing="ij"

@@ -1,7 +1,7 @@
 """Gerchberg–Saxton and gradient descent
 
-Two ways to a phase-only hologram of the same chart: alternating projections, which fix the amplitude in both planes in
-turn, and gradient descent on the error of the image.
+Two methods compute a phase-only hologram of the same chart: alternating projections, which impose the amplitude in both
+planes in turn, and gradient descent on the error of the image.
 """
 
 from importlib.resources import files

@@ -1,7 +1,7 @@
 """Equal spots from a weighted iteration
 
-A pattern of spots in the focal plane of a lens by the weighted method of Gerchberg and Saxton: from iteration to
-iteration the weights of weak spots rise, until all are equal.
+The weighted Gerchberg–Saxton algorithm computes a pattern of spots in the focal plane of a lens: in each iteration the
+weights of weak spots increase, until all intensities are equal.
 """
 
 import matplotlib.pyplot as plt

@@ -1,7 +1,7 @@
 """Spots in three dimensions
 
-One phase pattern focuses light on points at three depths at once, a helix of 24 spots. The weighted method of Gerchberg
-and Saxton makes them equally bright.
+One phase pattern focuses light on points at three depths at once, a helix of 24 spots. The weighted Gerchberg–Saxton
+algorithm equalises their intensities.
 """
 
 import matplotlib.pyplot as plt

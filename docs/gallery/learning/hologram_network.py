@@ -1,7 +1,7 @@
 """A hologram by a network
 
-The weights that come with odak turn a picture into a phase-only hologram in a few propagations, for wavelengths, pitches
-and distances at will. Here are three displays.
+A network whose weights are included in odak computes a phase-only hologram of a picture in a few propagations, for
+arbitrary wavelengths, pitches and distances. The example shows three displays.
 """
 
 from importlib.resources import files

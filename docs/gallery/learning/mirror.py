@@ -1,7 +1,7 @@
 """A mirror that learns to focus
 
-The heights of a mirror made of triangles are optimised so that all reflected rays meet in one point, 10 units away. What
-comes out is the paraboloid r²/40, up to a constant.
+The heights of a mirror made of triangles are optimised so that all reflected rays meet in one point, 10 units away. The
+result is the paraboloid r²/40, up to a constant.
 """
 
 import matplotlib.pyplot as plt

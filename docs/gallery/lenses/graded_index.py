@@ -1,7 +1,7 @@
-"""Rays that bend in glass
+"""Curved rays in graded-index media
 
-Where the index of a medium varies, rays are curved. A rod whose index falls with the square of the radius images again
-and again; Maxwell's fish-eye takes every point of its rim to the opposite one.
+Rays are curved where the index of the medium varies. A rod whose index decreases with the square of the radius forms a
+sequence of images; Maxwell's fish-eye images every point of its rim onto the opposite one.
 """
 
 import math
@@ -21,7 +21,7 @@ from odak.raytracing.gradients import Gradient, RadialGradient
 
 
 class FishEye(Gradient):
-    """A medium of one's own: its index as a function of the place."""
+    """Refractive index of Maxwell's fish-eye lens of radius one, centred at z = 1."""
 
     def index(self, x, y, z, base):
         return 2 / (1 + x**2 + y**2 + (z - 1) ** 2)

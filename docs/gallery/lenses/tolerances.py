@@ -1,7 +1,7 @@
 """Tolerances of a triplet
 
-Five hundred triplets are drawn with radii, thicknesses and tilts that are off at random, and traced in one call. The
-histogram shows how many of them keep their spots small.
+Five hundred triplets with random errors of radii, thicknesses and tilts are traced in one call. The histogram shows the
+distribution of their spot sizes.
 """
 
 import matplotlib.pyplot as plt

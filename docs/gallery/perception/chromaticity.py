@@ -1,6 +1,6 @@
 """Chromaticity diagram
 
-The spectral locus of the CIE 1931 observer, the gamuts of two displays, and the colours that sRGB can show.
+The spectral locus of the CIE 1931 observer, the gamuts of two displays, and the colours that sRGB can represent.
 """
 
 import matplotlib.pyplot as plt

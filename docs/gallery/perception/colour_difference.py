@@ -1,7 +1,7 @@
 """CIEDE2000 beside the distance in L*a*b*
 
-How far a colour may move before a difference of one unit is reached: equal circles in L*a*b* become the ellipses of
-CIEDE2000, longer for saturated colours.
+Contours of a colour difference of one unit: circles of equal size in L*a*b*, and the ellipses of CIEDE2000, which are
+longer for saturated colours.
 """
 
 import matplotlib.pyplot as plt

@@ -1,6 +1,6 @@
 """Colour-vision deficiencies
 
-What observers without one of the three kinds of cones see, simulated for observers with all of them.
+Simulation of the appearance of a picture for observers who lack one of the three types of cones.
 """
 
 from importlib.resources import files

@@ -1,7 +1,7 @@
 """Contrast sensitivity of the eye
 
-Sensitivity to gratings by spatial frequency and luminance after Barten, and a chart on which one can see one's own: the
-contrast at which the bars disappear traces the curve.
+Sensitivity to gratings by spatial frequency and luminance after Barten, and a chart that shows the sensitivity of the
+viewer: the contrast at which the bars disappear follows the curve.
 """
 
 import matplotlib.pyplot as plt

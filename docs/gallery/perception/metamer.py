@@ -1,8 +1,8 @@
 """A metamer of a photograph
 
-Away from the gaze the eye keeps local statistics of an image rather than its details. A metamer shares these statistics
-with a photograph, over regions that grow with the distance from the gaze, and differs from it everywhere else. Look at
-the cross in either image from half a metre: the other one looks much the same.
+Away from the gaze the visual system represents local statistics of an image rather than its details. A metamer shares
+these statistics with a photograph, over regions that grow with the distance from the gaze, and differs from it
+everywhere else. Look at the cross in either image from half a metre: the other one looks much the same.
 """
 
 from importlib.resources import files

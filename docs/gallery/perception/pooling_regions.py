@@ -1,6 +1,6 @@
 """Pooling regions of the periphery
 
-Over how many pixels the visual system averages at each place of a display, for three gazes.
+The number of pixels over which the visual system averages at each position of a display, for three gazes.
 """
 
 import matplotlib.pyplot as plt

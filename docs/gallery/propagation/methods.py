@@ -1,4 +1,4 @@
-"""Where each propagation method holds
+"""Range of validity of each propagation method
 
 A Gaussian beam of 40 µm waist is propagated over distances from 1 mm to 1 m by four methods, and compared with the closed
 form of the paraxial beam. Each method is accurate over a range that depends on pitch and size; `sampling_report` computes
