@@ -297,7 +297,10 @@ def trace(
     if quiet:
         return
     unit, found = report["system"]["unit"], report["first_order"]
-    typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
+    if found["focal_length"] is None:
+        typer.echo("afocal: no focal length")
+    else:
+        typer.echo(f"focal length {found['focal_length']:.6g} {unit}, F/{found['f_number']:.3g}")
     for field in report["fields"]:
         spot = "no rays" if field["rms_spot"] is None else f"RMS spot {field['rms_spot']:.3g} {unit}"
         typer.echo(f"field {field['field'][0]:g}, {field['field'][1]:g}: {spot}")

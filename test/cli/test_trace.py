@@ -9,9 +9,14 @@ from odak.cli import app, main, trace
 from odak.learn.raytracing.system import (
     layout_figure,
     load_system,
+    optical_system,
     rms_spot,
     sample_systems,
+    save_system,
+    spots_figure,
+    surface,
     trace_fields,
+    transfer_figure,
     write_zmx,
 )
 from odak.learn.raytracing.system.drawing import COLOURS
@@ -82,6 +87,19 @@ def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys, mon
     assert main(["trace", str(path), "--output", str(tmp_path), "--quiet"]) == 0
     assert capsys.readouterr().out == ""
     assert "DIAM 12.7" in json.loads((tmp_path / "report.json").read_text())["ignored"][0]
+
+
+def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, capsys):
+    plate = optical_system([surface(thickness=3.0, material="N-BK7"), surface(thickness=20.0)], 5.0)
+    save_system(plate, tmp_path / "plate.json")
+    assert main(["trace", str(tmp_path / "plate.json"), "--output", str(tmp_path), "--rings", "2"]) == 0
+    assert capsys.readouterr().out.startswith("afocal: no focal length")
+    assert json.loads((tmp_path / "report.json").read_text())["figures"] == ["layout.png", "spots.png", "fans.png"]
+    (panel,) = spots_figure(plate).axes
+    # Points of rays, without Airy's circle.
+    assert [line.get_marker() for line in panel.get_lines()] == ["."]
+    with pytest.raises(ValueError, match="must have a focus"):
+        transfer_figure(plate)
 
 
 @pytest.mark.parametrize(

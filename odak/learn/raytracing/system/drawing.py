@@ -215,7 +215,7 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     Returns
     -------
     matplotlib.figure.Figure
-        The circle is Airy's first dark ring at the reference wavelength.
+        The circle is Airy's first dark ring at the reference wavelength; afocal systems have none.
 
     Examples
     --------
@@ -229,7 +229,8 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     if not isinstance(found, Spots):
         raise TypeError(f"found must be Spots, got {type(found).__name__}")
     scale = MICROMETRES[system.unit]
-    airy = 0.61 * system.wavelengths[system.reference] / float(first_order(system).numerical_aperture.detach()) * scale
+    aperture = _image_aperture(system)
+    airy = 0.61 * system.wavelengths[system.reference] / aperture * scale if aperture else 0.0
     finite = [value * scale for value in found.largest.detach().flatten().tolist() if math.isfinite(value)]
     half = 1.1 * max([*finite, airy], default=1.0)
     count = found.x.shape[-2]
@@ -242,13 +243,19 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
             x, y = (value[j, i].detach().cpu().numpy() * scale for value in (found.x, found.y))
             label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == 0 else None
             axes.plot(x, y, ".", ms=2.5, color=_color(j), label=label)
-        axes.plot(airy * np.cos(circle), airy * np.sin(circle), color=INK, lw=0.8)
+        if airy:
+            axes.plot(airy * np.cos(circle), airy * np.sin(circle), color=INK, lw=0.8)
         axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="x (µm)")
         name = _field_label(system, i) if i < len(system.fields) and count == len(system.fields) else str(i)
         axes.set_title(f"field {name}\nRMS {float(found.rms[i].detach()) * scale:.3g} µm", fontsize=9)
     panels[0].set_ylabel("y (µm)")
     figure.legend(fontsize=8, frameon=False, loc="outside right upper")
     return figure
+
+
+def _image_aperture(system) -> float:
+    """Return the numerical aperture at the image, 0 for an afocal system."""
+    return float(first_order(system).numerical_aperture.detach())
 
 
 def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
@@ -374,6 +381,11 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
         diffraction), and the share of the energy within a radius. Of systems with more than a wavelength of aberration
         both are those of the rays, as the titles say.
 
+    Raises
+    ------
+    ValueError
+        If the system is afocal.
+
     Examples
     --------
     >>> from odak.learn.raytracing.system import load_system, transfer_figure
@@ -384,7 +396,9 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     checked_system(system)
     samples = _validate.integer("samples", samples, minimum=8)
     scale, place = MICROMETRES[system.unit], system.reference
-    cutoff = 2 * float(first_order(system).numerical_aperture.detach()) / system.wavelengths[place]
+    cutoff = 2 * _image_aperture(system) / system.wavelengths[place]
+    if not cutoff:
+        raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
     figure = Figure(figsize=(10, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
@@ -490,7 +504,7 @@ def _picture(figure: Figure) -> Image.Image:
 
 
 def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
-    """Return the figures of :func:`lens_report` by their names.
+    """Return the figures of :func:`lens_report` by their names; those that an afocal system does not have are left out.
 
     Parameters
     ----------
@@ -504,8 +518,9 @@ def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
         "layout": layout_figure(system, aim),
         "spots": spots_figure(system, spot_diagram(system, "rings", 8, aim=aim)),
         "fans": fans_figure(system, aim=aim),
-        "transfer": transfer_figure(system, aim=aim),
     }
+    if _image_aperture(system):
+        found["transfer"] = transfer_figure(system, aim=aim)
     if any(any(field) for field in system.fields):
         found["field"] = field_figure(system)
     return found
