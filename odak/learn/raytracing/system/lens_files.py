@@ -332,6 +332,8 @@ def _known(where: str, entry, keys) -> None:
 
 
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
+# Distance in millimetres from which on an object seen under angles counts as infinitely far.
+FAR = 1e8
 # How far beyond the range of a glass a file may use it.
 MAXIMUM_STRETCH = 1.5
 _MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
@@ -574,7 +576,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         context = _Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
         built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
         image = _image(len(surfaces) - 1, surfaces, context)
-        distance = _of(surfaces[0], "DISZ", math.inf) * context.scale
+        distance = _object_distance(head, surfaces[0], context)
         _check_object(surfaces[0], math.isinf(distance), context)
         _note_settings(head, surfaces, notes)
         names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
@@ -594,6 +596,15 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     return found, ZmxReport(tuple(ignored), tuple(notes))
+
+
+def _object_distance(head, lines, context: _Context) -> float:
+    """Return the distance of the object; a very far one seen under angles is at infinity."""
+    distance = _of(lines, "DISZ", math.inf) * context.scale
+    if not FAR <= distance < math.inf or ("FTYP" in head and head["FTYP"].value() not in (0, 4)):
+        return distance
+    context.notes.append(f"the object, at a distance of {distance:g} mm, is taken to be at infinity")
+    return math.inf
 
 
 def _check_object(lines, far: bool, context: _Context) -> None:
@@ -855,7 +866,10 @@ def _glass(number: int, surfaces, context: _Context):
                 if not nd > 1
                 else f" Nearest to its nd = {nd:g}, Vd = {vd:g}: {', '.join(nearest_materials(nd, vd))}."
             )
-            raise ValueError(f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx")
+            raise ValueError(
+                f"surface {number}: {problem}.{near} Or pass glasses={{{name!r}: …}} to read_zmx, or "
+                "load a catalogue that holds it (load_materials; odak trace --glasses)"
+            )
     elif not (nd > 1 and vd > 0):
         raise ValueError(f"surface {number}: {name} must state an index above 1 and an Abbe number, got {nd:g}, {vd:g}")
     near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
@@ -1028,7 +1042,7 @@ def _aperture(head, surfaces, context: _Context, system) -> tuple[float, str]:
     if "ENPD" in head:
         return head["ENPD"].value() * context.scale, "EPD"
     if "FNUM" in head:
-        number, near = head["FNUM"].value(), not math.isinf(_of(surfaces[0], "DISZ", math.inf))
+        number, near = head["FNUM"].value(), not system(1.0, "EPD").at_infinity
         if near and len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
             # A working F-number: the slope of the marginal ray at the image, linear in that at the object.
             slope = 0.01 * float(first_order(system(math.sin(math.atan(0.01)), "NA")).working_f_number) / number

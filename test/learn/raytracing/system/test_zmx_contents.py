@@ -197,6 +197,14 @@ def test_a_near_object_may_be_seen_under_angles(tmp_path):
     assert bool(rays.arrived.all()) and any("angles from the entrance pupil" in note for note in report.notes)
 
 
+def test_a_very_far_object_is_at_infinity(tmp_path):
+    found, report = read(tmp_path, distance="1.0E+10", y="5")
+    expected, _ = read(tmp_path, y="5")
+    assert torch.equal(trace_fields(found).y, trace_fields(expected).y)
+    assert any("is taken to be at infinity" in note for note in report.notes)
+    assert read(tmp_path, distance="1.0E+10", fields="1 0", y="5")[0].object_distance == 1e10
+
+
 def test_theodolite_angles_are_those_of_azimuth_and_elevation(tmp_path):
     system, _ = read(tmp_path, fields="4 0", x="20", y="30")
     cosines = np.asarray([math.tan(math.radians(angle)) for angle in system.fields[0]] + [1.0])
