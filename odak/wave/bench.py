@@ -1,5 +1,6 @@
 """First-order optical systems: Collins' integral with the pitch that each plane needs, and benches of elements."""
 
+import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -20,7 +21,7 @@ def propagate_abcd(
     field: Array,
     matrix: Any,
     dx: float | Sequence[float],
-    wavelength: float,
+    wavelength: float | Array,
     output_dx: float | Sequence[float] | None = None,
     output_shape: Sequence[int] | None = None,
     path_length: float = 0.0,
@@ -39,11 +40,11 @@ def propagate_abcd(
         entries may be tensors; or a tuple of two such matrices (rows, columns) for a system with cylindrical lenses.
     dx : float or sequence of float
         Pixel pitch of the field in metres, one number or a pair (rows, columns).
-    wavelength : float
-        Wavelength in metres.
+    wavelength : float or array
+        Wavelength in metres; an array broadcasts against the field's leading axes.
     output_dx : float or sequence of float, optional
         Pixel pitch of the result. By default |A|·dx where the field is imaged or nearly so, |B/A| < N·dx²/λ, and
-        λ·|B|/(N·dx) elsewhere, which spans all that the pitch of the field can send.
+        λ·|B|/(N·dx) elsewhere, which spans all that the pitch of the field can send; several wavelengths then need it.
     output_shape : sequence of int, optional
         Rows and columns of the result; by default those of the field.
     path_length : float
@@ -84,7 +85,7 @@ def propagate_abcd(
     counts = tuple(field.shape[-2:]) if output_shape is None else _validate.size("output_shape", output_shape)
     given = (None, None) if output_dx is None else pitches(output_dx, "output_dx")
     like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
-    wave = _array.cast(wavelength, like)
+    wave = _per_field(wavelength, like)
     found = []
     for axis, entries, pitch, wanted, count in zip((-2, -1), matrices, pitches(dx), given, counts, strict=True):
         (a, b), (c, d) = _entries(entries, like)
@@ -123,11 +124,14 @@ def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: 
     """Return the field after the system along one axis, and its pitch there."""
     xp = _array.namespace(field)
     n = field.shape[axis]
-    numbers = [_validate.numbers(value)[0] for value in (a, b, pitch, wavelength)]
+    numbers = [min(_validate.numbers(value)) for value in (a, b, pitch, wavelength)]
+    # On twice the grid the longer wavelengths are exact too, up to twice the shortest.
     imaged = abs(numbers[1]) * numbers[3] < abs(numbers[0]) * n * numbers[2] ** 2
     if wanted is not None:
         _validate.real("output_dx", wanted, positive=True)
         out = _array.cast(wanted, wavelength)
+    elif not imaged and wavelength.ndim:
+        raise ValueError("output_dx must be given for several wavelengths, whose own pitches λ·|B|/(N·dx) differ")
     else:
         out = xp.abs(a) * pitch if imaged else wavelength * xp.abs(b) / (n * pitch)
     positions = centred(wavelength, count, axis) * out
@@ -246,7 +250,7 @@ class ThinLens:
             Wavelength in vacuum in metres.
         """
         y, x = _positions(field, pitch, self.offset)
-        focal, wave = (_array.cast(value, y) for value in (self.focal, wavelength))
+        focal, wave = (_per_field(value, y) for value in (self.focal, wavelength))
         return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype), pitch
 
     def matrix(self) -> Any:
@@ -293,7 +297,7 @@ class CircularAperture:
         """
         xp = _array.namespace(field)
         y, x = _positions(field, pitch, self.offset)
-        radius, (dy, dx) = _array.cast(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
+        radius, (dy, dx) = _per_field(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
         r = xp.sqrt(y**2 + x**2 + 1e-12 * dy**2)
         step = xp.sqrt((y * dy) ** 2 + (x * dx) ** 2 + 1e-12 * dy**4) / r
         return field * xp.astype(xp.clip((radius - r) / step + 0.5, 0.0, 1.0), field.dtype), pitch
@@ -343,7 +347,7 @@ class RectangularAperture:
         for place, size, step in zip(
             _positions(field, pitch, self.offset), (self.height, self.width), pitches(pitch), strict=True
         ):
-            size, step = _array.cast(size, place), _array.cast(step, place)
+            size, step = _per_field(size, place), _array.cast(step, place)
             field = field * xp.astype(xp.clip((size / 2 - xp.abs(place)) / step + 0.5, 0.0, 1.0), field.dtype)
         return field, pitch
 
@@ -476,8 +480,8 @@ class optical_bench:
         In the order in which light meets them: :class:`FreeSpace`, :class:`ThinLens`, :class:`CircularAperture`,
         :class:`RectangularAperture`, :class:`Mask`, :class:`FirstOrderSystem`, or any object with a method
         ``apply(field, pitch, wavelength)`` that returns a field and its pitch.
-    wavelength : float or tensor
-        Wavelength in metres.
+    wavelength : float or array
+        Wavelength in metres; an array broadcasts against the leading axes of the field.
 
     Raises
     ------
@@ -619,6 +623,13 @@ def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
 
 def _length(element):
     return getattr(element, "distance", getattr(element, "path_length", 0.0))
+
+
+def _per_field(value, like):
+    """Return one number without axes, and one for each field of the leading axes as ``[..., 1, 1]``, float64."""
+    value = _array.cast(value, like)
+    shape = () if math.prod(value.shape) == 1 else (*value.shape, 1, 1)
+    return _array.namespace(like).reshape(value, shape)
 
 
 def _positions(field, pitch, offset):

@@ -172,6 +172,29 @@ def test_gradients_and_faces(random):
     assert torch.autograd.gradcheck(lambda a, z: system(0.01 * z - 2 * a, 1e-4 * z), ones[:2])
 
 
+@pytest.mark.parametrize("shape", [(3, 16, 18), (3, 3, 3), (2, 3, 12, 12)])
+def test_a_bench_takes_one_wavelength_for_each_field(shape, random):
+    field, colours = random.normal(size=shape) + 0j, np.array([639e-9, 532e-9, 473e-9])
+    bench = [
+        FreeSpace(1e-3, index=1.5),
+        ThinLens(0.05, offset=(0.0, 1e-5)),
+        CircularAperture(4e-5),
+        FirstOrderSystem([[1, 0.1], [0, 1]], output_dx=5e-6, path_length=0.1),
+        FirstOrderSystem([[-0.5, 0.0], [0, -2]]),
+    ]
+    for count in range(1, len(bench)):
+        found, pitch = optical_bench(bench[:count], colours).propagate(field, (8e-6, 6e-6))
+        tensors, _ = optical_bench(bench[:count], torch.as_tensor(colours)).propagate(
+            torch.as_tensor(field), (8e-6, 6e-6)
+        )
+        for k, colour in enumerate(colours):
+            alone, own = optical_bench(bench[:count], colour).propagate(field[..., k, :, :], (8e-6, 6e-6))
+            assert own == pitch and np.allclose(found[..., k, :, :], alone, rtol=1e-9, atol=1e-12)
+        assert np.allclose(tensors, found, rtol=1e-9, atol=1e-12)
+    with pytest.raises(ValueError, match="output_dx must be given for several wavelengths"):
+        propagate_abcd(field, [[1, 0.1], [0, 1]], 8e-6, colours)
+
+
 def test_the_place_of_a_window_has_a_derivative_on_the_axis():
     field = torch.as_tensor(np.exp(-sum(c**2 for c in np.mgrid[-8:8, -8:8]) / 20.0) + 0j)
 
