@@ -1,7 +1,7 @@
 """Differentiable optics: wave optics, holography, ray tracing, polarisation and perception.
 
 ``odak`` holds the NumPy core; ``odak.learn`` is its PyTorch face. Subpackages load on first use, so that
-``import odak`` itself costs next to nothing.
+``import odak`` itself takes almost no time.
 """
 
 from odak._lazy import attach

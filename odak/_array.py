@@ -77,7 +77,7 @@ _PLAIN = (int, float, complex, bool, str, list, tuple, type(None))
 
 
 def is_array(value) -> bool:
-    """Say whether `value` is an array of a known library (lists and numbers are not)."""
+    """Return whether `value` is an array of a known library (lists and numbers are not)."""
     # The plain kinds first: torch.compile warns of what array_api_compat looks up in caches.
     if type(value) in _PLAIN:
         return False
@@ -152,22 +152,22 @@ def device_of(value):
 
 
 def is_torch(value) -> "TypeGuard[torch.Tensor]":
-    """Say whether `value` is a torch tensor, without importing torch."""
+    """Return whether `value` is a torch tensor, without importing torch."""
     return isinstance(value, getattr(sys.modules.get("torch"), "Tensor", ()))
 
 
 def is_chunked(value) -> bool:
-    """Say whether `value` is a Dask array, without importing Dask."""
+    """Return whether `value` is a Dask array, without importing Dask."""
     return isinstance(value, getattr(sys.modules.get("dask.array"), "Array", ()))
 
 
 def is_readable(value) -> bool:
-    """Say whether the numbers in `value` are there to be read: without a host sync, torch.func and torch.compile."""
+    """Return whether the values can be read without a host synchronisation, outside torch.func and torch.compile."""
     return not is_torch(value) or not (value.is_cuda or value.is_meta or _is_symbolic(value))
 
 
 def is_wrapped(value) -> bool:
-    """Say whether torch.func or forward-mode differentiation stands for a tensor, or torch.compile is running."""
+    """Return whether torch.func or forward-mode differentiation transforms a tensor, or torch.compile is running."""
     if not is_torch(value):
         return False
     from odak import _torch_private
@@ -176,7 +176,7 @@ def is_wrapped(value) -> bool:
 
 
 def has_sparse_matrices(value) -> bool:
-    """Say whether products with sparse matrices are there for an array: for NumPy and torch."""
+    """Return whether products with sparse matrices are available for an array: for NumPy and torch."""
     return is_torch(value) or type(value).__module__ == "numpy"
 
 
@@ -207,7 +207,7 @@ def _is_symbolic(tensor) -> bool:
 
 
 def is_traced(value) -> bool:
-    """Say whether `value` is a tensor that must stay one: autograd follows it, or its numbers cannot be read."""
+    """Return whether `value` must remain a tensor: it requires a gradient, or its values cannot be read."""
     return is_torch(value) and (value.requires_grad or not is_readable(value))
 
 
@@ -231,7 +231,7 @@ def _disabled(function):
 
 
 def is_double(value) -> bool:
-    """Say whether an array holds 64-bit floats or 128-bit complex numbers (integers count by their namespace)."""
+    """Return whether an array holds 64-bit floats or 128-bit complex numbers (integers count by their namespace)."""
     name = str(value.dtype)
     return "complex128" in name or ("64" in name and "complex64" not in name)
 

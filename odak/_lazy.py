@@ -12,7 +12,7 @@ from odak._moved import MOVED_MODULES, MOVED_NAMES
 
 
 def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package whose public names stand in its stub file.
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package whose public names are listed in its stub file.
 
     The stub ``__init__.pyi`` beside the package's ``__init__.py`` holds one line for each public name, which type
     checkers, editors and the reference read too: ``from .module import name as name``. The modules that it names are

@@ -115,7 +115,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.raytracing.status": "odak.raytracing.intersections",
 }
 
-# Names that used to be found in a package by accident, with the package they belong to; they come with a
+# Names that were exposed in a package unintentionally, with the package they belong to; they come with a
 # DeprecationWarning.
 MOVED_NAMES: dict[str, dict[str, str]] = {
     "odak.learn.tools": {"read_PLY": "odak.tools"},

@@ -9,29 +9,29 @@ import torch
 
 
 def has_compiler() -> bool:
-    """Say whether torch.compile has been used or may be in use: its module takes seconds to load."""
+    """Return whether torch.compile has been used or may be in use: its module takes seconds to load."""
     return "torch._dynamo" in sys.modules
 
 
 def is_wrapped(*tensors: torch.Tensor) -> bool:
-    """Say whether torch.func (vmap, grad, jvp, …) stands for any of the tensors, whose numbers cannot be read then."""
+    """Return whether torch.func (vmap, grad, jvp, …) wraps any of the tensors, whose values cannot be read then."""
     return any(torch._C._functorch.is_functorch_wrapped_tensor(tensor) for tensor in tensors)
 
 
 def in_functional_transform() -> bool:
-    """Say whether a transform of torch.func is running, whatever tensors it stands for."""
+    """Return whether a transform of torch.func is running, for any tensors."""
     return torch._C._functorch.peek_interpreter_stack() is not None
 
 
 def as_constant(tensor: torch.Tensor) -> torch.Tensor:
-    """Return the tensor for which grad, jvp and the like of torch.func stand, without its derivatives."""
+    """Return the tensor that grad, jvp or another transform of torch.func wraps, without its derivatives."""
     while torch._C._functorch.is_gradtrackingtensor(tensor):
         tensor = torch._C._functorch.get_unwrapped(tensor)
     return tensor
 
 
 def outside_functional_transforms(*tensors: torch.Tensor) -> AbstractContextManager:
-    """Return a context in which no transform of torch.func is running, unless one stands for a tensor.
+    """Return a context in which no transform of torch.func is running, unless one wraps a tensor.
 
     What is computed there from these tensors, with derivatives of its own, is a constant to the transforms.
     """
@@ -43,20 +43,20 @@ def outside_functional_transforms(*tensors: torch.Tensor) -> AbstractContextMana
 
 
 def in_forward_mode() -> bool:
-    """Say whether forward-mode differentiation is running."""
+    """Return whether forward-mode differentiation is running."""
     return torch.autograd.forward_ad._current_level >= 0
 
 
 def is_transformed(*tensors: torch.Tensor) -> bool:
-    """Say whether torch.compile or forward-mode differentiation is running, or torch.func stands for a tensor.
+    """Return whether torch.compile or forward-mode differentiation is running, or torch.func wraps a tensor.
 
-    Operators with an autograd.Function of their own, and values kept between calls, have no place there.
+    Operators with a custom autograd.Function, and cached values, cannot be used there.
     """
     return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
 
 
 def takes_operators(*tensors: torch.Tensor) -> bool:
-    """Say whether an autograd.Function with a rule for forward mode may take the tensors.
+    """Return whether an autograd.Function with a rule for forward mode may take the tensors.
 
     So it may if nothing transforms them, or nothing but torch.func.vmap and a single torch.func.jvp.
     """
@@ -83,7 +83,7 @@ def count_of_writes(tensor: torch.Tensor) -> int:
 
 
 def has_hooks(tensor: torch.Tensor) -> bool:
-    """Say whether functions are called with the gradient of a tensor, those of a file included."""
+    """Return whether functions are called with the gradient of a tensor, those of a file included."""
     return bool(tensor._backward_hooks)
 
 

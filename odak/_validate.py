@@ -40,7 +40,7 @@ def one_of(name: str, value: str, options: Iterable[str]) -> str:
 
 
 def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
-    """Return `value` (a number or an array) after checking that it is real, finite and of the sign asked for.
+    """Return `value` (a number or an array) after checking that it is real, finite and of the required sign.
 
     Tensors on a GPU or inside a torch.func transform are checked for their type alone: reading them would sync or fail.
     """
@@ -239,7 +239,7 @@ def fitting(**arrays) -> tuple[int, ...]:
 
 
 def one_device(**arrays) -> None:
-    """Raise ValueError that names torch's tensors if they live on several devices; numbers on the CPU go with any."""
+    """Raise ValueError that names tensors on different devices; numbers on the CPU are compatible with any device."""
     tensors = {name: value for name, value in arrays.items() if is_torch(value)}
     places = {name: v.device for name, v in tensors.items() if v.ndim or v.device.type != "cpu"}
     first, *others = places.values() or [None]
@@ -324,5 +324,5 @@ def place_in(name: str, value, count: int) -> int:
 
 
 def _holds_numbers(value) -> bool:
-    """Say whether an array's values are numbers or truth values, not texts or Python objects."""
+    """Return whether an array's values are numbers or truth values, not texts or Python objects."""
     return not isinstance(value, (numpy.ndarray, numpy.generic)) or value.dtype.kind in "biufc"

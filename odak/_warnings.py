@@ -68,7 +68,7 @@ class ConvergenceWarning(OdakWarning):
 
 
 class DeviceWarning(OdakWarning):
-    """A computation runs on another device than the one that was asked for."""
+    """A computation runs on another device than the requested one."""
 
 
 class MissingPackageWarning(OdakWarning):

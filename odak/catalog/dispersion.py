@@ -29,7 +29,7 @@ class Material:
     relative_to : str
         "air" or "vacuum": in what the published index is counted.
     source : str
-        Where the coefficients come from.
+        Source of the coefficients.
     nd : float, optional
         Published index at the helium d line (587.6 nm).
     vd : float, optional

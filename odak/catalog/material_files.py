@@ -63,7 +63,7 @@ def _material(where: str, name: str, entry) -> Material:
     if unknown:
         raise ValueError(f"{where} has unknown keys {', '.join(unknown)}; accepted: {', '.join(sorted(_KNOWN))}")
     if not isinstance(entry.get("source"), str) or not entry["source"].strip():
-        raise ValueError(f'{where} needs a "source": say where its coefficients come from')
+        raise ValueError(f'{where} needs a "source", the origin of its coefficients')
     formula = _validate.one_of(f"{where} formula", entry.get("formula", ""), FORMULAS)
     made = Material(
         name,

@@ -104,7 +104,7 @@ def internal_transmittance(
 
     Notes
     -----
-    κ is interpolated linearly between the makers' wavelengths, and kept beyond the first and the last of them.
+    κ is interpolated linearly between the makers' wavelengths, and constant beyond the first and the last of them.
 
     Examples
     --------

@@ -102,7 +102,7 @@ class plane_detector:
             Amplitude of the rays at unit distance: one, ``[m]``, or ``[m, number of channels given]``. By default 1000,
             in all channels.
         channel : int or sequence of int
-            Where `field` goes.
+            Device of `field`.
 
         Returns
         -------
@@ -324,7 +324,7 @@ def _ring_points(number: Sequence[int], radius: float) -> np.ndarray:
 def _rotated(vectors: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return ``[m, n, 3]``: n vectors about +z, each turned by the shortest way that takes +z to the m directions."""
     x, y, z = directions.T
-    # The rotation matrix 1 + [v]× + [v]×²/(1 + z), v = +z × d; opposite to +z any half turn will do.
+    # The rotation matrix 1 + [v]× + [v]×²/(1 + z), v = +z × d; opposite to +z any rotation by 180° is valid.
     back = z < -1 + 1e-12
     bend = 1 / np.where(back, 1, 1 + z)
     rows = ((1 - x * x * bend, -x * y * bend, x), (-x * y * bend, 1 - y * y * bend, y), (-x, -y, z))
@@ -341,8 +341,8 @@ class plano_convex_lens:
     item : str
         "LA1024", "LA1026", "LA1036" or "LA1039".
     location : sequence of float
-        Where the centre of its flat face is. In the lens' own frame that face is z = 0, the convex vertex stands at
-        z = −thickness, and light normally comes along +z.
+        Centre of its flat face. In the frame of the lens that face is z = 0, the convex vertex lies at
+        z = −thickness, and light normally propagates along +z.
     rotation : sequence of float
         Its rotation in degrees about X, Y, Z.
     wavelength : float
@@ -541,7 +541,7 @@ def within_frame(points: np.ndarray, location, angles) -> np.ndarray:
 
 
 def is_ahead(rays: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Say which points, on the lines of rays ``[m, 2, 3]``, lie ahead of the start; not NaN, not the start itself."""
+    """Return which points on the lines of rays ``[m, 2, 3]`` lie ahead of the start; not NaN, not the start itself."""
     return np.sum((points - rays[..., 0, :]) * rays[..., 1, :], axis=-1) > 0
 
 

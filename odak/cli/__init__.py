@@ -1,6 +1,6 @@
 """Command line of the package, ``odak`` or ``python -m odak``.
 
-Importing this package costs no torch: commands load what they need when they run.
+Importing this package does not import torch: commands import what they need when they run.
 """
 
 from odak._lazy import attach

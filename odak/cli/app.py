@@ -518,7 +518,7 @@ def _messages() -> Iterator[None]:
 
 
 def _given(context: typer.Context) -> set[str]:
-    """Return the names of the parameters that stand on the command line."""
+    """Return the names of the parameters that are given on the command line."""
     sources = {name: context.get_parameter_source(name) for name in context.params}
     return {name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"}
 

@@ -78,7 +78,7 @@ def run(
     security : distributed.Security, optional
         TLS certificates.
     given : collection of str
-        Parameters that were asked for by name, which must have an effect.
+        Parameters that were given by name, which must have an effect.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def _pictures(folders: Sequence[Path]) -> list[Path]:
 
 
 def find_frames(images: Sequence[str], values: dict[str, Any]) -> list[Frame]:
-    """Return the pictures that paths, folders and names stand for, each with its job.
+    """Return the pictures given by paths, folders and names, each with its job.
 
     Parameters
     ----------
@@ -244,7 +244,7 @@ def _expanded(image: str) -> list[str]:
 
 
 def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Return a key by which frame2 comes before frame10."""
+    """Return a key of natural sorting, by which frame2 precedes frame10."""
     import re
 
     return [(0, int(part), "") if part.isdigit() else (1, 0, part) for part in re.split(r"(\d+)", name) if part]
@@ -408,7 +408,7 @@ def join(
     memory_limit: float | None = None,
     **settings,
 ) -> None:
-    """Work for a scheduler until it ends or a signal comes.
+    """Work for a scheduler until it ends or a signal arrives.
 
     Parameters
     ----------

@@ -100,7 +100,7 @@ def check_propagation_type(name: str) -> None:
 
 
 def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
-    """Raise InputError unless the weights of the network that come with odak were trained for the lengths of a job.
+    """Raise InputError unless the network weights included in odak were trained for the lengths of a job.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _verification(job: Job, target: Target) -> dict:
 
 
 def verification_type(job: Job, wavelength: float) -> str:
-    """Return the propagation type whose sampling criteria hold, so that the report does not trust the optimizer's."""
+    """Return the propagation type whose sampling criteria are met, whatever the optimizer uses."""
     return sampling_report(job.resolution, job.pixel_pitch, wavelength, job.distance, zero_padding=True).recommended
 
 
@@ -304,7 +304,7 @@ def _intensity_at(
 
 
 def _mean_over_areas(field: torch.Tensor, shape: Sequence[int], fill: float) -> torch.Tensor:
-    """Return the mean intensity over the area of each pixel of the window, of the light that square pixels send there.
+    """Return the mean intensity over the area of each pixel of the window, for a modulator with square pixels.
 
     Square pixels multiply the spectrum of the field by a product of sinc functions. The intensity has twice the band of
     the field, so that it is sampled twice as finely, and its mean over squares is another such product: exact but for
@@ -469,7 +469,7 @@ class _Clock:
         self._value: torch.Tensor | None = None
 
     def tick(self, _: int, value: torch.Tensor) -> None:
-        """Count an iteration, and keep its loss."""
+        """Count an iteration, and store its loss."""
         self.bar.update()
         self.ticks += 1
         # The loss, or with Gerchberg-Saxton the phase; it is read once at the end, as reading it waits for the device.

@@ -41,7 +41,7 @@ FEWEST_POINTS = 16
 
 
 class InputError(Exception):
-    """The command line asks for something that cannot be done; the message says what would be accepted."""
+    """An argument of the command line is not valid; the message states what is accepted."""
 
 
 class Modulator(NamedTuple):
@@ -260,7 +260,7 @@ class Job:
             raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
 
     def check_effect(self, given: Collection[str]) -> None:
-        """Raise InputError if a parameter that was asked for by name has no effect on this run."""
+        """Raise InputError if a parameter that was given by name has no effect on this run."""
         random = self.initial_phase in RANDOM_PHASES or self.method in VOLUME_METHODS or (self.frames or 1) > 1
         descends = self.method not in ("gs", "double-phase", "network")
         effects = {
@@ -283,7 +283,7 @@ class Job:
             )
 
     def warn_of_doubtful_lengths(self) -> None:
-        """Warn of lengths that are possible but probably not meant, and say what probably was."""
+        """Warn of lengths that are possible but probably not intended, and state the probable intention."""
         wavelengths = self.wavelengths or (GREY_WAVELENGTH,)
         pitch, side = self.pixel_pitch, max(self.resolution)
         if pitch > LARGEST_PITCH or pitch < min(wavelengths) / 2:
@@ -373,7 +373,7 @@ def pattern_name(wavelength: float, frame: int | None = None) -> str:
 
 
 def image_path(image: str) -> Path:
-    """Return the path of the picture asked for: a shipped one by name, else the file itself.
+    """Return the path of the requested picture: an included one by name, otherwise the file itself.
 
     Parameters
     ----------
@@ -394,7 +394,7 @@ def image_path(image: str) -> Path:
 
 
 def depth_map_path(depth_map: str) -> Path:
-    """Return the path of the depth map asked for, as :func:`image_path` does that of the picture."""
+    """Return the path of the requested depth map, as :func:`image_path` does that of the picture."""
     return _existing("--depth-map", depth_map, SHIPPED_DEPTH_MAPS)
 
 

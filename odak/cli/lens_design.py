@@ -38,7 +38,7 @@ from odak.learn.raytracing.system.surfaces import is_break
 from odak.tools.paths import replacing
 
 CROWN, FLINT = "N-LAK33B", "SF5"
-# Materials for a number of elements: flints beside the stop, as in the triplet and the double Gauss.
+# Materials for a number of elements: flints next to the stop, as in the triplet and the double Gauss.
 LAYOUTS = {
     1: ("stop", "N-BK7"),
     2: ("stop", "N-BK7", "N-SF2"),
@@ -83,7 +83,7 @@ class DesignJob:
     elements : str or None
         Number of elements, 1 to 6, or their materials with commas between, "stop" among them.
     aspheric_terms : int
-        Coefficients of r⁴, r⁶, … that curved surfaces get.
+        Number of coefficients of r⁴, r⁶, … of curved surfaces.
     track, back : float or None
         Largest distance from the first vertex to the image and least distance from the last one, in metres.
     distortion : float or None
@@ -159,7 +159,7 @@ class DesignJob:
 
 
 def run(job: DesignJob) -> dict:
-    """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if asked for.
+    """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if requested.
 
     Parameters
     ----------
@@ -350,7 +350,7 @@ def _scale(system: optical_system, factor: float, job: DesignJob) -> None:
 
 
 def _fields_to(own: tuple, largest: float | None) -> tuple:
-    """Return field points whose largest distance from the axis is the one asked for."""
+    """Return field points whose largest distance from the axis is the requested one."""
     size = max(math.hypot(*point) for point in own)
     if largest is None:
         return own
@@ -360,7 +360,7 @@ def _fields_to(own: tuple, largest: float | None) -> tuple:
 
 
 def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
-    """Optimise a system in place on the way from its own aperture and fields to those asked for."""
+    """Optimise a system in place in steps from its own aperture and fields to the requested ones."""
 
     def set_conditions(share: float) -> None:
         if share == 1:

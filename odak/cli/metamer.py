@@ -42,7 +42,7 @@ class MetamerJob:
     joint : bool
         Match statistics of pairs of bands too, which keeps edges.
     nominal_width : bool
-        Pool over regions as wide as `alpha` says, instead of 1.7 to 1.9 times as wide.
+        Pool over regions of the width given by `alpha`, instead of 1.7 to 1.9 times as wide.
     seed : int
         Seed of the noise.
     device : str

@@ -15,7 +15,7 @@ SIZES = (24, 20, 16, 13)
 LINES = 2
 BAR_HEIGHT = 12
 INK, PAPER = (20, 20, 20), (255, 255, 255)
-# Red, green and blue at equal steps of phase: plotly's cyclic scale "Twilight", whose ends meet.
+# Red, green and blue at equal steps of phase: plotly's cyclic scale "Twilight", whose ends are the same colour.
 PHASE_COLOURS = (
     (226, 217, 226), (166, 191, 202), (109, 144, 192), (95, 88, 176), (80, 20, 66),
     (101, 21, 58), (156, 64, 67), (187, 117, 93), (209, 172, 149), (226, 217, 226),

@@ -188,7 +188,7 @@ def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[li
     texts: list[str] = []
     with warnings.catch_warnings():
         before = warnings.showwarning
-        # Warnings that the user asked for as errors (python -W error) stay errors.
+        # Warnings that the user turned into errors (python -W error) remain errors.
         if not any(option.startswith("error") for option in sys.warnoptions):
             warnings.simplefilter("always", OdakWarning)
 
@@ -206,7 +206,7 @@ def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[li
 
 
 def find_device(name: str) -> torch.device:
-    """Return the device asked for.
+    """Return the requested device.
 
     Parameters
     ----------

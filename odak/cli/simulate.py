@@ -119,7 +119,7 @@ def run(config: Path, output: Path) -> dict:
     Raises
     ------
     InputError
-        If the file cannot be read or does not keep to the schema.
+        If the file cannot be read or does not conform to the schema.
     """
     with report.collected_warnings() as texts:
         bench, elements = checked(read_config(config), Path(config).expanduser().resolve().parent)
@@ -226,7 +226,7 @@ def checked(config: Any, folder: Path) -> tuple[dict, list[dict]]:
     Raises
     ------
     InputError
-        If the content does not keep to the schema; the message names the element.
+        If the content does not conform to the schema; the message names the element.
     """
     if not isinstance(config, dict):
         raise InputError(f"CONFIG must be a table with {BENCH!r} and {ELEMENTS!r}, got {type(config).__name__}")

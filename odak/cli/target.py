@@ -114,7 +114,7 @@ def fitting_size(shape: Sequence[int], resolution: tuple[int, int]) -> tuple[int
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     """Return a picture as ``[1 or 3, rows, columns]``; transparent parts are black, equal channels are one.
 
-    A photograph whose EXIF data say how the camera was held is turned upright.
+    A photograph is rotated according to its EXIF orientation.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
 
 
 def _upright(path: Path, picture: torch.Tensor) -> torch.Tensor:
-    """Return a picture as its EXIF orientation asks for: 1 to 8, the row and the column that the first ones become."""
+    """Return a picture rotated by its EXIF orientation, 1 to 8: the sides of its first row and first column."""
     try:
         with Image.open(path) as image:
             orientation = image.getexif().get(_ORIENTATION, 1)
@@ -238,6 +238,6 @@ def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
             f"--depth-map must have the picture's shape, got {depth.shape[-2]} x {depth.shape[-1]} for a picture of "
             f"{rows} x {columns}"
         )
-    # Depths are not averaged across an edge: there is no surface half-way between near and far.
+    # Depths are not averaged across an edge: no surface lies at the mean of a near and a far depth.
     fitted, _ = fit(depth - 1, job.resolution, mode="nearest-exact", size=(rows, columns))
     return fitted[0] + 1

@@ -23,7 +23,7 @@ from odak.wave import hologram_in_chunks, propagate_beam
 from odak.wave.methods import find_method
 
 SOLVERS = {"sgd": "gradient descent", "gs": "Gerchberg-Saxton"}
-# Up to this number of pixels the results are also written as PNG, for which they are held in memory.
+# Up to this number of pixels the results are also written as PNG, for which they are read into memory.
 MOST_PIXELS_IN_PNG = 4096**2
 # Codes of what is not compressed and of the two names of deflate, which need no further library.
 _IN_PARTS = (1, 8, 32946)
@@ -177,7 +177,7 @@ def _claim(state: Path, job: Job, index: int, again: bool) -> None:
 
 
 def _grey(phase: np.ndarray, bits: int) -> np.ndarray:
-    """Return the grey values that stand for a phase in a file of so many bits."""
+    """Return the grey values that represent a phase in a file of so many bits."""
     values = torch.from_numpy(phase)
     levels = files.quantise(torch.polar(torch.ones_like(values), values), bits)
     return (levels * 2 ** (files.file_depth(bits) - bits)).numpy().astype(_kind(bits))

@@ -125,7 +125,8 @@ def least_square_1d(x: Array, y: Array) -> Array:
 
     Notes
     -----
-    Both are centred on their means first, which keeps the digits that the normal equations lose for a far-away x.
+    Both are centred on their means first, which avoids the loss of precision of the normal equations for x far from
+    zero.
 
     Examples
     --------

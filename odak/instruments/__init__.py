@@ -1,4 +1,4 @@
-"""Instruments of an optical table: protocols of modulators and cameras, simulated twins, and their calibration."""
+"""Instruments of an optical table: protocols of modulators and cameras, a simulated table, and calibrations."""
 
 from odak._lazy import attach
 

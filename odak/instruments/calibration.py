@@ -283,7 +283,7 @@ def measure_phase_response(
     Raises
     ------
     RuntimeError
-        If the camera does not see the phase of the levels change.
+        If no change of the phase with the level is detected by the camera.
 
     Warns
     -----
@@ -647,7 +647,7 @@ def measure_wavefront(
     Returns
     -------
     numpy.ndarray
-        Aberration in radians at each pixel of the modulator, without piston and tilt. Defocus stands for an error of
+        Aberration in radians at each pixel of the modulator, without piston and tilt. Defocus represents an error of
         the distance too.
     """
     rows, columns = modulator.shape

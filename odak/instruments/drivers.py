@@ -363,7 +363,7 @@ def _write_array(path: str, values: np.ndarray) -> None:
 
 
 def _wait(ready, timeout: float, path: str) -> None:
-    """Return as soon as something is ready; raise a TimeoutError that names the file which did not come."""
+    """Return as soon as a file is ready; raise a TimeoutError that names the missing file."""
     end = time.monotonic() + timeout
     while not ready():
         if time.monotonic() > end:

@@ -190,7 +190,7 @@ class SettlingResult:
     Attributes
     ----------
     time_constant : float
-        Seconds in which the phase comes nearer to a new one by a factor e.
+        Time constant in seconds in which the distance to a new phase falls by a factor e.
     settling_time : float
         Seconds after which the phase misses the new one by less than the tolerance.
     uncertainty : float
@@ -353,7 +353,7 @@ def measure_polarisation(
     levels : numpy.ndarray
         Pattern that focuses a spot, integers ``[rows, columns]``, such as that of a lens.
     samples : int
-        Number of angles, evenly over half a turn.
+        Number of angles, evenly spaced over 180°.
     captures : int
         Number of captures at each.
     dark : numpy.ndarray or float

@@ -28,13 +28,13 @@ class SpotFeedback:
     Attributes
     ----------
     levels : numpy.ndarray
-        Pattern ``[rows, columns]`` of the best turn; it is shown on the modulator.
+        Pattern ``[rows, columns]`` of the best iteration; it is displayed on the modulator.
     intensities : numpy.ndarray
-        Measured light of each spot over what was asked for, ``[N]``, of mean 1.
+        Ratio of the measured to the requested power of each spot, ``[N]``, of mean 1.
     uniformity : float
         1 − (max − min)/(max + min) of these.
     history : tuple of float
-        The uniformity of each turn, the first without feedback.
+        Uniformity in each iteration, the first without feedback.
     """
 
     levels: np.ndarray
@@ -58,7 +58,7 @@ def equalise_spots(
     captures: int = 16,
     radius: float | None = None,
 ) -> SpotFeedback:
-    """Show spots of even brightness by measuring them with the camera and changing what the hologram asks for.
+    """Display spots of equal power, with the targets of the hologram corrected by measurements of the camera.
 
     A hologram that is even in simulation is not so on a table with an aberration, an uneven beam or a wrong phase
     response. Each turn computes the hologram of the spots, shows it, measures the light within a disc around each of
@@ -85,7 +85,7 @@ def equalise_spots(
     wavefront : numpy.ndarray or float
         Aberration in radians that is corrected, if it is known.
     turns : int
-        Number of turns.
+        Number of iterations.
     captures : int
         Number of captures that are averaged in each.
     radius : float, optional
@@ -95,17 +95,17 @@ def equalise_spots(
     Returns
     -------
     SpotFeedback
-        The pattern of the best turn, which is shown at the end, and how even its spots are.
+        The pattern of the best iteration, which is displayed at the end, and the uniformity of its spots.
 
     Raises
     ------
     ValueError
-        If an argument is outside its range, or the camera does not see all spots.
+        If an argument is outside its range, or the camera does not detect all spots.
 
     Warns
     -----
     ConvergenceWarning
-        If no turn was better than the first.
+        If no iteration was better than the first.
 
     Notes
     -----
@@ -178,7 +178,7 @@ def equalise_spots(
 
 
 class _Meter:
-    """Measures the light within discs of the plane that a camera sees, about the centroids of spots."""
+    """Measures the power within discs of the plane imaged by a camera, about the centroids of spots."""
 
     def __init__(self, camera: Camera, registration: Registration, points: np.ndarray, radius: float):
         self.camera, self.registration, self.middles = camera, registration, points

@@ -1,4 +1,4 @@
-"""Mapping between the pixels of a camera and the plane that it sees: a homography and radial distortion."""
+"""Mapping between the pixels of a camera and the plane that it images: a homography and radial distortion."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ __all__ = ["Registration", "plane_points"]
 
 
 def plane_points(pixels: ArrayT, shape: tuple[int, int], homography: Array, distortion: Array | float) -> ArrayT:
-    """Return the points of a plane that camera pixels see.
+    """Return the points of a plane that are imaged onto camera pixels.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Registration:
 
     Examples
     --------
-    A camera that is aligned and centred sees the axis with its middle pixel:
+    A camera that is aligned and centred images the axis onto its middle pixel:
 
     >>> import numpy as np
     >>> from odak.instruments import Registration
@@ -71,11 +71,11 @@ class Registration:
     residual: float = 0.0
 
     def plane_points(self, pixels: np.ndarray) -> np.ndarray:
-        """Return the points x, y in metres ``[..., 2]`` that pixels (column, row) ``[..., 2]`` see."""
+        """Return the points x, y in metres ``[..., 2]`` that are imaged onto pixels (column, row) ``[..., 2]``."""
         return plane_points(np.asarray(pixels, float), self.shape, self.homography, self.distortion)
 
     def camera_pixels(self, points: np.ndarray) -> np.ndarray:
-        """Return the pixels (column, row) ``[..., 2]`` that see points x, y in metres ``[..., 2]``."""
+        """Return the pixels (column, row) ``[..., 2]`` onto which points x, y in metres ``[..., 2]`` are imaged."""
         points = np.asarray(points, float)
         back = np.linalg.inv(self.homography)
         found = points @ back[:, :2].T + back[:, 2]

@@ -114,7 +114,7 @@ class Rotator(Protocol):
     angle: float
 
     def turn(self, angle: float) -> None:
-        """Turn to an angle in degrees and return when it is reached."""
+        """Rotate to an angle in degrees and return when it is reached."""
         ...
 
 

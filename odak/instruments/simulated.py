@@ -23,7 +23,7 @@ FULL_WELL = 20_000.0
 FINER = 3
 # Periods of the flicker per second.
 FLICKER_RATE = 360.0
-# Faults of a table as it stands in a laboratory, for SimulatedTable.realistic.
+# Typical errors of a laboratory table, for SimulatedTable.realistic.
 REALISTIC: dict[str, Any] = {
     "regional": 0.05,
     "flicker": 0.01,
@@ -64,7 +64,7 @@ class Truth:
     fill_factor : float
         Share of the area of a pixel that modulates.
     time_constant : float
-        Seconds in which the phase comes nearer to a new one by a factor e.
+        Time constant in seconds in which the distance to a new phase falls by a factor e.
     polarisation : float
         Angle of the polariser in degrees at which all light is modulated.
     """
@@ -84,7 +84,7 @@ class Truth:
     polarisation: float
 
     def plane_points(self, pixels: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Return the points x, y of the plane in metres that camera pixels (column, row) ``[..., 2]`` see."""
+        """Return the points x, y in metres that are imaged onto camera pixels (column, row) ``[..., 2]``."""
         return plane_points(pixels, shape, self.homography, self.distortion)
 
 
@@ -92,7 +92,7 @@ class SimulatedTable:
     """Modulator, camera, laser, stage and polariser on a simulated table with hidden faults.
 
     Light of a Gaussian beam, off centre and aberrated, meets a phase-only modulator with a nonlinear response and a
-    reflection at its cover glass, travels to the camera (angular spectrum), and is captured with
+    reflection at its cover glass, propagates to the camera (angular spectrum), and is captured with
     misalignment, distortion, shot noise, read noise, saturation and quantisation. The modulator may flicker, smooth the
     phase by fringing fields, respond differently from pixel to pixel, have gaps between its pixels, carry dust and take
     time to settle. The laser can be tuned: phases and the aberration, which are those at `wavelength`, change as its
@@ -140,7 +140,7 @@ class SimulatedTable:
     dust : int
         Number of specks that absorb light in front of the modulator.
     time_constant : float
-        Nominal seconds in which the phase comes nearer to a new one by a factor e; the hidden one is within 30 %.
+        Nominal time constant of the phase in seconds, to a factor e; the true one is within 30 %.
     polarisation : bool
         Turn the axis of the modulator by a hidden angle up to 30 degrees from that of the polariser.
 
@@ -341,7 +341,7 @@ class SimulatedTable:
         s, pitch = self._samples, self._pitch / self._samples
         rows, columns = field.shape
         distance, wavelength = self.truth.distance + self.stage.position, self.laser.wavelength
-        # Light that leaves the grid on one side comes back on the other, but not into what the camera sees.
+        # Light that leaves the grid wraps around to the opposite side, but does not reach the field of the camera.
         sine = min(s, self._iris or s) * wavelength / (2 * self._pitch)
         spread = abs(distance) * np.tan(np.arcsin(min(sine, 0.9)))
         corners = np.array([[u, v] for u in (0, self.camera.shape[1]) for v in (0, self.camera.shape[0])], float)
@@ -377,7 +377,7 @@ class SimulatedTable:
 
 
 class SimulatedModulator:
-    """Twin of a phase-only modulator of 8 bits; see :class:`SimulatedTable`."""
+    """Simulated phase-only modulator of 8 bits; see :class:`SimulatedTable`."""
 
     bits = 8
 
@@ -393,7 +393,7 @@ class SimulatedModulator:
 
 
 class SimulatedCamera:
-    """Twin of a camera of 12 bits with noise, fixed pattern and saturation; see :class:`SimulatedTable`."""
+    """Simulated camera of 12 bits with noise, fixed pattern and saturation; see :class:`SimulatedTable`."""
 
     bits = 12
 
@@ -443,32 +443,32 @@ class SimulatedCamera:
     def _sampled(points: np.ndarray, light: np.ndarray, pitch: float) -> np.ndarray:
         """Return an intensity, whose samples have a pitch, at points x, y in metres."""
         at = [points[..., i] / pitch + light.shape[axis] // 2 for i, axis in ((1, 0), (0, 1))]
-        # Only the part that the region sees, for the interpolation is by splines.
+        # Only the part imaged onto the region, because spline interpolation is slow.
         corner = [max(int(np.floor(part.min())) - 8, 0) for part in at]
         part = light[tuple(slice(c, int(np.ceil(a.max())) + 9) for c, a in zip(corner, at, strict=True))]
         return map_coordinates(part, [a - c for a, c in zip(at, corner, strict=True)], order=3, mode="constant")
 
 
 class SimulatedLaser:
-    """Twin of a laser; see :class:`SimulatedTable`."""
+    """Simulated laser; see :class:`SimulatedTable`."""
 
     def __init__(self, wavelength: float):
         self.wavelength, self.power = wavelength, 1.0
 
 
 class SimulatedRotator:
-    """Twin of a rotation mount that carries a polariser; see :class:`SimulatedTable`."""
+    """Simulated rotation mount with a polariser; see :class:`SimulatedTable`."""
 
     def __init__(self):
         self.angle = 0.0
 
     def turn(self, angle: float) -> None:
-        """Turn to an angle in degrees."""
+        """Rotate to an angle in degrees."""
         self.angle = float(_validate.number("angle", angle))
 
 
 class SimulatedStage:
-    """Twin of a linear stage that carries the camera; see :class:`SimulatedTable`."""
+    """Simulated linear stage on which the camera is mounted; see :class:`SimulatedTable`."""
 
     def __init__(self):
         self.position = 0.0

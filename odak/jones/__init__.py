@@ -1,9 +1,9 @@
 """Polarisation: Jones vectors and matrices, Stokes vectors and Mueller matrices, the polarisation ellipse.
 
-Conventions, held by every function here and in ``odak.learn.jones``:
+Conventions of every function here and in ``odak.learn.jones``:
 
-- Light travels along +z, in a right-handed frame (x, y, z). Its field is Re[J·exp(i(kz − ωt))]: a longer optical path
-  adds a *positive* phase, as everywhere in odak.
+- Light propagates along +z, in a right-handed frame (x, y, z). Its field is Re[J·exp(i(kz − ωt))]: a longer optical
+  path adds a *positive* phase, as everywhere in odak.
 - A Jones vector is a column: fields are ``[..., 2, k]``, k of them side by side. A matrix is ``[..., 2, 2]``, a Stokes
   vector ``[..., 4, k]``, a Mueller matrix ``[..., 4, 4]``. Leading axes are batches and broadcast.
 - Angles and retardances are in degrees. An angle runs from x towards y: counter-clockwise for an observer who looks

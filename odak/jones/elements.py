@@ -305,7 +305,7 @@ def half_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any =
 
     Examples
     --------
-    It turns a linear polarisation by twice the angle of its axis, here from x to y:
+    It rotates a linear polarisation by twice the angle of its axis, here from x to y:
 
     >>> from odak.jones import electricfield, half_wave_plate
     >>> intensity = abs(half_wave_plate(45.0) @ electricfield(1.0, 0.0)) ** 2
@@ -443,7 +443,7 @@ def reverse(matrix: ArrayT) -> ArrayT:
 
     Examples
     --------
-    A reciprocal rotator turns by the same angle for an observer who looks at the oncoming light:
+    A reciprocal rotator rotates by the same angle for an observer who looks towards the source:
 
     >>> import numpy as np
     >>> from odak.jones import reverse, rotator

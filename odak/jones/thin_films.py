@@ -56,7 +56,7 @@ def thin_film_stack(
     wavelength : float or array
         Vacuum wavelength, in the unit of `thicknesses`.
     indices : sequence of number or array
-        Refractive indices: incident medium, films in the order in which the wave meets them, substrate. Complex for
+        Refractive indices: incident medium, films in the order in which the wave passes them, substrate. Complex for
         absorbing media, n + iκ with κ ≥ 0. The incident medium must not absorb.
     thicknesses : sequence of float or array
         Thickness of each film: two fewer than `indices`.

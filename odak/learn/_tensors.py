@@ -23,7 +23,7 @@ def tensor(name: str, value, dtype: torch.dtype | None = None, device: torch.dev
     dtype : torch.dtype, optional
         Precision of the result; complex numbers are refused where it is a real one.
     device : torch.device, optional
-        Where the result lives.
+        Device of the result.
     """
     if isinstance(value, torch.Tensor):
         if value.is_complex() and dtype is not None and not dtype.is_complex:
@@ -128,7 +128,7 @@ def checked_dtype(name: str, value) -> torch.dtype:
 
 
 def checked_generator(name: str, value) -> torch.Generator | None:
-    """Return torch's generator of random numbers; None stands for torch's own."""
+    """Return a generator of random numbers of torch; None means the default one."""
     if value is None or isinstance(value, torch.Generator):
         return value
     raise TypeError(f"{name} must be a torch.Generator or None, got {value!r:.80}")

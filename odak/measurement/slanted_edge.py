@@ -248,7 +248,7 @@ def _transform(edge_spread, line_spread, position, angle, pitch, factor, window,
     filters = np.sinc(2 * cycles[kept] / factor)
     if correct_bins:
         filters = filters * np.sinc(cycles[kept] / factor)
-    # With 4 bins per pixel and more the filters stay above 0.5; the standard's cap of 10 guards the coarser ones.
+    # With 4 bins per pixel and more the filters stay above 0.5; the standard's limit of 10 applies to the coarser ones.
     gain = xp.asarray(np.minimum(1 / np.maximum(filters, 0.1), 10.0), device=device)
     mtf = spectrum[: int(kept.sum())] / spectrum[0] * gain
     frequency, place = (xp.asarray(values, device=device) for values in (cycles[kept] / pitch, position * pitch))

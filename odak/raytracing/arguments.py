@@ -66,7 +66,7 @@ def one_or_each(name: str, batch: tuple[int, ...], ray) -> None:
 
 
 def flat_rays(name: str, value) -> np.ndarray:
-    """Return one ray ``[2, 3]`` or many ``[m, 2, 3]`` as ``[m, 2, 3]``, for what is computed in NumPy alone."""
+    """Return one ray ``[2, 3]`` or many ``[m, 2, 3]`` as ``[m, 2, 3]``, for functions that use NumPy only."""
     if is_traced(value):
         raise TypeError(
             f"{name} must be numbers or an array that NumPy can read, got a tensor with a gradient or on a GPU: "
@@ -76,12 +76,12 @@ def flat_rays(name: str, value) -> np.ndarray:
 
 
 def index(name: str, value, like: Array):
-    """Return a refractive index, a single one of which must be finite, as an array beside the array `like`."""
+    """Return a refractive index as an array like the array `like`; a single index must be finite."""
     return _validate.reals(like=like, **{name: value if getattr(value, "ndim", 0) else _validate.real(name, value)})[1]
 
 
 def radius(value, like: Array):
-    """Return a radius of at least 0 as an array beside the array `like`; tensors are not read."""
+    """Return a radius as an array like the array `like`; it must be at least 0, which is not checked for tensors."""
     _, made = _validate.reals(like=like, radius=_validate.real("radius", value))
     if not is_traced(made) and bool(namespace(made).any(made < 0)):
         raise ValueError(f"radius must be at least 0, got {value!r:.80}")

@@ -9,12 +9,12 @@ import numpy as np
 
 from odak._array import device_of, is_array, is_torch, namespace
 
-# Large enough that the calls themselves cost little, small enough for a cache: 32 768 rays of 10 to 20 numbers.
+# Large enough for a small overhead of the calls, small enough for the cache: 32 768 rays of 10 to 20 numbers.
 CHUNK = 1 << 15
 
 
 def piece_size(arrays: Sequence) -> int:
-    """Return the number of rays of a piece: that for one thread, times the threads that torch shares an array among."""
+    """Return the number of rays of a piece: that for one thread, times the number of threads of torch."""
     if not any(is_torch(array) for array in arrays):
         return CHUNK
     import torch
@@ -64,7 +64,7 @@ class Pieces(NamedTuple):
         return [slice(a, min(a + self.step, length)) for a in range(0, length, self.step)]
 
     def take(self, arrays: Sequence, place: slice, ranks: Sequence[int]) -> list:
-        """Return what a piece needs of each array."""
+        """Return the part of each array that belongs to a piece."""
         behind = len(self.shape) - self.axis
         return [
             array[(slice(None),) * (array.ndim - rank - behind) + (place,)] if cut and array is not None else array
@@ -107,7 +107,7 @@ def in_pieces(function: Callable, ranks: Sequence[int], *arrays, size: int | Non
         Elements of a piece; by default as many as suit the cache.
     """
     if not needs_gradient(*arrays):
-        # NaN marks the rays that are lost: no cause for NumPy's warnings.
+        # NaN marks lost rays, for which NumPy's warnings are not wanted.
         with np.errstate(all="ignore"):
             return _run(function, ranks, arrays, size)
     tensors = [array for array in arrays if is_torch(array)]

@@ -133,7 +133,7 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     batches = _batches(ray=ray, normal=normal)
     ray, normal = namespace(*batches).broadcast_arrays(*batches)
     n1, n2 = arguments.index("n1", n1, ray), _validate.given("n2", n2)
-    # A number keeps its digits, and may be complex.
+    # A number keeps its precision, and may be complex.
     n2 = _array.converted(n2, *placement(ray)[:2]) if _array.is_array(n2) else n2
     _validate.fitting(ray=ray.shape[:-2], n1=n1, n2=n2)
     return interfaces.fresnel(ray[..., 1, :], normal[..., 1, :], n1, n2)
@@ -215,7 +215,7 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
 
     Examples
     --------
-    The first ray meets the disc of radius 2 at z = 5, the second one passes by:
+    The first ray intersects the disc of radius 2 at z = 5, the second one misses it:
 
     >>> from odak.raytracing import define_circle, intersect_w_circle
     >>> circle = define_circle([0, 0, 5], 2.0, [0, 0, 0])
@@ -376,7 +376,7 @@ def intersect_w_cylinder(ray: Array, cylinder: Array) -> tuple:
 
 
 def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = (), ranks: Sequence[int] = ()) -> tuple:
-    """Return where rays meet the planes of triangles.
+    """Return the intersections of rays with the planes of triangles.
 
     Parameters
     ----------
@@ -405,7 +405,7 @@ def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = 
 
 
 def circle_hits(ray, circle):
-    """Return where rays meet the plane of a circle: normals as rays, and signed distances, 0 outside the circle."""
+    """Return the intersections with the plane of a circle: normals as rays, signed distances, 0 outside the circle."""
     if not isinstance(circle, Sequence) or len(circle) != 3 or isinstance(circle, str):
         raise TypeError(f"circle must be a list [plane, centre, radius] of define_circle, got {circle!r:.80}")
     given, plane, center, radius = _validate.reals(ray=ray, plane=circle[0], center=circle[1], radius=circle[2])
@@ -425,7 +425,7 @@ def circle_hits(ray, circle):
 
 
 def sphere_hits(ray, sphere):
-    """Return where rays meet spheres.
+    """Return the intersections of rays with spheres.
 
     Returns
     -------
@@ -469,7 +469,7 @@ def _batches(**given):
     return tuple(batches.values())
 
 
-# Distances at which a surface is looked for: from 1e-6 to 1e7, each a tenth beyond the one before.
+# Distances at which the sign of the error is tested: from 1e-6 to 1e7, each larger by a tenth than the one before.
 _FIRST, _LAST, _GROWTH = 1e-6, 1e7, 1.1
 _GOLDEN = (np.sqrt(5) - 1) / 2
 
@@ -543,7 +543,7 @@ def propagate_parametric_intersection_error(distance: Sequence, error: Sequence)
 
 
 def _two(name: str, values) -> tuple:
-    """Return two values: finite numbers, or arrays, in which NaN stands for a ray that is lost."""
+    """Return two values: finite numbers, or arrays, in which NaN marks a lost ray."""
     values = tuple(values) if isinstance(values, Iterable) and not isinstance(values, str) else (values,)
     if len(values) != 2:
         raise ValueError(f"{name} must be two numbers or arrays, the older and the newer; got {len(values)}")
@@ -629,7 +629,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
     while distance < _LAST and len(rows):
         after = np.full(len(rows), distance)
         error_after = error_at(after, rows)
-        # A start on the surface itself is not a hit: its sign is that of the first step.
+        # A start on the surface is not an intersection: its sign is replaced by that of the first step.
         leaving = (np.abs(error_now) <= target) & (now == 0)
         change = (np.sign(error_after) != np.sign(error_now)) & ~leaving & np.isfinite(error_after)
         found[:, rows[change]] = now[change], after[change]
@@ -645,7 +645,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
 
 
 def _bottom(error_at: Callable, low, high, inside, rows) -> np.ndarray:
-    """Look for a change of sign where the error is smallest between `low` and `high`; NaN where there is none."""
+    """Find a change of sign near the smallest error between `low` and `high`; NaN where there is none."""
     low, high, start = low.copy(), high.copy(), low
     sign = np.sign(error_at(inside, rows))
     crossed = np.full(len(rows), np.nan)
@@ -673,7 +673,7 @@ def _close_in(error_at: Callable, bracket: np.ndarray, target: float, limit: int
         flat = error_high == error_low
         secant = high - error_high * (high - low) / np.where(flat, 1.0, error_high - error_low)
         middle = (low + high) / 2
-        # Every third step halves the bracket, so that no shape of the error can stall the secant.
+        # Every third step halves the bracket, which guarantees convergence where the secant method stagnates.
         usable = ~flat & (secant > low) & (secant < high) & (step % 3 != 2)
         place = np.where(usable, secant, middle)
         error = error_at(place, rows)

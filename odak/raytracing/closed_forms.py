@@ -23,7 +23,7 @@ def plane(start, direction, point, normal) -> Intersection:
     """Intersect rays with planes; the normal is returned as given."""
     xp, start, direction, kept, differentiable = vec.lines(start, direction, point, normal)
     given = vec.split(normal)
-    # A degenerate triangle's normal is NaN: a null vector makes it parallel to everything.
+    # The normal of a degenerate triangle is NaN; a null vector is parallel to every ray.
     real = vec.split(xp.where(xp.isfinite(normal), normal, 0.0)) if differentiable else given
     slope = vec.dot(real, direction)
     limit = ((2 * epsilon(slope)) ** 2 * vec.dot(real, real)) * vec.dot(direction, direction)
@@ -175,7 +175,7 @@ def conic(start, direction, curvature, constant, aperture=None, select: str = "a
     (x, y, z), (dx, dy, dz), k = start, direction, 1 + constant
     squared = vec.dot(direction, direction)
     moving = kept & (squared > 0)
-    # From the point nearest the vertex, so that a far start costs no digits.
+    # From the point nearest to the vertex, so that a distant start causes no loss of precision.
     offset = vec.quotient(-vec.dot(start, direction), squared, moving, differentiable)
     x, y, z = vec.along(start, offset, direction)
     a = curvature * (dx * dx + dy * dy + k * (dz * dz))
@@ -217,6 +217,7 @@ def _starts_on(start, curvature, k, aperture):
     """Return which starts lie on a conic's sheet within rounding."""
     x, y, z = start
     terms = (curvature * (x * x + y * y), (curvature * k) * (z * z), -2 * z)
-    # The aperture stands for the length that the start's rounding comes from, which near the vertex is not its own.
+    # Near the vertex the rounding error of the start is relative to the size of the aperture, not to its own
+    # coordinates.
     size = sum(abs(term) for term in terms) + (0.0 if aperture is None else 2 * aperture)
     return abs(sum(terms)) <= 16 * epsilon(terms[2]) * size

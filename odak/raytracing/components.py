@@ -1,7 +1,7 @@
 """Arithmetic on vectors as tuples of three arrays (x, y, z), which need no strides.
 
 Where derivatives are taken (`differentiable`), masked values are replaced by dummies before the arithmetic, so that no
-gradient becomes NaN. Elsewhere NaN passes through the arithmetic and marks lost rays at no cost.
+gradient becomes NaN. Elsewhere NaN propagates through the arithmetic and marks lost rays.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Vectors and triangles on plain arrays, for every array library.
 
-A missing value is NaN in the result; the arithmetic under it runs on a dummy, so that no gradient turns NaN.
+A missing value is NaN in the result; it is computed from a placeholder, so that no gradient becomes NaN.
 """
 
 import math
@@ -84,7 +84,7 @@ def barycentric(point, triangle):
 
 
 def is_on_triangle(point, p0, p1, p2):
-    """Say whether points lie within a triangle or on its rim, judged by projection: the same-side test of all edges."""
+    """Return whether points, projected onto a triangle, lie within it or on its rim: same-side test of all edges."""
     return on_same_side(point, p0, p1, p2) & on_same_side(point, p1, p0, p2) & on_same_side(point, p2, p0, p1)
 
 
@@ -96,7 +96,7 @@ def nearest_on_lines(start0, direction0, start1, direction1):
     n = cross(direction0, direction1)
     squared = dot(n, n)
     length0, length1 = dot(direction0, direction0), dot(direction1, direction1)
-    # Lines that are not numbers cross somewhere that is none either.
+    # NaN in the lines gives NaN in the result.
     crossing = ~(squared <= (4 * epsilon(start0)) ** 2 * length0 * length1)
     gap = start1 - start0
     t0 = safe_divide(dot(cross(gap, direction1), n), squared, crossing)
@@ -124,12 +124,12 @@ def crossing_of_lines(start0, direction0, start1, direction1):
 # Rays against triangles without gaps at shared edges and corners: Woop, Benthin and Wald, J. Comput. Graph. Tech. 2(1),
 # 65 (2013). Rays are sheared onto the axis along which they run most, which leaves plane triangles and the origin. The
 # values of a corner depend on the ray and the corner alone, and the area spanned by an edge changes nothing but its
-# sign with the edge's direction: two triangles that share an edge judge it by the same number. A sign is right or the
+# sign with the edge's direction: two triangles that share an edge test it by the same number. A sign is correct or the
 # area is exactly zero, which counts as inside, so that no ray passes a closed surface.
 
 
 def frame_order(axis):
-    """Return which components stand first, second and third when `axis`, ``[...]``, is to be the last: ``[..., 3]``.
+    """Return the order of components with which `axis`, ``[...]``, is the last one: ``[..., 3]``.
 
     The order is cyclic, so that handedness stays.
     """
@@ -144,7 +144,7 @@ def shear_of(direction):
 
 
 def sheared(corner, start, shear):
-    """Return corners as seen along rays: x, y across the ray and z along it.
+    """Return corners in the sheared frame of rays: x, y across the ray and z along it.
 
     Parameters
     ----------
@@ -171,7 +171,7 @@ def edge_areas(a, b, c):
 
 
 def encloses(u, v, w):
-    """Say whether the ray lies within the triangle or on its rim; a triangle seen edge-on encloses nothing."""
+    """Return whether the ray lies within the triangle or on its rim; false for a triangle parallel to the ray."""
     xp = namespace(u, v, w)
     least, most = xp.minimum(xp.minimum(u, v), w), xp.maximum(xp.maximum(u, v), w)
     # Both hold when all three are zero.
@@ -179,7 +179,7 @@ def encloses(u, v, w):
 
 
 def corner_weights(edge1, edge2):
-    """Return the weight with which a face counts for the normal of the corner between two of its edges.
+    """Return the weight of a face in the normal of the corner between two of its edges.
 
     Parameters
     ----------

@@ -120,7 +120,7 @@ class AxialGradient(Gradient):
 
 @dataclass(frozen=True)
 class FunctionGradient(Gradient):
-    """A medium whose index is a function of one's own; see :meth:`of`.
+    """A medium whose index is a user-defined function; see :meth:`of`.
 
     Parameters
     ----------
@@ -155,12 +155,12 @@ class FunctionGradient(Gradient):
         return kind(parameters)
 
     def index(self, x: Array, y: Array, z: Array, base: Any) -> Any:
-        """Return what the function returns."""
+        """Return the index computed by the function."""
         return type(self).function(x, y, z, base, *vec.terms(self.parameters_of_function))
 
 
 class Path(NamedTuple):
-    """A ray at the end of its way through a graded-index medium.
+    """A ray at the end of its path through a graded-index medium.
 
     Attributes
     ----------
@@ -197,7 +197,7 @@ def ray_equation(gradient: Gradient, base) -> Callable:
 
 @cache
 def tableau() -> Any:
-    """Return the coefficients of Dormand and Prince's method of order 8: A, B, E3 and E5 as SciPy holds them."""
+    """Return the coefficients of Dormand and Prince's method of order 8: A, B, E3 and E5 in the notation of SciPy."""
     from scipy.integrate import DOP853
 
     return DOP853
@@ -238,7 +238,7 @@ def _error(stages, length, scale):
 
 
 def integrate(field: Callable, state, scale, remaining: Callable, after: Callable | None = None) -> Path:
-    """Integrate states until nothing remains of their way, with steps of adaptive length for each ray.
+    """Integrate states to the end of their paths, with steps of adaptive length for each ray.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def integrate(field: Callable, state, scale, remaining: Callable, after: Callabl
     Returns
     -------
     Path
-        States and t where the way ends.
+        States and t at the end of the path.
     """
     xp = namespace(state)
     time = 0 * state[0]
@@ -280,7 +280,7 @@ def integrate(field: Callable, state, scale, remaining: Callable, after: Callabl
         usable = xp.isfinite(error)
         power = xp.where(usable, xp.clip(xp.where(usable, error, 1.0), 1e-12, 1e12), 1e12) ** -0.125
         factor = xp.clip(0.9 * power, 0.2, 5.0)
-        # A step cut short by the end says nothing against longer ones.
+        # A step shortened by the end of the path must not reduce the length of later ones.
         grown = abs(length) * factor
         largest = xp.where(good & (grown < largest) & (factor >= 1), largest, xp.where(done, largest, grown))
         rest, done = remaining(state, time)
@@ -290,7 +290,7 @@ def integrate(field: Callable, state, scale, remaining: Callable, after: Callabl
 
 
 def to_surface(gradient: Gradient, base, state, level: Callable, sign: int) -> Path:
-    """Integrate rays until they meet a surface.
+    """Integrate rays until they intersect a surface.
 
     Parameters
     ----------
@@ -325,7 +325,7 @@ def to_surface(gradient: Gradient, base, state, level: Callable, sign: int) -> P
     limit, n = xp.inf, vec.dot(tuple(state[3:6]), tuple(state[3:6])) ** 0.5
     far = abs(remaining(state, 0 * state[0])[0]) * n
     far = xp.where(xp.isfinite(far), far, 1.0) + vec.dot(tuple(state[:3]), tuple(state[:3])) ** 0.5
-    # A ray this far away has turned, and does not return.
+    # A ray this far away has reversed its direction, and does not return.
     limit = (100 * far) ** 2
     scale = xp.stack([far, far, far, n, n, n, n * far])
     return integrate(ray_equation(gradient, base), state, scale + 1e-300, remaining)

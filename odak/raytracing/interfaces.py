@@ -62,7 +62,7 @@ def refract_directions(direction, normal, n1, n2):
 
     Notes
     -----
-    d' = μd + τn with μ = n1/n2 and the root τ of τ² + 2aτ + b = 0 that keeps the ray on its way through: Spencer and
+    d' = μd + τn with μ = n1/n2 and the root τ of τ² + 2aτ + b = 0 of the transmitted ray: Spencer and
     Murty, J. Opt. Soc. Am. 52, 672 (1962), eqs. 18–21. A ray in the surface is bent by the critical angle towards the
     normal for n1 < n2 and totally reflected otherwise.
     """
@@ -77,7 +77,7 @@ def refract_directions(direction, normal, n1, n2):
 
 def refracted(direction, normal, n1, n2) -> tuple:
     """Return the components of :func:`refract_directions`, which rays go through, and which exist."""
-    # Indices that a graph follows make NaN as harmful as rays that it follows.
+    # NaN must be avoided if the indices require gradients, as if the rays do.
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2)
     squared, length = vec.dot(normal, normal), vec.dot(direction, direction)
     exists = kept & (squared > 0) & (length > 0) & (squared + length < xp.inf)
@@ -85,7 +85,7 @@ def refracted(direction, normal, n1, n2) -> tuple:
     ratio = n1 / n2
     cosine = vec.dot(direction, normal)
     tangential = vec.along(direction, -cosine, normal)
-    # |d|² − μ²|d_t|², from the tangential part itself: 1 − cos² would lose digits.
+    # |d|² − μ²|d_t|², from the tangential part itself, because 1 − cos² would lose precision by cancellation.
     inside = length - (ratio * ratio) * vec.dot(tangential, tangential)
     through = exists & (inside >= 0) & ((cosine != 0) | (ratio < 1))
     root = vec.square_root(xp.where(exists, inside, 1.0) if differentiable else inside, differentiable)

@@ -4,7 +4,7 @@ Starts and directions are ``[..., 3]`` and broadcast against the surfaces' array
 surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance counts lengths of the direction.
 Every result is a :class:`Hit`. A ray without an intersection has NaN distance, point and normal, and zero gradients.
 
-The formulas stand in :mod:`odak.raytracing.closed_forms`. Large batches are evaluated piece by piece, unless
+The formulas are implemented in :mod:`odak.raytracing.closed_forms`. Large batches are evaluated piece by piece, unless
 derivatives are recorded.
 """
 
@@ -21,9 +21,9 @@ from odak.raytracing.geometry import barycentric
 class RayStatus(IntEnum):
     """Result of the intersection of a ray with a surface; arrays of statuses hold these numbers as int8.
 
-    HIT: the ray goes on. MISS: there is no intersection. TOTAL_INTERNAL_REFLECTION: there is no refracted or diffracted
-    ray. VIGNETTED: the intersection lies outside the aperture. NOT_CONVERGED: an iteration did not find the
-    intersection. NOT_AIMED: no ray from the field point through the point of the stop that was asked for was found.
+    HIT: the ray is propagated further. MISS: there is no intersection. TOTAL_INTERNAL_REFLECTION: there is no refracted
+    or diffracted ray. VIGNETTED: the intersection lies outside the aperture. NOT_CONVERGED: an iteration did not find
+    the intersection. NOT_AIMED: no ray from the field point through the requested point of the stop was found.
     """
 
     HIT = 0
@@ -44,7 +44,7 @@ class Hit(NamedTuple):
     point : array
         ``[..., 3]``; NaN unless hit.
     normal : array
-        Unit normal ``[..., 3]``; NaN unless hit (planes keep theirs).
+        Unit normal ``[..., 3]``; NaN unless hit (except for planes).
     status : array
         :class:`odak.raytracing.RayStatus` as int8, ``[...]``.
     """
@@ -103,8 +103,9 @@ def sphere(start, direction, centre, radius) -> Hit:
 
     Notes
     -----
-    The discriminant is r² − |f − (f·d)d|², f = start − centre, which keeps its digits far away (Haines, Günther and
-    Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a hit.
+    The discriminant is r² − |f − (f·d)d|², f = start − centre, which is accurate for distant starts (Haines, Günther
+    and Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a
+    hit.
     """
     return in_pieces(lambda *a: as_hit(closed_forms.sphere(*a)), (1, 1, 1, 0), start, direction, centre, radius)
 
@@ -137,8 +138,8 @@ def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> H
     Returns
     -------
     Hit
-        Normals point to +z. A ray that meets the sheet only beyond the aperture is VIGNETTED. A start within rounding
-        of the sheet, measured by its coordinates and the aperture, is not a hit.
+        Normals point to +z. A ray that intersects the sheet only beyond the aperture is VIGNETTED. A start within
+        rounding of the sheet, measured by its coordinates and the aperture, is not a hit.
     """
 
     def closed_form(start, direction, curvature, constant, aperture):

@@ -111,7 +111,7 @@ class RadialGrating(Phase):
 
 @dataclass(frozen=True)
 class HologramPhase(Phase):
-    """The phase of a hologram on a grid of samples, wrapped or not, as wave optics computes it.
+    """The phase of a hologram on a grid of samples, wrapped or not.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ class HologramPhase(Phase):
     -----
     Between samples the phase is that of cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is exact for
     polynomials of second degree and has continuous derivatives. The 16 samples about a ray are unwrapped from the
-    nearest one: differences of neighbours are taken within ±π, which a phase that is sampled at all keeps to. The
+    nearest one: differences of adjacent samples are taken within ±π, which holds for a phase without aliasing. The
     optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives the
     continuous one, for wavefronts. Rays exist up to the last sample but one, and those beyond are vignetted.
     """
@@ -339,7 +339,7 @@ class ZernikePhase(Phase):
 
 @dataclass(frozen=True)
 class IdealLens(Phase):
-    """A thin lens without aberrations for distant objects, at all wavelengths: a first-order stand-in for a real one.
+    """A thin lens without aberrations for distant objects, at all wavelengths: a first-order model of a real lens.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Planes, triangles, circles, spheres and cylinders: how they are written down, and where points lie on them."""
+"""Definitions of planes, triangles, circles, spheres and cylinders, and tests of points on them."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -108,7 +108,7 @@ def center_of_triangle(triangle: Array) -> Array:
 
 
 def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2: Array) -> bool | Array:
-    """Say whether a point lies within a triangle, judged along the triangle's normal; its rim belongs to it.
+    """Return whether a point, projected along the normal of a triangle, lies within it or on its rim.
 
     Parameters
     ----------

@@ -21,7 +21,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> Any:
         Start, ``[3]`` or ``[m, 3]``.
     abg : array
         Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``. Their cosines are taken as they are; a
-        warning says so where the sum of their squares is not 1.
+        warning is issued where the sum of their squares is not 1.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> Any:
 
 
 def warn_unless_unit(name: str, cosines) -> None:
-    """Warn about direction cosines ``[..., 3]`` made of angles whose length is not 1; NaN stands for a lost ray."""
+    """Warn about direction cosines ``[..., 3]`` of angles whose length is not 1; NaN marks a lost ray."""
     if not is_readable(cosines):
         return
     xp = namespace(cosines)
@@ -295,12 +295,12 @@ class FieldRays(NamedTuple):
     ----------
     ray : array
         ``[..., rows, columns, 2, 3]``: the sample's place, x along columns and y along rows, and the direction
-        cosines. Directions of dark samples, of those with no neighbour that is lit along one of the axes, and of waves
+        cosines. Directions of dark samples, of those without a bright neighbour along one of the axes, and of waves
         that decay are NaN.
     power : array
         Squared amplitude, ``[..., rows, columns]``.
     path : array
-        Optical path that the phase of the sample stands for, within half a wavelength of 0, ``[..., rows, columns]``.
+        Optical path equivalent to the phase of the sample, within half a wavelength of 0, ``[..., rows, columns]``.
 
     Examples
     --------
@@ -395,7 +395,7 @@ def _angle(real, imag, where):
 
 
 def _slope(real, imag, lit, axis: int):
-    """Return the increase of the phase from one sample to the next along an axis, and where it is known."""
+    """Return the increase of the phase between adjacent samples along an axis, and where it is defined."""
     xp = _array.namespace(real)
     count = real.shape[axis]
 

@@ -1,4 +1,4 @@
-"""Functions of large batches of tensors that keep only their arguments: the backward pass computes them again."""
+"""Functions of large batches of tensors that store only their arguments and are recomputed in the backward pass."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import torch
 
 
 def recomputed(function: Callable, ranks: Sequence[int], plan: Any, evaluate: Callable, arrays: Sequence):
-    """Return ``function(*arrays)``, differentiable, with nothing kept for the backward pass but the arguments.
+    """Return ``function(*arrays)``, differentiable, storing only the arguments for the backward pass.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class _Recomputed(torch.autograd.Function):
     @staticmethod
     def forward(ctx, function, ranks, plan, evaluate, kinds, *tensors):
         ctx.function, ctx.ranks, ctx.plan = function, ranks, plan
-        # Unused results then cost nothing in the backward pass.
+        # Unused results are then skipped in the backward pass.
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(*tensors)
         result = evaluate(function, ranks, tensors)

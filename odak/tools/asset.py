@@ -256,7 +256,7 @@ def read_elements(path: str) -> plyfile.PlyData:
 
 
 def _check_promise(start: bytes, size: int) -> None:
-    """Raise ValueError if a header promises more than the file can hold, before memory is set aside for it."""
+    """Raise ValueError if a header declares more data than the file can contain, before memory is allocated for it."""
     newline = b"\r\n" if start[3:5] == b"\r\n" else start[3:4]
     if start[:3] != b"ply" or newline not in (b"\n", b"\r", b"\r\n"):
         raise ValueError("it does not begin with 'ply'")

@@ -319,7 +319,7 @@ def save_dictionary(settings: Any, filename: str | os.PathLike) -> Any:
 
 
 def _plain(value):
-    """Return what JSON can hold in place of a number or array of NumPy or PyTorch, or of a path."""
+    """Return the JSON representation of a number or array of NumPy or PyTorch, or of a path."""
     if hasattr(value, "tolist") and hasattr(value, "dtype"):
         return value.tolist()
     if isinstance(value, os.PathLike):
@@ -338,7 +338,7 @@ def load_dictionary(filename: str | os.PathLike) -> Any:
     Returns
     -------
     dict
-        What the file holds.
+        Content of the file.
 
     Raises
     ------
@@ -515,8 +515,8 @@ def shell_command(
     cwd : str or os.PathLike
         Folder to run it in.
     timeout : float, optional
-        Seconds to wait. After them the program and all that it started are killed (return code −9) and what it had
-        written until then is returned; there is no exception.
+        Seconds to wait. After them the program and all processes that it started are killed (return code −9) and what
+        it had written until then is returned; there is no exception.
     check : bool
         False returns at once; what the program writes is then dropped, so that it cannot block on a full pipe.
 
@@ -576,7 +576,7 @@ def _kill_with_children(process):
         process.kill()
         return
     try:
-        # The process leads a session of its own, so its number is also that of the group.
+        # The process is the leader of a new session, so its number is also that of its process group.
         os.killpg(process.pid, signal.SIGKILL)
     except ProcessLookupError:
         process.kill()

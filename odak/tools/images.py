@@ -16,7 +16,8 @@ from odak.tools.paths import extension_of, replacing, validate_path
 
 # Where Pillow begins to warn.
 MOST_PIXELS = 89_478_485
-# What any file may promise, and beyond that for each of its bytes. Only blank pages, and bombs, hold more.
+# Pixels that the header of any file may declare, and more for each byte. Only blank pages and malicious files exceed
+# it.
 FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10_000
 
 _FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tiff": "TIFF", ".tif": "TIFF"}
@@ -210,7 +211,7 @@ def _open(path):
 
 
 def _shallow(image):
-    """Return the pixels of a picture that Pillow holds without loss."""
+    """Return the pixels of a picture that Pillow represents without loss."""
     if image.mode.startswith("I;16"):
         return np.asarray(image).astype(np.uint16)
     if image.mode == "I" and image.format in ("PNG", "PPM"):
@@ -251,7 +252,7 @@ def _levels(img, cmin, cmax, color_depth):
 
 
 def _encoder(path, levels) -> Callable:
-    """Return the function that writes the levels to a stream, or say why the format cannot hold them."""
+    """Return the function that writes the levels to a stream, or an error message if the format cannot store them."""
     form = _FORMATS[extension_of(path)]
     deep, colour, alpha = levels.dtype == np.uint16, levels.ndim == 3, levels.shape[2:] == (4,)
     if deep and (form in ("JPEG", "BMP") or (colour and form != "PNG")):
@@ -272,7 +273,7 @@ _BITS_PER_SAMPLE = 258
 
 
 def _is_deep(image: Any) -> bool:
-    """Say whether a picture just opened has channels of more than 8 bits that Pillow would cut.
+    """Return whether a picture just opened has channels of more than 8 bits that Pillow would cut.
 
     Parameters
     ----------

@@ -207,7 +207,7 @@ def blur_gaussian(
     nsigma : sequence of float
         Standard deviations from the centre of the kernel to its edge, along the columns and along the rows.
     normalize : bool
-        Divide each result by its largest value, as this function has always done. False keeps the picture's sum.
+        Divide each result by its largest value, as in earlier releases. False preserves the sum of the picture.
 
     Returns
     -------
@@ -468,7 +468,7 @@ def _floating(value):
 
 
 def create_empty_list(dimensions: Sequence[int] = (1, 1)) -> list | int:
-    """Return nested lists of zeros, each list an object of its own.
+    """Return nested lists of zeros; all lists are separate objects.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ def validate_path(
     Parameters
     ----------
     path : str or os.PathLike
-        Path to look at; it need not exist. An empty one is the current folder.
+        Path to examine; it need not exist. An empty one is the current folder.
     allowed_extensions : iterable of str, optional
         Extensions accepted, with or without their dot, whatever the case; all when omitted.
     name : str
@@ -188,7 +188,7 @@ def replacing(path: str | os.PathLike) -> Iterator[BinaryIO]:
     Parameters
     ----------
     path : str
-        File to write. Whatever goes wrong, an older one stays as it was. Its access rights are kept, and a symbolic
+        File to write. If an error occurs, an existing file is not changed. Its access rights are kept, and a symbolic
         link is followed.
 
     Yields
@@ -233,7 +233,7 @@ class _File(io.FileIO):
 
 @contextmanager
 def _filling(descriptor: int, path: str) -> Iterator[BinaryIO]:
-    """Yield a stream on a descriptor; a full disk is an OSError that names the file, whatever a writer makes of it."""
+    """Yield a stream on a descriptor; a full disk raises an OSError that names the file, with any writer."""
     raw = _File(descriptor, "r+")
     try:
         with io.BufferedRandom(raw) as stream:
@@ -248,7 +248,7 @@ def _filling(descriptor: int, path: str) -> Iterator[BinaryIO]:
 
 
 def _interrupted(error: BaseException | None) -> bool:
-    """Say whether an error came of a Ctrl-C: torch's writer makes a RuntimeError of it."""
+    """Return whether an error was caused by Ctrl-C, which torch's writer converts to a RuntimeError."""
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True
@@ -282,7 +282,7 @@ def temporary_name(path: str) -> Iterator[str]:
     if os.path.exists(target) and not os.path.isfile(target):
         raise ValueError(f"{path!r} is not a file and cannot be replaced by one")
     if os.path.exists(target) and not os.access(target, os.W_OK):
-        # Renaming asks for the rights of the folder alone.
+        # Renaming requires only the rights of the folder.
         raise PermissionError(errno.EACCES, "File is write-protected", path)
     temporary = os.path.join(folder, f".{secrets.token_hex(8)}.part")
     try:

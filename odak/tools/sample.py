@@ -42,7 +42,7 @@ def random_sample_point_cloud(
     p : sequence of float, optional
         Probability of each point, of sum 1; all alike by default.
     seed : int or numpy.random.Generator, optional
-        Where the random numbers come from.
+        Generator of the random numbers.
 
     Returns
     -------
@@ -318,7 +318,7 @@ def circular_uniform_random_sample(
     angles : sequence of float
         Degrees of its rotation out of the plane z = 0 about x, y and z, in this order.
     seed : int or numpy.random.Generator, optional
-        Where the random numbers come from.
+        Generator of the random numbers.
     xp : module, optional
         Array library of the points where no array is given; NumPy by default.
     device : optional
@@ -363,7 +363,7 @@ def circular_uniform_sample(
     Parameters
     ----------
     no : sequence of int
-        Number of rings, and number of points that the rim would hold.
+        Number of rings, and number of points on the rim.
     radius : float
         Radius of the disc.
     center : sequence of float

@@ -32,7 +32,7 @@ class LabelledText:
         raise NotImplementedError(f"{type(self).__name__} must define _labels()")
 
     def get_line_count(self) -> int:
-        """Return the number of lines, which ``line_count`` holds from then on."""
+        """Return the number of lines, which is also stored in ``line_count``."""
         self.line_count = len(self.content)
         return self.line_count
 
@@ -60,7 +60,7 @@ class LabelledText:
 
 
 def holds(line: str, entries: Sequence[str]) -> bool:
-    """Say whether a line holds one of the entries."""
+    """Return whether a line holds one of the entries."""
     return any(entry in line for entry in entries)
 
 
@@ -144,7 +144,7 @@ class markdown(LabelledText):
         return labels
 
     def _opens(self, line: str) -> bool:
-        """Say whether a line opens a fence that it does not close again."""
+        """Return whether a line opens a fence that it does not close again."""
         places = [line.index(entry) + len(entry) for entry in self.markdown_begin_dictionary if entry in line]
         return bool(places) and not holds(line[max(places) :], self.markdown_end_dictionary)
 
@@ -165,7 +165,7 @@ class latex(LabelledText):
     r"""Lines of a LaTeX file with a label for each: "empty", "comment", "latex" or "text".
 
     A line is "latex" when it holds an entry of one of the lists, or lies between the begin and the end of an
-    environment; empty lines and comments stay what they are.
+    environment; empty lines and comments keep their type.
 
     Parameters
     ----------

@@ -276,7 +276,7 @@ def tilt_towards(location: Sequence[float], lookat: Sequence[float]) -> list[flo
     across = math.hypot(dx, dy)
     if across == dz == 0:
         raise ValueError(f"location and lookat must differ, got {ends[0]} twice")
-    # atan2 keeps its digits where acos loses half of them, near the axis.
+    # Near the axis atan2 is accurate, whereas acos loses half of its digits.
     return [0, math.degrees(math.atan2(across, dz)), math.degrees(math.atan2(dy, dx))]
 
 

@@ -22,7 +22,7 @@ def cross(a, b):
 
 
 def on_same_side(p1, p2, a, b):
-    """Say whether p1 and p2 lie on the same side of the line ab, for any array library; the line is on both sides."""
+    """Return whether p1 and p2 lie on the same side of the line ab, for any library; the line is on both sides."""
     return dot(cross(b - a, p1 - a), cross(b - a, p2 - a)) >= 0
 
 
@@ -56,7 +56,7 @@ def cross_product(vector1: Array, vector2: Array) -> Array:
 
 
 def same_side(p1: Array, p2: Array, a: Array, b: Array) -> Any:
-    """Say whether p1 and p2 lie on the same side of the line through a and b.
+    """Return whether p1 and p2 lie on the same side of the line through a and b.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def distance_between_point_clouds(points0: Array, points1: Array) -> Array:
     xp, first = _points(points0=points0)
     _, second = _points(points1=points1)
     first, second = (xp.reshape(points, (-1, 3)) for points in (first["points0"], second["points1"]))
-    # One coordinate after the other: an [m, n, 3] array of differences is never held.
+    # One coordinate after the other, so that no [m, n, 3] array of differences is stored.
     return xp.sqrt(sum((first[:, None, i] - second[None, :, i]) ** 2 for i in range(3)))
 
 

@@ -341,7 +341,7 @@ def linear_grating(
     every : int
         Period in samples.
     add : float or None
-        Phase of the lines in radians; None stands for π.
+        Phase of the lines in radians; None means π.
     axis : str
         "x": rows 0, every, … hold exp(i·add) and the others 0; "y": the same for columns; "xy": a checkerboard of
         exp(i·add) and 1, without zeros.

@@ -132,7 +132,7 @@ def to_line(field, line: Line):
 def from_line(spectrum, line: Line, pitch, count: int):
     """Return Σ U·exp(i2πf·x)/period at `count` samples along the axis of `line`.
 
-    `pitch` is in units of the field's; None stands for the same, which a fast transform serves.
+    `pitch` is in units of the field's; None means the same, which a fast transform serves.
     """
     xp = _array.namespace(spectrum)
     positions = centred(spectrum, count, line.axis)

@@ -521,7 +521,7 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
     field : array
         Complex field ``[..., rows, columns]``.
     kernel : array or None
-        Transfer function ``[..., rows, columns]``, zero frequency at index n // 2; None stands for ones.
+        Transfer function ``[..., rows, columns]``, zero frequency at index n // 2; None means ones.
     zero_padding : bool
         Pad the spectrum, for half the output pitch.
     aperture : float or array

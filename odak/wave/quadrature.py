@@ -167,7 +167,7 @@ def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex
 
 
 def white_error(axis: Axis, rule: Rule | None) -> float:
-    """Return the relative error that a rule makes on fields of flat spectrum; None stands for the sampled kernel."""
+    """Return the relative error that a rule makes on fields of flat spectrum; None means the sampled kernel."""
     transverse, reference = _reference(axis)
     weights = axis.samples - np.arange(axis.samples)
     weights[1:] *= 2
@@ -184,7 +184,7 @@ def _reference(axis: Axis):
 def response(axis: Axis, transverse, rule: Rule | None) -> np.ndarray:
     """Return the response ``[transverse, lags]`` at the lags 0 … samples − 1, times the pitch.
 
-    `rule` None stands for samples of the response of the unlimited band, the Rayleigh–Sommerfeld kernel's.
+    `rule` None means samples of the response of the unlimited band, the Rayleigh–Sommerfeld kernel's.
     """
     if rule is None:
         return _unlimited_response(axis, transverse)

@@ -211,7 +211,7 @@ def _spectrum_of_path(axis: int | None, lines, cycles, field, transfer) -> Calla
 
 
 def _fits(transfer, field) -> bool:
-    """Say whether a matrix can be used for a field, and be kept with others in the store of kernels."""
+    """Return whether a matrix can be used for a field, and be kept with others in the store of kernels."""
     # Taps along both axes, an index and a weight or two each.
     largest = math.prod(transfer.shape) * (14 * 20 if _array.is_double(field) else 8 * 12)
     on_cpu = "cpu" in str(_array.device_of(field)).lower()
@@ -236,7 +236,7 @@ class _Composed:
 
 
 def _is_zero(value) -> bool:
-    """Say whether an angle is a plain zero; a tensor may require the derivative there."""
+    """Return whether an angle is a plain zero; a tensor may require the derivative there."""
     return not _array.is_array(value) and value == 0
 
 

@@ -433,7 +433,7 @@ class Request:
     tolerance: float = 1e-4
 
     def is_plain(self) -> bool:
-        """Say whether the geometry is known as numbers, so that a kernel can be kept."""
+        """Return whether the geometry is known as numbers, so that a kernel can be kept."""
         return not any(_array.is_traced(value) for value in self._lengths())
 
     def _lengths(self) -> tuple:
@@ -564,7 +564,7 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
 
 
 def _fits_within(shape: tuple[int, ...], batch: tuple[int, ...]) -> bool:
-    """Say whether `shape` broadcasts to `batch` without enlarging it."""
+    """Return whether `shape` broadcasts to `batch` without enlarging it."""
     own = (1,) * (len(shape) - len(batch)) + batch
     return all(n in (1, m) for n, m in zip(reversed(shape), reversed(own), strict=False))
 

@@ -48,7 +48,7 @@ class Window:
     axes: tuple = UNTILTED
 
     def is_plain(self) -> bool:
-        """Say whether the window is known as numbers, so that it can name a stored kernel."""
+        """Return whether the window is known as numbers, so that it can name a stored kernel."""
         return all(isinstance(value, (int, float, type(None))) for value in (*pitches(self.dx), *self.offset))
 
     def pitch(self, grid: Grid) -> tuple:

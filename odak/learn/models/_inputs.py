@@ -32,7 +32,7 @@ def activation_module(activation) -> nn.Module | None:
 def with_older_form(
     normalization: bool | nn.Module, activation: nn.Module | None, default: bool = False
 ) -> tuple[bool, nn.Module | None]:
-    """Return normalization and activation of a call whose activation may stand where normalization does now.
+    """Return normalization and activation of a call that may give the activation in place of the normalization.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def images(
     parameter : torch.Tensor, optional
         Parameter of the layer whose dtype and device they must have; under autocast the dtype is free.
     axes : sequence of int
-        Numbers of axes accepted; three stand for one image without a batch.
+        Accepted numbers of axes; three axes are one image without a batch.
     smallest : int
         Least height and width.
     """

@@ -1,7 +1,7 @@
 """Convolution with a kernel that varies over the image: a fixed kernel times a map of factors.
 
 The windows of the image times the map form a matrix of k² times the size of the image, which one product with the
-weights turns into the result. It is formed for some rows at a time, few enough to stay in the cache, and again in the
+weights maps to the result. It is formed for some rows at a time, few enough to fit in the cache, and again in the
 backward pass; only the inputs are kept.
 
 References
@@ -21,7 +21,7 @@ from odak import _validate
 from odak._torch_private import is_transformed
 from odak.learn.models._inputs import activation_module, channels, images, kernel
 
-# An eighth of this is faster on an idle machine, but every operation on a part synchronises all threads, which costs
+# An eighth of this is faster on an idle machine, but every operation on a part synchronises all threads, which takes
 # milliseconds on a busy one. On a GPU the limit serves memory alone.
 _CPU_BYTES = 1 << 25
 _GPU_BYTES = 1 << 28
@@ -199,7 +199,7 @@ class _AdaptiveLayer(nn.Module):
         super()._load_from_state_dict(state_dict, prefix, *args)
 
     def _apply(self, *args, **kwargs):
-        # Moves that cannot keep a parameter, as to the device "meta", would make two of one.
+        # Moves that replace the parameter, such as to the device "meta", would create two separate parameters.
         moved = super()._apply(*args, **kwargs)
         _tie(self)
         return moved

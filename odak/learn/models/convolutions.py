@@ -15,7 +15,7 @@ _RELU = nn.ReLU()
 
 
 class convolution_layer(nn.Module):
-    """Convolution, batch normalization where asked for, activation.
+    """Convolution, optional batch normalization, activation.
 
     Parameters
     ----------
@@ -456,7 +456,7 @@ class upsample_convtranspose2d_layer(nn.Module):
 
 
 def _fit(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Pad with zeros, or crop, to the size of another image; an odd pixel goes to the right or the bottom."""
+    """Pad with zeros, or crop, to the size of another image; odd differences are larger at the right and the bottom."""
     dy, dx = (target.shape[axis] - image.shape[axis] for axis in (-2, -1))
     if dy == dx == 0:
         return image

@@ -18,11 +18,11 @@ __all__ = ["hologram_network"]
 
 # Range of wavelength·distance/pitch² and of wavelength/pitch in training; what lies outside is taken as its end.
 SPREADS, RATIOS = (10.0, 150.0), (0.035, 0.23)
-# Of the shorter side of a picture, how far light may spread for the weights that come with odak to be of use.
+# Largest spread of light for which the weights included in odak are valid, relative to the shorter side of a picture.
 FARTHEST = 0.6
 # Amplitudes and magnitudes below this are taken as this, of images whose mean intensity is one.
 _DARK = 1e-3
-# Pixels that a convolution sees beyond the edges of a periodic picture.
+# Pixels beyond the edges of a periodic picture that a convolution uses.
 _MARGIN = 8
 
 
@@ -32,17 +32,17 @@ class hologram_network(nn.Module):
     The amplitude of the target is propagated back to the modulator, where a small convolutional network makes the first
     hologram of the field. In each refinement the image of the hologram is computed, what it lacks is propagated back,
     and a second network, the same in all of them, makes a correction of the hologram out of that. The propagation is
-    exact and has no weights, so that the networks have to learn little of the geometry; they know it by two ratios,
+    exact and has no weights, so that the networks learn little of the geometry; it is given to them as two ratios,
     wavelength·distance/dx² and wavelength/dx.
 
     Parameters
     ----------
     channels : int
-        Channels of the convolutions, 16 in the weights that come with odak.
+        Channels of the convolutions, 16 in the weights included in odak.
     refinements : int
         Number of refinements. More take more time and improve the image; the weights are the same.
     pretrained : bool
-        Load the weights that come with odak, instead of random ones. ``scripts/train_hologram_network.py`` made them.
+        Load the weights included in odak, trained by ``scripts/train_hologram_network.py``, instead of random ones.
     periodic : bool
         Propagate pictures that repeat themselves without end, as part of the training does, which stands for the inside
         of large pictures.
@@ -204,7 +204,7 @@ class hologram_network(nn.Module):
             magnitude = image.abs()
             scale = _mean(magnitude * amplitude) / _mean(amplitude * amplitude)
             lacking = (scale * amplitude / magnitude.clamp_min(_DARK) - 1) * image
-            # Outside the image light is free: only what lacks inside travels back.
+            # The field outside the image is not constrained: only the error inside is propagated back.
             back = propagate(lacking, -1) * hologram.conj()
             error = _mean(lacking.abs().square()) / _mean(magnitude * magnitude)
             error = 1 + 0.5 * error.clamp_min(_DARK**2).log10()
@@ -248,7 +248,7 @@ class _Correction(nn.Module):
         coarse = coarse + self.coarse(coarse)
         fine = fine + nn.functional.pixel_shuffle(self.up(coarse), 2)
         fine = fine + self.last(fine)
-        # Bounded, since a phase that has left the first cycles does not come back to them by its gradient.
+        # Bounded, because gradients do not return a phase to the first cycles once it has left them.
         large = nn.functional.pixel_shuffle(self.leave(fine).tanh(), 2)
         return large[..., margin : margin + rows, margin : margin + columns]
 

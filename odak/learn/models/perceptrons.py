@@ -262,7 +262,7 @@ class positional_encoder(nn.Module):
         return f"L={self.L}"
 
 
-# Primes of the spatial hash; the first is 1, so that neighbours along the first axis lie beside each other in memory.
+# Primes of the spatial hash; the first is 1, so that neighbours along the first axis are adjacent in memory.
 _PRIMES = (1, 2654435761, 805459861, 3674653429, 2097192037, 1434869437, 2165219737)
 
 
@@ -288,7 +288,7 @@ class hash_grid_encoder(nn.Module):
     finest : int
         Cells along each axis of the finest grid; those between grow geometrically.
     low : float
-        Lowest coordinate, where the grids begin; coordinates outside are held at the ends.
+        Lowest coordinate, where the grids begin; coordinates outside are clamped.
     high : float
         Highest coordinate, where the grids end.
 

@@ -1,4 +1,4 @@
-"""U-Nets: with fixed kernels, and with kernels that vary over the image and come from a second network.
+"""U-Nets with fixed kernels, and with spatially varying kernels that a second network computes.
 
 References
 ----------

@@ -349,7 +349,7 @@ def castle_contrast_sensitivity(
     Raises
     ------
     ImportError
-        If the package with the tables is missing; the message says what to install.
+        If the package with the tables is missing; the message states what to install.
     ValueError, TypeError
         If an argument is out of range.
 

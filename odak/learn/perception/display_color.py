@@ -359,7 +359,7 @@ class display_color_hvs(nn.Module):
         Spectra of P primaries ``[P, S]``, S samples evenly from 400 to 700 nm, both included, or a file for
         :func:`read_spectra`. By default the Gaussians of :meth:`initialize_rgb_backlight_spectrum`, 301 samples.
     device : torch.device
-        Where the display lives.
+        Device of the display.
     cones : {"Gaussian", "CIE 170"}
         Sensitivities of :func:`cone_fundamentals`.
 
@@ -428,7 +428,7 @@ class display_color_hvs(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the display lives."""
+        """Device of the display."""
         return self.primaries_spectrum.device
 
     @property

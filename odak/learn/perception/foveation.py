@@ -1163,7 +1163,7 @@ class BlurLoss(nn.Module):
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1 in any colour space.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
 
         Returns
         -------

@@ -118,7 +118,7 @@ class CVVDP(_DifferencePredictor):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message says what to install.
+        If the package is missing and required; the message states what to install.
 
     Examples
     --------
@@ -173,7 +173,7 @@ class FVVDP(_DifferencePredictor):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message says what to install.
+        If the package is missing and required; the message states what to install.
 
     Examples
     --------
@@ -219,7 +219,7 @@ class LPIPS(_Wrapper):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message says what to install.
+        If the package is missing and required; the message states what to install.
 
     Examples
     --------

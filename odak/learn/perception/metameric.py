@@ -289,7 +289,7 @@ class MetamericLoss(_StatisticsLoss):
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
         image_colorspace : str
             "RGB", or anything else if both pictures are in Y′CrCb already.
         visualise_loss : bool
@@ -870,7 +870,7 @@ class MetamerMSELoss(nn.Module):
         image, target : torch.Tensor
             ``[B, C, H, W]`` of one shape, one or three channels, about 0 … 1.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
 
         Returns
         -------

@@ -697,7 +697,7 @@ def ring_masks(
     real_viewing_distance : float
         Distance of the eye in front of the picture's middle, in the same unit.
     device : torch.device or str, optional
-        Where the result lives; the CPU by default.
+        Device of the result; the CPU by default.
 
     Returns
     -------

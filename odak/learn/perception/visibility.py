@@ -244,7 +244,7 @@ class VisibilityLoss(nn.Module):
             sRGB or grey pictures ``[B, C, H, W]`` of one shape, about 0 … 1. The target sets adaptation and masking,
             through which it gets no gradient.
         gaze : sequence of float
-            (x, y), 0 to 1 from the top-left corner; beside the picture is legal.
+            (x, y), 0 to 1 from the top-left corner; it may lie outside the picture.
 
         Returns
         -------

@@ -226,7 +226,7 @@ def define_plane_mesh(
 
 
 def is_it_on_triangle(point_to_check: torch.Tensor, triangle: torch.Tensor) -> torch.Tensor:
-    """Say which points lie on which triangles, judged along the triangles' normals.
+    """Return which points lie on which triangles, judged along the triangles' normals.
 
     Parameters
     ----------
@@ -258,7 +258,7 @@ def is_it_on_triangle(point_to_check: torch.Tensor, triangle: torch.Tensor) -> t
 
 
 def is_it_on_triangle_batch(point_to_check: Any, triangle: Any) -> torch.Tensor:
-    """Say which points lie on the triangle of their row, judged along its normal.
+    """Return which points lie on the triangle of their row, judged along its normal.
 
     Parameters
     ----------

@@ -444,7 +444,7 @@ EMBREE_HINT = "backend 'embree' needs the package embreex: pip install odak[mesh
 
 
 def has_embree() -> bool:
-    """Say whether embreex can be imported."""
+    """Return whether embreex can be imported."""
     return importlib.util.find_spec("embreex") is not None
 
 

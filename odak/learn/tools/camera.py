@@ -19,9 +19,9 @@ class PerspectiveCamera:
     focal_length : torch.Tensor
         Focal length along x and y, in pixels.
     principal_point : torch.Tensor
-        Where the optical axis meets the picture, in pixels.
+        Intersection of the optical axis with the picture, in pixels.
     device : torch.device or str
-        Where the tensors live. Numbers and sequences become float32 tensors.
+        Device of the tensors. Numbers and sequences become float32 tensors.
 
     Raises
     ------

@@ -14,9 +14,9 @@ import torch
 from odak import _torch_private, _validate
 from odak.tools.paths import replacing
 
-# Called with a number, as a file may ask of torch, it allocates as many bytes, whatever the size of the file.
+# Called with a number, as a file can request, it allocates so many bytes, independently of the size of the file.
 _INFLATES = b"bytearray\n"
-# Entries of lists and dictionaries, shared ones counted each time, that any file may hold; beyond it one for each byte.
+# Entries of lists and dictionaries, shared ones counted each time, allowed in any file; more only one for each byte.
 _LEAST_LIMIT = 1_000_000
 
 
@@ -25,7 +25,7 @@ class UnsafeFileError(pickle.UnpicklingError, ValueError):
 
 
 def read_torch_file(path: str | os.PathLike, device: torch.device | str | None = None) -> Any:
-    """Return what a file of :func:`torch.save` holds, without running code.
+    """Return the content of a file of :func:`torch.save`, without running code.
 
     The length of a tensor comes from the file's pickle and its bytes from another record, which not every release of
     torch compares. So the file is first mapped into memory, and its tensors laid over that.
@@ -78,11 +78,11 @@ def _refuse_odd_content(value, limit: int, meta: bool) -> None:
     Parameters
     ----------
     value : object
-        What the file holds.
+        Content of the file.
     limit : int
         Largest number of entries that whoever walks the lists and dictionaries may meet: shared ones count each time.
     meta : bool
-        Accept tensors without data, because the caller asked for the device "meta".
+        Accept tensors without data, because the caller requested the device "meta".
     """
     entries: dict[int, int] = {}  # of each list met so far; 0 while its own entries are looked at
     waiting = [value]
@@ -132,7 +132,7 @@ def _refuse_odd_tensor(tensor: torch.Tensor, meta: bool) -> None:
 
 
 def _check(name: str) -> bool:
-    """Say whether a file is an archive, after refusing what would take far more memory than it has bytes."""
+    """Return whether a file is an archive; raise an error if loading it would take far more memory than its size."""
     with open(name, "rb") as stream:
         if stream.read(4) != b"PK\x03\x04":
             if os.path.getsize(name):
@@ -164,7 +164,7 @@ def write_checkpoint(path: str | os.PathLike, state: dict[str, Any]) -> None:
     path : str or os.PathLike
         File to write.
     state : dict
-        Tensors, numbers, words, and lists and dictionaries of them; ``state["about"]`` says what run it is of.
+        Tensors, numbers, words, and lists and dictionaries of them; ``state["about"]`` identifies the run.
     """
     with replacing(os.fspath(path)) as stream:
         torch.save(state, stream)
@@ -207,7 +207,7 @@ def read_checkpoint(
         raise ValueError(f"checkpoint {name} is not one of {kind}")
     before = state["about"]
     if not isinstance(before, dict):
-        raise ValueError(f"checkpoint {name} is not one of {kind}: it does not say what run it is of")
+        raise ValueError(f"checkpoint {name} is not one of {kind}: it does not state to which run it belongs")
     if before != about:
         differing = sorted(key for key in {*before, *about} if before.get(key) != about.get(key))
         raise ValueError(f"checkpoint {name} is of another run: its {', '.join(differing)} differ")
@@ -268,5 +268,5 @@ def set_randomness(states: list[torch.Tensor], device: torch.device) -> None:
 
 
 def first_line(error: Exception) -> str:
-    """Return the first line of an error, or its kind: that of an empty file says nothing."""
+    """Return the first line of an error, or its type if the message is empty."""
     return (str(error) or type(error).__name__).splitlines()[0]

@@ -1,4 +1,4 @@
-"""Choice of the device that tensors live on, and advice where its memory is not enough."""
+"""Selection of the device of tensors, and advice where its memory is not sufficient."""
 
 import difflib
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
     Parameters
     ----------
     device : torch.device or str, optional
-        ``"auto"`` or None takes the GPU when CUDA finds one and the CPU otherwise. CUDA asked for by name on a machine
+        ``"auto"`` or None takes the GPU when CUDA finds one and the CPU otherwise. CUDA requested by name on a machine
         without it gives the CPU, with a warning.
 
     Returns
@@ -26,7 +26,7 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
     Warns
     -----
     DeviceWarning
-        If CUDA is asked for by name and there is none.
+        If CUDA is requested by name and is not available.
 
     Raises
     ------

@@ -89,7 +89,7 @@ def evaluate_3d_gaussians(
 class SeparableBasis:
     """Basis of products of splines, stored as two small factors instead of the matrix.
 
-    Any function of torch and any attribute of a tensor sees the matrix ``[c_x·c_y, H·W]``.
+    Any function of torch and any attribute of a tensor is applied to the matrix ``[c_x·c_y, H·W]``.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def generate_bspline_basis_2d(
     resolution : sequence of int
         Rows and columns of the picture.
     device : torch.device or str
-        Where the result lives.
+        Device of the result.
     dtype : torch.dtype
         Its precision.
 
@@ -215,7 +215,7 @@ def decompose_bspline_2d(
     -------
     tuple
         Coefficients ``[c_x·c_y]``, row by row, of the picture's precision and differentiable; the basis for
-        :func:`compose_bspline_2d`, which stands for the matrix B without its memory; and the centres
+        :func:`compose_bspline_2d`, which represents the matrix B without its memory; and the centres
         ``[c_x, c_y, 2]``.
 
     Raises

@@ -123,7 +123,7 @@ def generate_2d_gaussian(
     kernel_length : sequence of int
         Rows and columns.
     nsigma : sequence of float
-        Standard deviations σ along rows and columns, in units of the axes; 0 stands for 1e-5.
+        Standard deviations σ along rows and columns, in units of the axes; 0 is replaced by 1e-5.
     mu : sequence of float
         Centre along rows and columns, in units of the axes.
     normalize : bool
@@ -131,7 +131,7 @@ def generate_2d_gaussian(
     dtype : torch.dtype
         Precision of the result.
     device : torch.device or str, optional
-        Where the result lives; the CPU by default.
+        Device of the result; the CPU by default.
 
     Returns
     -------
@@ -294,7 +294,7 @@ def generate_2d_dirac_delta(
     dtype : torch.dtype
         Precision of the result.
     device : torch.device or str, optional
-        Where the result lives; the CPU by default.
+        Device of the result; the CPU by default.
 
     Returns
     -------
@@ -364,7 +364,7 @@ def circular_binary_mask(
     offset_y : float
         Centre along the index of the columns, in units of the axes.
     device : torch.device or str, optional
-        Where the result lives; the CPU by default.
+        Device of the result; the CPU by default.
 
     Returns
     -------

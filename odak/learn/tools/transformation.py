@@ -234,7 +234,7 @@ def load_voxelized_PLY(
         Size of a cell along x, y and z, after the mesh is scaled: the mean of all its numbers is taken off each of
         them, and the largest of the rest becomes 1.
     device : torch.device or str
-        Where the result lives.
+        Device of the result.
 
     Returns
     -------

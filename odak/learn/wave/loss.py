@@ -706,7 +706,7 @@ class perceptual_multiplane_loss(FocalTargets):
     Raises
     ------
     ImportError
-        If a measure that is asked for needs a package that is missing; the message says what to install.
+        If a measure that is asked for needs a package that is missing; the message states what to install.
     ValueError, TypeError
         If an argument is outside its range, naming it.
 

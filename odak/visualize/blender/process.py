@@ -52,7 +52,7 @@ class BlenderError(RuntimeError):
 
 
 class BlenderNotFoundError(ImportError):
-    """No Blender was found; the message says how to install one."""
+    """No Blender was found; the message states how to install one."""
 
 
 class Blender(NamedTuple):

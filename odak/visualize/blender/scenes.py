@@ -398,7 +398,7 @@ class scene(Lines, Shapes, Lenses, Views):
         Raises
         ------
         BlenderNotFoundError
-            If there is no Blender; the message says how to get one.
+            If there is no Blender; the message states how to get one.
         BlenderError
             If Blender fails; the message ends with what it wrote.
         TimeoutError

@@ -112,7 +112,7 @@ class Figure:
         Raises
         ------
         BrowserNotFoundError
-            If there is no Chrome or Chromium to draw it; the message says what to install.
+            If there is no Chrome or Chromium to draw it; the message states what to install.
         ValueError
             If the path is not acceptable or its folder does not exist.
         """

@@ -370,7 +370,7 @@ class Line(NamedTuple):
         return int(found)
 
     def counts(self, number: int) -> bool:
-        """Say whether the first of the words is this whole number."""
+        """Return whether the first of the words is this whole number."""
         try:
             return self.whole() == number
         except ValueError:
