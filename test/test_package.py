@@ -230,7 +230,7 @@ def test_a_stub_of_names_holds_imports_alone(tmp_path):
         attach("odak.nowhere", str(tmp_path / "__init__.py"))
 
 
-def test_stubs_travel_with_the_package():
+def test_stubs_are_part_of_the_package():
     tomllib = pytest.importorskip("tomllib")
 
     settings = tomllib.loads((ROOT.parent / "pyproject.toml").read_text())

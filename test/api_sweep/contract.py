@@ -25,7 +25,7 @@ def call(function: Callable, arguments: dict[str, Any]) -> Any:
 
 
 def judge(function: Callable, build: Callable[[], dict], name: str, wrong: Any, verdict: str) -> str | None:
-    """Call a function with one wrong argument; return the complaint, if there is one."""
+    """Call a function with one wrong argument; return the violation, if there is one."""
     arguments = build() | {name: wrong}
     before = copied(wrong)
     try:
@@ -62,7 +62,7 @@ def compare(function: Callable, build: Callable[[], dict], name: str, form: Any,
 
 
 def slopes(function: Callable, build: Callable[[], dict], name: str) -> str | None:
-    """Follow one tensor by autograd through a function; complain of slopes that are no numbers where the values are."""
+    """Differentiate a function by one tensor; return a violation if gradients of finite values are not finite."""
     arguments = build()
     followed = arguments[name].detach().clone().requires_grad_()
     found = [value for value in tensors(call(function, arguments | {name: followed})) if value.requires_grad]
@@ -88,7 +88,7 @@ def tensors(value: Any) -> list[torch.Tensor]:
 
 
 def judge_elsewhere(function: Callable, build: Callable[[], dict], name: str) -> str | None:
-    """Call a function with one tensor on another device than the others; return the complaint, if there is one.
+    """Call a function with one tensor on another device than the others; return the violation, if there is one.
 
     The device "meta" stands for a GPU. It holds no numbers, so that reading them or moving them to the CPU, which a GPU
     allows, ends there: only what torch says of operands on two devices tells that nobody looked.

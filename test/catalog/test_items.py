@@ -234,6 +234,6 @@ def test_lens_medium_and_index():
     assert np.isnan(plano_convex_lens().raytrace([[5, 0, -5], [0, 0, 1]])).all()
 
 
-def test_unknown_lens_names_the_known():
+def test_unknown_lens_lists_the_known_ones():
     with pytest.raises(ValueError, match="LA1024, LA1026, LA1036, LA1039; got 'LA1025'"):
         plano_convex_lens("LA1025")

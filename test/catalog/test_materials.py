@@ -164,7 +164,7 @@ def test_own_materials(tmp_path, own_catalogue):
     assert catalog.load_materials(path, replace=True)
 
 
-def test_a_built_in_name_is_kept_unless_told(tmp_path, own_catalogue):
+def test_a_built_in_name_is_kept_by_default(tmp_path, own_catalogue):
     path = write(tmp_path, {"materials": {"nbk7": ENTRY, "new": ENTRY}})
     with pytest.raises(ValueError, match="'N-BK7' is in the catalogue already"):
         catalog.load_materials(path)
@@ -222,7 +222,7 @@ def test_nothing_has_no_dispersion():
 
 
 def test_makers_catalogues():
-    """Published n_d and ν_d of data sheets; every glass has its source; names that makers share are asked about."""
+    """Published n_d and ν_d of data sheets; every glass has its source; names that makers share need the maker."""
     published = {
         "ohara:S-BSL7": (1.51633, 64.14),
         "S-TIH53": (1.84666, 23.78),
@@ -274,7 +274,7 @@ def test_internal_transmittance_of_data_sheets(name, line):
         assert catalog.internal_transmittance(name, line * 1e-6, thickness) == pytest.approx(expected, abs=2e-3)
 
 
-def test_nearly_all_glasses_know_their_absorption():
+def test_nearly_all_glasses_have_an_absorption():
     """Beer's law between thicknesses, numbers and arrays alike, and the gradient by the wavelength."""
     known = [
         materials.extinction_of(catalog.material(f"{maker}:{name.rpartition(':')[2]}"))

@@ -31,7 +31,7 @@ def started(folder):
 
 
 def test_steps_add_to_one_file_of_results(tmp_path, capsys):
-    """Registration with a response that was set right, then the exposure; what is known stays."""
+    """Registration with a correct response, then the exposure; earlier results are kept."""
     table = started(tmp_path)
     for step in ("registration", "exposure"):
         code, report = calibrate(step, tmp_path)
@@ -41,7 +41,7 @@ def test_steps_add_to_one_file_of_results(tmp_path, capsys):
     assert np.array_equal(found.phases, table.truth.phases)
     pixels = np.random.default_rng(0).uniform(16, 64, (20, 2))
     missed = found.registration.plane_points(pixels) - table.truth.plane_points(pixels, (80, 80))
-    # The aberration, which is not known yet, shifts the spots.
+    # The aberration, which has not been measured yet, shifts the spots.
     assert np.abs(missed).max() < 3 * 4e-6
     assert capsys.readouterr().out == ""
 
@@ -82,7 +82,7 @@ def test_results_of_another_table_are_refused(tmp_path, capsys):
 
 
 @pytest.mark.slow
-def test_all_steps_find_the_truth(tmp_path):
+def test_all_steps_find_the_true_parameters(tmp_path):
     results = tmp_path / "a.npz"
     for step in ("phase", "registration", "wavefront", "distance", "illumination", "regions"):
         code = main(["calibrate", step, "--output", str(tmp_path), "--seed", "5", "--results", str(results), "--quiet"])

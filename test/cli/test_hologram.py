@@ -61,7 +61,7 @@ def test_report_states_what_the_saved_pattern_shows(method, picture, grey_file, 
     target = picture / 255
     lit = intensity[target >= 0.1 * target.max()]
     # The hard edge of a stop diffracts light so far that some of it wraps around on the grid of the report, which is
-    # twice as large as the hologram: the judge knows no such grid.
+    # twice as large as the hologram: the reference has no such grid.
     decibels, relative, level = (0.02, 2e-3, 0.01) if half_band else (1e-3, 1e-4, 1e-4)
     assert report["psnr_db"] == pytest.approx(psnr_of(intensity, target), abs=decibels)
     assert report["efficiency"] == pytest.approx(intensity.sum() / intensity.size, rel=relative)
@@ -376,7 +376,7 @@ def test_units_and_short_options(grey_file, tmp_path):
         (["--distance", "10um"], "the light of neighbouring pixels overlaps only beyond 0.00012 metres"),
     ],
 )
-def test_doubtful_lengths_are_warned_of(options, question, grey_file, tmp_path):
+def test_improbable_lengths_are_warned_of(options, question, grey_file, tmp_path):
     said = run(grey_file, "-o", tmp_path, *SMALL, *options, "--quiet")
     assert question.replace("7.4e-06", "0.0074") in said.stderr
     (line,) = [line for line in said.stderr.splitlines() if "metres" in line and "warning" in line]

@@ -61,7 +61,7 @@ def test_iterations_lower_the_loss_and_the_seed_reproduces(file, tmp_path):
     for iterations in (0, 20):
         out = run(file, "--output", tmp_path / str(iterations), *VIEW, "--iterations", iterations).stdout
         losses.append(float(out.split("metameric loss ")[1].split(",")[0]))
-    # Noise of full contrast leaves little room within RGB; photographs gain far more.
+    # Noise of full contrast nearly fills the range of RGB; the gain is far larger for photographs.
     assert losses[1] < 0.5 * losses[0]
     quiet = run(file, "--output", tmp_path / "again", *VIEW, "--quiet", "--iterations", 0)
     assert quiet.output == ""

@@ -1,4 +1,4 @@
-"""Optical benches from a file, held against closed forms."""
+"""Optical benches from a file, compared with closed forms."""
 
 import json
 

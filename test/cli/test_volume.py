@@ -109,7 +109,7 @@ def test_colours_share_frames_on_one_plane(frames, files, tmp_path):
 
 
 def test_saturated_colours_keep_their_sources_low(files, tmp_path):
-    """A red picture needs no blue light: the sources are not driven to full power."""
+    """A red picture needs no blue light: the sources are not driven at full power."""
     with Image.open(files[0]) as picture:
         red = np.asarray(picture) * np.array([1.0, 0.2, 0.05])
     Image.fromarray(np.round(red).astype(np.uint8)).save(tmp_path / "red.png")

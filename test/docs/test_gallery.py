@@ -23,7 +23,7 @@ def test_there_are_examples_in_every_group():
     assert {path.parent.name for path in gallery.scripts()} == set(GROUPS) == set(gallery.GROUPS)
 
 
-# Matplotlib asks tensors for a copy in a way that torch does not take yet.
+# Matplotlib requests copies of tensors with an argument that torch does not accept yet.
 @pytest.mark.filterwarnings("ignore:__array:DeprecationWarning")
 @pytest.mark.slow
 @pytest.mark.timeout(1200)

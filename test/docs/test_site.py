@@ -21,7 +21,7 @@ from bs4 import BeautifulSoup
 from documentation import ROOT, script
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
-# A page inside a frame as wide as a phone, and what it says of itself: how many pixels it is wider than that.
+# A page inside a frame as wide as a phone, and the number of pixels by which its content is wider.
 PHONE = """<!doctype html><title>phone</title><iframe src="/{}" width="390" height="800"></iframe>
 <script>onmessage = event => document.documentElement.dataset.overflow = event.data</script>"""
 WALK = Path(__file__).with_name("walk.html")
@@ -139,7 +139,7 @@ def address(site):
             return self.wfile.write(body)
 
         def log_message(self, *_):
-            """Keep the tests' output quiet."""
+            """Suppress the log of the server."""
 
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), functools.partial(Handler, directory=str(site)))
     threading.Thread(target=server.serve_forever, daemon=True).start()

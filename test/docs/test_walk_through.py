@@ -97,7 +97,7 @@ def test_as_printed(tmp_path, monkeypatch):
     _check(_run(WALK_THROUGH, tmp_path, monkeypatch), tmp_path)
 
 
-# It asks for CUDA, which the machine that tests need not have.
+# It requires CUDA, which may not be available on the machine of the tests.
 @pytest.mark.filterwarnings("ignore::odak.DeviceWarning")
 def test_at_a_tenth_of_the_size(tmp_path, monkeypatch):
     text = WALK_THROUGH

@@ -28,7 +28,7 @@ def pixels(path):
 
 
 def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None):
-    """Propagate a phase pattern with nothing but NumPy: exact transfer function, extrapolated to no wrap-around.
+    """Propagate a phase pattern with NumPy only: exact transfer function, extrapolated to zero wrap-around.
 
     What wraps around falls with the square of the padding, and so does the error of a stop whose edge, weighted by a
     half, lies on a frequency of both grids.

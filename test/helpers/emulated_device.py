@@ -151,7 +151,7 @@ class EmulatedDevice(TorchFunctionMode):
         keywords, name = dict(keywords or {}), getattr(function, "__name__", "")
         if name in ("to", "cuda") and isinstance(arguments[0], torch.Tensor):
             return self._moved(function, name, list(arguments), keywords)
-        # Of numbers torch would make tensors of the device without asking.
+        # From numbers torch would create tensors on the device implicitly.
         if name == "__setitem__" and type(arguments[2]) in _NUMBERS:
             arguments = (*arguments[:2], torch.tensor(arguments[2], dtype=arguments[0].dtype))
         if name in ("where", "masked_fill", "masked_fill_"):

@@ -1,4 +1,4 @@
-"""Tasks that test_faults.py runs in a process of its own, forking a child for each that is to be killed."""
+"""Tasks that test_faults.py runs in a separate process, with a forked child for each that is terminated."""
 
 import contextlib
 import os
@@ -58,7 +58,7 @@ def die():
 
 
 def die_at(stage):
-    """Let the next file that is written kill this process."""
+    """Terminate this process when the next file is written."""
     written, moved = paths._File.write, os.replace
 
     def write(self, data):
@@ -81,7 +81,7 @@ def die_at(stage):
 
 
 def in_a_child(work):
-    """Do something in a fork of this process; return whether it was killed."""
+    """Call a function in a fork of this process; return whether it was terminated."""
     child = os.fork()
     if child == 0:
         with contextlib.suppress(BaseException):
@@ -92,7 +92,7 @@ def in_a_child(work):
 
 
 def kill_writers(folder):
-    """Kill every writer at every stage, with an older file and without, each in a folder of its own."""
+    """Terminate every writer at every stage, with and without an existing file, each in a separate folder."""
     for name, write in WRITERS.items():
         for number, stage in enumerate(STAGES):
             for older in (False, True):
@@ -169,7 +169,7 @@ RUNS["hologram"] = hologram
 
 
 def kill_again_and_again(run, path, chance):
-    """Run in children that are killed at random, ever later times until one comes to its end; return how many were."""
+    """Run children that are terminated at random, increasingly late times until one completes; return their number."""
 
     def timed():
         # The first two come before any machine is through the pauses of a run, which take some 0.1 s or more; the

@@ -51,7 +51,7 @@ def fail_at_first(path):
 
 
 def exit_quietly(code):
-    """End the program, or so it thinks."""
+    """Raise SystemExit."""
     sys.exit(code)
 
 
@@ -66,14 +66,14 @@ def crash(times, path):
 
 
 class SelfishError(Exception):
-    """Cannot be opened once pickled: its constructor wants more than it passes on."""
+    """Cannot be unpickled: its constructor requires more arguments than are pickled."""
 
     def __init__(self, first, second):
         super().__init__(f"{first} and {second}")
 
 
 def raise_selfish():
-    """Raise an exception that cannot travel."""
+    """Raise an exception that cannot be unpickled."""
     raise SelfishError("one", "two")
 
 

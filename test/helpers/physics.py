@@ -1,4 +1,4 @@
-"""Closed forms that the tests hold the library against, with their sources."""
+"""Closed forms with which the tests compare the library, with their sources."""
 
 import numpy as np
 

@@ -14,7 +14,7 @@ from odak.instruments import protocols
 
 
 class Blind:
-    """Instrument that shows the members of its protocol alone: the hidden truth cannot be reached."""
+    """Instrument with the members of its protocol only, so that calibrations cannot read the true parameters."""
 
     def __init__(self, instrument, names):
         object.__setattr__(self, "_parts", (instrument, names))
@@ -88,7 +88,7 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
     assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
 
 
-def test_a_modulator_that_does_not_modulate_is_told():
+def test_a_modulator_that_does_not_modulate_is_reported():
     table = instruments.SimulatedTable(4, shape=(32, 32), camera_shape=(40, 40), distance=3e-3)
     table.truth = dataclasses.replace(table.truth, phases=np.zeros(256))
     with pytest.raises(RuntimeError, match="must observe how the interference"):
@@ -172,7 +172,7 @@ def test_registration_of_an_unaberrated_table(seed):
     assert np.abs(found.camera_pixels(found.plane_points(pixels)) - pixels).max() < 1e-6
 
 
-def test_a_camera_that_sees_few_spots_is_told():
+def test_a_camera_that_sees_few_spots_is_reported():
     table = instruments.SimulatedTable(2, aberration=0.0, camera_shape=(90, 90), misalignment=False)
     # As if the three single spots had been far apart.
     with (
@@ -198,7 +198,7 @@ def test_nearest_levels_are_nearest():
     assert np.allclose(np.take_along_axis(apart, found[..., None], -1)[..., 0], apart.min(-1))
 
 
-def test_twins_follow_the_protocols_and_are_repeatable():
+def test_simulated_instruments_follow_the_protocols_and_are_repeatable():
     first, second, other = (
         instruments.SimulatedTable(seed, shape=(24, 32), camera_shape=(40, 48)) for seed in (3, 3, 4)
     )

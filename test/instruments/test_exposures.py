@@ -51,7 +51,7 @@ def test_a_wide_range_of_brightness_is_captured():
     assert table.camera.exposure == single
 
 
-def test_pixels_that_are_always_saturated_are_told():
+def test_pixels_that_are_always_saturated_are_reported():
     table = instruments.SimulatedTable(fresh_seed(3), **SMALL)
     with pytest.warns(AccuracyWarning, match="pixels are saturated at all exposures"):
         rate = instruments.capture_hdr(table.camera, [1e3, 1e4])

@@ -1,4 +1,4 @@
-"""Spots that a camera makes even on simulated tables, judged by the light that the table hides."""
+"""Spots equalised by feedback of a camera on simulated tables, compared with the true power of the spots."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from .test_calibration import instruments_of
 
 
 def hidden_light(table, points, radius):
-    """Return the light in discs about the spots nearest to points of the plane, without camera and noise."""
+    """Return the power in discs about the spots nearest to points of the plane, without camera and noise."""
     light, pitch = table.intensity()
     y, x = ((np.arange(n) - n // 2) * pitch for n in light.shape)
     found = []

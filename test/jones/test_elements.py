@@ -74,7 +74,7 @@ def test_elements_compose(first, second, angle):
     np.testing.assert_allclose(
         jones.cascade(jones.rotator(first), jones.rotator(second)), jones.rotator(first + second), atol=1e-11
     )
-    # Two half-wave plates turn by twice the angle between them.
+    # Two half-wave plates rotate by twice the angle between them.
     pair = jones.cascade(jones.half_wave_plate(first), jones.half_wave_plate(second))
     np.testing.assert_allclose(-pair, jones.rotator(2 * (second - first)), atol=1e-11)
 

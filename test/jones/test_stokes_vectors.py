@@ -48,7 +48,7 @@ def test_pure_states_are_fully_polarised_and_come_back(field):
     assert again[0, 0].real >= 0 and again[0, 0].imag == 0
 
 
-def test_small_components_survive_the_way_back():
+def test_small_components_survive_the_inverse_conversion():
     field = np.asarray([[1.0], [1e-9j]])
     np.testing.assert_allclose(jones.field_from_stokes(jones.stokes(field)), field, rtol=1e-12, atol=1e-24)
     np.testing.assert_array_equal(jones.field_from_stokes(np.asarray([1.0, 0, 0, 0])), 0)

@@ -128,7 +128,7 @@ def test_strange_tasks_fail_alone(address):
     assert isinstance(unsent.error, TypeError) and "pickle" in str(unsent.error)
 
 
-def test_modules_that_workers_lack_travel_along(address, tmp_path, monkeypatch):
+def test_modules_that_workers_lack_are_sent(address, tmp_path, monkeypatch):
     (tmp_path / "far_away.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     import far_away
@@ -142,13 +142,13 @@ def test_modules_that_workers_lack_travel_along(address, tmp_path, monkeypatch):
             assert work.run() == [6]
 
 
-def test_large_functions_travel_once(address):
+def test_large_functions_are_sent_once(address):
     table = os.urandom(2**20)
     with spread(address, lambda index: table[index], [(index,) for index in range(50)]) as work:
         assert work.run() == list(table[:50])
 
 
-def test_large_arguments_travel_without_a_warning(address, recwarn):
+def test_large_arguments_are_sent_without_a_warning(address, recwarn):
     picture = torch.rand(2000, 2000)
     with spread(address, torch.flip, [(picture, (0,)), (picture, (1,))]) as work:
         rows, columns = work.run()
@@ -281,7 +281,7 @@ def test_a_task_that_ends_its_process_is_named_and_isolated(address):
 
 
 @pytest.mark.slow
-def test_the_tasks_that_travel_with_it_are_not_charged(address, tmp_path):
+def test_the_tasks_of_the_same_group_are_not_charged(address, tmp_path):
     jobs = [(99, tmp_path / "always"), *((0, tmp_path / f"never {index}") for index in range(5))]
     with spread(address, crash, jobs, retries=0, chunk=3) as work:
         always, *never = work.run(on_failure="return")
@@ -350,7 +350,7 @@ def test_all_workers_but_one_gone_for_good(address):
         stop(scheduler, *workers)
 
 
-def test_shared_arguments_travel_once(address):
+def test_shared_arguments_are_sent_once(address):
     picture = torch.randint(8, (500, 500), dtype=torch.float64)  # whole numbers: sums are exact in any order
     with spread(address, None, []) as work:
         sums = work.map(weighted_sum, range(40), shared={"picture": picture})

@@ -286,7 +286,7 @@ def poisoned(tmp_path, monkeypatch):
     assert not (folder / "poisoned").exists(), (folder / "poisoned").read_text()
 
 
-def test_no_process_imports_from_the_current_folder_and_its_modules_travel_with_the_tasks(poisoned, monkeypatch):
+def test_no_process_imports_from_the_current_folder_and_its_modules_are_sent_with_the_tasks(poisoned, monkeypatch):
     (poisoned / "my_helpers.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
     monkeypatch.syspath_prepend("")
     with agent(workers=1, verbose=False) as work:

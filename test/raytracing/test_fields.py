@@ -44,7 +44,7 @@ def test_a_plane_wave_goes_where_it_was_sent(along_x, along_y, rows, columns):
         np.testing.assert_allclose(found.ray[..., 1, 1], v, atol=1e-9)
         np.testing.assert_allclose(np.linalg.norm(found.ray[..., 1, :], axis=-1), 1)
     else:
-        # One sample has no neighbour to tell its slope by.
+        # One sample has no neighbour from which its derivative could be computed.
         assert np.isnan(found.ray[..., 1, :]).all()
     away = found.path - u * x[None, :] - v * y[:, None]
     np.testing.assert_allclose(away / WAVELENGTH, np.round(away / WAVELENGTH), atol=1e-9)

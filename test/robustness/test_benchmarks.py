@@ -1,4 +1,4 @@
-"""The history of the benchmarks: what is stored, and what is called slower."""
+"""The history of the benchmarks: stored runs, and the comparison of times."""
 
 import json
 import runpy

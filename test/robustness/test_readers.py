@@ -56,7 +56,7 @@ def one_thread():
 
 
 def judged(name, folder, extension, content):
-    """Return what a reader did to a file that it must not do, or None, and whether it read it."""
+    """Return the violation that a reader committed, or None, and whether it read the file."""
     path = folder / f"case{extension}"
     path.write_bytes(content)
     reader = READERS[name]
@@ -177,7 +177,7 @@ class TestPly:
 
     @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
     @pytest.mark.parametrize("counts", [(10**9, 1), (3, 4 * 10**9), (10**30, 1), (-1, 1)])
-    def test_promises_beyond_the_file_are_refused(self, form, counts, tmp_path):
+    def test_headers_that_declare_more_than_the_file_are_refused(self, form, counts, tmp_path):
         text = self.HEADER.format(form, counts[0]) + self.FACES.format(counts[1]) + "end_header\n"
         found, read = judged("ply", tmp_path, ".ply", text.encode() + bytes(60))
         assert (found, read) == (None, False)
@@ -194,7 +194,7 @@ class TestPly:
             read_PLY_point_cloud(tmp_path / "a.ply")
 
     @pytest.mark.parametrize("newline", ["\n", "\r", "\r\n"])
-    def test_what_is_promised_to_the_byte_is_read(self, newline, tmp_path):
+    def test_headers_that_declare_exactly_the_file_are_read(self, newline, tmp_path):
         header = self.HEADER.format("binary_little_endian", 2) + "end_header\n"
         points = np.arange(6, dtype="<f4")
         (tmp_path / "a.ply").write_bytes(header.replace("\n", newline).encode() + points.tobytes())

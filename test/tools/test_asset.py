@@ -7,7 +7,7 @@ from odak.learn.tools import load_voxelized_PLY
 from odak.tools import read_PLY, read_PLY_point_cloud, rotate_points, write_PLY, write_PLY_from_points
 
 
-def test_triangles_survive_a_file(tmp_path, random):
+def test_triangles_are_written_and_read(tmp_path, random):
     triangles = random.random((7, 3, 3)).astype(np.float32)
     name = tmp_path / "a.ply"
     write_PLY(triangles, name)

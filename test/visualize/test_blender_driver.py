@@ -99,7 +99,7 @@ def test_what_was_named_must_have_it(program, probe, words):
         blender.find_blender("/nowhere/python")
 
 
-def test_this_python_is_told_apart_from_one_with_bpy():
+def test_this_python_is_distinguished_from_one_with_bpy():
     with pytest.raises(blender.BlenderNotFoundError, match="a Python without the package bpy"):
         blender.find_blender(sys.executable)
 

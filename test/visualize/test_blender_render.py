@@ -344,7 +344,7 @@ def test_without_a_gpu_the_cpu_renders_with_one_warning():
     assert len(said) == 1
 
 
-def test_errors_inside_blender_are_told(tmp_path):
+def test_errors_inside_blender_are_reported(tmp_path):
     picture = scene_of()
     picture.add_sphere()
     (tmp_path / "broken.blend").write_bytes(b"not a blend file")

@@ -246,7 +246,7 @@ def test_a_point_behind_a_camera_is_not_seen():
 
 @pytest.mark.parametrize("location", [None, [0, 100, 0], [-3, 40, 90]])
 @pytest.mark.parametrize("projection", ["perspective", "orthographic"])
-def test_a_camera_that_was_told_nothing_sees_everything(random, location, projection):
+def test_a_camera_by_default_sees_all_objects(random, location, projection):
     picture = blender.scene(resolution=(60, 200))
     picture.add_lines(random.normal(size=(4, 5, 3)) * [1, 1, 20], radius=0.1)
     picture.add_camera(location, projection=projection, fov=60)
@@ -350,7 +350,7 @@ def test_cemented_lenses_do_not_touch_and_mirrors_are_metal():
         picture.add_system(optical_system([tilted, surface(thickness=9.0)], aperture=5.0))
 
 
-def test_scene_survives_a_file(picture, tmp_path):
+def test_scene_is_written_and_read(picture, tmp_path):
     picture.add_sphere([1, 2, 3], 4, material="N-BK7")
     picture.add_rays(LINE, 3, color=[[1, 0, 0], [0, 1, 0.5]])
     picture.add_image(np.linspace(0, 1, 12).reshape(3, 4), [2, 1], rotation=[0, 45, 0], shines=False)

@@ -85,7 +85,7 @@ def test_a_ball_scatters_as_its_partial_waves():
 
 @pytest.mark.parametrize(("method", "phase"), [("split-step", 8e-3), ("wave propagation", 4e-3)])
 def test_a_waveguide_keeps_its_mode(method, phase):
-    """The fundamental mode of a slab travels with its own propagation constant (u·tan u = √(V² − u²))."""
+    """The fundamental mode of a slab propagates with its propagation constant (u·tan u = √(V² − u²))."""
     core, cladding, half, length, dz = 1.46, 1.45, 2.0, 50.0, 0.5
     v = K * half * np.sqrt(core**2 - cladding**2)
     u = brentq(lambda t: t * np.tan(t) - np.sqrt(v**2 - t**2), 1e-6, np.pi / 2 - 1e-9)

@@ -229,7 +229,7 @@ def test_auto_follows_the_criteria(field, caplog):
     assert "chose Linear Angular Spectrum: its error is at most" in caplog.text
     assert near.shape == field.shape
     wide = gaussian_beam((256, 256), DX, 3e-4, 0.0, WAVELENGTH)
-    # A pitch below half a wavelength holds all waves that travel: the sampled kernel is exact.
+    # A pitch below half a wavelength samples all propagating waves: the sampled kernel is exact.
     for distance, pitch, name in ((5e-3, DX, "Linear Angular Spectrum"), (1e-4, 0.25e-6, "Rayleigh-Sommerfeld")):
         caplog.clear()
         with caplog.at_level(logging.DEBUG, logger="odak"):

@@ -45,7 +45,7 @@ def test_paraxial_error_is_the_phase_that_fresnel_loses():
         (8e-6, 0.0, "Linear Angular Spectrum"),
         (8e-6, -0.05, "Linear Angular Spectrum"),
         (8e-6, 0.2, "Linear Angular Spectrum"),
-        # All waves that travel are in the band, and at 1 nm also those that decay.
+        # All propagating waves are in the band, and at 1 nm also the evanescent ones.
         (0.25e-6, 1e-4, "Rayleigh-Sommerfeld"),
         (0.25e-6, 1e-9, "Linear Angular Spectrum"),
     ],
@@ -90,7 +90,7 @@ def test_predicted_error_bounds_the_actual_one(dx, padding, share, random):
         actual = np.linalg.norm(found - exact) / np.linalg.norm(exact)
         report = odak.wave.sampling_report(shape, dx, WAVELENGTH, distance, field=field)
         assert actual < 1e-4
-        # The sums that judge are right to some 1e-7 of the whole band.
+        # The reference sums are accurate to some 1e-7 of the whole band.
         assert actual < report.predicted_error + 3e-7, kind
         assert report.predicted_error < 10 * (actual + 3e-7), kind
         if kind == "random phase":

@@ -1,4 +1,4 @@
-"""Spot holograms against propagation to the spots, closed forms and what weighting promises."""
+"""Spot holograms against propagation to the spots, closed forms and the uniformity of the weighted algorithm."""
 
 import math
 

@@ -164,7 +164,7 @@ def test_a_plane_through_the_middle_of_the_field(angle):
     assert np.abs(found - beam).max() < 1e-7
 
 
-def test_grazing_planes_are_told_of():
+def test_grazing_planes_are_reported():
     with pytest.warns(odak.AccuracyWarning, match="more than 88 degrees"):
         propagate_to_tilted_plane(np.ones((8, 8), complex), 532e-9, 0.01, 8e-6, (88.5, 0.0, 0.0), (4, 4))
 

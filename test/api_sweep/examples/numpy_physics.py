@@ -260,7 +260,7 @@ BY_CALL = {
     "odak.wave.electric_field_per_plane_wave": {"k": 12.0, "w": 2.0, "t": 0.5},
     "odak.wave.propagate_plane_waves": {"k": 12.0, "w": 2.0, "t": 0.5},
     "odak.wave.rotationspeed": {"c": 3e11},
-    # A start that half precision holds: the turns magnify what is lost of it.
+    # A start that half precision represents exactly, because the periods amplify its rounding error.
     "odak.wave.weighted_gerchberg_saxton": {"n_iterations": 1, "initial_phase": (8 * numbers(16, 16)).round() / 8},
     "odak.wave.airy_beam": {"dx": 4e-6, "scale": 4e-5},
     "odak.wave.apply_jones": {"field": field(2, 16, 16)},

@@ -43,7 +43,7 @@ def tracker():
 
 
 class light_tracker(spec_track):
-    """A tracker whose network is light enough to be trained in no time."""
+    """A tracker whose network is small enough for fast training."""
 
     def init_layers(self):
         layers = [nn.AvgPool2d(20), nn.Flatten(), nn.Linear(720, 4), nn.BatchNorm1d(4), nn.Linear(4, 3)]

@@ -81,7 +81,7 @@ def test_gradients():
         return torch.func.functional_call(model, dict(zip(names, parameters, strict=True)), (x, y))
 
     torch.autograd.gradcheck(call, inputs)
-    # The sum of many takes another way.
+    # The sum of many is computed by another algorithm.
     points = torch.stack([x.detach().flatten(), y.detach().flatten()], dim=-1).requires_grad_()
     rows, alphas = torch.randn(5, 6, dtype=torch.float64), torch.randn(5, dtype=torch.float64) * 3
     torch.autograd.gradcheck(gaussians.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_()))

@@ -71,7 +71,7 @@ def test_shapes():
 
 
 @pytest.mark.filterwarnings("ignore:.torch.jit.script. is deprecated:DeprecationWarning")
-def test_blocks_are_as_large_as_told(monkeypatch):
+def test_blocks_have_the_requested_size(monkeypatch):
     seen = []
 
     def doubled(values):

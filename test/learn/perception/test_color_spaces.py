@@ -1,4 +1,4 @@
-"""Colour spaces of XYZ against values of colour-science 0.4.7; gamut and tone mapping by what they promise."""
+"""Colour spaces of XYZ against values of colour-science 0.4.7; gamut and tone mapping by their properties."""
 
 import math
 

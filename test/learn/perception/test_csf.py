@@ -58,7 +58,7 @@ def grating(cycles, contrast, size=64, mean=0.4):
 
 @pytest.mark.parametrize("cycles", [1, 5, 20, 32])
 @pytest.mark.parametrize("across", [True, False])
-def test_a_grating_at_its_threshold_costs_one(cycles, across):
+def test_a_grating_at_its_threshold_has_a_loss_of_one(cycles, across):
     width, distance, peak = 0.1, 0.6, 80.0
     loss = p.CSFLoss(width, distance, peak, 1e-9, "linear")
     flat = grating(cycles, 0.0)

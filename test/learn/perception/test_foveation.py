@@ -1,4 +1,4 @@
-"""Maps of eccentricity and pooling size against trigonometry done by hand."""
+"""Maps of eccentricity and pooling size against explicit trigonometry."""
 
 import math
 

@@ -93,8 +93,8 @@ def test_detail_counts_more_under_the_gaze_than_away_from_it():
     assert values[0] > 10 * values[2] > 0
 
 
-def test_other_noise_of_the_same_kind_is_forgiven_away_from_the_gaze():
-    """Pixels differ as much from other noise as from its blur; statistics tell them apart."""
+def test_other_noise_of_the_same_kind_has_a_small_loss_away_from_the_gaze():
+    """Pixels differ as much from other noise as from its blur; statistics distinguish them."""
     one, two = 0.3 * noise(1, 3, 64, 64) + 0.35, 0.3 * noise(1, 3, 64, 64, seed=1) + 0.35
     flat = torch.full_like(one, 0.5)
     loss = MetamericLossUniform(pooling_size=64, n_pyramid_levels=4)
@@ -103,7 +103,7 @@ def test_other_noise_of_the_same_kind_is_forgiven_away_from_the_gaze():
 
 
 def test_global_statistics_do_not_see_where_things_are():
-    """Pooled over all of it, a picture turned by half a turn has the same deviations and opposite mean slopes."""
+    """Pooled over the whole area, a picture rotated by 180° has the same deviations and opposite mean gradients."""
     picture = noise(1, 1, 32, 32)
     loss = MetamericLossUniform(pooling_size=32, n_pyramid_levels=2)
     # With one level of bands, the low-pass that is left is the only thing that is not pooled.
@@ -140,7 +140,7 @@ def test_gradient(kind, channels):
         loss(target, target)
     image = noise(1, channels, 16, 16).requires_grad_()
     assert torch.autograd.gradcheck(lambda picture: loss(picture, target), image, fast_mode=True)
-    # At the target itself, too, every slope is finite.
+    # At the target itself, too, every derivative is finite.
     flat = torch.zeros(1, channels, 16, 16, requires_grad=True)
     loss(flat, flat.detach()).backward()
     assert flat.grad.isfinite().all()
@@ -182,8 +182,8 @@ def test_what_is_kept_of_the_target():
 
 @pytest.mark.parametrize("kind", [MetamericLoss, MetamericLossUniform, MetamerMSELoss])
 @pytest.mark.parametrize("write", ["numpy", "data"])
-def test_a_target_is_known_by_its_values(kind, write):
-    """What is written behind autograd's back, or to memory shared with NumPy, is another target."""
+def test_a_target_is_identified_by_its_values(kind, write):
+    """Values written without autograd, or to memory shared with NumPy, make another target."""
     loss, image = kind(n_pyramid_levels=3), noise(1, 3, 16, 24)
     buffer, other = noise(1, 3, 16, 24, seed=1).numpy(), noise(1, 3, 16, 24, seed=2)
     target = torch.from_numpy(buffer)
@@ -198,7 +198,7 @@ def test_a_target_is_known_by_its_values(kind, write):
     assert abs(expected - first) > 1e-3 * first
 
 
-def test_a_trusted_target_is_known_by_its_address():
+def test_a_trusted_target_is_identified_by_its_address():
     loss, image, target = MetamericLoss(**SHALLOW, trust_target=True), noise(1, 3, 16, 16), noise(1, 3, 16, 16, seed=1)
     first = float(loss(image, target))
     kept = loss.target_stats
@@ -244,7 +244,7 @@ def test_where_a_uniform_loss_differs():
     seen = loss(image, target, visualise_loss=True)
     assert loss.loss_map.shape == (32, 48)
     assert float(loss.loss_map[:8, :8].min()) > 100 * float(loss.loss_map[20:, 20:].max())
-    # The way with a map and the one without compute the same.
+    # The computations with a map and without one agree.
     assert float(seen) == pytest.approx(float(loss(image, target)), rel=1e-9)
 
 
@@ -290,7 +290,7 @@ def test_foveated_metamer(texture):
     assert psnr(metamer[..., inside], texture[..., inside]) > 25
     far = lod > 3
     assert psnr(metamer[..., far], texture[..., far]) < 22
-    # It is closer to the picture in what the eye pools than other noise of one strength is.
+    # Its pooled statistics are closer to those of the picture than those of other noise of the same variance.
     judge = MetamericLoss(n_pyramid_levels=4, use_l2_foveal_loss=False, **VIEW)
     other = texture.mean((2, 3), keepdim=True) + texture.std() * math.sqrt(12) * (noise(1, 3, 64, 64, seed=9) - 0.5)
     assert float(judge(metamer, texture)) < 0.2 * float(judge(other, texture))

@@ -61,7 +61,7 @@ def test_against_plain_statistics(kind, masked, rows, columns):
         torch.testing.assert_close(found, wanted[:, :, 1])
 
 
-def test_nearly_flat_bands_have_no_slope_of_their_deviation():
+def test_nearly_flat_bands_have_no_derivative_of_their_deviation():
     pool, bands = sampler("mip", 8, 8), 0.3 + 1e-5 * noise(1, 1, 1, 8, 8).requires_grad_()
     mean, _ = pooled(bands.detach(), pool)
     target = laid_out(mean, torch.ones_like(mean))

@@ -143,7 +143,7 @@ def photograph():
 @pytest.mark.parametrize(("kind", "bilinear", "size", "floor", "of_green"), PHOTOGRAPH)
 @pytest.mark.parametrize("count", [2, 4, 6])
 def test_five_levels_of_the_green_of_a_photograph(kind, bilinear, size, floor, of_green, count):
-    """What is missing in the bilinear mode is aliasing of its halving and enlarging, which no filters can mend."""
+    """The error of the bilinear mode is aliasing of its resampling, which filters cannot compensate."""
     assert after_five_levels(photograph()[:, 1:2].float(), kind, bilinear, size, count) > of_green
 
 
@@ -302,7 +302,7 @@ def test_stripes_of_one_pixel_are_all_in_the_residual():
         assert level["h"].std() > 0.9 * stripes.std() > 3 * (level["l"] - 0.5).std()
 
 
-def test_each_filter_needs_room_where_it_is_used():
+def test_each_filter_needs_a_large_enough_level():
     picture = noise(1, 1, 48, 48)
     assert len(SpatialSteerablePyramid(True, 1, 9, 4).construct_pyramid(picture, 5)) == 5
     with pytest.raises(ValueError, match="sides of at least 72 for 5 levels"):

@@ -44,7 +44,7 @@ def grating(cycles, amplitude, size=64):
 
 
 @pytest.mark.parametrize("cycles", [16, 8, 4])
-def test_gratings_cost_what_they_cost_by_the_contrast_sensitivity(cycles, monkeypatch):
+def test_losses_of_gratings_follow_the_contrast_sensitivity(cycles, monkeypatch):
     target = torch.full((1, 1, 64, 64), 0.5, dtype=torch.float64)
     # An eye that sees as sharply everywhere as at the gaze.
     monkeypatch.setattr(visibility, "HALVING", 1e9)
@@ -54,7 +54,7 @@ def test_gratings_cost_what_they_cost_by_the_contrast_sensitivity(cycles, monkey
     assert float(found) == pytest.approx(float(expected), rel=0.1)
 
 
-def test_detail_costs_less_away_from_the_gaze_and_on_a_mask():
+def test_detail_has_a_smaller_loss_away_from_the_gaze_and_on_a_mask():
     wide = VisibilityLoss(real_image_width=0.1, real_viewing_distance=0.7)
     flat = torch.full((1, 1, 64, 64), 0.5, dtype=torch.float64)
     error = torch.zeros_like(flat)

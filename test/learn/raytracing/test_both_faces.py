@@ -1,4 +1,4 @@
-"""Every function of one face has its twin on the other, and both give the same numbers."""
+"""Functions for NumPy and for PyTorch have the same names and give the same values."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ LEARN_ALONE = {
 }
 
 
-def test_every_function_has_a_twin():
+def test_every_function_has_a_counterpart():
     ours, theirs = ({name for name in face.__all__ if callable(getattr(face, name))} for face in (learn, core))
     assert theirs - ours == set(CORE_ALONE)
     assert ours - theirs == set(LEARN_ALONE)
@@ -76,7 +76,7 @@ def tensors(value):
 
 
 @pytest.mark.parametrize("name", sorted(cases(np.random.default_rng(0))))
-def test_twins_agree(name):
+def test_counterparts_agree(name):
     arguments = cases(np.random.default_rng(1))[name]
     ours, theirs = getattr(learn, name)(*map(tensors, arguments)), getattr(core, name)(*arguments)
     results = (ours, theirs) if isinstance(ours, tuple) else ((ours,), (theirs,))
@@ -105,7 +105,7 @@ def test_curved_surfaces_agree():
         )
 
 
-def test_gradients_of_the_new_twins():
+def test_gradients_of_the_new_counterparts():
     random = np.random.default_rng(3)
     ends = random.normal(size=(2, 12, 3)) * np.asarray([5.0, 1.0])[:, None, None]
     rays = tensors(core.create_ray_from_two_points(*ends)).requires_grad_()

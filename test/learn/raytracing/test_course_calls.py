@@ -1,4 +1,4 @@
-"""What the customer's document says of rays, and calls that users make, run as written."""
+"""Documented calls of ray tracing run as written."""
 
 import importlib
 

@@ -58,7 +58,7 @@ def test_hits_lie_on_the_surface_and_faces_agree(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_slopes_are_the_derivatives_of_the_height(name, random):
+def test_gradients_are_the_derivatives_of_the_height(name, random):
     surface = _surfaces(rt)[name]
     x, y = (torch.from_numpy(v).requires_grad_() for v in random.uniform(-1.5, 1.5, (2, 20)))
     values = type(surface)(*as_tensors(surface)).sag(x, y)
@@ -216,7 +216,7 @@ def test_surfaces_without_coefficients():
         assert found == pytest.approx(float(core.intersect_w_sag(ray.numpy(), surface).distance), rel=1e-12)
 
 
-def test_a_ray_that_touches_spoils_no_other_rays_slope():
+def test_a_tangent_ray_leaves_the_derivatives_of_others_unchanged():
     rays = torch.tensor([[[0, -20.0, 0], [0, 1.0, 0]], [[0, 1.0, -5], [0, 0, 1.0]]], dtype=F64)
     curvature = torch.tensor(0.1, dtype=F64, requires_grad=True)
     rt.intersect_w_sag(rays, core.Conic(curvature)).distance[1].backward()

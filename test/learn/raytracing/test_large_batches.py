@@ -181,7 +181,7 @@ def test_little_is_saved_for_gradients(name):
     with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
         result = tasks[name]()
     saved.pop(rays.untyped_storage().data_ptr(), None)
-    # Besides the rays themselves: at most the distance, the status, and nothing of the way.
+    # Besides the rays themselves at most the distance and the status are stored, and no intermediate values.
     assert sum(saved.values()) <= 16 * count
     assert flat(result)[0].requires_grad
 

@@ -125,7 +125,7 @@ def test_gradients_reach_angles_and_offset():
 
 
 def test_learning_the_heights_focuses_a_mirror():
-    """The call of the reference's test: an optimizer bends the mesh so that its rays meet one point."""
+    """An optimizer deforms the mesh so that its rays meet in one point."""
     mesh = planar_mesh(size=torch.tensor([1.1, 1.1]), number_of_meshes=torch.tensor([9, 9]), device=torch.device("cpu"))
     grid = torch.linspace(-0.5, 0.5, 11)
     x, y = (v.reshape(-1) for v in torch.meshgrid(grid, grid, indexing="ij"))

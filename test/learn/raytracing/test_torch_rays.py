@@ -172,7 +172,7 @@ def test_everything_is_differentiable(random):
         assert torch.autograd.gradcheck(function, arguments, fast_mode=True)
 
 
-def test_lost_rays_poison_no_gradient():
+def test_lost_rays_leave_no_nan_in_gradients():
     n = torch.tensor(1.5, dtype=F64, requires_grad=True)
     sphere = torch.tensor([[0.0, 0, 5, 3]], dtype=F64, requires_grad=True)
     rays = [[[0, 0, 0], [0, 0.1, 1]], [[0, 50, 0], [0, 0, 1]], [[0, 2.9, 0], [0, 0, 1]], [[0, np.nan, 0], [0, 0, 1]]]

@@ -186,7 +186,7 @@ def test_gradients_in_rays_and_vertices(normals):
     assert torch.autograd.gradgradcheck(lambda v, r: outputs(v, r)[0].sum(), inputs)
 
 
-def test_misses_do_not_poison_gradients():
+def test_misses_leave_gradients_finite():
     vertices, faces = icosphere(1)
     vertices.requires_grad_()
     rays = torch.zeros(5, 2, 3, dtype=torch.float64)
@@ -226,7 +226,7 @@ def test_smooth_normals_refract_as_the_sphere_does():
     assert errors["smooth", 4] < errors["flat", 4] / 20
 
 
-def test_far_starts_cost_no_digits():
+def test_far_starts_lose_no_precision():
     """float32 rays from a thousand radii away meet the point that their directions allow."""
     vertices, faces = icosphere(3, torch.float32)
     near = random_rays(200, 10, dtype=torch.float64)

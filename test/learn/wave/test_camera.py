@@ -119,7 +119,7 @@ def test_a_capture_has_no_graph_and_the_light_has_one():
     assert torch.autograd.gradcheck(faulty.light, (phase,))
 
 
-def test_faults_travel_with_the_module():
+def test_display_errors_are_part_of_the_state():
     faulty = camera(aberration=torch.ones(4, 5), illumination=torch.ones(4, 5), slm=spatial_light_modulator(bits=2))
     assert {"aberration", "illumination"} <= set(faulty.state_dict())
     assert faulty.double().aberration.dtype == torch.float64

@@ -108,7 +108,7 @@ def test_activations():
     torch.testing.assert_close(opacities, torch.full((7,), 1 / (1 + math.exp(0.5)), dtype=torch.float64))
     assert means[:3].tolist() == [[16, 12], [32, 0], [0, 24]]
     assert bool((gaussians(7, merge_opacity=True).apply_activations()[3] == 1).all())
-    # In single precision a tiny negative phase would be rounded up to a whole turn.
+    # In single precision a tiny negative phase would be rounded up to 2π.
     tiny = torch.tensor([-1e-9, 1.0], requires_grad=True)
     wrapped = parameters.wrapped(tiny)
     assert wrapped.tolist() == [0, 1]

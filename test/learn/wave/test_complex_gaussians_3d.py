@@ -95,7 +95,7 @@ def test_points():
             complex_3d_gaussians("point", "cpu", args_prop=indoor, pointcloud_data=wrong)
 
 
-def test_points_outdoors():
+def test_points_in_unbounded_scenes():
     data = cloud()
     outdoor = Namespace(num_planes=2, is_outdoor=True)
     model = complex_3d_gaussians("point", "cpu", args_prop=outdoor, pointcloud_data=data)
@@ -132,7 +132,7 @@ def test_covariances_in_space(number, seed):
     assert covariance.shape == (number, 3, 3)
     torch.testing.assert_close(covariance, covariance.mT)
     torch.testing.assert_close(torch.linalg.eigvalsh(covariance), scales.square().sort(dim=1).values)
-    # Along the first axis of the Gaussian's own, turned by hand: p' = p + 2w(v × p) + 2v × (v × p).
+    # Along the first axis of the Gaussian, rotated explicitly: p' = p + 2w(v × p) + 2v × (v × p).
     w, v = quats[:, :1] / quats.norm(dim=1, keepdim=True), quats[:, 1:] / quats.norm(dim=1, keepdim=True)
     first = torch.tensor([[1.0, 0, 0]], dtype=torch.float64).expand(number, 3)
     twist = torch.linalg.cross(v, first)

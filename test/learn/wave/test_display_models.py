@@ -1,4 +1,4 @@
-"""Learned models of displays against simulated tables whose faults they do not know."""
+"""Learned models of displays fitted to simulated tables with unknown errors."""
 
 import dataclasses
 
@@ -40,7 +40,7 @@ def captures_of(table, count, frames):
 
 
 def started(table, distance, **options):
-    """Return a model that knows the design of a table, and its registration to half a pixel."""
+    """Return a model with the design parameters of a table, and its registration to half a pixel."""
     homography = table.truth.homography.copy()
     homography[:2, 2] += [0.4 * table.camera.pitch, -0.3 * table.camera.pitch]
     known = Registration(homography, 0.0, table.camera.shape)
@@ -79,7 +79,7 @@ def known(table, **options):
 
 
 @pytest.mark.parametrize("samples", [1, 3])
-def test_a_model_with_the_truth_sees_what_the_table_shows(samples):
+def test_a_model_with_the_true_parameters_predicts_captures(samples):
     faults = {"fringing": 0.5, "fill_factor": 0.9 if samples > 1 else 1.0, "samples_per_pixel": samples}
     table = SimulatedTable(3, shape=(24, 28), distance=2e-3, camera_shape=(30, 34), **faults)
     model = known(table, samples_per_pixel=samples, dtype=torch.float64)

@@ -23,7 +23,7 @@ def kernel(to, start, distance):
 
 
 def judged(field, place, diameter, focus=DISTANCE, away=DISTANCE, squeeze=(1.0, 1.0)):
-    """Return the intensity that an eye sees, by direct sums: to a finely sampled pupil, and back to the focus."""
+    """Return the retinal intensity by direct sums: to a finely sampled pupil, and back to the focus."""
     x = (np.arange(N) - N // 2) * PITCH
     fine = np.arange(-200, 201) / 400 * 1.02 * diameter
     py, px = (p + s * fine for p, s in zip(place, squeeze, strict=True))
@@ -124,7 +124,7 @@ def test_slopes():
     assert torch.autograd.gradcheck(seen, (field, *others), fast_mode=True, atol=1e-4)
 
 
-def test_doubtful_geometries_are_warned_of():
+def test_improbable_geometries_are_warned_of():
     with pytest.warns(SamplingWarning, match="pupil should be at least"):
         eye_image(random_field(), PITCH, WAVELENGTH, 2e-3)
     with pytest.warns(SamplingWarning, match="blur of the focus"):
@@ -138,7 +138,7 @@ def decibels(light, target):
 
 
 def test_each_place_of_the_eyebox_sees_its_own_image():
-    """Two views, judged by direct sums and at a place between that was not asked for."""
+    """Two views, evaluated by direct sums, also at an intermediate position without a target."""
     places = torch.tensor([[0.0, -1.2e-3], [0.0, 1.2e-3]])
     targets = torch.stack([picture(0), picture(1)])
     hologram, seen = wave.eyebox_hologram(
@@ -159,7 +159,7 @@ def test_each_place_of_the_eyebox_sees_its_own_image():
 
 
 def test_each_direction_of_gaze_sees_its_own_image():
-    """One eye that turns to either side, judged by direct sums to the place, width and distance of its pupil."""
+    """An eye rotated to either side, evaluated by direct sums at the position, width and distance of its pupil."""
     angles, targets = (6.0, -4.0), torch.stack([picture(0), picture(1)])
     hologram, seen = wave.eyebox_hologram(
         targets, WAVELENGTH, DISTANCE, PITCH, [[2e-4, 0.0]] * 2, 1.6e-3,

@@ -1,4 +1,4 @@
-"""Holograms: what the optimizers promise, their call forms and their errors."""
+"""Holograms: properties of the optimizers, their call forms and their errors."""
 
 import numpy as np
 import physics
@@ -176,8 +176,8 @@ def soft():
     return torch.from_numpy(0.2 + np.exp(-((y / 5.0) ** 2) - ((x - 2) / 6.0) ** 2))
 
 
-def test_alternating_projections_and_the_planes_optimizer_know_the_size_of_pixels(soft):
-    """Pixels of three fifths of the pitch, judged on pixels drawn as squares."""
+def test_alternating_projections_and_the_planes_optimizer_account_for_the_size_of_pixels(soft):
+    """Pixels of three fifths of the pitch, evaluated on pixels drawn as squares."""
     distance = 1.5e-3
     options = {"propagation_type": "Angular Spectrum", "initial_phase": torch.zeros_like(soft)}
     place = (20, distance, DX, WAVELENGTH, 2 * np.pi)

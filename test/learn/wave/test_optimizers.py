@@ -1,4 +1,4 @@
-"""Hologram optimizers against each other, against plain autograd, and for what they promise."""
+"""Hologram optimizers against each other, against plain autograd, and their documented properties."""
 
 import dataclasses
 import math

@@ -67,7 +67,7 @@ def test_image_by_both_faces_is_the_same():
 
 @pytest.mark.slow
 def test_a_thousand_spots_in_space_on_a_full_panel():
-    """Ten planes of a hundred spots at 1080 × 1920, judged by sums in double precision."""
+    """Ten planes of a hundred spots at 1080 × 1920, evaluated by sums in double precision."""
     shape, focal, generator = (1080, 1920), 0.2, torch.Generator().manual_seed(0)
     y, x = torch.meshgrid(torch.arange(10.0) - 4.5, torch.arange(10.0) - 4.5, indexing="ij")
     planes = []

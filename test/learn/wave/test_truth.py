@@ -165,7 +165,7 @@ def test_a_camera_loop_that_gets_worse_says_so_and_returns_its_best():
     losses = []
 
     def camera(phase):
-        # A display turned by a quarter, of which the model knows nothing.
+        # A display rotated by 90°, which the model does not include.
         image = wave.simulated_camera(COLOURS[1], distance, PITCH, full_well=None, exposure=0.01)(phase)
         return image.roll((5, 7), (-2, -1)).flip(-1)
 
@@ -201,6 +201,6 @@ def test_a_camera_behind_the_iris_of_the_model_with_real_pixels():
     middles = light.reshape(size[0], 8, size[1], 8)[:, 3:5, :, 3:5].mean((1, 3))
     end = decibels(camera(phase), target)
     assert abs(decibels(middles, target) - end) < 0.3
-    # A camera that knows neither iris nor pixels sees another picture.
+    # A camera model without iris and pixels gives another picture.
     blind = wave.simulated_camera(wavelength, distance, PITCH, full_well=None, exposure=0.1)
     assert abs(decibels(blind(phase), target) - decibels(middles, target)) > 0.5

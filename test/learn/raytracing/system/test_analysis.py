@@ -238,7 +238,7 @@ def test_radii_are_off_by_what_was_asked_for():
     torch.testing.assert_close(drawn, expected, rtol=1e-10, atol=0)
 
 
-def test_no_error_no_harm():
+def test_equal_pictures_have_no_loss():
     system = load_system("cooke_triplet")
     result = tolerance(system, [Perturbation("radius", [0], 0.0), Perturbation("tilt", [1], 0.0)], samples=2)
     torch.testing.assert_close(result.merit, result.nominal.expand(2, 3), rtol=1e-12, atol=0)

@@ -302,7 +302,7 @@ def test_units_of_solves_near_objects():
 
 
 def test_rays_that_the_fused_kernel_cannot_follow_have_the_same_derivatives(monkeypatch):
-    """A replay that gives up half way leaves the derivatives to autograd through the plain operations."""
+    """Where the replay fails, derivatives are computed by autograd through the plain operations."""
     lens = optical_system(
         [
             surface(30.0, coefficients=[0.0, 1e-5], thickness=4.0, material=1.6, stop=True),
@@ -336,7 +336,7 @@ def test_slopes_of_a_sphere_and_of_an_asphere():
 
 @pytest.mark.slow
 def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
-    """What was asked for is there, judged by rays of another pattern; the same seed gives the same digits."""
+    """The requirements are met for rays of another pattern; the same seed gives the same digits."""
     asked = (["N-LAK33B", "stop", "SF5", "N-LAK33B"], 50.0, 5.6, 10.0)
     options = {"edge": 0.5, "back": 20.0, "track": 80.0, "starts": 6, "iterations": 8, "polish": 1, "seed": 4}
     found, again = (automatic_design(*asked, **options) for _ in range(2))
@@ -354,7 +354,7 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
 
 @pytest.mark.slow
 def test_aspheres_are_designed_without_running_away():
-    """Three plastic aspheres of 50 degrees at f/4: spots by rays of another pattern, slopes where the beam is."""
+    """Three plastic aspheres of 50 degrees at f/4: spots by rays of another pattern, slopes within the beam."""
     low, high = model_glass(1.5445, 55.99), model_glass(1.6613, 20.37)
     options = {"aspheric_terms": 3, "glass": (0.25, 1.0), "air": (0.05, 1.0), "edge": 0.05, "back": 0.4, "track": 7.0}
     lens = automatic_design(

@@ -1,4 +1,4 @@
-"""The schematic eye: published numbers, rays by hand, wave and ray paths, images on the retina, accommodation."""
+"""The schematic eye: published values, explicit ray traces, wave and ray paths, retinal images, accommodation."""
 
 import math
 
@@ -172,7 +172,7 @@ def test_a_coherent_point_is_seen_as_the_incoherent_one():
 
 def test_light_from_the_right_is_seen_at_the_right_and_power_is_kept():
     n, pitch, cycles = 128, 5e-5, 9
-    # A point at the right sends light that travels to the left.
+    # Light from a point at the right propagates to the left.
     wave = torch.exp(-2j * math.pi * cycles / n * torch.arange(n, dtype=torch.float64)).expand(n, n)
     seen = retinal_field(wave, pitch, GREEN, 2.0)
     assert divmod(int(seen.field.abs().argmax()), n) == (n // 2, n // 2 + cycles)
@@ -188,7 +188,7 @@ def test_a_turned_eye_sees_in_the_middle_what_it_looks_at():
     for right, down in ((1.5, 0.0), (-1.0, 1.2)):
         a, b = math.radians(right), math.radians(down)
         line = (torch.arange(n, dtype=torch.float64) - n // 2) * pitch
-        # Light from the right travels to the left.
+        # Light from the right propagates to the left.
         path = line * math.sin(a) * math.cos(b) + line[:, None] * math.sin(b)
         wave = torch.exp(-2j * math.pi / GREEN * path)
         seen = retinal_field(wave, pitch, GREEN, 2.0, rotation=(right, down)).field.abs().square()

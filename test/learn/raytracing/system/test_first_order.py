@@ -46,7 +46,7 @@ def test_published_lenses_have_their_published_focal_length_and_f_number(name, f
 
 @pytest.mark.parametrize("name", sample_systems())
 def test_rays_close_to_the_axis_agree(name):
-    """Real rays through a pupil a millionth as wide meet the paraxial focus and pupils."""
+    """Real rays through a pupil a millionth as wide pass the paraxial focus and pupils."""
     system = load_system(name)
     system.aperture *= 1e-6
     found = first_order(system)

@@ -207,7 +207,7 @@ def test_files_ways_of_rays_and_what_is_refused():
 
 
 def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
-    """A medium that bends a steep ray back: its status says so, the others have finite gradients."""
+    """A medium that reverses a steep ray: its status is an error, the others have finite gradients."""
     front = surface(thickness=5.0, material=1.6, gradient=AxialGradient([-0.2]))
     lens = optical_system([front, surface(thickness=1.0)], 1.0)
     front.vary("coefficients")
@@ -220,7 +220,7 @@ def test_rays_that_turn_around_are_lost_without_a_trace_in_gradients():
     assert bool(torch.isfinite(front.own_gradient.coefficients.grad).all())
 
 
-def test_a_solve_for_the_focal_length_knows_graded_media_on_both_sides():
+def test_a_solve_for_the_focal_length_includes_graded_media_on_both_sides():
     for place in (0, 1):
         lens = rod_of()
         design = lens_design(

@@ -102,7 +102,7 @@ def test_the_field_behind_a_hologram_in_a_lens_focuses():
     height = float(trace_fields(bare, "y", 3, until=2).y[0, 0, 2])
     size, pitch = 65, 2.2 * height / 64
     y, x = grid(size, pitch)
-    # A polynomial in r² through the path differences over the pupil, as the phase that takes them away.
+    # A polynomial in r² through the path differences over the pupil, as the phase that compensates them.
     squared = bent.pupil.square().sum(-1)
     basis = torch.stack([squared**i for i in range(1, 5)], -1)
     terms = torch.linalg.lstsq(basis, bent.path[0, 0][:, None]).solution[:, 0]

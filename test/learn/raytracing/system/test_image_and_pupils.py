@@ -135,7 +135,7 @@ def test_a_tilted_image_plane_follows_scheimpflug():
     torch.testing.assert_close(z, sharp * math.tan(math.radians(angle)), atol=1e-12, rtol=0)
 
 
-def test_curved_images_survive_files_and_are_drawn(tmp_path):
+def test_curved_images_are_written_read_and_drawn(tmp_path):
     system = load_system("cooke_triplet")
     plain = draw_layout(system)
     system.image = surface(-60.0, conic=-0.4, coefficients=[0.0, 1e-6], semi_diameter=20.0)

@@ -218,7 +218,7 @@ def test_polarised_images_of_points():
     )
     scalar, vector = point_spread_function(mirror, 16, 32), polarized_point_spread_function(mirror, (1, 1j), 16, 32)
     assert torch.allclose(scalar.intensity, vector.intensity, rtol=0, atol=1e-4)
-    # The longitudinal field of a high aperture carries what the sines of the angles say.
+    # The power of the longitudinal field of a high aperture follows from the sines of the angles.
     fast = optical_system(
         [surface(-20.0, conic=-1.0, material="mirror", thickness=-10.0)], 16.0, wavelengths=WAVELENGTH
     )
@@ -297,7 +297,7 @@ def rod(length):
 
 
 def test_the_field_of_a_helical_ray_turns_by_rytovs_law():
-    """n² = n0²(1 − g²r²): after a turn about the axis the field has turned by the solid angle 2π(1 − cos θ)."""
+    """n² = n0²(1 − g²r²): after one period of the helix the field is rotated by the solid angle 2π(1 − cos θ)."""
     n0, g, radius = 1.6, 0.3, 0.9
     pitch = 2 * math.pi / g * math.sqrt(1 - 2 * (g * radius) ** 2)
     index = n0 * math.sqrt(1 - (g * radius) ** 2)

@@ -49,12 +49,12 @@ class CubicAsphere(Shape):
 
 @dataclass(frozen=True)
 class PlainConic(Conic):
-    """A conic that the fused kernel does not know."""
+    """A conic that the fused kernel does not support."""
 
 
 @dataclass(frozen=True)
 class PlainAsphere(EvenAsphere):
-    """An even asphere that the fused kernel does not know."""
+    """An even asphere that the fused kernel does not support."""
 
 
 SHAPES = {
@@ -74,7 +74,7 @@ def lens_of(shape, **options):
 
 @pytest.mark.parametrize("name", SHAPES)
 def test_any_shape_in_a_lens(name):
-    """Points on the surface, Snell's law there, gradients of all parameters, and the way through a file."""
+    """Points on the surface, Snell's law there, gradients of all parameters, writing and reading of files."""
     shape = SHAPES[name]
     lens = lens_of(shape)
     rays = launch(lens, "rings", 2)
@@ -327,7 +327,7 @@ def test_an_ideal_lens_has_no_aberrations():
 
 
 def test_a_ghost_is_two_reflections_traced_by_hand():
-    """Two reflections inside a plate: the plate's path thrice; in a lens, the focus of the matrices by hand."""
+    """Two reflections inside a plate: three times its path; in a lens, the focus by explicit matrices."""
     plate = optical_system([surface(thickness=4.0, material=1.5), surface(thickness=10.0)], 2.0, fields=[0.0, 5.0])
     ghost = ghost_system(plate, 0, 1)
     found, direct = trace_fields(ghost, "y", 3), trace_fields(plate, "y", 3)

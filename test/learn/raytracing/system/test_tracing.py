@@ -158,7 +158,7 @@ def test_statuses_say_what_befell_a_ray_first():
     assert names == ["HIT", "MISS", "VIGNETTED", "TOTAL_INTERNAL_REFLECTION", "HIT", *lost]
     for value in traced[:7]:
         assert value.isfinite().reshape(-1).tolist() == [name == "HIT" for name in names]
-    # The same two ways on: with every block going the plain way, and alone.
+    # Again in two forms: with the plain operations for every block, and alone.
     for i in range(len(cases)):
         assert int(trace(ball, cases[i]).status) == int(traced.status.reshape(-1)[i])
     free = trace(ball, cases, vignetting=False)
@@ -375,7 +375,7 @@ def test_apertures_and_fields_beyond_a_right_angle_are_refused():
         launch(optical_system(glass, aperture=5.0), "y", 3, fields=[[0.0, 95.0]])
 
 
-def test_media_are_told_apart_by_their_numbers_not_their_names():
+def test_media_are_distinguished_by_index_not_by_name():
     def heights(media):
         faces = [surface(radius, thickness=2.0, material=m) for radius, m in zip((20, -20, 1e9), media, strict=True)]
         lens = optical_system([*faces, surface(thickness=10.0)], aperture=2.0)

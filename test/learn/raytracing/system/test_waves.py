@@ -270,7 +270,7 @@ def test_what_would_be_wrong_is_refused():
 
 
 @pytest.mark.parametrize("look", ["rms", "spread", "zernike", "transfer"])
-def test_lost_rays_leave_slopes_finite(look):
+def test_lost_rays_leave_derivatives_finite(look):
     lens = load_system("double_gauss")
     curvature = lens.vary(curvature=[0])[0]
 
@@ -295,7 +295,7 @@ def test_lost_rays_leave_slopes_finite(look):
     assert found == pytest.approx(((above - below) / (2 * step)).item(), rel=1e-3)
 
 
-def test_blocked_light_leaves_slopes_of_the_exit_field_finite():
+def test_blocked_light_leaves_derivatives_of_the_exit_field_finite():
     pieces = [surface(10.0, semi_diameter=1.0, thickness=30.0, material=1.5, stop=True)]
     lens = optical_system(pieces, aperture=4.0, wavelengths=50e-3)
     curvature = lens.vary(curvature=[0])[0]

@@ -184,7 +184,7 @@ FORMS = {
 
 @pytest.mark.parametrize("name", FORMS)
 @pytest.mark.parametrize("unit", ["mm", "um"])
-def test_every_form_survives_both_files(tmp_path, name, unit):
+def test_every_form_is_written_to_and_read_from_both_files(tmp_path, name, unit):
     """Written and read again, in another unit too: the same rays."""
     item = system_from_dict(system_to_dict(optical_system([FORMS[name], surface(thickness=30.0)], 12.0))).surfaces[0]
     lens = optical_system(
@@ -236,7 +236,7 @@ def test_files_that_are_none_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", sample_systems())
-def test_round_trips_lose_no_digit(tmp_path, name):
+def test_round_trips_are_exact(tmp_path, name):
     system = load_system(name)
     write_zmx(system, tmp_path / "a.zmx")
     again, _ = read_zmx(tmp_path / "a.zmx")
@@ -247,7 +247,7 @@ def test_round_trips_lose_no_digit(tmp_path, name):
     assert system_to_dict(copy) == system_to_dict(system)
 
 
-def test_other_systems_survive_json():
+def test_other_systems_are_written_to_and_read_from_json():
     system = optical_system(
         [
             surface(50.0, conic=-0.3, coefficients=[0.0, 1e-6], material=1.6, thickness=3.0, tilt=(0.1, 0.0)),
