@@ -213,12 +213,13 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
         if job.fill_factor is not None
         else _intensity_at(job, saved, wavelength, job.distance, method, 1.0).mean(0)
     )
+    areas, wanted = areas[target.window], intensity[target.window]
     return {
         "wavelength": wavelength,
         "file": paths[0].name,
         **({"files": [path.name for path in paths]} if len(paths) > 1 else {}),
         **numbers,
-        "psnr_area_db": report.scaled_psnr(areas[target.window], intensity[target.window]),
+        "psnr_area_db": report.psnr(holograms.best_scale(areas, wanted) * areas, wanted),
         "seconds_per_iteration": seconds,
         "final_loss": loss,
         "image": (image * numbers["scale"]).cpu(),
@@ -659,16 +660,15 @@ def _channels(target: Target, volume: Volume, powers, *stacks) -> tuple[list[dic
     window = (slice(None), *target.window)
     sharp = [(part * volume.masks).sum(0).double() for part in stacks]
     # One brightness for all colours: the powers of the sources are part of the hologram.
-    bright = [float(report.common_scale((light * part)[window], wanted[window])) for part in sharp]
+    whole = wanted[window].reshape(1, -1)
+    bright = [float(holograms.best_scale((light * part)[window].reshape(1, -1), whole)) for part in sharp]
     scales = [brightness * light for brightness in bright]
     channels = [
         {
             **report.measure(
                 wanted[c], target.window, sharp[0][c], sharp[1][c], (float(scales[0][c]), float(scales[1][c]))
             ),
-            "psnr_area_db": report.finite(
-                report.psnr((scales[2] * sharp[2])[c][target.window], wanted[c][target.window])
-            ),
+            "psnr_area_db": report.psnr((scales[2] * sharp[2])[c][target.window], wanted[c][target.window]),
         }
         for c in range(len(wanted))
     ]
@@ -691,8 +691,8 @@ def _plane_quality(wanted, mask, image) -> dict:
     error = (image - wanted).square()
     sharp = float((error * mask).sum() / mask.sum()) if bool(mask.any()) else 0.0
     return {
-        "psnr_db": report.finite(report.psnr(image, wanted)),
-        "psnr_in_focus_db": -10 * math.log10(sharp) if sharp > 0 else None,
+        "psnr_db": report.psnr(image, wanted),
+        "psnr_in_focus_db": report.decibels(sharp),
         "ssim": report.ssim(image, wanted),
     }
 

@@ -191,7 +191,7 @@ def run(job: DesignJob) -> dict:
         "asked": {name: value for name, value in asked.items() if value not in (None, False)},
         "files": ["lens.json", *(["lens.zmx"] if job.zmx else []), "layout.png", "report.json"],
         "unit": lens.unit,
-        "first_order": {name: finite(float(value)) for name, value in first_order(lens)._asdict().items()},
+        "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
         "fields": _judged(start, lens),
         "merit": merit,
         "seconds": time.perf_counter() - begun,
@@ -218,8 +218,7 @@ def _judged(start: optical_system, lens: optical_system) -> list[dict]:
         before, after = (rms_spot(item, "rings", RINGS, vignetting=False) for item in (start, lens))
         bent = distortion(lens)[lens.reference]
     return [
-        {"field": list(field)}
-        | {"rms_spot_at_start": finite(float(a)), "rms_spot": finite(float(b)), "distortion": finite(float(c))}
+        {"field": list(field)} | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
         for field, a, b, c in zip(lens.fields, before, after, bent, strict=True)
     ]
 
@@ -367,7 +366,9 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
             system.aperture, system.fields = goal
             return
         system.aperture = own[0] + share * (goal[0] - own[0])
-        both = zip(_matching(own[1], goal[1]), goal[1], strict=True)
+        # Towards the goals from the axis, where the system has not as many fields as there are goals.
+        points = own[1] if len(own[1]) == len(goal[1]) else ((0.0, 0.0),) * len(goal[1])
+        both = zip(points, goal[1], strict=True)
         system.fields = tuple(tuple(a + share * (b - a) for a, b in zip(p, q, strict=True)) for p, q in both)
 
     def problem(share: float) -> tuple[lens_design, list[str]]:
@@ -401,11 +402,6 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
     if job.starts and job.starts > 1:
         result = design.restarts(job.starts, seed=job.seed, iterations=iterations)
     return list(result.history), names
-
-
-def _matching(own: tuple, goal: tuple) -> tuple:
-    """Return as many points as there are goals: the axis where a lens had no field."""
-    return own if len(own) == len(goal) else ((0.0, 0.0),) * len(goal)
 
 
 def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tuple[lens_design, list[str]]:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 from odak import _validate
 from odak.cli import files, pictures
 from odak.cli.job import InputError, image_path
-from odak.cli.report import find_device
+from odak.cli.report import decibels, find_device
 from odak.cli.target import read_picture
 
 STAGES = 3
@@ -142,8 +142,7 @@ def run(job: MetamerJob) -> dict:
             )
         _write(folder, picture, metamer, pooling, job.width)
         bar.update()
-    psnr = -10 * math.log10(error) if error else None
-    return {"psnr_db": psnr, "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
+    return {"psnr_db": decibels(error), "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
 
 
 def _quantised(picture):

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import metadata
+from typing import Any
 
 import torch
 
@@ -15,8 +16,6 @@ from odak.cli.files import file_depth
 from odak.cli.job import InputError, Job
 from odak.cli.target import Target
 
-WINDOW, SIGMA = 11, 1.5
-K1, K2 = 0.01, 0.03
 LIT = 0.1
 DEFINITIONS = {
     "target": "The picture's stored values, 0 to 1, taken as intensity; resized (bicubic) to the largest size that "
@@ -76,15 +75,17 @@ def measure(
     dict
         Numbers as `DEFINITIONS` has them.
     """
+    from odak.learn.wave.holograms import best_scale
+
     target, image, unquantised = (value.double() for value in (target, image, unquantised))
     images = (image, unquantised)
     scale, ideal = scales or (float(best_scale(part[window], target[window])) for part in images)
     lit = (target >= LIT * target.max()) & (target > 0)
     return {
-        "psnr_db": finite(psnr(scale * image[window], target[window])),
+        "psnr_db": psnr(scale * image[window], target[window]),
         "ssim": ssim(scale * image[window], target[window]),
-        "psnr_frame_db": finite(psnr(scale * image, target)),
-        "psnr_before_quantisation_db": finite(psnr(ideal * unquantised[window], target[window])),
+        "psnr_frame_db": psnr(scale * image, target),
+        "psnr_before_quantisation_db": psnr(ideal * unquantised[window], target[window]),
         "scale": float(scale),
         "efficiency": float(image.sum()) / image.numel(),
         "efficiency_lit": float(image[lit].sum()) / image.numel(),
@@ -110,7 +111,7 @@ def overall(target: Target, scaled: torch.Tensor, channels: list[dict]) -> dict:
     """
     window = (slice(None), *target.window)
     return {
-        "psnr_db": finite(psnr(scaled[window], target.intensity[window])),
+        "psnr_db": psnr(scaled[window], target.intensity[window]),
         **{
             name: sum(channel[name] for channel in channels) / len(channels)
             for name in ("ssim", "efficiency", "efficiency_lit")
@@ -171,9 +172,10 @@ def device_name(device: torch.device) -> str:
     return f"{device} ({torch.cuda.get_device_name(device)})" if device.type == "cuda" else str(device)
 
 
-def finite(value: float) -> float | None:
-    """Return a number, None where it is infinite, which JSON cannot represent."""
-    return value if math.isfinite(value) else None
+def finite(value: Any) -> float | None:
+    """Return a number, None for infinity and NaN, which JSON cannot represent."""
+    number = float(value)
+    return number if math.isfinite(number) else None
 
 
 @contextmanager
@@ -252,98 +254,25 @@ def devices() -> list[torch.device]:
     return found
 
 
-def best_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the scale s = ⟨I, T⟩/⟨I, I⟩ that brings an image closest to its target.
-
-    Parameters
-    ----------
-    image, target : torch.Tensor
-        Intensities ``[..., rows, columns]``.
-
-    Returns
-    -------
-    torch.Tensor
-        s, ``[..., 1, 1]``; 0 for an image of zeros.
-    """
-    axes = (-2, -1)
-    energy = (image * image).sum(axes, keepdim=True)
-    return (image * target).sum(axes, keepdim=True) / energy.clamp_min(torch.finfo(image.dtype).tiny)
+def decibels(error: float) -> float | None:
+    """Return the PSNR in dB of a mean squared error at a peak of 1, None without error: JSON has no infinity."""
+    return -10 * math.log10(error) if error > 0 else None
 
 
-def common_scale(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the scale s = ⟨I, T⟩/⟨I, I⟩ over all colours and pixels, without axes."""
-    return best_scale(image.reshape(1, -1), target.reshape(1, -1)).reshape(())
+def psnr(image: torch.Tensor, target: torch.Tensor) -> float | None:
+    """Return the PSNR in dB of two images, over all elements."""
+    return decibels(float((image.double() - target.double()).square().mean()))
 
 
-def scaled_psnr(image: torch.Tensor, target: torch.Tensor) -> float | None:
-    """Return the PSNR in dB of an image ``[rows, columns]`` at the brightness closest to its target."""
-    return finite(psnr(best_scale(image, target) * image, target))
+def ssim(image: torch.Tensor, target: torch.Tensor) -> float:
+    """Return the mean structural similarity of images ``[..., rows, columns]``, which may be far brighter than 1."""
+    from odak.learn.perception.quality import WINDOW, similarity_terms
 
-
-def psnr(image: torch.Tensor, target: torch.Tensor, peak: float = 1.0) -> float:
-    """Return the peak signal-to-noise ratio 10·log₁₀(peak²/MSE) in dB, over all elements.
-
-    Parameters
-    ----------
-    image, target : torch.Tensor
-        Of one shape.
-    peak : float
-        Largest value that the target could have.
-
-    Returns
-    -------
-    float
-        PSNR in dB, infinite for equal images.
-    """
-    error = float(((image.double() - target.double()) ** 2).mean())
-    return 10 * math.log10(peak**2 / error) if error > 0 else math.inf
-
-
-def ssim(image: torch.Tensor, target: torch.Tensor, peak: float = 1.0) -> float:
-    """Return the mean structural similarity of two images.
-
-    Parameters
-    ----------
-    image, target : torch.Tensor
-        ``[..., rows, columns]`` of one shape, each side at least 11.
-    peak : float
-        Largest value that the target could have.
-
-    Returns
-    -------
-    float
-        Mean over every place where the window fits, and over the leading axes; 1 for equal images.
-
-    Raises
-    ------
-    ValueError
-        If the shapes differ or an image is smaller than the window.
-
-    Notes
-    -----
-    Wang, Bovik, Sheikh and Simoncelli, IEEE Trans. Image Process. 13, 600 (2004): Gaussian window of 11 × 11 with
-    σ = 1.5, K₁ = 0.01, K₂ = 0.03.
-    """
     if image.shape != target.shape or min(image.shape[-2:]) < WINDOW:
         raise ValueError(
             f"image and target must have one shape of at least {WINDOW} x {WINDOW}, "
             f"got {tuple(image.shape)} and {tuple(target.shape)}"
         )
-    x, y = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))
-    mean_x, mean_y = _windowed(x), _windowed(y)
-    variance_x = _windowed(x * x) - mean_x**2
-    variance_y = _windowed(y * y) - mean_y**2
-    covariance = _windowed(x * y) - mean_x * mean_y
-    c1, c2 = (K1 * peak) ** 2, (K2 * peak) ** 2
-    luminance = (2 * mean_x * mean_y + c1) / (mean_x**2 + mean_y**2 + c1)
-    structure = (2 * covariance + c2) / (variance_x + variance_y + c2)
+    pair = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))
+    luminance, structure = similarity_terms(*pair, 1.0)
     return float((luminance * structure).mean())
-
-
-def _windowed(image: torch.Tensor) -> torch.Tensor:
-    """Return Gaussian-weighted means of an image, where the window fits."""
-    line = torch.arange(WINDOW, dtype=image.dtype, device=image.device) - WINDOW // 2
-    line = torch.exp(-(line**2) / (2 * SIGMA**2))
-    line = line / line.sum()
-    image = torch.nn.functional.conv2d(image, line.reshape(1, 1, -1, 1))
-    return torch.nn.functional.conv2d(image, line.reshape(1, 1, 1, -1))

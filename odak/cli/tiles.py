@@ -75,7 +75,7 @@ def run(
         with _computed_by(workers, folder):
             channels = [_channel(job, target, index, folder, stem, again) for index, stem in enumerate(stems)]
         errors = [channel.pop("mean_squared_error") for channel in channels]
-        quality = {"psnr_db": _decibels(sum(errors) / len(errors)), "ssim": None} | {
+        quality = {"psnr_db": report.decibels(sum(errors) / len(errors)), "ssim": None} | {
             name: sum(channel[name] for channel in channels) / len(channels)
             for name in ("efficiency", "efficiency_lit")
         }
@@ -223,16 +223,12 @@ def _measure(target: Any, image: Any, window: tuple[slice, slice]) -> dict:
     # The mean of (s·I − T)² at the best scale s.
     error = max(found["wanted"] - scale * found["overlap"], 0.0) / wanted.size
     return {
-        "psnr_db": _decibels(error),
+        "psnr_db": report.decibels(error),
         "scale": scale,
         "efficiency": found["light"] / image.size,
         "efficiency_lit": lit / image.size,
         "mean_squared_error": error,
     }
-
-
-def _decibels(error: float) -> float | None:
-    return -10 * math.log10(error) if error > 0 else None
 
 
 def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], channels: list[dict], quality) -> float:

@@ -8,6 +8,7 @@ import torch
 
 from odak.cli.files import writable_folder, write_json
 from odak.cli.job import InputError, did_you_mean
+from odak.cli.report import finite, versions
 from odak.learn.raytracing.system import (
     distortion,
     first_order,
@@ -131,8 +132,6 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
 
 def describe(system, rings: int, aim: str) -> dict:
     """Return the entries of the report on a system."""
-    from odak.cli.report import versions
-
     spots = spot_diagram(system, "rings", rings, aim=aim)
     wave = wavefront(system, "rings", rings, aim=aim)
     spread = point_spread_function(system, 64, 1024, aim=aim)
@@ -141,12 +140,12 @@ def describe(system, rings: int, aim: str) -> dict:
     fields = [
         {
             "field": list(field),
-            "rms_spot": _number(spots.rms[i]),
-            "largest_spot": _number(spots.largest[i]),
-            "centroid": [_number(value) for value in spots.center[i]],
-            "distortion": _number(bent[place, i]),
-            "wavefront_rms": _number(wave.rms[place, i]),
-            "strehl": _number(spread.strehl[place, i]),
+            "rms_spot": finite(spots.rms[i]),
+            "largest_spot": finite(spots.largest[i]),
+            "centroid": [finite(value) for value in spots.center[i]],
+            "distortion": finite(bent[place, i]),
+            "wavefront_rms": finite(wave.rms[place, i]),
+            "strehl": finite(spread.strehl[place, i]),
             "statuses": {
                 status.name.lower(): int((spots.status[:, i] == status).sum())
                 for status in RayStatus
@@ -157,15 +156,9 @@ def describe(system, rings: int, aim: str) -> dict:
     ]
     return {
         "system": system_to_dict(system),
-        "first_order": {name: _number(value) for name, value in first_order(system)._asdict().items()},
+        "first_order": {name: finite(value) for name, value in first_order(system)._asdict().items()},
         "rays": {"pattern": "rings", "count": rings, "aim": aim},
         "fields": fields,
         "versions": versions(),
         "definitions": DEFINITIONS,
     }
-
-
-def _number(value) -> float | None:
-    """Return a float, None for infinity and NaN, which JSON cannot represent."""
-    value = float(value)
-    return value if abs(value) < float("inf") else None

@@ -128,16 +128,6 @@ def crossing_of_lines(start0, direction0, start1, direction1):
 # area is exactly zero, which counts as inside, so that no ray passes a closed surface.
 
 
-def frame_order(axis):
-    """Return the order of components with which `axis`, ``[...]``, is the last one: ``[..., 3]``.
-
-    The order is cyclic, so that handedness stays.
-    """
-    xp = namespace(axis)
-    first, second = axis + 1, axis + 2
-    return xp.stack((xp.where(first > 2, first - 3, first), xp.where(second > 2, second - 3, second), axis), axis=-1)
-
-
 def shear_of(direction):
     """Return dx/dz and dy/dz of directions (x, y, z) that run most along z."""
     return direction[0] / direction[2], direction[1] / direction[2]

@@ -68,17 +68,14 @@ def convolve_with_chirp(field, step, count: int, axis: int):
     lags = _line(field, 1 - count // 2 - n_in + n_in // 2, total, axis)
     response = xp.fft.fft(phasor_of_cycles(-step * lags**2 / 2, field.dtype), n=length, axis=axis)
     summed = xp.fft.ifft(xp.fft.fft(field, n=length, axis=axis) * response, axis=axis)
-    return xp.astype(_slice(summed, n_in - 1, count, axis), field.dtype, copy=False)
+    kept = slice(n_in - 1, n_in - 1 + count)
+    return xp.astype(summed[..., kept] if axis == -1 else summed[..., kept, :], field.dtype, copy=False)
 
 
 def _line(like, start: int, count: int, axis: int):
     xp = _array.namespace(like)
     line = xp.arange(start, start + count, dtype=xp.float64, device=_array.device_of(like))
     return xp.reshape(line, (-1, 1) if axis == -2 else (1, -1))
-
-
-def _slice(array, start: int, count: int, axis: int):
-    return array[..., start : start + count] if axis == -1 else array[..., start : start + count, :]
 
 
 @dataclass(frozen=True)

@@ -147,20 +147,14 @@ def _filter_intensity(field, request: Request):
     return xp.real(convolve(field, kernel))
 
 
-def _convolve_rayleigh_sommerfeld(field, request: Request):
-    """Return the linear convolution with the sampled kernel, on twice the field's grid."""
-    return _convolve_linearly(field, request, tf.rayleigh_sommerfeld)
+def _convolve_linearly(build_for: Callable) -> Callable:
+    """Return an `apply` by linear convolution, on twice the field's grid, with the kernel ``build_for(request)``."""
 
+    def apply(field, request: Request):
+        kernel = _kernel_for(field, request, build_for(request), tuple(2 * n for n in field.shape[-2:]))
+        return convolve(field, _times_aperture(kernel, request.aperture, field))
 
-def _convolve_band_limited(field, request: Request):
-    """Return the linear convolution with the angular spectrum's kernel, on twice the field's grid."""
-    return _convolve_linearly(field, request, linear_kernel(tf.angular_spectrum, tolerance=request.tolerance))
-
-
-def _convolve_linearly(field, request: Request, build: Callable):
-    size = tuple(2 * n for n in field.shape[-2:])
-    kernel = _kernel_for(field, request, build, size)
-    return convolve(field, _times_aperture(kernel, request.aperture, field))
+    return apply
 
 
 def _fraunhofer(field, request: Request):
@@ -233,9 +227,6 @@ def _band_extended_transfer(grid: Grid):
         indices = grid.xp.arange(count, dtype=grid.xp.float64, device=grid.device) - count // 2
         frequencies.append(grid.xp.reshape(indices, (-1, 1) if axis == 0 else (1, -1)) * step)
     return tf.plane_wave_transfer(grid, *frequencies)
-
-
-# Transfer functions of a path that leads to a relay and back.
 
 
 # Where each method is valid.
@@ -353,11 +344,16 @@ METHODS = (
         needs_distance=True,
         sets_own_pitch=True,
     ),
-    Method("Linear Angular Spectrum", ("LAS",), _convolve_band_limited, _never),
+    Method(
+        "Linear Angular Spectrum",
+        ("LAS",),
+        _convolve_linearly(lambda request: linear_kernel(tf.angular_spectrum, tolerance=request.tolerance)),
+        _never,
+    ),
     Method(
         "Rayleigh-Sommerfeld",
         ("Rayleigh Sommerfeld", "RS"),
-        _convolve_rayleigh_sommerfeld,
+        _convolve_linearly(lambda request: tf.rayleigh_sommerfeld),
         _sum_aliases,
         chunked=True,
     ),

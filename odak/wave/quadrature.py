@@ -72,9 +72,9 @@ class Axis:
         with np.errstate(divide="ignore"):
             return np.where(axial > 0, self.distance * self.band / np.sqrt(np.maximum(axial, 0)) / self.pitch, np.inf)
 
-    def transverse_samples(self, number: int = 6) -> np.ndarray:
-        """Return the midpoints of equal parts of the other axis' travelling waves."""
-        return (np.arange(number) + 0.5) / number * min(self.transverse, 0.98 / self.wavelength)
+    def transverse_samples(self) -> np.ndarray:
+        """Return the midpoints of six equal parts of the other axis' travelling waves."""
+        return (np.arange(6) + 0.5) / 6 * min(self.transverse, 0.98 / self.wavelength)
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _even_fast(least: float) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex, ...]:
+def end_corrections(low: float, high: float) -> tuple[complex, ...]:
     """Return what to add to the weights at the end of Σ exp(−iωk), k = 0, 1, …, so that it is 1/(iω).
 
     The fit is by least squares over `low` ≤ ω ≤ `high`, ω being the phase from one term to the next.
@@ -161,7 +161,7 @@ def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex
     turns = np.linspace(low, high, 801)
     turns = turns[np.abs(turns) > 1e-6]
     wanted = 1 / (1j * turns) - 1 / (1 - np.exp(-1j * turns))
-    terms = np.exp(-1j * turns[:, None] * np.arange(taps))
+    terms = np.exp(-1j * turns[:, None] * np.arange(_TAPS))
     found = np.linalg.lstsq(terms, wanted, rcond=1e-10)[0]
     return tuple(complex(value) for value in found)
 

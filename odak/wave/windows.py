@@ -56,7 +56,7 @@ class Window:
         return grid.pitch if self.dx is None else tuple(column(value, grid) for value in pitches(self.dx))
 
 
-def make_window(field, window_shape, window_dx, dx, offset, guard: float, axes=UNTILTED) -> Window:
+def make_window(field, window_shape, window_dx, dx, offset, guard: float) -> Window:
     """Return the window after checking it; its shape and pitch are the field's unless given."""
     shape = tuple(field.shape[-2:]) if window_shape is None else _validate.size("window_shape", window_shape)
     if window_dx is not None:
@@ -69,7 +69,7 @@ def make_window(field, window_shape, window_dx, dx, offset, guard: float, axes=U
     _validate.real("guard", guard)
     if not isinstance(guard, (int, float)) or guard < 0:
         raise ValueError(f"guard must be a number of at least 0, got {guard!r}")
-    return Window(shape, window_dx, offset, float(guard), axes)
+    return Window(shape, window_dx, offset, float(guard))
 
 
 def column(value, grid: Grid):

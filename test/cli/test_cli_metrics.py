@@ -1,18 +1,16 @@
-import math
-
 import numpy as np
 import pytest
 import torch
 from scipy.ndimage import correlate1d
 
 from odak.cli import report as metrics
+from odak.learn.wave.holograms import best_scale
 
 
 def test_psnr_of_a_constant_error():
     target = torch.full((16, 16), 0.5)
     assert metrics.psnr(target + 0.1, target) == pytest.approx(20, abs=1e-5)
-    assert metrics.psnr(target + 0.1, target, peak=10.0) == pytest.approx(40, abs=1e-5)
-    assert metrics.psnr(target, target) == math.inf
+    assert metrics.psnr(target, target) is None
 
 
 def test_ssim_of_constant_images_is_the_luminance_term():
@@ -54,8 +52,8 @@ def test_ssim_refuses_what_has_no_window():
 def test_best_scale_is_the_minimum_of_the_squared_error():
     generator = torch.Generator().manual_seed(2)
     image, target = (torch.rand(2, 9, 7, dtype=torch.float64, generator=generator) for _ in range(2))
-    scale = metrics.best_scale(image, target)
+    scale = best_scale(image, target)
     assert scale.shape == (2, 1, 1)
     errors = [((factor * scale * image - target) ** 2).sum((-2, -1)) for factor in (0.99, 1.0, 1.01)]
     assert torch.all(errors[1] < errors[0]) and torch.all(errors[1] < errors[2])
-    assert torch.equal(metrics.best_scale(torch.zeros(4, 4), torch.ones(4, 4)), torch.zeros(1, 1))
+    assert torch.equal(best_scale(torch.zeros(4, 4), torch.ones(4, 4)), torch.zeros(1, 1))

@@ -1,7 +1,7 @@
 """Networks that estimate rotations from lensless images of speckle."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 
 import torch
@@ -178,6 +178,11 @@ class spec_track(nn.Module):
                 raise ValueError(f"{name} must be at least 0, got {value!r}")
         folder = validate_path(directory, name="directory")
         check_directory(os.path.join(folder, "log"))
+
+        def save_if_best(epoch, history):
+            if history.best_epoch == epoch:
+                self.save_weights(os.path.join(folder, f"best_model_epoch_{epoch}.pt"))
+
         history = train(
             self,
             lambda model, batch: model.evaluate(model(batch[0]), batch[1]),
@@ -189,7 +194,7 @@ class spec_track(nn.Module):
             seed=seed,
             mixed_precision=mixed_precision,
             checkpoint=checkpoint,
-            callback=self._save_if_best(folder),
+            callback=save_if_best,
             progress=progress,
             description="spec_track",
         )
@@ -226,13 +231,6 @@ class spec_track(nn.Module):
         """
         load_weights(self.network, filename)
         self.eval()
-
-    def _save_if_best(self, folder: str) -> Callable[[int, TrainingHistory], None]:
-        def save(epoch, history):
-            if history.best_epoch == epoch:
-                self.save_weights(os.path.join(folder, f"best_model_epoch_{epoch}.pt"))
-
-        return save
 
 
 @contextmanager

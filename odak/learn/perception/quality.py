@@ -169,7 +169,7 @@ def structural_similarity(predictions: torch.Tensor, targets: torch.Tensor, data
     1.0
     """
     predictions, targets = _checked(predictions, targets, WINDOW, data_range)
-    luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)
+    luminance, structure = similarity_terms(_planes(predictions), _planes(targets), data_range)
     return (luminance * structure).mean()
 
 
@@ -216,7 +216,7 @@ def multi_scale_structural_similarity(
     one, two = _planes(predictions), _planes(targets)
     result = torch.ones(len(one), dtype=one.dtype, device=one.device)
     for scale, weight in enumerate(SCALE_WEIGHTS):
-        luminance, structure = _similarities(one, two, data_range)
+        luminance, structure = similarity_terms(one, two, data_range)
         last = scale == len(SCALE_WEIGHTS) - 1
         mean = (luminance * structure if last else structure).mean((-3, -2, -1))
         result = result * _positive_power(mean, weight)
@@ -494,7 +494,7 @@ def _planes(pictures):
     return pictures.reshape(-1, 1, *pictures.shape[-2:])
 
 
-def _similarities(one, two, data_range):
+def similarity_terms(one, two, data_range):
     """Return the luminance term and the contrast–structure term of SSIM, where the window fits.
 
     2ab/(a² + b²) = 1 − (a − b)²/(a² + b²), likewise with variances: four windowed means instead of five, and no
@@ -520,9 +520,13 @@ def _windowed(planes):
     axis = torch.arange(WINDOW, dtype=torch.float64, device=planes.device) - WINDOW // 2
     line = torch.exp(-(axis**2) / (2 * SIGMA**2))
     line = (line / line.sum()).to(planes.dtype)
-    # As channels of one picture, over which libraries vectorise; a window is then as fast as two lines.
-    taps = (line[:, None] * line).expand(len(planes), 1, WINDOW, WINDOW)
-    return nn.functional.conv2d(planes.transpose(0, 1), taps, groups=len(planes)).transpose(0, 1)
+    # As channels of one picture, over which libraries vectorise. In single precision one window is then as fast as two
+    # lines; in double precision, for which libraries have no such kernels, it takes many times as long.
+    channels, count = planes.transpose(0, 1), len(planes)
+    double = planes.dtype == torch.float64
+    for taps in (line[:, None], line[None]) if double else (line[:, None] * line,):
+        channels = nn.functional.conv2d(channels, taps.expand(count, 1, *taps.shape), groups=count)
+    return channels.transpose(0, 1)
 
 
 def _positive_power(value, exponent):
@@ -658,7 +662,7 @@ def eccentricity_report(
     predictions, targets = _checked(predictions, targets, WINDOW, data_range)
     size = tuple(predictions.shape[-2:])
     masks = ring_masks(size, gaze, edges, real_image_width, real_viewing_distance, device=predictions.device)
-    luminance, structure = _similarities(_planes(predictions), _planes(targets), data_range)
+    luminance, structure = similarity_terms(_planes(predictions), _planes(targets), data_range)
     similarity = luminance * structure
     border = WINDOW // 2
     rings = []

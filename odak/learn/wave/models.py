@@ -1,7 +1,7 @@
 """Networks that compute holograms, and one that propagates light to curved focal surfaces."""
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
@@ -163,6 +163,11 @@ class holobeam_multiholo(nn.Module):
         if isinstance(dataloader, str) or not isinstance(dataloader, Iterable):
             raise TypeError(f"dataloader must be an iterable of batches, got {type(dataloader).__name__}")
         check_directory(folder)
+
+        def save_now_and_then(epoch, history):
+            if (epoch - 1) % every == 0:
+                self.save_weights(os.path.join(folder, f"weights_{epoch - 1:04d}.pt"))
+
         history = train(
             self,
             lambda model, batch: model.evaluate(model(batch[0]), batch[1]),
@@ -172,7 +177,7 @@ class holobeam_multiholo(nn.Module):
             seed=seed,
             mixed_precision=mixed_precision,
             checkpoint=checkpoint,
-            callback=self._save_now_and_then(folder, every),
+            callback=save_now_and_then,
             progress=progress,
             description="holobeam_multiholo",
         )
@@ -206,13 +211,6 @@ class holobeam_multiholo(nn.Module):
         """
         load_weights(self.network, filename)
         self.eval()
-
-    def _save_now_and_then(self, folder: str, every: int) -> Callable[[int, TrainingHistory], None]:
-        def save(epoch, history):
-            if (epoch - 1) % every == 0:
-                self.save_weights(os.path.join(folder, f"weights_{epoch - 1:04d}.pt"))
-
-        return save
 
 
 class focal_surface_light_propagation(nn.Module):
