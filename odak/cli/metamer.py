@@ -106,6 +106,7 @@ def run(job: MetamerJob) -> dict:
     picture = read_picture(image_path(job.image))[None].to(device)
     folder = files.writable_folder(job.output)
     from odak.learn.perception import MetamericLoss, MetamerMSELoss, make_pooling_size_map_pixels
+    from odak.learn.perception.metameric import metamer_stages
 
     view: dict[str, Any] = {
         "alpha": job.alpha,
@@ -119,7 +120,8 @@ def run(job: MetamerJob) -> dict:
         "joint": job.joint,
         "nominal_width": job.nominal_width,
     }
-    with tqdm(total=STAGES + job.iterations, desc="metamer", unit="step", disable=job.quiet) as bar:
+    evaluations = sum(count for _, count in metamer_stages(job.iterations, job.joint))
+    with tqdm(total=STAGES + evaluations, desc="metamer", unit="step", disable=job.quiet) as bar:
         pooling = make_pooling_size_map_pixels(job.gaze, picture.shape[-2:], **view)
         bar.update()
         try:

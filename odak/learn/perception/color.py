@@ -903,8 +903,8 @@ _OKLAB = np.array(
 _ICTCP_CONES = np.array([(1688, 2146, 262), (683, 2951, 462), (99, 309, 3688)]) / 4096
 _ICTCP = np.array([(2048, 2048, 0), (6610, -13613, 7003), (17933, -17390, -543)]) / 4096
 _SRGB = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
-# Roots of darker values have the gradient of this one.
-_DARKEST = 1e-12
+# Roots of darker values have the gradient of this one; float16 does not reach far enough for the first.
+_DARKEST, _DARKEST_HALF = 1e-12, 1e-6
 _BISECTIONS = 40
 
 
@@ -1492,9 +1492,10 @@ def cube_root(relative):
 
 def _signed_cube_root(value):
     """Return the cube root of values of either sign; near 0 with a bounded gradient."""
-    some = value.abs() > _DARKEST
+    darkest = _DARKEST_HALF if value.dtype == torch.float16 else _DARKEST
+    some = value.abs() > darkest
     root = value.sign() * torch.where(some, value.abs(), 1.0) ** (1 / 3)
-    return torch.where(some, root, value * _DARKEST ** (-2 / 3))
+    return torch.where(some, root, value * darkest ** (-2 / 3))
 
 
 @functools.lru_cache(maxsize=32)

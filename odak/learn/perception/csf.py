@@ -12,7 +12,7 @@ from torch import nn
 from odak import _array, _validate
 from odak.learn._tensors import tensor
 from odak.learn.perception.color import srgb_decoded
-from odak.learn.perception.util import as_pictures, check_loss_inputs
+from odak.learn.perception.util import as_pictures, check_loss_inputs, in_float32
 
 SIGNAL_TO_NOISE = 3.0
 INTEGRATION_TIME = 0.1
@@ -223,7 +223,8 @@ class CSFLoss(nn.Module):
         Returns
         -------
         torch.Tensor
-            The mean over the pictures, without axes, in their precision; 0 for equal luminance.
+            The mean over the pictures, without axes, in their precision, float32 of half precision; 0 for equal
+            luminance.
 
         Raises
         ------
@@ -234,7 +235,7 @@ class CSFLoss(nn.Module):
             _check_range(name, as_pictures(name, picture, None))
         check_loss_inputs("CSFLoss", image, target)
         dtype = torch.promote_types(image.dtype, target.dtype)
-        image, target = image.to(dtype), target.to(dtype)
+        image, target = in_float32(image.to(dtype)), in_float32(target.to(dtype))
         if image.shape[-2:].numel() < 2:
             raise ValueError(f"image and target must have two pixels or more, got {tuple(image.shape)}")
         shown, wanted = self._luminance(image), self._luminance(target)

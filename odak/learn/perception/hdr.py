@@ -11,7 +11,7 @@ import math
 import torch
 
 from odak import _validate
-from odak.learn.perception.util import in_float64
+from odak.learn.perception.util import in_float32, in_float64
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -69,8 +69,8 @@ def pq_encode(luminance: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in pq_encode(torch.tensor([100.0, 10000.0])).tolist()]
     [0.5081, 1.0]
     """
-    relative = _floats("luminance", luminance).clamp(0, PQ_PEAK) / PQ_PEAK
-    return _with_bounded_gradient(_pq_signal, relative, _PQ_FLOOR, _PQ_DERIVATIVE)
+    relative = in_float32(_floats("luminance", luminance)).clamp(0, PQ_PEAK) / PQ_PEAK
+    return _with_bounded_gradient(_pq_signal, relative, _PQ_FLOOR, _PQ_DERIVATIVE).to(luminance)
 
 
 def pq_decode(signal: torch.Tensor) -> torch.Tensor:
@@ -99,9 +99,9 @@ def pq_decode(signal: torch.Tensor) -> torch.Tensor:
     [0, 100, 10000]
     """
     # With e = signal^(1/m₂) − 1 and c₂ − c₃ = 1 − c₁ neither difference loses digits at bright signals.
-    e = torch.expm1(_floats("signal", signal).clamp(_C1**_M2, 1).log() / _M2)
+    e = torch.expm1(in_float32(_floats("signal", signal)).clamp(_C1**_M2, 1).log() / _M2)
     ratio = ((1 - _C1) + e).clamp_min(0) / ((1 - _C1) - _C3 * e)
-    return PQ_PEAK * ratio ** (1 / _M1)
+    return (PQ_PEAK * ratio ** (1 / _M1)).to(signal)
 
 
 def hlg_encode(light: torch.Tensor) -> torch.Tensor:

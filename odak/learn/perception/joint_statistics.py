@@ -1,5 +1,6 @@
 """Statistics of pairs of steerable bands, across channels, orientations, scales and places; textures made from them."""
 
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -74,52 +75,57 @@ def joint_maps(
     moduli = [(one**2 + other**2 + POWER_FLOOR).sqrt() for one, other in zip(real, imaginary, strict=True)]
     maps = []
     for level, (bands, passed, pool) in enumerate(kept):
-        channels, count = bands.shape[1:3]
-        values, pairs = [bands.flatten(1, 2), moduli[level]], _pairs_within(channels, count)
+        values, pairs = [bands.flatten(1, 2), moduli[level]], _pairs_within(*bands.shape[1:3])
         if level + 1 < len(kept):
             one, other, modulus = real[level + 1], imaginary[level + 1], moduli[level + 1]
             # The square of a complex number over its modulus has twice its phase.
             coarse = torch.cat([modulus, (one**2 - other**2) / modulus, 2 * one * other / modulus], 1)
             values.append(functional.interpolate(coarse, bands.shape[-2:], mode="bilinear", align_corners=False))
-            first, last = channels * count, (channels + 1) * count
-            pairs.append([(slice(first, last), slice(last, last + count))])
-            pairs.append([(slice(count), slice(last + part * count, last + (part + 1) * count)) for part in (1, 2)])
+            pairs += _pairs_across(*bands.shape[1:3])
+        covariances = _covariances(torch.cat(values, 1), [pair for kind in pairs for pair in kind], pool)
         # The low-pass varies about its mean, so that its size does not enter.
         compared = torch.cat([moduli[level], passed[:, :1]], 1)
-        found = _correlated(pool, [pair for kind in pairs for pair in kind], shifts, compared, values)
-        lengths = [sum(two.stop - two.start for _, two in kind) for kind in pairs]
-        maps.append([one for one in found.split([*lengths, compared.shape[1] * len(shifts)], 1) if one.shape[1]])
+        squared = pool(torch.cat([(compared - shifted) ** 2 for shifted in _neighbours(compared, shifts)], 1))
+        found = [*covariances.split([len(kind) for kind in pairs], 1), squared.clamp_min(POWER_FLOOR).sqrt()]
+        maps.append([one for one in found if one.shape[1]])
     return maps
 
 
 def _pairs_within(channels, count):
-    """Return which values of a level pair up, as two slices each: across channels, and across orientations.
+    """Return which values of a level pair up, as numbers of two values: across channels, and across orientations.
 
     Orientation k of channel c is value c·K + k; the moduli follow.
     """
-    moduli, end = channels * count, (channels + 1) * count
-    return [
-        [
-            (slice(one * count, (one + 1) * count), slice(two * count, (two + 1) * count))
-            for one in range(channels)
-            for two in range(one + 1, channels)
-        ],
-        [(slice(moduli, end - step), slice(moduli + step, end)) for step in range(1, count)],
+    channel_pairs = [
+        (one * count + k, two * count + k)
+        for one, two in itertools.combinations(range(channels), 2)
+        for k in range(count)
     ]
+    moduli = channels * count
+    steps = [(moduli + k, moduli + k + step) for step in range(1, count) for k in range(count - step)]
+    return [channel_pairs, steps]
 
 
-def _correlated(pool, slices, shifts, compared, values):
-    """Return the pooled covariances of pairs over their deviations' geometric mean, and roots of pooled differences."""
-    values = torch.cat(values, 1)
-    products = torch.cat([values[:, one] * values[:, two] for one, two in slices], 1)
-    differences = [(compared - neighbours) ** 2 for neighbours in _neighbours(compared, shifts)]
-    sizes = [values.shape[1]] * 2 + [products.shape[1], compared.shape[1] * len(shifts)]
-    mean, power, product, squared = pool(torch.cat([values, values**2, products, *differences], 1)).split(sizes, 1)
+def _pairs_across(channels, count):
+    """Return which values of a level and of the next coarser one pair up: moduli, and bands with doubled phases."""
+    moduli, last = channels * count, (channels + 1) * count
+    scales = [(moduli + k, last + k) for k in range(count)]
+    phases = [(k, last + part * count + k) for part in (1, 2) for k in range(count)]
+    return [scales, phases]
+
+
+def _covariances(values, pairs, pool):
+    """Return the pooled covariances of pairs over their deviations' geometric mean."""
+    mean, power = pool(values), pool(values**2)
     # One over the root of each deviation.
-    scale = (power - mean**2).clamp_min(POWER_FLOOR) ** -0.25
-    expected = torch.cat([mean[:, one] * mean[:, two] for one, two in slices], 1)
-    scales = torch.cat([scale[:, one] * scale[:, two] for one, two in slices], 1)
-    return torch.cat([(product - expected) * scales, squared.clamp_min(POWER_FLOOR).sqrt()], 1)
+    scale = (power - mean**2).clamp_min(POWER_FLOOR).rsqrt().sqrt()
+    return (pool(_products(values, pairs)) - _products(mean, pairs)) * _products(scale, pairs)
+
+
+def _products(values, pairs):
+    # Unbound once: the gradient of each slice would be a tensor of zeros as large as all values.
+    planes = values.unbind(1)
+    return torch.stack([planes[one] * planes[two] for one, two in pairs], 1)
 
 
 def _neighbours(picture, shifts):

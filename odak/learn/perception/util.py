@@ -126,6 +126,11 @@ def in_float64(values: torch.Tensor) -> torch.Tensor:
     return values if values.device.type == "mps" else values.double()
 
 
+def in_float32(values: torch.Tensor) -> torch.Tensor:
+    """Return values of half precision in float32, others as they are."""
+    return values.to(torch.promote_types(values.dtype, torch.float32))
+
+
 def slice_rgbd_targets(
     target: torch.Tensor, depth: torch.Tensor, depth_plane_positions: Sequence[float] | torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:

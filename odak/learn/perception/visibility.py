@@ -13,7 +13,7 @@ from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.csf import sensitivity
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
-from odak.learn.perception.util import check_loss_inputs, check_values
+from odak.learn.perception.util import check_loss_inputs, check_values, in_float32
 
 # Contrast threshold over frequency and eccentricity, T = T₀·exp(α·f·(e + e₂)/e₂): Geisler and Perry, Proc. SPIE 3299,
 # 294 (1998).
@@ -249,7 +249,7 @@ class VisibilityLoss(nn.Module):
         Returns
         -------
         torch.Tensor
-            Without axes; 0 for equal pictures.
+            Without axes, in their precision, float32 of half precision; 0 for equal pictures.
 
         Raises
         ------
@@ -260,8 +260,7 @@ class VisibilityLoss(nn.Module):
         pictures: dict[str, Any] = {"VisibilityLoss ERROR: image": image, "VisibilityLoss ERROR: target": target}
         check_values(**pictures)
         dtype = torch.promote_types(image.dtype, target.dtype)
-        dtype = dtype if dtype == torch.float64 else torch.float32
-        image, target = image.to(dtype), target.to(dtype)
+        image, target = in_float32(image.to(dtype)), in_float32(target.to(dtype))
         shown, wanted = self._luminance(image), self._luminance(target)
         mean = wanted.detach().mean((-2, -1), keepdim=True)
         scales = self._sensitivities(image, gaze, mean)

@@ -132,3 +132,17 @@ def test_tone_mapping(method):
 def test_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call(noise(1, 3, 2, 2))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_keeps_its_digits_and_finite_gradients_at_black(dtype):
+    light = torch.logspace(-3, 4, 40, dtype=torch.float64).to(dtype)
+    signal = p.pq_encode(light)
+    assert signal.dtype == dtype
+    step = torch.finfo(dtype).eps
+    torch.testing.assert_close(signal.double(), p.pq_encode(light.double()), rtol=step, atol=0)
+    torch.testing.assert_close(p.pq_decode(signal).double(), p.pq_decode(signal.double()), rtol=step, atol=1e-6)
+    for function in (p.xyz_to_oklab, p.rgb_to_ictcp, p.xyz_to_lab):
+        black = torch.zeros(1, 3, 1, 1, dtype=dtype, requires_grad=True)
+        function(black).sum().backward()
+        assert black.grad.isfinite().all()

@@ -14,6 +14,7 @@ from odak.learn.perception import (
     RadiallyVaryingBlur,
     SpatialSteerablePyramid,
     make_pooling_size_map_pixels,
+    metameric,
     synthesize_texture,
     texture_statistics,
     uniform_blur,
@@ -220,6 +221,24 @@ def coherence(picture):
     trace = xx + yy
     aligned = torch.hypot(xx - yy, 2 * xy) / trace.clamp_min(1e-12)
     return float((aligned * trace).sum() / trace.sum())
+
+
+def test_metamers_of_pairs_are_closer_when_single_bands_are_matched_first(monkeypatch):
+    picture = edge_picture()[..., 8:40, 8:40]
+    options = {"n_pyramid_levels": 3, "joint": True}
+    maker = MetamerMSELoss(**VIEW, **options)
+    loss = MetamericLoss(**VIEW, **options, use_l2_foveal_loss=False)
+    calls = []
+
+    def distance():
+        made = maker.gen_metamer(picture, (0.0, 0.5), iterations=8, progress=lambda: calls.append(1))
+        return float(loss(made, picture, (0.0, 0.5)))
+
+    in_stages = distance()
+    assert len(calls) == sum(count for _, count in metameric.metamer_stages(8, True)) == 18
+    monkeypatch.setattr(metameric, "metamer_stages", lambda iterations, joint: [(joint, iterations)])
+    assert in_stages < distance()
+    assert len(calls) == 18 + 8
 
 
 @pytest.mark.slow

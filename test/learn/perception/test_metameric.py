@@ -408,3 +408,11 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     assert 0 < len(steps) <= 25
     start = uniform.gen_metamer(photograph, iterations=0)
     assert float(uniform(found, photograph)) < 0.1 * float(uniform(start, photograph))
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_metamers_of_half_precision_are_those_of_single(dtype):
+    loss, picture = MetamerMSELoss(**VIEW, n_pyramid_levels=2), noise(1, 3, 32, 32).to(dtype)
+    made, wanted = (loss.gen_metamer(one, [0.2, 0.5], iterations=2) for one in (picture, picture.float()))
+    assert made.dtype == dtype
+    assert torch.equal(made, wanted.to(dtype))

@@ -84,3 +84,15 @@ def test_gradients():
     image = (target + 0.05 * torch.rand_like(target)).requires_grad_()
     loss = VisibilityLoss(n_levels=3)
     assert torch.autograd.gradcheck(lambda one: loss(one, target, (0.2, 0.3)), image, fast_mode=True, rtol=1e-2)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_losses_of_half_precision_are_those_of_single(dtype):
+    generator = torch.Generator().manual_seed(0)
+    image, target = (torch.rand(1, 3, 33, 48, generator=generator).to(dtype) for _ in range(2))
+    for loss in (CSFLoss(**NARROW), VisibilityLoss(**NARROW)):
+        given = image.clone().requires_grad_()
+        found = loss(given, target)
+        assert found.dtype == torch.float32
+        assert torch.equal(found, loss(image.float(), target.float()))
+        assert torch.autograd.grad(found, given)[0].isfinite().all()
