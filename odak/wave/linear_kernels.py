@@ -73,7 +73,7 @@ class LinearGrid(Grid):
                     spectrum = spectrum * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), spectrum.dtype)
             lags = _response(spectrum * weight_x, counts[1], -1, columns)
             # The weights of the sum to follow are applied here: their product is of these lags alone.
-            return lags * weight_y[start:stop, :]
+            return lags * weight_y[..., start:stop, :]
 
         lines = _joined([first_sum(start) for start in range(0, fy.shape[-2], step)], -2)
         lines = _in_slabs(lambda part: _response(part, counts[0], -2, rows), lines, -1)

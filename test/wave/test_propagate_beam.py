@@ -419,3 +419,14 @@ def test_auto_takes_a_method_that_serves_every_distance():
 def test_no_field_at_all():
     with pytest.raises(ValueError, match="field must hold at least one field"):
         propagate(np.ones((0, 4, 4)))
+
+
+@pytest.mark.parametrize("distances", [[2e-3], [-2e-3], [2e-3, 3e-3]])
+def test_linear_kernels_of_several_distances_are_computed_in_parts(distances, monkeypatch, random):
+    monkeypatch.setattr(odak.wave.linear_kernels, "_SLAB", 200)
+    field = torch.from_numpy(random.normal(size=(1, 24, 20)) + 1j * random.normal(size=(1, 24, 20)))
+    lengths = (8e-6, 532e-9, "Linear Angular Spectrum")
+    stack = torch_wave.propagate_beam(field, None, torch.tensor(distances, dtype=torch.float64), *lengths)
+    for plane, distance in zip(stack, distances, strict=True):
+        single = torch_wave.propagate_beam(field[0], None, distance, *lengths)
+        assert relative_error(plane, single) < 1e-12
