@@ -45,7 +45,7 @@ def propagate_through_medium(
         Wavelength in vacuum, in metres; one number.
     method : str
         "split-step": exact diffraction in a homogeneous medium of index `reference`, with the phase of n − reference at
-        the middle of each slice; accurate where the index varies little or the waves travel near the axis.
+        the middle of each slice; accurate where the index varies little or the waves are paraxial.
         "wave propagation": each sample is propagated by the plane waves of its own index, accurate at large angles and
         for large differences of index too, for `levels` times the transforms.
     reference : float or array, optional
@@ -229,7 +229,7 @@ def _few_values(values, most: int):
     xp = namespace(values)
     found = [xp.min(values)]
     highest = xp.max(values)
-    # Each pass costs a tenth of sorting all values.
+    # Each pass takes a tenth of the time of sorting all values.
     while bool(found[-1] < highest):
         if len(found) == most:
             return None
@@ -391,7 +391,7 @@ class _BornSeries:
             self.squared = self.squared + xp.reshape((p / (total * dx)) ** 2, form)
             places = xp.arange(total, dtype=xp.float64, device=self.device)
             depth = xp.clip(1 - xp.minimum(places, total - 1 - places) / max(layer, 1), 0.0, 1.0)
-            # The absorption grows smoothly, so that little is reflected; a wave loses 1e-6 on its way through.
+            # The absorption increases smoothly, so that little is reflected; a wave is attenuated to 1e-6.
             strength = 4 * math.log(1e6) / (2 * layer * dx) * k * background
             self.border = self.border + xp.reshape(strength * depth**3, form)
 

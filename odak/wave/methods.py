@@ -409,7 +409,7 @@ def find_method(propagation_type: str) -> Method | None:
 
 
 def method_named(name: str) -> Method:
-    """Return the method of that name or alias; "auto" stands for no method and is refused."""
+    """Return the method of that name or alias; "auto" is not a method and raises an error."""
     method = find_method(name)
     if method is None:
         raise ValueError("propagation_type must name a method here, got 'auto'")
@@ -424,7 +424,7 @@ def check_has_kernel(propagation_type: str) -> None:
 
 
 def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, float]:
-    """Return the method whose error is within tolerance at every distance and wavelength asked for, and its error.
+    """Return the method whose error is within tolerance at every requested distance and wavelength, and its error.
 
     The error is that of a field of flat spectrum. An array as an aperture needs the grid that the caller has padded: it
     gets the angular spectrum on it, without a bound, NaN.

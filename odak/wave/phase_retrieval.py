@@ -130,7 +130,7 @@ def _alternate(
     back = light
     if fill is not None:
         pixels = pixel_aperture(planes[0][0], checked_pixel_fill(fill))
-        # On the way back the light is that of the modulator before its pixels, whose spectrum has no zeros.
+        # Backwards, the field is that of the modulator without the transfer function of its pixels, which has zeros.
         light, back = functools.partial(light, aperture=pixels), functools.partial(light, aperture=1 / pixels)
     for turn in turns:
         hologram = generate_complex_field(1.0, phase)

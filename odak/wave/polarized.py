@@ -292,7 +292,7 @@ def thin_film_transfer(
 ) -> Array:
     """Return the transfer function of a stack of thin films for the transverse components of a polarised field.
 
-    Each plane wave of the field's spectrum meets the films at its own angle. Multiply the spectrum of a field
+    Each plane wave of the field's spectrum has its own angle of incidence. Multiply the spectrum of a field
     ``[..., 2, rows, columns]`` by it with :func:`odak.wave.filter_polarized`.
 
     Parameters
@@ -374,7 +374,7 @@ def thin_film_transfer(
 def longitudinal_field(
     field: Array, dx: float | Sequence[float], wavelength: float | Array, index: float | Array = 1.0
 ) -> Array:
-    """Return the longitudinal component that belongs to the transverse components of a field that travels along +z.
+    """Return the longitudinal component of a field that propagates along +z, from its transverse components.
 
     Parameters
     ----------
@@ -395,7 +395,7 @@ def longitudinal_field(
 
     Examples
     --------
-    A wave that travels at 30° to the axis and is polarised in the plane of incidence has |E_z/E_x| = tan 30°:
+    A wave that propagates at 30° to the axis and is polarised in the plane of incidence has |E_z/E_x| = tan 30°:
 
     >>> import numpy as np
     >>> from odak.wave import longitudinal_field

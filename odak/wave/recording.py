@@ -277,8 +277,8 @@ def unwrap_phase(phase: Array, mask: Array | None = None, seed: int | None = 0) 
     Returns
     -------
     array
-        The phase plus whole turns, ``[rows, columns]``; up to a multiple of 2π, which is chosen so that the mean is
-        near zero. Differentiable: the turns are constants.
+        The phase plus multiples of 2π, ``[rows, columns]``; up to a common multiple of 2π, chosen so that the mean is
+        near zero. Differentiable: the added multiples are constants.
 
     Raises
     ------

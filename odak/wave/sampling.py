@@ -14,7 +14,7 @@ from odak.wave.convolution import convolve_plainly
 from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel
 from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rule_for
 
-# A Fresnel phase that is off by more than a fifth of a wave is no longer the field that was asked for.
+# Largest error of the Fresnel phase, a fifth of a wave, at which the field is considered accurate.
 PARAXIAL_TOLERANCE = 0.2
 # Relative error of the arithmetic: transforms and phases.
 ROUNDING = {"complex64": 5e-7, "complex128": 1e-12}
@@ -63,7 +63,7 @@ class SamplingReport(Criteria):
     band_limit : tuple of float
         Highest alias-free frequency of the angular-spectrum kernel (Matsushima and Shimobaba 2009, eq. 13).
     kept_band : tuple of float
-        Share of the grid's waves that travel whose frequency lies below `band_limit`, 0 to 1.
+        Share of the propagating waves of the grid whose frequency lies below `band_limit`, 0 to 1.
     fresnel_number : tuple of float
         (N·dx/2)²/(λ·|z|), infinite at z = 0.
     fraunhofer_distance : float
@@ -75,7 +75,7 @@ class SamplingReport(Criteria):
     reason : str
         Why, in one line.
     tolerance : float
-        Relative error that was asked for.
+        Requested relative error.
     predicted_error : float
         Bound on the relative error of the recommended method: of the field given, or of a field of flat spectrum.
 
@@ -123,7 +123,7 @@ def sampling_report(
     zero_padding : bool
         True when the propagation pads the field to twice its size; the criteria are then those of the padded grid.
     tolerance : float
-        Relative error of the propagated field that is asked for.
+        Requested relative error of the propagated field.
     field : array, optional
         Field ``[..., *shape]`` whose spectrum decides. By default the whole band is filled evenly, as by a field of
         random phase.
@@ -216,7 +216,7 @@ def _paraxial_error(z: float, wavelength: float, frequencies) -> float:
 
 
 # Methods "auto" chooses from: linear convolution with the band-limited kernel, and with the sampled one, which is exact
-# where no wave beyond the band travels.
+# where no wave beyond the band propagates.
 LINEAR, SAMPLED = "Linear Angular Spectrum", "Rayleigh-Sommerfeld"
 
 

@@ -38,7 +38,7 @@ def propagate_to_tilted_plane(
     guard: float = GUARD,
     source_angles: Any = (0.0, 0.0, 0.0),
 ) -> Array:
-    """Propagate a field to a plane that is rotated about the point where the optical axis meets it.
+    """Propagate a field to a plane that is rotated about its intersection with the optical axis.
 
     The plane of the field may be tilted too: from a tilted modulator to a plane, from one side of a prism to another,
     or from a mirror off the axis.
@@ -92,7 +92,7 @@ def propagate_to_tilted_plane(
     Along a tilted plane the phase changes by sin θ/λ cycles per metre. The samples are right whatever their pitch; to
     resolve that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
 
-    Beyond 88° waves that travel along the plane are cut off, the field there may be wrong, and an AccuracyWarning is
+    Beyond 88° waves that propagate along the plane are removed, the field there may be wrong, and an AccuracyWarning is
     issued.
 
     Examples

@@ -134,7 +134,7 @@ def plane_wave_transfer(grid: Grid, fy, fx):
 
 
 def axial_cycles(grid: Grid):
-    """Return z/λ less its whole cycles, so that what is added to it keeps its digits."""
+    """Return z/λ less its whole cycles, so that no precision is lost in later sums."""
     return fraction_of_cycles(grid.distance, grid.wavelength)
 
 
@@ -272,7 +272,7 @@ def rayleigh_sommerfeld_samples(grid: Grid):
     """Return the sampled first Rayleigh–Sommerfeld kernel times the pixel's area, in FFT order; complex128."""
     xp = grid.xp
     y, x = grid.positions()
-    # At no distance the kernel is singular, and what stands in its place is not used.
+    # At zero distance the kernel is singular, and the value that replaces it is not used.
     distance = xp.where(grid.distance == 0, grid.pitch[0], grid.distance)
     response = rayleigh_sommerfeld_response(distance, x**2 + y**2, grid.wavelength)
     return grid.unfold(response * xp.astype(grid.pixel_area, xp.complex128))

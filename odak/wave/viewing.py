@@ -1,4 +1,4 @@
-"""Image that an eye sees of a field: pupil, place, focus, rotation and aberrations."""
+"""Retinal image of a field, for a given pupil, position, focus, rotation and aberrations of the eye."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -27,9 +27,9 @@ def eye_image(
     rotation: Sequence[float] = (0.0, 0.0),
     aberrations: Mapping | None = None,
 ) -> Array:
-    """Return the field on the retina of an eye that looks at a field, on the samples of the latter.
+    """Return the retinal field of an eye that looks at a field, on the samples of the latter.
 
-    Light travels to the plane of the pupil, passes the pupil and a thin lens, and forms an image on the retina. The
+    Light propagates to the plane of the pupil, passes the pupil and a thin lens, and forms an image on the retina. The
     image is given where it seems to be: a sample is the direction from the middle of the pupil's plane to that sample
     of the field, so that magnification and inversion are left out. With an open pupil, focused on the field, the image
     is the field itself. Paraxial (Fresnel).
@@ -50,10 +50,10 @@ def eye_image(
     pupil_diameter : float or array
         Diameter of the pupil in metres; ``[K]`` for K eyes.
     focus : float or array, optional
-        Distance in metres at which the eye sees sharp, infinity included; by default that of the field. ``[K]`` for K
+        Distance in metres on which the eye is focused, infinity included; by default that of the field. ``[K]`` for K
         eyes.
     rotation : sequence of float
-        Angles in degrees (rows, columns) by which the eye is turned about its centre of rotation, 10.5 mm behind the
+        Angles in degrees (rows, columns) by which the eye is rotated about its centre of rotation, 10.5 mm behind the
         pupil. The pupil moves to the side and back, and appears narrower.
     aberrations : mapping, optional
         Zernike coefficients ``{(n, m): c}`` of the eye's wavefront, c in radians RMS over the pupil.

@@ -1,6 +1,6 @@
-"""Propagation to a window with a pitch, size and place of its own.
+"""Propagation to a window with arbitrary pitch, size and position.
 
-Which plane waves are needed follows from rays: those that lead from the field to the window. Diffraction asks for a
+The required plane waves follow from rays: those that lead from the field to the window. Diffraction requires a
 margin around the rays, the guard, within which the plane waves fade out.
 """
 
@@ -143,7 +143,7 @@ class Rays:
         width = tuple((2 * (n // 2) + 1) * pitch for n, pitch in zip(window.shape, window.pitch(grid), strict=True))
         x, y, z = (offset[1] * axes[0][k] + offset[0] * axes[1][k] + distance * float(k == 2) for k in range(3))
         path = xp.sqrt(x**2 + y**2 + z**2 + wavelength**2)
-        # On a plane that the rays meet at a slant, diffraction spreads further: four times at most.
+        # On a plane at oblique incidence diffraction spreads further: four times at most.
         across = xp.abs(x * axes[2][0] + y * axes[2][1] + z * axes[2][2])
         guard = window.guard * xp.sqrt(wavelength * path) * path / xp.maximum(across, path / 4)
         return cls(grid.pitch, wavelength, distance, source, width, offset, guard, axes)
@@ -204,7 +204,7 @@ class Rays:
     def _line(self, axis: int, frequency, unit, period: int) -> Line:
         """Return the line from the lowest to the highest frequency of the whole batch."""
         cycles = frequency * self.pitch[axis]
-        # Close to the field every wave counts that it holds, whatever its direction.
+        # Close to the field waves of all directions contribute.
         near = np.abs(self.distance) < 10 * self.wavelength
         low, high = (np.where(near, side * self.pitch[axis], cycles) for side in self._band(unit))
         # Rounding must not add an index at either end.

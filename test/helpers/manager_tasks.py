@@ -51,7 +51,7 @@ def fail_at_first(path):
 
 
 def exit_quietly(code):
-    """Raise SystemExit."""
+    """Exit with a code, as sys.exit does."""
     sys.exit(code)
 
 

@@ -59,7 +59,7 @@ def _in_front(triangle: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:
 
 def _picked(rays, normals, distance, hit) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return the rays that hit with their normals, and the distances of all."""
-    # Rays that all hit need not be picked; a GPU would have to be asked first.
+    # If all rays hit, none are selected; on a GPU the test would require a synchronisation.
     if not (is_readable(hit) and bool(hit.all())):
         rays, normals = rays[hit], normals[hit]
     return rays, normals, distance, hit
@@ -327,7 +327,7 @@ def intersect_w_triangle_batch(ray: torch.Tensor, triangle: torch.Tensor) -> tup
     Returns
     -------
     tuple
-        - normals ``[m, n, 2, 3]``: where each ray meets each plane, and the unit normals;
+        - normals ``[m, n, 2, 3]``: the intersection of each ray with each plane, and the unit normals;
         - lists with one entry for each triangle that is hit, in order: distances ``[k]``, rays ``[k, 2, 3]`` and
           normals ``[k, 2, 3]`` of the rays that hit it;
         - bool ``[m, n]``: which ray hits which triangle.

@@ -98,7 +98,7 @@ class detector:
         self.image = torch.zeros(self.colors, *shape, dtype=self.size.dtype, device=self.device)
 
     def intersect(self, rays: torch.Tensor, color: int = 0, distances: bool = True) -> Any:
-        """Count rays on the pixels and return where they meet the detector's plane.
+        """Count rays on the pixels and return their intersections with the plane of the detector.
 
         Parameters
         ----------
@@ -118,9 +118,9 @@ class detector:
 
         Notes
         -----
-        A ray counts once, on the nearest pixel, if it meets the rectangle ahead of its start; half a pitch beyond the
-        outer pixels belongs to it. Distances are formed in the detector's frame, (u − x)² + (v − y)², which holds no
-        array but the result.
+        A ray counts once, on the nearest pixel, if it intersects the rectangle ahead of its start; half a pitch beyond
+        the outer pixels belongs to it. Distances are formed in the detector's frame, (u − x)² + (v − y)², which holds
+        no array but the result.
         """
         color, distances = _validate.integer("color", color), _validate.flag("distances", distances)
         if color >= self.colors:

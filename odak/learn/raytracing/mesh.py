@@ -127,7 +127,7 @@ class planar_mesh:
         return self._mesh.moved(vertices)
 
     def mirror(self, rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Reflect rays where they first meet the mesh ahead of them, on either side of it.
+        """Reflect rays at their first intersection with the mesh ahead of them, on either side of it.
 
         Parameters
         ----------

@@ -312,7 +312,7 @@ def _cone(start: torch.Tensor, matrix: torch.Tensor, angle_limit, seed, generato
     if generator is None and seed is not None:
         generator = torch.Generator(device=start.device).manual_seed(seed)
     draw = torch.rand(2, len(start), dtype=start.dtype, device=start.device, generator=generator)
-    # 1 − cos θ from the half angle, which keeps narrow cones exact where 1 − cos α would round to zero.
+    # 1 − cos θ from the half angle, which is accurate for narrow cones where 1 − cos α would round to zero.
     rise = draw[0] * 2 * torch.sin(limit / 2) ** 2
     across, azimuth = (rise * (2 - rise)).clamp(min=0).sqrt(), 2 * torch.pi * draw[1]
     direction = torch.stack((across * torch.cos(azimuth), across * torch.sin(azimuth), 1 - rise), dim=-1)

@@ -208,7 +208,7 @@ class _Share(torch.autograd.Function):
     def forward(ctx, batch: torch.Tensor, group) -> torch.Tensor:
         ctx.count, ctx.group = len(batch), group
         part = _own(batch, group)
-        # A process without a part of its own computes the first item too, so that it learns the shape of the result.
+        # A process without a part also computes the first item, to determine the shape of the result.
         return (part if len(part) else batch[:1]).clone()
 
     @staticmethod

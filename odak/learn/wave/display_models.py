@@ -21,8 +21,8 @@ from odak.wave.elements import zernike_modes
 
 __all__ = ["DisplayFit", "display_camera", "display_hologram", "display_model", "fit_display"]
 
-# Standard deviation of each parameter before captures are seen, in its own unit. It matters only for combinations of
-# parameters that the captures do not tell apart.
+# Prior standard deviation of each parameter, in its own unit. It matters only for combinations of
+# parameters that the captures do not determine.
 PRIORS = {
     "brightness": 10.0,
     "lut": 0.5,
@@ -47,7 +47,7 @@ class display_model(torch.nn.Module):
 
     The phase of a level is that of a look-up table, times a factor that varies over the panel. Fringing fields smooth
     it, gaps between the pixels and a reflection add light, and the amplitude and the aberration of the source multiply
-    it. The light passes an iris and travels to the camera by the angular spectrum method. Each pixel of the camera
+    it. The light passes an iris and propagates to the camera by the angular spectrum method. Each pixel of the camera
     averages over its area at a place that a homography and a radial distortion give. What is left may be learned by
     maps of amplitude and phase of free form, and by a small network that adds to the image.
 
@@ -68,7 +68,7 @@ class display_model(torch.nn.Module):
     camera_pitch : float
         Distance between pixels of the camera in metres.
     phases : array, optional
-        Phase of each level in radians, ``[levels]``; 256 levels evenly over a turn by default.
+        Phase of each level in radians, ``[levels]``; by default 256 levels evenly over 2π.
     amplitude : array, optional
         Amplitude of the light on the modulator, ``[rows, columns]``; one by default.
     wavefront : array, optional
@@ -465,7 +465,7 @@ class display_model(torch.nn.Module):
             self.register_buffer(name, torch.as_tensor(value).to(self._dtype), persistent=False)
 
     def _grid(self, registration: Registration, iris: float | None) -> None:
-        """Choose the grid of the spectrum: light that leaves it must not come back into what the camera sees."""
+        """Choose the grid of the spectrum, such that no light wraps around into the field of the camera."""
         s = self.samples_per_pixel
         rows, columns = self.camera_shape
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
@@ -527,7 +527,7 @@ class display_model(torch.nn.Module):
         return spectrum
 
     def _seen(self, light: torch.Tensor, position: float, pixels: torch.Tensor | None) -> torch.Tensor:
-        """Return the intensity that pixels of the camera see ``[..., pixels]``."""
+        """Return the intensity on pixels of the camera ``[..., pixels]``."""
         spectrum = self._spectrum(light, position)
         (rows, columns), q = self._sizes, self._finer
         fine = [q * rows, q * columns]
@@ -617,7 +617,7 @@ def fit_display(
     Parameters
     ----------
     model : display_model
-        The model, changed in place. It should start within half a speckle of the truth: from a calibration.
+        The model, changed in place. Its alignment should be correct within half a speckle, as from a calibration.
     captures : odak.instruments.Captures
         Patterns and captures, all with one exposure, see :func:`odak.instruments.record_captures`.
     iterations : int
@@ -829,7 +829,7 @@ class _Data:
     @classmethod
     def of(cls, model: display_model, captures: Captures, noise: tuple[float, float]) -> "_Data":
         means = captures.means()
-        # Expected counts rather than captured ones: darker pixels by chance would get a larger weight.
+        # Expected rather than captured counts, by which pixels that are darker by chance would have larger weights.
         variance = (noise[0] * np.clip(means, 0, None) + noise[1]) / captures.frames.shape[1]
         saturated = captures.frames.max(1) >= 0.98 * ((1 << captures.camera_bits) - 1)
         deviations = np.where(saturated, np.inf, np.sqrt(variance))

@@ -1,4 +1,4 @@
-"""Holograms for a light field: images that an eye sees from many places of an eyebox, optimised together."""
+"""Holograms of light fields: retinal images for many positions of the pupil in an eyebox, optimised together."""
 
 import math
 import os
@@ -63,7 +63,7 @@ def eyebox_hologram(
     pupil_diameter : float or torch.Tensor
         Diameter of the pupil in metres, one or ``[K]``.
     focus : float or torch.Tensor, optional
-        Distance in metres at which the eye sees sharp, one or ``[K]``; by default that of the modulator.
+        Distance in metres on which the eye is focused, one or ``[K]``; by default that of the modulator.
     n_iteration : int
         Number of iterations.
     loss_function : callable, optional
@@ -71,9 +71,9 @@ def eyebox_hologram(
     learning_rate : float
         Adam's step size in radians.
     rotation : sequence of float or torch.Tensor
-        Angles in degrees (rows, columns) by which the eye is turned about its centre, ``[2]`` or ``[K, 2]``: the pupil
+        Angles in degrees (rows, columns) by which the eye is rotated about its centre, ``[2]`` or ``[K, 2]``: the pupil
         moves to the side and back, and appears narrower, as in :func:`odak.learn.wave.eye_image`. Positions are those
-        of the pupil before the turn.
+        of the pupil before the rotation.
     optimizer : str
         "adam" or "lbfgs".
     initial_phase : torch.Tensor, optional

@@ -15,7 +15,7 @@ __all__ = ["holographic_display"]
 
 
 class holographic_display(display_volume):
-    """A phase-only display whose light goes straight to the planes of a volume.
+    """A phase-only display whose light propagates directly to the planes of a volume.
 
     Parameters
     ----------

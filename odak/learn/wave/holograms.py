@@ -72,7 +72,7 @@ def stochastic_gradient_descent(
         Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
         Propagation type, see :func:`odak.learn.wave.propagate_beam`. Methods with a transfer function are computed
-        without wrap-around, so that the two angular spectra are the same, and "auto" stands for them.
+        without wrap-around, so that the two angular spectra are the same, and equal to "auto".
     n_iteration : int
         Number of iterations.
     loss_function : callable, optional
@@ -270,7 +270,7 @@ def starting_phase(
     seed : int, optional
         Makes what is random reproducible.
     frames : int
-        Number of frames. Those of the deterministic starts are told apart by normal noise of 0.5 rad.
+        Number of frames. To those of the deterministic starts normal noise of 0.5 rad is added.
 
     Returns
     -------
@@ -339,7 +339,7 @@ def gerchberg_saxton(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram of an image by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
-    Each iteration keeps the phase alone on the hologram and sets the target's amplitude on the image; around the image,
+    Each iteration keeps only the phase on the hologram and sets the target's amplitude on the image; around the image,
     on planes of twice its size, the field is free.
 
     Parameters
@@ -669,7 +669,7 @@ def encode_double_phase(field: torch.Tensor) -> torch.Tensor:
     amplitude = amplitude / amplitude.amax(dim=(-2, -1), keepdim=True).clamp_min(torch.finfo(amplitude.dtype).tiny)
     phase = field.angle()
     phase = phase - phase.mean(dim=(-2, -1), keepdim=True)
-    # The derivative of arccos is infinite at one, the amplitude of the brightest pixel, which gets no gradient.
+    # The derivative of arccos is infinite at one, the amplitude of the brightest pixel, whose gradient is set to zero.
     dimmer = amplitude < 1
     offset = torch.where(dimmer, torch.arccos(torch.where(dimmer, amplitude, 0)), 0)
     rows, columns = (torch.arange(n, device=field.device) for n in field.shape[-2:])

@@ -360,7 +360,7 @@ _LAPLACIAN = ((-1.0, -1.0, -1.0), (-1.0, 8.0, -1.0), (-1.0, -1.0, -1.0))
 
 
 class phase_gradient(nn.Module):
-    """Loss of the Laplacian of a phase against zero, which asks for a smooth phase.
+    """Loss of the Laplacian of a phase, which favours smooth phases.
 
     Parameters
     ----------
@@ -369,7 +369,7 @@ class phase_gradient(nn.Module):
     loss : callable
         ``loss(filtered, zeros)``.
     device : torch.device or str
-        Where the kernel lives; it follows the phase when it is used.
+        Device of the kernel; it follows the phase when it is used.
 
     Raises
     ------
@@ -484,7 +484,7 @@ class speckle_contrast(nn.Module):
                 f"intensity must be at least kernel_size = {self.kernel_size} wide and high, "
                 f"got {tuple(intensity.shape)}"
             )
-        # Deviations from a common level keep the digits that E[I²] − E[I]² of bright light would lose.
+        # Deviations from a common level avoid the cancellation of E[I²] − E[I]² at high intensities.
         level = planes.detach().mean((-2, -1), keepdim=True)
         mean, square = (
             nn.functional.avg_pool2d(values, self.kernel_size, self.step_size)
@@ -524,7 +524,7 @@ class multiplane_loss(FocalTargets):
     reduction : {"mean", "sum"}
         How pixels are put together.
     device : torch.device or str, optional
-        Where the loss lives; by default where the picture is. It moves with :meth:`to`.
+        Device of the loss; by default where the picture is. It moves with :meth:`to`.
     generator : torch.Generator, optional
         Where noise is drawn from; torch's own by default.
     distances : sequence of float, optional
@@ -618,7 +618,7 @@ class multiplane_loss(FocalTargets):
         noise_ratio : float
             Standard deviation of the noise as a share of the target's range.
         generator : torch.Generator, optional
-            Where the noise is drawn from if the loss was given no generator of its own; torch's by default.
+            Generator of the noise if the loss was given none; that of torch by default.
 
         Returns
         -------
@@ -689,7 +689,7 @@ class perceptual_multiplane_loss(FocalTargets):
     return_components : bool, default: False
         Return ``(loss, components)``, a dict of weighted terms that add up to the loss.
     device : torch.device or str, optional
-        Where the loss lives; by default where the picture is. It moves with :meth:`to`.
+        Device of the loss; by default where the picture is. It moves with :meth:`to`.
     generator : torch.Generator, optional
         Where noise is drawn from; torch's own by default.
     distances : sequence of float, optional
@@ -706,7 +706,7 @@ class perceptual_multiplane_loss(FocalTargets):
     Raises
     ------
     ImportError
-        If a measure that is asked for needs a package that is missing; the message states what to install.
+        If a requested measure needs a package that is missing; the message states what to install.
     ValueError, TypeError
         If an argument is outside its range, naming it.
 

@@ -41,9 +41,9 @@ class holobeam_multiholo(nn.Module):
     n_hidden : int
         Channels of the U-Net's first level.
     n_output : int
-        Channels that come out of it, at least 2: the two phases of the double-phase pattern.
+        Output channels, at least 2: the two phases of the double-phase pattern.
     device : torch.device or str
-        Where the network lives.
+        Device of the network.
     reduction : {"sum", "mean", "none"}
         How :meth:`evaluate` sums up errors; training needs one of the first two.
 
@@ -236,7 +236,7 @@ class focal_surface_light_propagation(nn.Module):
     bias : bool
         Whether convolutions add a constant.
     device : torch.device or str
-        Where the network lives.
+        Device of the network.
     activation : torch.nn.Module
         Non-linearity between layers.
 

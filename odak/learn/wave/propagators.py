@@ -405,14 +405,14 @@ class propagator(display_volume):
         return convolve(holograms, kernels[:, lit.start : lit.stop].transpose(0, 1)[:, :, None], workspace)
 
     def _lit(self, holograms, frames: slice):
-        """Return the frames that are lit, of those asked for, and the pattern of each in its one colour."""
+        """Return the illuminated ones of the requested frames, and the pattern of each in its one colour."""
         lit = range(self._lit_frames())[frames]
         if holograms.shape[2] > 1:
             holograms = holograms.diagonal(dim1=0, dim2=2).permute(3, 0, 1, 2)[:, :, None]
         return lit, holograms if len(lit) == len(holograms) else holograms[lit.start : lit.stop]
 
     def _fields_on(self, planes: slice, holograms, frames: slice, kernels=None, workspace=None):
-        """Return the fields of some frames on some planes as :meth:`fields` does, by whatever method there is."""
+        """Return the fields of some frames on some planes as :meth:`fields` does, by the available method."""
         if self._has_kernels:
             kernels = self.transfer(planes, holograms.dtype) if kernels is None else kernels
             return self.fields(holograms, frames, kernels, workspace)

@@ -31,8 +31,8 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
     phase : torch.Tensor
         Phase in radians, of any shape.
     lut : torch.Tensor
-        Phase of each level in radians, ``[levels]``, in any order. Where it spans more than a turn, a phase inside its
-        span is shown as it is, and one outside is moved into it by whole turns.
+        Phase of each level in radians, ``[levels]``, in any order. Where it spans more than 2π, a phase inside its
+        span is shown unchanged, and one outside is moved into it by multiples of 2π.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
     # Half a step beyond the last level a level 2π below is nearer, if the table reaches that far.
     top = torch.where(period > 1.5 * TURN, 1.5 * rising[-1] - 0.5 * rising[-2], period)
     offset = torch.where(offset > top.to(phase.dtype), offset - TURN, offset)
-    # Behind the last boundary the first level comes again, a period later.
+    # Beyond the last boundary follows the first level of the next period.
     boundaries = torch.cat([(rising[1:] + rising[:-1]) / 2, (rising[-1:] + period) / 2]).to(phase.dtype)
     return torch.cat([order, order[:1]])[torch.bucketize(offset, boundaries)]
 
@@ -214,7 +214,7 @@ class spatial_light_modulator(torch.nn.Module):
         Parameters
         ----------
         phase : torch.Tensor
-            Phase asked for in radians, ``[..., m, n]``, float32 or float64.
+            Requested phase in radians, ``[..., m, n]``, float32 or float64.
         scale : float or torch.Tensor
             Multiplies the phase that is shown, and the aberration: λ0/λ for a panel set up at λ0 and lit at λ. A
             tensor broadcasts against the phase, as ``[colours, 1, 1]``.
@@ -246,7 +246,7 @@ class spatial_light_modulator(torch.nn.Module):
         Parameters
         ----------
         phase : torch.Tensor
-            Phase asked for in radians, ``[..., m, n]``.
+            Requested phase in radians, ``[..., m, n]``.
 
         Returns
         -------
@@ -291,7 +291,7 @@ class spatial_light_modulator(torch.nn.Module):
         return target + (phase - phase.detach())
 
     def _with_gaps(self, light):
-        """Return the light with the share of each sample that lies in a gap replaced by that of the dead area."""
+        """Return the field with the part of each sample that lies in a gap replaced by that of the unmodulated area."""
         s = self.samples_per_pixel
         real = light.real.dtype
         fill = torch.as_tensor(self.fill_factor, dtype=real, device=light.device).clamp(0, 1)
@@ -353,12 +353,12 @@ class spatial_light_modulator(torch.nn.Module):
 class temporal_modulator(torch.nn.Module):
     """Modulator that settles exponentially while it shows frames one after another, again and again.
 
-    When a frame is asked for, the phase moves from where it is towards the one asked for as exp(−t/response_time). The
+    When a frame is displayed, the phase approaches the requested one as exp(−t/response_time). The
     light of a frame is the mean over the instants at which it is lit. Each frame becomes several fields, at the middles
     of equal parts of that time; :func:`odak.learn.wave.stochastic_gradient_descent` takes the mean of their
     intensities, as eye and camera do.
 
-    The phase in the steady state is a mean of the phases asked for, weighted by the time since. It is therefore a
+    The phase in the steady state is a weighted mean of the requested phases, by the elapsed time. It is therefore a
     matrix product over frames.
 
     Parameters

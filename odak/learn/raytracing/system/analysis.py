@@ -404,7 +404,7 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
 
 
 def paraxial_points(system, prescription: Prescription | None = None, fields=None) -> torch.Tensor:
-    """Return where the paraxial chief rays meet the image plane, ``[..., F, 2]``, at the reference wavelength."""
+    """Return the points of the paraxial chief rays in the image plane, ``[..., F, 2]``, at the reference wavelength."""
     numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
     check_media(system, numbers)
     index = signed_indices(system, numbers)
@@ -548,7 +548,7 @@ def wavefront(
 
     Notes
     -----
-    The sphere of each wavelength and field has its centre where the chief ray of that wavelength meets the image
+    The sphere of each wavelength and field is centred where the chief ray of that wavelength intersects the image
     surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
     Optical Systems (1986), section 7.2.
 

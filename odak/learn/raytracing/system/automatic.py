@@ -17,7 +17,7 @@ from odak.learn.raytracing.system.surfaces import optical_system, surface
 SPREAD = 2.5
 # Steepest slopes of aspheres.
 STEEPEST = 1.2
-# Shares of aperture and field, how many designs go on from each stage, and rings of rays and fields in it.
+# Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
     (0.4, 0.7, 0.5, 2, 3),
@@ -94,7 +94,7 @@ def automatic_design(
     Parameters
     ----------
     elements : sequence
-        Materials of the elements in the order in which light meets them, and "stop" where the stop is: in front of an
+        Materials of the elements in the order in which light passes them, and "stop" where the stop is: in front of an
         element, which may be the first.
     focal_length : float
         Focal length of the lens.
@@ -111,7 +111,7 @@ def automatic_design(
     air : pair of float, optional
         Least and largest thickness of gaps on the axis; by default from 0.002 to 0.3 focal lengths.
     edge : float, optional
-        Least thickness of elements and gaps at the edge of the beam and half way to it; by default the least of `air`.
+        Least thickness of elements and gaps at the edge of the beam and half-way to it; by default the least of `air`.
     back : float, optional
         Least distance from the last vertex to the image; by default a tenth of the focal length.
     track : float, optional
@@ -153,7 +153,7 @@ def automatic_design(
     field grow to their full size. Here each stage is solved by least squares rather than by gradient
     descent, several designs side by side, the best of which go on. Coefficients of aspheres are set free one after the
     other, and slopes above 1.2 within 1.15 times the radius of the beam are penalised. The benchmark finds a triplet of
-    f/2.8; fast wide lenses of many aspheres may lose their rays on the way, which raises ValueError.
+    f/2.8; fast wide lenses of many aspheres may lose rays during the optimisation, which raises ValueError.
 
     Examples
     --------
@@ -246,7 +246,7 @@ def automatic_design(
 
     reached = (0.0, 0.0)
     for number, (aperture, field, share, rings, count) in enumerate(CURRICULUM[-stages:]):
-        # Coefficients are set free one after the other, as the beam comes to fill the surfaces.
+        # Coefficients become variable one after the other, as the beam fills a larger part of the surfaces.
         free = terms if number + 1 == stages else min(terms, number + 1)
         while reached != (aperture, field):
             reached = _nearer(set_stage, describe, values, reached, (aperture, field), rings, count)
@@ -308,7 +308,7 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
 
 
 def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> tuple[float, float]:
-    """Return shares of aperture and field on the way to a goal at which a design loses no ray, and set them."""
+    """Set and return the fractions of aperture and field towards a goal at which a design loses no ray."""
     if values is None:
         set_stage(*goal, count)
         return goal
@@ -326,7 +326,7 @@ def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> 
 
 
 def _random_starts(design: lens_design, count: int, f: float, generator) -> torch.Tensor:
-    """Return starts ``[N, V]`` with random curvatures that lose no ray, less and less bent until enough do."""
+    """Return starts ``[N, V]`` with random curvatures that lose no ray, decreased until there are enough starts."""
     found: list[torch.Tensor] = []
     columns, spread = design.columns["curvature"], SPREAD
     while sum(len(part) for part in found) < count:

@@ -36,7 +36,7 @@ class Coating:
     Parameters
     ----------
     media : sequence
-        Films in the order in which light meets them: names of the catalogue, Materials, or indices that hold for all
+        Films in the order in which light passes them: names of the catalogue, Materials, or indices valid for all
         wavelengths, complex for absorbing films (n + iκ, κ ≥ 0).
     thicknesses : sequence or array
         Thickness of each film, in the unit of the system.
@@ -73,7 +73,7 @@ class Coating:
         Parameters
         ----------
         media : sequence
-            Films in the order in which light meets them: names of the catalogue, Materials or indices.
+            Films in the order in which light passes them: names of the catalogue, Materials or indices.
         wavelength : float
             Design wavelength.
         unit : str

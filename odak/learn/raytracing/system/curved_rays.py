@@ -17,7 +17,7 @@ from odak.raytracing.surfaces import Shape
 
 
 def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, turns: bool = False) -> tuple:
-    """Return rays where they meet the next surface behind a graded-index medium.
+    """Return rays at their intersections with the next surface behind a graded-index medium.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
 
 
 def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return how the field of a wave turns along curved rays, and the length of the rays.
+    """Return the rotation of the field of a wave along curved rays, and the length of the rays.
 
     Parameters
     ----------
@@ -111,8 +111,8 @@ def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torc
 
     Notes
     -----
-    Rytov's law: the field stays across the ray and does not turn about it, dE/ds = −(E·dk/ds)·k (Born and Wolf,
-    Principles of Optics, 7th edition (1999), section 3.1.3). The rotation has the angular velocity k × dk/ds.
+    Rytov's law: the field stays perpendicular to the ray and does not rotate about it, dE/ds = −(E·dk/ds)·k (Born and
+    Wolf, Principles of Optics, 7th edition (1999), section 3.1.3). The rotation has the angular velocity k × dk/ds.
     """
     rays = ray_equation(gradient, base)
 

@@ -87,7 +87,7 @@ class Pickup(NamedTuple):
 
 
 class Solve(NamedTuple):
-    """A number that holds a first-order or an edge condition exactly.
+    """A parameter that is computed such that a first-order or an edge condition is met exactly.
 
     Attributes
     ----------
@@ -147,16 +147,16 @@ class lens_design:
     system : optical_system
         The system; :meth:`optimise` and :meth:`apply` change it in place.
     operands : sequence of Operand or str
-        What it is judged by; names alone are operands with the target 0.
+        Operands of the merit function; names alone are operands with the target 0.
     variables : sequence of Variable
         What may change.
     pickups : sequence of Pickup
         Numbers that follow others, applied in order after the variables.
     solves : sequence of Solve
-        Numbers that hold conditions, applied in order after the pickups: a solve for the focal length comes before one
+        Solves, applied in order after the pickups: a solve for the focal length precedes one
         for the image distance.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples` that spots and wavefronts are judged by, or points ``[P, 2]``.
+        Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``.
     count : int
         Count of :func:`pupil_samples`.
     aim : str
@@ -169,7 +169,7 @@ class lens_design:
 
     Notes
     -----
-    The Jacobian is exact and costs one pass, however many variables and residuals there are: directions of all
+    The Jacobian is exact and takes one pass for any number of variables and residuals: directions of all
     variables are carried forward together, and through the surfaces, where the work is, each ray's own derivatives are
     taken backward at once.
 
@@ -329,7 +329,7 @@ class lens_design:
             taken.add((name, item.surface))
 
     def refresh(self) -> None:
-        """Take the clear semi-diameters, at which edges are judged, from the rays of the system as it is now."""
+        """Compute the clear semi-diameters, at which edges are evaluated, from the rays of the present system."""
         given = [item.semi_diameter for item in self.system.surfaces]
         if not any(operand.kind in ("edge_thickness", "slope") for operand in self.operands):
             self.heights = None
@@ -376,7 +376,7 @@ class lens_design:
             name, added = _number_of(item), getattr(p, _number_of(item))[..., item.surface]
             p = _SOLVERS[item.kind](self.system, p, item)
             if (item.surface, 0) in self.places.get(name, ()):
-                # The entry held the variable, which is added to the value of the solve.
+                # The entry contained the variable, which is added to the value of the solve.
                 given = getattr(p, name)
                 p = _with(p, name, _set(given, item.surface, given[..., item.surface] + added, -1))
         return p
@@ -407,7 +407,7 @@ class lens_design:
             glass = _placed(zero, values[..., self.columns["glass"]], self.places["glass"], "glass")
         heights = self.heights
         if heights is not None and heights.ndim > 1:
-            # One row for each of several designs, each of which may be asked for at several values.
+            # One row for each of several designs, each of which may be evaluated at several values.
             heights = heights.reshape(len(heights), *(1,) * (values.ndim - 2), -1)
         return View(self.system, self.prescription(values), self.pupil, self.count, self.aim, heights, glass)
 
@@ -502,7 +502,7 @@ class lens_design:
         )
 
     def restarts(self, count: int = 16, spread: float = 0.2, seed: int = 0, iterations: int = 30) -> DesignResult:
-        """Optimise from random starts side by side, keep the best end if it is better, and change the system.
+        """Optimise from several random starts, and change the system to the best result if it is better.
 
         Parameters
         ----------

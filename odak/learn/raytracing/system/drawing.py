@@ -538,7 +538,7 @@ def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
     figures : dict, optional
-        From :func:`report_figures`, where they are at hand.
+        From :func:`report_figures`, where available.
 
     Examples
     --------

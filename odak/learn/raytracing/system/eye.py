@@ -432,7 +432,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     width = diameter * 1e-3
     rim = torch.linspace(0, width / 2, RAYS, dtype=torch.float64)
     lag = eye_wavefront(rim, wave, diameter, accommodation, vergence)[0]
-    # Waves per radius at the steepest place, which is also how often the transfer function goes up and down.
+    # Waves per radius at the largest gradient, which is also the number of oscillations of the transfer function.
     steepest = float(lag.diff().abs().max()) * (RAYS - 1) / wave
     count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
     line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
@@ -455,7 +455,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
 def _pupil(y, x, waves, diameter, accommodation, vergence, direction=(0.0, 0.0)):
     """Return the pupil function over places y ``[rows, 1]`` and x ``[columns]`` in metres, complex128 ``[W, …]``.
 
-    The eye looks along `direction`, its cosines along y and x; light along it meets the places.
+    The eye looks along `direction`, its cosines along y and x; light along it passes through the points.
     """
     along = y * direction[0] + x * direction[1]
     # Distance of such light from the axis.
@@ -618,7 +618,7 @@ def retinal_field(
     plane further away is first brought to the pupil by :func:`odak.learn.wave.propagate_beam`. The
     pitch of the retinal image is the wavelength over the side of the field.
 
-    The pupil of a turned eye lies to the side and further back: the field is propagated to its middle by the angular
+    The pupil of a rotated eye lies to the side and further back: the field is propagated to its centre by the angular
     spectrum, as one period of a periodic field. Light in the direction of the gaze fills the pupil.
 
     Examples
@@ -660,7 +660,7 @@ def retinal_field(
         field = torch.fft.ifft2(torch.fft.fft2(field) * transfer.to(field.dtype))
     pupil = pupil.to(field.dtype)
     axes = (-2, -1)
-    # Light that travels towards positive x comes from negative angles: the transform turns it upright.
+    # Light that propagates towards positive x comes from negative angles; the transform makes the image upright.
     spectrum = torch.fft.ifft2(torch.fft.ifftshift(field * pupil, axes), norm="ortho")
     return RetinalField(
         torch.fft.fftshift(spectrum, axes), (wavelength / (rows * pitch), wavelength / (columns * pitch))

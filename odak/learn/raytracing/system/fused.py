@@ -29,7 +29,7 @@ from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, radial_sag
 
 # Bytes of one component of a block: a dozen of them fit into a core's cache.
 BLOCK_BYTES = 1 << 17
-# From here on a system's rays fill blocks by themselves; below, blocks hold several systems.
+# From this number on the rays of one system fill a block; below it, a block contains several systems.
 MANY = 4096
 STEPS = 12
 
@@ -188,7 +188,7 @@ def blocks(layout: Layout, numbers: Numbers, shape, dtype):
 
 def _differentiable_gradients(layout, tensors, gradients, needed):
     """Return the gradients as differentiable tensors: by autograd through the plain operations."""
-    # Views, so that the same tensors may be asked for at once as inputs and as part of an outer graph.
+    # Views, so that the same tensors can be inputs and part of an outer graph at once.
     tensors = [value.view_as(value) if need else value for value, need in zip(tensors, needed, strict=True)]
     wanted = [value for value, need in zip(tensors, needed, strict=True) if need]
     state = plain(layout, Numbers(*tensors[6:]), tuple(tensors[:6]))
@@ -288,7 +288,7 @@ def ray_derivatives(layout: Layout, tensors, status) -> tuple[tuple, tuple]:
 
 
 def _plain_derivatives(layout, numbers, rays, seeds, rows, by_rays, by_numbers) -> None:
-    """Write the derivatives of rays that are systems of their own, by autograd through the plain operations."""
+    """Write the derivatives of rays treated as separate systems, by autograd through the plain operations."""
     with torch.enable_grad():
         inputs = [value.detach().clone().requires_grad_() for value in (*rays, *numbers[:5])]
         state = plain(layout, Numbers(*inputs[6:]), tuple(inputs[:6]))
@@ -506,7 +506,7 @@ def _backward(e: Element, p, g, path):
 
 
 def _dot(a, b):
-    """Return the scalar product; None in `b` stands for the components of (0, 0, 1)."""
+    """Return the scalar product; None in `b` means the components of (0, 0, 1)."""
     if b[0] is None:
         return a[2].clone() if b[2] is None else a[2] * b[2]
     out = torch.addcmul(a[0] * b[0], a[1], b[1])

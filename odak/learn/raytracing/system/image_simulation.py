@@ -138,7 +138,7 @@ def point_spread_map(
     power = _power(system, count, options, losses) * _area(undistort, real)[:, None, :]
     axis = {**options, "fields": torch.zeros(1, 2, dtype=torch.float64)}
     middle = _power(system, count, axis, losses) * _area(undistort, torch.zeros_like(real[:1]))[:, None, :]
-    # Each channel is white where the object is, whatever its wavelengths have lost on the axis.
+    # Each channel is normalised to white, independently of the losses of its wavelengths on the axis.
     lit = torch.einsum("cw,wf->cf", weights, power[0]) / torch.einsum("cw,wf->cf", weights, middle[0])
     offsets = points - real[:, None, :]
     total = shares.sum(-1, keepdim=True)
@@ -246,7 +246,7 @@ def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tenso
 
 
 def _ring_weights(count: int) -> torch.Tensor:
-    """Return the areas of the pupil that points of rings stand for: those of the rim count half."""
+    """Return the areas of the pupil represented by points of rings: those of the rim count half."""
     weights = torch.ones(1 + 3 * count * (count + 1), dtype=torch.float64)
     weights[-6 * count :] = 0.5 - 0.125 / count
     weights[0] = 0.75

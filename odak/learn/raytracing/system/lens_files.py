@@ -332,7 +332,7 @@ def _known(where: str, entry, keys) -> None:
 
 
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
-# Distance in millimetres from which on an object seen under angles counts as infinitely far.
+# Distance in millimetres beyond which an object given by angles is treated as infinitely far.
 FAR = 1e8
 # How far beyond the range of a glass a file may use it.
 MAXIMUM_STRETCH = 1.5
@@ -599,7 +599,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
 
 
 def _object_distance(head, lines, context: _Context) -> float:
-    """Return the distance of the object; a very far one seen under angles is at infinity."""
+    """Return the distance of the object; a very far one given by angles is at infinity."""
     distance = _of(lines, "DISZ", math.inf) * context.scale
     if not FAR <= distance < math.inf or ("FTYP" in head and head["FTYP"].value() not in (0, 4)):
         return distance
@@ -1074,7 +1074,7 @@ def _aperture(head, surfaces, context: _Context, system) -> tuple[float, str]:
 
 
 def _widest_stop(system, sizes) -> float:
-    """Return the radius of the stop at which the axial bundle keeps within semi-diameters, 0 where there is none."""
+    """Return the radius of the stop at which the axial bundle is within the semi-diameters, 0 where there is none."""
     p = system.prescription([system.wavelengths[system.reference]])
     index, heights = signed_indices(system, p), []
     for i in range(len(sizes)):
@@ -1121,7 +1121,7 @@ def write_zmx(system: optical_system, path: Any) -> None:
 
 
 def _zmx_text(system) -> str:
-    """Return the lines of a file in millimetres; numbers by `repr`, which loses no digit."""
+    """Return the lines of a file in millimetres; numbers by `repr`, which is exact."""
     scale = MICROMETRES[system.unit] / MICROMETRES["mm"]
     kind = 0 if system.at_infinity else 1
     if system.aperture_type == "NA" and system.at_infinity:
@@ -1241,7 +1241,7 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
             lines += [f"  GLAS {name} 0 0 1.5 40 0 0 0 0 0 0" if name == "MIRROR" else f"  GLAS {name} 0 0"]
     limits = _written_limits(f"surfaces[{number - 1}]", item, scale)
     if stop and system.aperture_type == "stop":
-        # The aperture is twice the semi-diameter of the stop, whatever limits the rays.
+        # The aperture is twice the semi-diameter of the stop, even if other surfaces limit the rays.
         limits = [line for line in limits if not line.startswith("  DIAM")]
         limits += [f"  DIAM {system.aperture * scale / 2!r} 1 0 0 1"]
     return lines + limits

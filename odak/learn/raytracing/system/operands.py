@@ -1,4 +1,4 @@
-"""Operands of a merit function: numbers that a design is judged by, with their targets, bounds and weights."""
+"""Operands of a merit function: quantities of a design with their targets, bounds and weights."""
 
 import math
 from collections.abc import Callable, Iterable, Mapping
@@ -31,7 +31,7 @@ class Operand(NamedTuple):
     weight : float
         The merit is half the sum of (weight·(value − target))².
     lower, upper : float, optional
-        Bounds; a value within them costs nothing, one beyond costs its distance from the nearer bound.
+        Bounds; the residual is 0 within them, and the distance from the nearer bound outside.
     options : mapping
         Keyword arguments of the kind, as `surfaces` of a thickness or `frequency` of the modulation transfer.
 
@@ -351,7 +351,7 @@ def merit_residuals(operands: list[Operand], view: View) -> torch.Tensor:
 
 
 def clear_heights(system, prescription: Prescription, count: int = 12, aim: str = "paraxial") -> torch.Tensor:
-    """Return the largest distance from its axis at which light meets each surface, ``[..., S]``.
+    """Return the largest distance from the axis of each surface at which rays intersect it, ``[..., S]``.
 
     Parameters
     ----------

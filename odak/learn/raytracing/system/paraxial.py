@@ -115,7 +115,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     Raises
     ------
     ValueError
-        If a graded medium goes on behind a mirror or a coordinate break, or reaches the image.
+        If a graded medium continues behind a mirror or a coordinate break, or reaches the image.
 
     Notes
     -----
@@ -236,7 +236,7 @@ def _at_one_wavelength(system, wavelength, prescription):
 
 
 def check_media(system, p: Prescription, last: int | None = None) -> None:
-    """Raise ValueError for a graded medium in front of surface `last` that goes on behind a mirror or a break."""
+    """Raise ValueError for a graded medium in front of surface `last` that continues behind a mirror or a break."""
     for i, gradient in enumerate((p.gradients or ())[:last]):
         following = system.surfaces[i + 1] if gradient is not None and i + 1 < len(system.surfaces) else None
         if following is not None and (is_break(following) or following.reflects):
@@ -269,7 +269,7 @@ def signed_indices(system, p: Prescription) -> torch.Tensor:
 
 
 def matrix(p: Prescription, index: torch.Tensor, start: int, stop: int, gap: bool = False) -> Matrix:
-    """Return the matrix of surfaces `start` to `stop` − 1, with the gap behind the last of them if asked for."""
+    """Return the matrix of surfaces `start` to `stop` − 1, optionally with the gap behind the last of them."""
     one = torch.ones(p.batch, dtype=torch.float64, device=index.device)
     found = Matrix(one, 0 * one, 0 * one, one)
     # Indices at the vertices: those of a graded medium differ from that of its material, and at its two ends.
@@ -480,12 +480,12 @@ def ghost_system(system: Any, first: int, second: int) -> optical_system:
     -------
     optical_system
         With the same entrance beam, fields and wavelengths; the surfaces between the two are passed three times.
-        :func:`polarized_trace` tells how bright the ghost is: coatings and the media on both sides are kept.
+        :func:`polarized_trace` computes the brightness of the ghost: coatings and the media on both sides are kept.
 
     Raises
     ------
     ValueError
-        If the surfaces are not in this order, or the system holds what cannot be passed backwards.
+        If the surfaces are not in this order, or the system contains surfaces that cannot be traced backwards.
 
     Examples
     --------

@@ -17,7 +17,7 @@ PATTERNS = ("rings", "grid", "x", "y", "random")
 AIMS = ("paraxial", "real")
 # Steps of Newton's method, and steps along a continuation.
 ROUNDS, MARCHES = 8, 60
-# Newton's method ends with steps this small beside that along which it takes differences; one more follows.
+# Newton's method ends with steps this small relative to that of its differences; one more follows.
 CLOSE = 1e-6
 
 
@@ -109,7 +109,7 @@ def launch(
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps.
     aim : str
-        "paraxial": at the paraxial entrance pupil. "real": so that the rays meet the stop at the points asked for,
+        "paraxial": at the paraxial entrance pupil. "real": so that the rays pass the stop at the requested points,
         at the reference wavelength; solved by Newton's method, for wide fields by continuation, differentiable.
     dtype : torch.dtype
         Precision of the rays; they are computed in float64.
@@ -214,7 +214,7 @@ def _near(system, fields, bend, sx, sy) -> Rays:
 
 
 def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: torch.Tensor):
-    """Return coordinates in the entrance pupil of rays that meet the stop at given points.
+    """Return coordinates in the entrance pupil of rays that pass the stop at given points.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def aimed(system, numbers: Prescription, pupil, points: torch.Tensor, fields: to
 
 
 def _solve(errors, x, y, step, radius, *way, rounds: int = 12):
-    """Return coordinates after Newton's method for each ray, and which of them meet their points."""
+    """Return coordinates after Newton's method for each ray, and which of them reach their points."""
     for _ in range(rounds):
         ex, ey, kept = errors(x, y, *way)
         (ax, ay), (bx, by) = _differences(errors, x, y, step, (ex, ey), *way)
@@ -372,7 +372,7 @@ def newton_step(missed, x, y, step):
 
 
 def _jacobian(missed, x, y, step, here=None):
-    """Return the derivatives by x and by y, by central differences unless the values themselves are at hand."""
+    """Return the derivatives by x and by y, by central differences unless the values are available."""
     found = []
     for ahead, behind in (((x + step, y), (x - step, y)), ((x, y + step), (x, y - step))):
         before, width = (missed(*behind), 2 * step) if here is None else (here, step)

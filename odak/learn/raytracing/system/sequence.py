@@ -12,7 +12,7 @@ from odak.raytracing import interfaces
 from odak.raytracing.intersections import RayStatus
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersection
 
-# Shapes whose numbers stand in `curvature`, `conic` and `coefficients`; those of all others are listed apart.
+# Shapes whose parameters are in `curvature`, `conic` and `coefficients`; those of all others are listed separately.
 STANDARD = (Plane, Conic, EvenAsphere)
 HIT = int(RayStatus.HIT)
 
@@ -51,7 +51,7 @@ class Layout(NamedTuple):
 
     @property
     def standard(self) -> bool:
-        """Whether the fused kernel knows all of the sequence."""
+        """Whether the fused kernel supports all of the sequence."""
         return (
             not self.placed
             and all(kind in STANDARD for kind in self.kinds)
@@ -326,7 +326,7 @@ def _on_axis(status, sign: int, point, direction):
 
 
 class Frame(NamedTuple):
-    """A frame: rotation as rows of components, and the position of its origin in the frame that it stands in.
+    """A frame: rotation as rows of components, and the position of its origin in the outer frame.
 
     Attributes
     ----------
@@ -347,19 +347,19 @@ class Frame(NamedTuple):
         )
 
     def leave(self, point, direction):
-        """Return points and directions of this frame in the one that it stands in."""
+        """Return points and directions of this frame in the outer frame."""
         turned = tuple(_dot(row, point) for row in self.matrix)
         point = tuple(a + b for a, b in zip(turned, self.origin, strict=True))
         return point, tuple(_dot(row, direction) for row in self.matrix)
 
     def then(self, other: "Frame") -> "Frame":
-        """Return the frame `other`, which stands in this one, in the frame that this one stands in."""
+        """Return the frame `other`, which is given in this one, in the outer frame."""
         origin, _ = self.leave(other.origin, other.origin)
         matrix = [[_dot(row, column) for column in _columns(other.matrix)] for row in self.matrix]
         return Frame(matrix, origin)
 
     def inverse(self) -> "Frame":
-        """Return the frame that this one stands in, as seen from this one."""
+        """Return the outer frame in the coordinates of this one."""
         origin, _ = self.enter((0.0, 0.0, 0.0), self.origin)
         return Frame(_columns(self.matrix), origin)
 

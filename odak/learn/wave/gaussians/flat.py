@@ -29,7 +29,7 @@ class complex_2d_gaussians(nn.Module):
     img_size : tuple of int
         Width and height of the picture in pixels.
     device : torch.device or str
-        Where the parameters live.
+        Device of the parameters.
     merge_opacity : bool
         Set the opacities to one, so that the colours alone give the amplitudes.
     seed : int, optional

@@ -21,7 +21,7 @@ _TILE = 64
 
 
 class Scene:
-    """Complex Gaussians seen by a camera: a field on each of their planes, and the hologram of all.
+    """Complex Gaussians projected by a camera: a field on each of their planes, and the hologram of all.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def _plane_fields(z_vals, means, conics, colours, phase, opacities, plane_probs,
     """Return the fields on the planes ``[P, C, H, W]``, the Gaussians sorted by depth.
 
     Each Gaussian is drawn on each plane that it may be on; a choice of one plane leaves the others out, unless a
-    gradient has to know what would have been there.
+    gradient requires the value without it.
     """
     choices = plane_probs.detach()[order := z_vals.detach().argsort(stable=True)]
     on_plane = torch.ones_like(choices, dtype=torch.bool) if plane_probs.requires_grad else choices != 0

@@ -34,9 +34,9 @@ class complex_3d_gaussians(nn.Module):
     Parameters
     ----------
     init_type : {"gaussians", "random", "point"}
-        Where the first parameters come from: a file, a random cloud, or the points of a point cloud.
+        Source of the initial parameters: a file, a random cloud, or the points of a point cloud.
     device : torch.device or str
-        Where the parameters live.
+        Device of the parameters.
     load_path : str or os.PathLike, optional
         ``.pth`` or ``.pt`` file of :meth:`save_gaussians`, or a ``.ply`` file of 3-D Gaussian splatting, whose colours
         are those without dependence on the direction; phases and planes are then random.
@@ -163,7 +163,7 @@ class complex_3d_gaussians(nn.Module):
         Parameters
         ----------
         gradients : torch.Tensor
-            How much the loss asks each centre to move, ``[N]``: norms of the gradients of `means`, averaged over steps.
+            Norms of the gradients of the loss with respect to `means`, averaged over steps, ``[N]``.
         threshold : float
             Gaussians of larger gradients are doubled.
         split_scale : float
@@ -304,9 +304,9 @@ class complex_3d_gaussians(nn.Module):
     ) -> torch.Tensor:
         """Return covariances on the picture, J·R·Σ·Rᵀ·Jᵀ + 0.3 (Zwicker et al. 2001, affine approximation).
 
-        J is the slope of the projection at the centre, which is held within 1.3 times the view for it, and zero before
-        NEAR_PLANE and beyond FAR_PLANE. Here R acts on columns, whereas a camera moves points as rows, x·R + T: give
-        Rᵀ of a camera for the covariances that go with its points, see :class:`Scene`.
+        J is the Jacobian of the projection at the centre, which is limited to 1.3 times the view for it, and zero
+        before NEAR_PLANE and beyond FAR_PLANE. Here R acts on columns, whereas a camera moves points as rows, x·R + T:
+        give Rᵀ of a camera for the covariances that go with its points, see :class:`Scene`.
 
         Parameters
         ----------
@@ -670,7 +670,7 @@ class StraightThroughEstimator(nn.Module):
     Parameters
     ----------
     temperature : float
-        Softness of the choice that the gradient sees.
+        Temperature of the softmax used for the gradient.
 
     Raises
     ------

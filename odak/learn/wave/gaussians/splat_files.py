@@ -38,7 +38,7 @@ _PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 
 
 
 class Splats(NamedTuple):
-    """Gaussians as files of 3-D Gaussian splatting hold them (Kerbl et al. 2023).
+    """Gaussians in the form of files of 3-D Gaussian splatting (Kerbl et al. 2023).
 
     Attributes
     ----------

@@ -11,7 +11,7 @@ BLOCK = 32
 # Larger parts leave the cache of a CPU core; on a GPU they keep it busy.
 _PART = {"cpu": 1 << 19, "cuda": 1 << 25}
 _SIDES = (8, 16, 32, 64, 128)
-# Pairs of a tile and a Gaussian that lists may hold before tiles are made larger, and the pixels that a pair costs.
+# Largest number of pairs of a tile and a Gaussian before tiles are enlarged, and the cost of a pair in pixels.
 _MANY_PAIRS, _PAIR = 1 << 21, 100
 _COLUMNS, _ROWS = (0, 2), (1, 3)
 
@@ -105,9 +105,10 @@ def half_boxes(shear: torch.Tensor, a: torch.Tensor, b: torch.Tensor, lowest: fl
 
 
 def tile_spans(means: torch.Tensor, half: torch.Tensor, tiling: Tiling) -> torch.Tensor:
-    """Return the first and last columns and rows of tiles that boxes meet: ``[n, 4]``, columns at 0 and 2.
+    """Return the first and last columns and rows of tiles that boxes overlap: ``[n, 4]``, columns at 0 and 2.
 
-    A box without a pixel of the picture ends before it begins. NaN meets every tile, so that it is seen in the picture.
+    A box without a pixel of the picture ends before it begins. NaN overlaps every tile, so that it shows in the
+    picture.
     """
     size = means.new_tensor([tiling.width, tiling.height])
     tile = torch.tensor([tiling.tile_width, tiling.tile_height], device=means.device)
@@ -119,9 +120,9 @@ def tile_spans(means: torch.Tensor, half: torch.Tensor, tiling: Tiling) -> torch
 
 
 def choose_tiling(means: torch.Tensor, half: torch.Tensor, height: int, width: int) -> Tiling:
-    """Return the tiling in which Gaussians cost least.
+    """Return the tiling with the least computing time.
 
-    Small tiles hug the Gaussians; large ones meet fewer of them, and fill their blocks.
+    Small tiles fit the Gaussians more closely; large ones need fewer pairs, and fill their blocks.
     """
     costs = {}
     for side in _SIDES:
@@ -155,7 +156,7 @@ class TileLists:
     Attributes
     ----------
     slots : torch.Tensor
-        Gaussians of each block ``[blocks, BLOCK]``; one past the last Gaussian stands for none.
+        Gaussians of each block ``[blocks, BLOCK]``; the index after the last Gaussian means none.
     tiles : torch.Tensor
         Tile of each block, ascending ``[blocks]``.
     first, counts : torch.Tensor
@@ -190,7 +191,7 @@ def list_tiles(means: torch.Tensor, half: torch.Tensor, tiling: Tiling, layers: 
 
 
 def with_none(rows: torch.Tensor) -> torch.Tensor:
-    """Return rows and one of zeros after them, for the slots that hold no Gaussian."""
+    """Return rows followed by one of zeros, for the slots without a Gaussian."""
     return torch.cat([rows, rows.new_zeros(1, *rows.shape[1:])])
 
 

@@ -55,7 +55,7 @@ class multi_color_hologram_optimizer:
     min_learning_rate : float, optional
         1 % of `learning_rate` by default.
     double_phase : bool
-        When the phase loss has a weight, hold the pattern to a double phase, else to a smooth one.
+        If the phase loss has a weight, constrain the pattern to a double phase instead of a smooth phase.
     scale_factor : int
         Samples s per pixel, as `resolution_factor` in the propagator.
     method : str
@@ -205,7 +205,7 @@ class multi_color_hologram_optimizer:
         """Set the amplitude of the light on the modulator to one, ``[C, ms, ns]``, learned if the method says so."""
         shape = (len(self.wavelengths), *self.propagator.field_shape)
         self.amplitude = torch.zeros(shape, dtype=self.targets.dtype, device=self.device)
-        # Light comes from the pixels, not from between them.
+        # Light is modulated by the pixels, not by the gaps between them.
         self.amplitude[:, :: self.scale_factor, :: self.scale_factor] = 1
         self.amplitude.requires_grad_(self.method.startswith("full_complex"))
 
@@ -343,7 +343,7 @@ class multi_color_hologram_optimizer:
         Returns
         -------
         tuple
-            Amplitude of the light on the modulator ``[C, ms, ns]``, phases ``[F, m, n]`` of 2^bits levels over a turn,
+            Amplitude of the light on the modulator ``[C, ms, ns]``, phases ``[F, m, n]`` of 2^bits levels over 2π,
             the intensities they give ``[F, D, C, ms, ns]``, source amplitudes ``[F, C]``, channel powers ``[F, C]``,
             and the brightness of the targets.
 
@@ -403,7 +403,7 @@ class multi_color_hologram_optimizer:
         input_image, target_image : torch.Tensor
             Intensities ``[C, ms, ns]``.
         plane_id : int
-            Plane, for losses that know planes.
+            Plane, for losses that depend on the plane.
         noise_ratio : float
             Standard deviation of the noise as a share of the target's range.
         inject_noise : bool
@@ -488,7 +488,7 @@ class multi_color_hologram_optimizer:
         return eyebox_loss(phase, eyebox_mask(phase.shape[-2:], offset, diameter).to(phase))
 
     def _pattern(self):
-        """Return the phases shown, and the loss of the constraint they are held to (None without)."""
+        """Return the displayed phases, and the loss of their constraint (None without)."""
         if not self.weights["phase"]:
             return self.phase, None
         constrain = self.double_phase_constrain if self.double_phase else self.direct_phase_constrain

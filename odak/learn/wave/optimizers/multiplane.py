@@ -55,7 +55,7 @@ class multiplane_hologram_optimizer:
     number_of_planes : int
         P.
     zero_mode_distance : float
-        Distance in metres of the relay that light goes to and comes back from.
+        Distance in metres to the relay and back.
     device : torch.device, optional
         Where to compute.
     progress : bool, default: True

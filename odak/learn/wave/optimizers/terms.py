@@ -77,7 +77,7 @@ def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reducti
     targets : torch.Tensor
         Intensities ``[D, C, ms, ns]``.
     peak : float
-        Brightness asked for.
+        Requested brightness.
     reduction : {"sum", "mean"}
         How colours are put together.
 
