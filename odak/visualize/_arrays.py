@@ -136,3 +136,10 @@ def image(name: str, value) -> np.ndarray:
 def linear_light(coded: np.ndarray) -> np.ndarray:
     """Return linear RGB of sRGB values from 0 to 1 (IEC 61966-2-1)."""
     return np.where(coded <= 0.04045, coded / 12.92, ((np.maximum(coded, 0.0) + 0.055) / 1.055) ** 2.4)
+
+
+def coded_light(linear) -> list[float]:
+    """Return the sRGB values of linear light, cut to 0 to 1."""
+    linear = np.clip(np.asarray(linear, dtype=np.float64), 0.0, 1.0)
+    coded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+    return [float(value) for value in coded]

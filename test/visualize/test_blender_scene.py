@@ -16,8 +16,7 @@ from odak.learn.perception.color import rgb_to_linear_rgb
 from odak.learn.raytracing import planar_mesh, triangle_mesh
 from odak.learn.raytracing.system import load_system, optical_system, surface
 from odak.tools import save_image, write_PLY
-from odak.visualize import blender
-from odak.visualize.blender import render_materials as materials
+from odak.visualize import _arrays, blender
 
 ROD = 16  # vertices of a rod
 LINE = [[[0.0, 0, 0], [0, 0, 1]], [[1.0, 0, 0], [0, 0.6, 0.8]]]
@@ -203,7 +202,7 @@ def test_glass_has_the_index_of_the_catalogue():
 def test_colours_are_srgb(color):
     expected = rgb_to_linear_rgb(torch.tensor(color, dtype=torch.float64).reshape(1, 3, 1, 1)).flatten()
     assert np.allclose(blender.diffuse(color).color, expected, atol=1e-9)
-    assert np.allclose(materials.coded_light(blender.diffuse(color).color), color, atol=1e-6)
+    assert np.allclose(_arrays.coded_light(blender.diffuse(color).color), color, atol=1e-6)
 
 
 def test_colour_names():

@@ -17,8 +17,8 @@ from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.raytracing.boundary import reflect
 from odak.tools.file import save_image, validate_path
-from odak.visualize.blender.items import Item, three
-from odak.visualize.blender.render_materials import coded_light, diffuse, emission
+from odak.visualize._arrays import coded_light
+from odak.visualize.blender.items import Item, diffuse, emission, three
 from odak.visualize.blender.scenes import scene
 from odak.visualize.blender.shapes import pixels
 

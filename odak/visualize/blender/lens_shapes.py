@@ -8,9 +8,9 @@ import numpy as np
 
 from odak import _validate
 from odak.catalog.materials import MICROMETRES
-from odak.visualize.blender.items import Item, positive, three
+from odak.visualize._arrays import coded_light
+from odak.visualize.blender.items import Item, glass, linear_color, metal, positive, three
 from odak.visualize.blender.meshes import Mesh, Profile, lens_mesh, profile_mesh
-from odak.visualize.blender.render_materials import coded_light, glass, linear_color, metal
 
 ORIGIN = (0.0, 0.0, 0.0)
 COLORS = ("#2166ac", "#1b7837", "#b2182b", "#762a83", "#b35806", "#016665")

@@ -30,8 +30,7 @@ from odak._warnings import AccuracyWarning, DeviceWarning, warn
 from odak.log import logger
 from odak.tools.file import _kill_with_children
 from odak.tools.paths import replacing
-from odak.visualize.blender.items import Item
-from odak.visualize.blender.render_materials import KINDS, Material
+from odak.visualize.blender.items import KINDS, Item, Material
 
 __all__ = ["Blender", "BlenderError", "BlenderNotFoundError", "find_blender"]
 

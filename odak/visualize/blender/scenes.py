@@ -12,10 +12,23 @@ from odak import _validate
 from odak.catalog.materials import MICROMETRES
 from odak.tools.file import validate_path
 from odak.visualize.blender import process
-from odak.visualize.blender.items import LIGHTS, PROJECTIONS, Camera, Item, Light, aim, pair, positive, three
+from odak.visualize.blender.items import (
+    D_LINE,
+    LIGHTS,
+    PROJECTIONS,
+    Camera,
+    Item,
+    Light,
+    Material,
+    aim,
+    chosen,
+    linear_color,
+    pair,
+    positive,
+    three,
+)
 from odak.visualize.blender.lens_shapes import Lenses
 from odak.visualize.blender.meshes import Mesh
-from odak.visualize.blender.render_materials import D_LINE, Material, chosen, linear_color
 from odak.visualize.blender.shapes import Lines, Shapes
 
 __all__ = ["scene"]

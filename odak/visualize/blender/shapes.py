@@ -12,9 +12,8 @@ from odak.tools.file import validate_path
 from odak.tools.images import read_levels
 from odak.visualize import _arrays
 from odak.visualize._arrays import linear_light
-from odak.visualize.blender.items import Item, pair, positive, three
+from odak.visualize.blender.items import Item, diffuse, emission, pair, positive, three
 from odak.visualize.blender.meshes import Mesh, disc_mesh, grid_mesh, sphere_mesh, tube_mesh
-from odak.visualize.blender.render_materials import diffuse, emission
 
 # Default thickness of a line as a fraction of the extent of the drawing.
 THIN = 1 / 400
