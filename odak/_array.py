@@ -311,6 +311,13 @@ def converted(value, xp: ModuleType, device=None, dtype=None):
     return xp.asarray(value, dtype=dtype, device=device)
 
 
+def stacked(values, xp: ModuleType, device=None, dtype=None):
+    """Return a list of numbers or arrays of one shape as an array; torch tensors keep their place in the graph."""
+    if any(is_array(value) for value in values):
+        return xp.stack([converted(value, xp, device, dtype) for value in values])
+    return converted(values, xp, device, dtype)
+
+
 def cast(value, like, dtype=None):
     """Return `value` (an array or a number) in the library, on the device and in the precision of the array `like`.
 

@@ -15,6 +15,7 @@ import scipy.special
 from odak import _array, _validate
 from odak._array import Array, namespace
 from odak.wave.elements import grid_positions, single_numbers, spiral_parts
+from odak.wave.transfer_functions import pitches
 
 
 def gaussian_beam(
@@ -331,10 +332,8 @@ def airy_beam(
     scales = _validate.several(
         "scale", _pair("scale", scale) if isinstance(scale, (list, tuple)) else (scale, scale), 2
     )
-    for value in scales:
-        _validate.real("scale", value, nonzero=True)
-    if not float(_validate.number("decay", decay)) >= 0:
-        raise ValueError(f"decay must be at least 0, got {decay!r}")
+    scales = tuple(_validate.numbers(_validate.real("scale", value, nonzero=True))[0] for value in scales)
+    decay = float(_validate.number("decay", decay, least=0))
     y, x, xp = _plain_grid(shape, dx, offset, xp)
     along_y, along_x = (
         scipy.special.airy(position / size)[0] * np.exp(decay * position / size)
@@ -443,5 +442,7 @@ def _prepare(shape, dx, offset, xp, device, **numbers):
 
 def _plain_grid(shape, dx, offset, xp):
     """Return NumPy's positions as ``[rows, 1]`` and ``[1, columns]``, and the namespace of the result."""
-    _, (y, x) = grid_positions(shape, dx, offset, namespace(), None)
+    steps = [float(_validate.number("dx", step)) for step in pitches(dx)]
+    offset = _validate.numbers(_validate.several("offset", offset, 2))
+    _, (y, x) = grid_positions(shape, steps, offset, namespace(), None)
     return y, x, _validate.library("xp", xp)

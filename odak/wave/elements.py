@@ -979,7 +979,7 @@ def zernike_phase(
     nx: int,
     ny: int,
     coefficients: Mapping,
-    radius: float | None = None,
+    radius: float | Array | None = None,
     dx: float | Sequence[float] | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
@@ -997,7 +997,7 @@ def zernike_phase(
     coefficients : mapping
         ``{(n, m): c}``, c in radians RMS over the disc (a wave is 2π). A number, or an array ``[...]`` for a batch;
         the phase is differentiable in arrays. Modes by another index: ``{noll_to_nm(4): 0.5}``.
-    radius : float, optional
+    radius : float or array, optional
         Radius of the disc in the unit of `dx`; by default half the diagonal, so that the whole window lies inside.
         Beyond it the phase is 0.
     dx : float or sequence of float
@@ -1051,7 +1051,7 @@ def zernike_basis(
     nx: int,
     ny: int,
     modes: Iterable,
-    radius: float | None = None,
+    radius: float | Array | None = None,
     dx: float | Array = 1.0,
     offset: Any = (0.0, 0.0),
     *,
@@ -1068,7 +1068,7 @@ def zernike_basis(
         Columns.
     modes : sequence of pairs of int
         Pairs (n, m) of radial degree and azimuthal frequency.
-    radius : float, optional
+    radius : float or array, optional
         Radius of the disc in the unit of `dx`; by default half the diagonal. The polynomials are 0 beyond it.
     dx : float or array, default: 1.0
         Pixel pitch, or two of them (rows, columns). The default gives `radius` in pixels.
@@ -1112,7 +1112,7 @@ def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
     if radius is None:
         radius = math.hypot(*(n * step for n, step in zip(shape, steps, strict=True))) / 2
-    radius = float(_validate.real("radius", radius, positive=True))
+    radius = _array.converted(_validate.number("radius", radius, positive=True), xp, device, xp.float64)
     y, x = y / radius, x / radius
     # The first corner of an even window is on the rim of its disc, but for rounding.
     inside = xp.astype(x**2 + y**2 <= 1 + 1e-12, xp.float64)

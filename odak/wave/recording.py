@@ -75,11 +75,13 @@ def reference_wave(
     steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
     _validate.number("wavelength", wavelength, positive=True)
     _validate.number("amplitude", amplitude)
-    tilts: Any = angles if _array.is_array(angles) else _validate.several("angles", angles, 2)
+    given: Any = (angles,) if _array.is_array(angles) else _validate.several("angles", angles, 2)
+    tilts: Any = angles if _array.is_array(angles) else given
     if _array.is_array(angles) and tuple(tilts.shape) != (2,):
         raise ValueError(f"angles must be two, those along rows and columns; got {tuple(tilts.shape)}")
-    _validate.real("angles", tilts)
-    xp, device, dtype = _array.placement(wavelength, tilts, amplitude, xp=xp, device=device, dtype=dtype)
+    for tilt in given:
+        _validate.real("angles", tilt)
+    xp, device, dtype = _array.placement(wavelength, *given, amplitude, xp=xp, device=device, dtype=dtype)
     wavelength, amplitude = (_array.converted(value, xp, device, xp.float64) for value in (wavelength, amplitude))
     cycles = 0.0
     for axis, (n, step) in enumerate(zip(shape, steps, strict=True)):
@@ -357,10 +359,9 @@ def _pair(name, image, reference, stacked: bool = False):
 def _steps(phase_steps, like):
     """Return phases in radians as an array ``[steps]`` of the library and precision of another array."""
     if not _array.is_array(phase_steps):
-        phase_steps = _array.namespace(like).asarray(
-            list(_validate.several("phase_steps", phase_steps)), dtype=_array.real_dtype(like),
-            device=_array.device_of(like),
-        )  # fmt: skip
+        steps = list(_validate.several("phase_steps", phase_steps))
+        xp, device = _array.namespace(like), _array.device_of(like)
+        phase_steps = _array.stacked(steps, xp, device, _array.real_dtype(like))
     _validate.real("phase_steps", phase_steps)
     if phase_steps.ndim != 1:
         raise ValueError(f"phase_steps must have one axis, got {tuple(phase_steps.shape)}")

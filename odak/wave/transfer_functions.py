@@ -227,7 +227,8 @@ def impulse_response_factors(grid: Grid):
     constant = phasor_of_cycles(axial_cycles(grid) - 0.25, double) / xp.astype(grid.wavelength * grid.distance, double)
     factors = []
     for axis, position in zip((-2, -1), grid.positions(), strict=True):
-        source, target = _points(grid, grid.samples[2 + axis]), _points(grid, grid.samples[4 + axis]) / grid.scale
+        source, target = (aperture_points(grid, grid.samples[first + axis]) for first in (2, 4))
+        target = target / grid.scale
         rank = max(position.ndim, grid.wavelength.ndim, grid.distance.ndim)
         offsets = xp.reshape(target[:, None] - source[None, :], (-1,) + (1,) * rank) * grid.pitch[axis]
         cycles = (position + offsets) ** 2 / (2 * grid.wavelength * grid.distance)
@@ -237,7 +238,7 @@ def impulse_response_factors(grid: Grid):
     return constant, *factors
 
 
-def _points(grid: Grid, count: int):
+def aperture_points(grid: Grid, count: int):
     """Return the midpoints of `count` equal parts of an aperture of width one."""
     return (grid.xp.arange(count, dtype=grid.xp.float64, device=grid.device) + 0.5) / count - 0.5
 

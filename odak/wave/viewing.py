@@ -124,6 +124,8 @@ def eye_transfer(
     wavelength, distance, diameter = (
         _array.converted(value, xp, device, xp.float64) for value in (wavelength, distance, pupil_diameter)
     )
+    if isinstance(pupil_position, (list, tuple)) and any(map(_array.is_array, pupil_position)):
+        pupil_position = _array.stacked(pupil_position, xp, device, xp.float64)
     place = _validate.real("pupil_position", _validate.array("pupil_position", pupil_position))
     if place.ndim not in (1, 2) or place.shape[-1] != 2 or 0 in place.shape:
         raise ValueError(f"pupil_position must be [2] or [K, 2], got {tuple(place.shape)}")

@@ -81,11 +81,12 @@ def test_faces_agree_and_batches_broadcast(as_array):
     np.testing.assert_allclose(tensor.numpy(), expected, atol=1e-7)
 
 
-def test_gradient_in_the_coefficients():
-    values = torch.tensor([0.2, -0.1, 0.3], dtype=torch.float64, requires_grad=True)
+def test_gradient_in_the_coefficients_and_the_radius():
+    values = torch.tensor([0.2, -0.1, 0.3, 4.5], dtype=torch.float64, requires_grad=True)
 
     def phase(c):
-        return odak.learn.wave.zernike_phase(5, 6, {(2, 0): c[0], (2, 2): c[1], (4, 0): c[2]}).sin()
+        modes = {(2, 0): c[0], (2, 2): c[1], (4, 0): c[2]}
+        return odak.learn.wave.zernike_phase(5, 6, modes).sin(), odak.learn.wave.zernike_phase(5, 6, modes, radius=c[3])
 
     assert torch.autograd.gradcheck(phase, (values,))
 

@@ -109,3 +109,12 @@ def test_gradients_and_faces():
         assert torch.autograd.gradcheck(make, numbers, fast_mode=True)
         expected = make(*(v.item() for v in numbers))
         np.testing.assert_allclose(make(*numbers).detach().numpy(), expected, atol=1e-13)
+
+
+def test_lengths_of_bessel_and_airy_beams_may_be_tensors():
+    lengths = [torch.tensor(value, dtype=torch.float64) for value in (2.0, 1.5, 0.5)]
+    expected = airy_beam((6, 5), (1.0, 1.5), 2.0, 0.1, (0.5, 0.0))
+    np.testing.assert_allclose(airy_beam((6, 5), (1.0, lengths[1]), lengths[0], 0.1, (lengths[2], 0.0)), expected)
+    expected = bessel_beam((6, 5), (1.0, 1.5), 0.5, 2.0, 1, offset=(0.5, 0.0))
+    found = bessel_beam((6, 5), (1.0, lengths[1]), lengths[2], lengths[0], 1, offset=(lengths[2], 0.0))
+    np.testing.assert_allclose(found, expected)

@@ -120,6 +120,11 @@ def test_slopes():
 
     assert torch.autograd.gradcheck(found, (field, angles, steps), fast_mode=True)
 
+    def found_from_lists(field, angles, steps):
+        return found(field, (angles[0], 5.0), steps)[1], learned.recorded_intensity(field, field, (0.0, steps[1]))
+
+    assert torch.autograd.gradcheck(found_from_lists, (field, angles, steps), fast_mode=True)
+
 
 def test_unwrapping_gives_back_a_smooth_phase():
     pytest.importorskip("skimage")

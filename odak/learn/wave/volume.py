@@ -15,7 +15,7 @@ from odak.learn.wave.training import fingerprint, generator_from
 from odak.tools.matrix import zero_pad
 from odak.wave.methods import WITH_TRANSFER_FUNCTION, linear_kernel_of, linear_method, method_named, spread
 from odak.wave.propagation import sample_counts
-from odak.wave.transfer_functions import Request, checked_pitch, divided_pitch, pitches
+from odak.wave.transfer_functions import Request, aperture_points, checked_pitch, divided_pitch, pitches
 
 PROPAGATOR_TYPES = ("forward", "back and forth")
 
@@ -101,9 +101,8 @@ class LightPath:
             factor = torch.full_like(frequency, self.scale)
             pitch = pitches(self.pitch)[axis]
             for count, extent in ((self.samples[axis], pitch), (self.samples[2 + axis], pitch / self.scale)):
-                if count > 1:
-                    points = torch.linspace(-0.5, 0.5, count, dtype=torch.float64, device=grid.device) * extent
-                    factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
+                points: Any = aperture_points(grid, count) * extent
+                factor = factor * torch.cos(2 * torch.pi * points[:, None] * frequency).mean(0)
             factors.append(factor)
         return (factors[0][:, None] * factors[1]).to(grid.dtype)
 

@@ -67,8 +67,9 @@ def test_several_samples_per_pixel_of_impulse_responses():
     expected = 1.0
     for axis, (n, pitch, source, sensed) in enumerate(zip(SHAPE, PITCH, (3, 2), (2, 3), strict=True)):
         frequency = (np.arange(4 * n) - 2 * n) / (4 * n * pitch / 2)
+        # Midpoints of equal parts of the two apertures.
         factor = [
-            np.mean([np.cos(2 * np.pi * frequency * place) for place in np.linspace(-0.5, 0.5, count) * width], 0)
+            np.mean([np.cos(2 * np.pi * frequency * width * ((k + 0.5) / count - 0.5)) for k in range(count)], axis=0)
             for count, width in ((source, pitch), (sensed, pitch / 2))
         ]
         expected = expected * np.expand_dims(factor[0] * factor[1], 1 - axis)
