@@ -45,6 +45,18 @@ class Gradient(Parametric):
         slopes = tuple(torch.zeros_like(value) if slope is None else slope for slope in slopes)
         return (value if graph else value.detach()), *slopes
 
+    def expansion(self, z: Array, base: Any) -> tuple:
+        """Return N, A and B of n² = N + A·r² + B·r⁴ + … about the axis at a depth, and the derivative of N.
+
+        Parameters
+        ----------
+        z : array
+            Depth behind the vertex.
+        base : array
+            Index of the material.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define expansion(z, base) for third-order aberrations")
+
     def paraxial(self, base: Any, thickness: Any) -> tuple:
         """Return the elements a, b, c, d of the ABCD matrix on (y, n·u) in the y–z plane, and the indices at both ends.
 
@@ -98,6 +110,12 @@ class RadialGradient(Gradient):
         scale = base * base
         return scale * (1 + value) + 0 * z, 2 * scale * slope * x, 2 * scale * slope * y, 0 * (x + z)
 
+    def expansion(self, z: Array, base: Any) -> tuple:
+        """Return the coefficients of 1, r² and r⁴ of the square of the index; none changes with the depth."""
+        scale = base * base + 0 * z
+        first, second = (*vec.terms(self.coefficients)[:2], 0.0, 0.0)[:2]
+        return scale, scale * first, scale * second, 0 * scale
+
 
 @dataclass(frozen=True)
 class AxialGradient(Gradient):
@@ -116,6 +134,12 @@ class AxialGradient(Gradient):
         value, slope = polynomial_in(z, self.coefficients)
         index, zero = base + value, 0 * (x + y + z)
         return index * index + zero, zero, zero, 2 * index * slope + zero
+
+    def expansion(self, z: Array, base: Any) -> tuple:
+        """Return the square of the index on the axis, zeros for the coefficients of r² and r⁴, and its derivative."""
+        value, slope = polynomial_in(z, self.coefficients)
+        index = base + value
+        return index * index, 0 * index, 0 * index, 2 * index * slope
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,9 @@ from odak.learn.raytracing.system.surfaces import (
     optical_system,
     surface,
 )
+from odak.raytracing.gradients import AxialGradient, RadialGradient, step
+
+SEIDEL_STEPS = 20
 
 
 class FirstOrder(NamedTuple):
@@ -295,11 +298,15 @@ def _graded_gap(p: Prescription, index: torch.Tensor, i: int):
     gradient = p.gradients[i]  # type: ignore[index]
     if gradient is None:
         return None
+    _check_forward(index, i)
+    return gradient.paraxial(index[..., i + 1], p.thickness[..., i])
+
+
+def _check_forward(index: torch.Tensor, i: int) -> None:
     if is_readable(index) and bool((index[..., i + 1] < 0).any()):
         raise ValueError(
             f"surfaces[{i}] has a graded medium behind an odd number of mirrors: no first-order properties"
         )
-    return gradient.paraxial(index[..., i + 1], p.thickness[..., i])
 
 
 def _axial_ray(system, whole: Matrix, n):
@@ -381,14 +388,17 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     Raises
     ------
     ValueError
-        If a surface is no plane, conic or even asphere, is shifted or tilted, or has a phase or a graded medium.
+        If a surface is no plane, conic or even asphere, is shifted or tilted, or has a phase; if a graded medium is
+        neither radial nor axial, goes on behind a mirror or a coordinate break, or reaches the image.
 
     Notes
     -----
     Welford, Aberrations of Optical Systems (1986), chapter 8 and section 10.2: marginal and chief rays traced
     paraxially. The powers r² and r⁴ of aspheres enter, with the stop shift of section 8.5. The lateral colour
     "LAT" and the distortion are heights in the image plane. Coordinate breaks are left out: the sums are those of the
-    system without its folds.
+    system without its folds. A graded medium adds to the surface in front of it: the integral of the fourth-order part
+    of the optical Hamiltonian along both rays, less that of a homogeneous medium, and the change of the index over the
+    sag of its surfaces. Their sum is that of P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970).
 
     Examples
     --------
@@ -398,17 +408,23 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     """
     checked_system(system), checked_prescription(prescription)
     p = system.prescription() if prescription is None else prescription
-    if any(group is not None and any(group) for group in (p.shapes, p.phases, p.gradients)):
-        raise ValueError(
-            "system must consist of planes, conics and even aspheres without diffractive phases and graded indices"
-        )
+    if any(group is not None and any(group) for group in (p.shapes, p.phases)):
+        raise ValueError("system must consist of planes, conics and even aspheres without diffractive phases")
+    media = p.gradients or (None,) * len(system.surfaces)
+    for i, gradient in enumerate(media):
+        if gradient is not None and not isinstance(gradient, (RadialGradient, AxialGradient)):
+            raise ValueError(f"surfaces[{i}] must have a radial or an axial gradient, got {type(gradient).__name__}")
+    check_media(system, p)
+    check_image_space(system, p)
     for i, item in enumerate(system.surfaces):
         if item.is_off_axis and not is_break(item):
             raise ValueError(f"surfaces[{i}] is shifted or tilted: Seidel sums are those of centred systems")
     one = p.at(system.reference)
     n = signed_indices(system, one)
     pupil = entrance_pupil(system, prescription=one)
-    ends = [p.index[..., i, :] for i in (0, -1)]
+    waves = list(system.wavelengths) if p.wavelengths is None else p.wavelengths.tolist()
+    waves = waves if len(waves) == p.index.shape[-2] else [0.0]
+    ends = [p.index[..., waves.index(wave), :] for wave in (min(waves), max(waves))]
     spread = (ends[0] - ends[1]) * n / one.index[..., 0, :]
     if field is None:
         size = max(math.hypot(*point) for point in system.fields)
@@ -424,8 +440,13 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
         yb = size + system.object_distance * ub
     sums, colours = [], []
     invariant = n[..., 0] * (ub * y - u * yb)
+    # Index on the axis in front of a surface; derivatives by r² and by z of the index there.
+    before, radial, axial = n[..., 0], 0.0, 0.0
     for i in range(len(system.surfaces)):
-        before, behind = n[..., i], n[..., i + 1]
+        behind, radial_behind, axial_behind = n[..., i + 1], 0.0, 0.0
+        if media[i] is not None:
+            _check_forward(n, i)
+            behind, radial_behind, axial_behind = _index_at(media[i], n[..., i + 1], 0 * one.thickness[..., i])
         c = one.shape(i).curvatures()[1]
         a, ab = before * (u + y * c), before * (ub + yb * c)
         power = (behind - before) * c
@@ -440,15 +461,25 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
         k, base = one.conic[..., i], one.curvature[..., i]
         fourth = one.coefficients[..., i, 1] if one.coefficients.shape[-1] > 1 else 0 * base
         extra = 8 * ((1 + k) * base**3 / 8 + fourth - c**3 / 8) * (behind - before)
+        # The index changes over the sag.
+        extra = extra + 4 * c * (radial_behind - radial) + c * c * (axial_behind - axial)
         s1, s2 = s1 + extra * y**4, s2 + extra * y**3 * yb
         s3, s5 = s3 + extra * y * y * yb * yb, s5 + extra * y * yb**3
         sums.append(torch.stack(torch.broadcast_tensors(s1, s2, s3, s4, s5), -1))
         dispersion = spread[..., i + 1] / behind - spread[..., i] / before
         colours.append(torch.stack(torch.broadcast_tensors(a * y * dispersion, ab * y * dispersion), -1))
         gap = one.thickness[..., i]
-        y, yb, u, ub = y + gap * un, yb + gap * ubn, un, ubn
+        before, radial, axial = behind, radial_behind, axial_behind
+        if media[i] is None:
+            y, yb, u, ub = y + gap * un, yb + gap * ubn, un, ubn
+            continue
+        rays = torch.broadcast_tensors(y, behind * un, yb, behind * ubn)
+        (y, u, yb, ub), added, dispersed = _graded_sums(media[i], n[..., i + 1], spread[..., i + 1], gap, rays)
+        sums[-1], colours[-1] = sums[-1] + added, colours[-1] + dispersed
+        before, radial, axial = _index_at(media[i], n[..., i + 1], gap)
+        u, ub = u / before, ub / before
     seidel, chromatic = torch.stack(sums, -1), torch.stack(colours, -1)
-    scale = 1 / (n[..., -1] * u)
+    scale = 1 / (before * u)
     s = [scale * value for value in seidel.sum(-1).unbind(-1)]
     axial, lateral = (scale * value for value in chromatic.sum(-1).unbind(-1))
     transverse = {
@@ -462,6 +493,83 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
         "LAT": lateral,
     }
     return ThirdOrder(seidel, chromatic, transverse)
+
+
+def _index_at(gradient, base, z) -> tuple:
+    """Return the index on the axis at a depth in a graded medium, and its derivatives by r² and by z."""
+    squared, second, _, along = gradient.expansion(z, base)
+    index = squared.sqrt()
+    return index, second / (2 * index), along / (2 * index)
+
+
+def _graded_sums(gradient, base, spread, thickness, rays) -> tuple:
+    """Return the two paraxial rays behind a graded medium, and its Seidel and chromatic sums.
+
+    Parameters
+    ----------
+    gradient : Gradient
+        The medium, n² = N + A·r² + B·r⁴.
+    base, spread, thickness : torch.Tensor
+        Index of the material, its difference between the outer wavelengths, and length along the axis.
+    rays : sequence of torch.Tensor
+        Heights y and optical direction cosines p of the marginal ray, then of the chief ray.
+
+    Notes
+    -----
+    The Hamiltonian −√(n² − p²) has the fourth-order part (A·r² − p²)²/(8n³) − B·r⁴/(2n), n on the axis. In a
+    homogeneous medium its integral is the change of (r·p)·p²/(8n²), which the sums of the surfaces contain, beside
+    multiples of the invariant times the products of slopes: H·u²/4, H·u·ū/2 and 3H·ū²/4 in coma, astigmatism and
+    distortion.
+    """
+    zero = 0 * (base + thickness + rays[0])
+
+    def forms(y, p, yb, pb, second):
+        """Return A·r² − p² and r·p as coefficients of ρ², ρ·h and h²."""
+        first = second * y * y - p * p, 2 * (second * y * yb - p * pb), second * yb * yb - pb * pb
+        return first, (y * p, y * pb + yb * p, yb * pb)
+
+    def seidel(first, other):
+        """Return the five sums of a product of two such forms."""
+        (a, b, c), (d, e, f) = first, other
+        astigmatism = 2 * b * e
+        field = 4 * (a * f + c * d) - astigmatism
+        return torch.stack([8 * a * d, 2 * (a * e + b * d), astigmatism, field, 2 * (b * f + c * e)], -1)
+
+    def ends(y, p, yb, pb, z):
+        index = gradient.expansion(z + zero, base)[0].sqrt()
+        squares, product = p * p, (y * p, y * pb + yb * p, yb * pb)
+        inside = seidel(product, (squares, 2 * p * pb, pb * pb)) / (8 * index * index)[..., None]
+        invariant = pb * y - p * yb
+        slopes = torch.stack([zero, squares / 4, p * pb / 2, zero, 3 * pb * pb / 4], -1)
+        inside = inside + slopes * (invariant / (index * index))[..., None]
+        # The share of the surfaces in the lateral colour is 𝓗·δn/(2n) beyond half of the sum over both rays.
+        colour = torch.stack([2 * product[0], product[1] + invariant], -1) * (spread / (2 * index))[..., None]
+        return inside, colour
+
+    def field(state):
+        y, p, yb, pb, z = state[:5]
+        squared, second, fourth, _ = gradient.expansion(z, base)
+        index = squared.sqrt()
+        bent, _ = forms(y, p, yb, pb, second)
+        heights = (y * y, 2 * y * yb, yb * yb)
+        rate = (
+            seidel(bent, bent) / (8 * index**3)[..., None]
+            - seidel(heights, heights) * (fourth / (2 * index))[..., None]
+        )
+        pull = spread / (2 * squared)
+        colour = -2 * pull * (p * p + second * y * y), -2 * pull * (p * pb + second * y * yb)
+        moved = p / index, second * y / index, pb / index, second * yb / index, 1 + 0 * z
+        return torch.stack([*moved, *rate.unbind(-1), *colour])
+
+    state = torch.stack([*(value + zero for value in rays), *(zero for _ in range(8))])
+    start = ends(*state[:5])
+    # Steps of order 8: relative errors below 1e-9 for a medium of one pitch.
+    for _ in range(SEIDEL_STEPS):
+        state, _ = step(field, state, thickness / SEIDEL_STEPS)
+    stop = ends(*state[:5])
+    added = torch.stack(list(state[5:10]), -1) - (stop[0] - start[0])
+    dispersed = torch.stack(list(state[10:12]), -1) + (stop[1] - start[1])
+    return tuple(state[:4]), added, dispersed
 
 
 def ghost_system(system: Any, first: int, second: int) -> optical_system:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -198,8 +199,6 @@ def test_files_ways_of_rays_and_what_is_refused():
     assert torch.allclose(within[..., 0, :], paths[..., 1, :], rtol=0, atol=1e-12)
     assert torch.allclose(within[..., -1, :], paths[..., 2, :], rtol=0, atol=1e-9)
     assert len(layout_figure(lens, count=3).axes[0].lines) > 6
-    with pytest.raises(ValueError, match="graded indices"):
-        seidel_sums(lens)
     with pytest.raises(ValueError, match="not to a mirror"):
         surface(material="mirror", gradient=RadialGradient([0.1]))
     with pytest.raises(TypeError, match="gradient must be a Gradient"):
@@ -269,3 +268,99 @@ def test_paraxial_matrices_refuse_media_that_go_on_behind_mirrors_and_breaks(fol
     lens.aperture_type, lens.aperture = "F-number", 4.0
     with pytest.raises(ValueError, match=f"goes on behind a {kind}"):
         launch(lens, "y", 3)
+
+
+def richardson(coarse, fine):
+    """Return the limit of two values whose errors are quadratic in steps of 2 and 1."""
+    return (4 * fine - coarse) / 3
+
+
+@pytest.mark.parametrize("distance", [math.inf, 150.0])
+def test_third_order_sums_of_graded_media_are_the_limit_of_real_rays(distance):
+    """All transverse aberrations and colours, for an axial and a radial gradient between curved surfaces."""
+    waves = [0.588e-3, 0.587e-3, 0.5875e-3]
+
+    def lens(focus):
+        return optical_system(
+            [
+                surface(40.0, thickness=4.0, material="N-BK7", gradient=AxialGradient([0.02, 0.003])),
+                surface(-60.0, thickness=6.0),
+                surface(thickness=3.0, stop=True),
+                surface(-30.0, thickness=5.0, material="SF5", gradient=RadialGradient([-2e-3, 5e-6])),
+                surface(-25.0, thickness=focus),
+            ],
+            0.8,
+            "stop",
+            wavelengths=waves,
+            reference=2,
+            object_distance=distance,
+            fields=[0.1],
+        )
+
+    system = lens(float(first_order(lens(80.0)).image_distance))
+    sums = {name: float(value) for name, value in seidel_sums(system).transverse.items()}
+    # One trace: fields 4, 2, 0.1, 0.05 and 0 by pupil points of radius 1, 1/2, 1/4 and 1/8.
+    sizes = [1.0, 0.5, 0.25, 0.125]
+    points = [(0.0, 0.0)] + [pair for r in sizes for pair in ((0.0, r), (0.0, -r), (r, 0.0), (-r, 0.0))]
+    sizes_of_fields = [4.0, 2.0, 0.1, 0.05, 0.0]
+    traced = trace_fields(
+        system, torch.tensor(points, dtype=torch.float64), fields=[(0.0, f) for f in sizes_of_fields], vignetting=False
+    )
+    x, y = (value[2].tolist() for value in (traced.x, traced.y))
+    far = math.isinf(distance)
+    heights = [math.tan(math.radians(f)) if far else f for f in sizes_of_fields]
+    properties = first_order(system)
+    scale = float(properties.focal_length if far else properties.magnification)
+
+    def odd(i, j):
+        """Return the linear part of the tangential and the sagittal fan at field i from the j-th size on."""
+        tangential = [(y[i][1 + 4 * k] - y[i][2 + 4 * k]) / (2 * sizes[k]) for k in (j, j + 1)]
+        sagittal = [(x[i][3 + 4 * k] - x[i][4 + 4 * k]) / (2 * sizes[k]) for k in (j, j + 1)]
+        return np.asarray([richardson(*tangential), richardson(*sagittal)])
+
+    def even(j):
+        """Return the coma of the j-th size over field and size squared."""
+        found = [((y[i][1 + 4 * j] + y[i][2 + 4 * j]) / 2 - y[i][0]) / heights[i] / sizes[j] ** 2 for i in (2, 3)]
+        return richardson(*found)
+
+    largest = heights[2]
+    bent = [(odd(i, 2) - odd(4, 2)) / heights[i] ** 2 for i in (0, 1)]
+    tangential, sagittal = richardson(*bent) * largest**2
+    distorted = [(y[i][0] - scale * heights[i]) / heights[i] ** 3 for i in (0, 1)]
+    found = {
+        "SA": richardson(*(y[4][1 + 4 * k] / sizes[k] ** 3 for k in (0, 1))),
+        "TCO": richardson(even(0), even(1)) * largest,
+        "TAS": tangential,
+        "SAS": sagittal,
+        "DST": richardson(*distorted) * largest**3,
+        "AX": float(traced.y[1, 4, 13] - traced.y[0, 4, 13]) / sizes[3],
+        "LAT": float(traced.y[1, 2, 0] - traced.y[0, 2, 0]),
+    }
+    for name, value in found.items():
+        assert sums[name] == pytest.approx(value, rel=1e-4 if name not in ("AX", "LAT") else 1e-3), name
+
+
+def test_third_order_sums_of_graded_media_are_differentiable_and_name_what_they_cannot_do():
+    rod = [surface(30.0, material=1.6, gradient=RadialGradient([-1e-3, 1e-6]), thickness=4.0), surface(thickness=40.0)]
+    lens = optical_system(rod, 4.0, fields=[3.0])
+    numbers = lens.prescription()
+
+    def total(curvature, thickness):
+        found = seidel_sums(lens, prescription=numbers._replace(curvature=curvature, thickness=thickness))
+        return (found.seidel * torch.arange(1, 11, dtype=F64).reshape(5, 2)).sum()
+
+    at = [numbers.curvature.requires_grad_(), numbers.thickness.requires_grad_()]
+    parts = torch.autograd.grad(total(*at), at)
+    along, step = [torch.tensor([0.1, 0.3], dtype=F64), torch.tensor([0.7, 0.2], dtype=F64)], 1e-4
+    with torch.no_grad():
+        ends = [total(*(value + side * step * way for value, way in zip(at, along, strict=True))) for side in (1, -1)]
+    slope = sum(float((part * way).sum()) for part, way in zip(parts, along, strict=True))
+    assert slope == pytest.approx(float(ends[0] - ends[1]) / (2 * step), rel=1e-5)
+    curvature = at[0].detach()
+    batch = numbers._replace(curvature=torch.stack([curvature, 1.1 * curvature]).detach())
+    found = seidel_sums(lens, prescription=batch).seidel
+    assert found.shape == (2, 5, 2)
+    torch.testing.assert_close(found[0], seidel_sums(lens).seidel.detach(), atol=1e-14, rtol=0)
+    own = FunctionGradient.of(lambda x, y, z, base, parameters: base + 0 * x)
+    with pytest.raises(ValueError, match=r"surfaces\[0\] must have a radial or an axial gradient"):
+        seidel_sums(optical_system([surface(30.0, material=1.6, gradient=own, thickness=4.0), surface()], 4.0))
