@@ -93,7 +93,7 @@ def checked_pair(
     Returns
     -------
     tuple of torch.Tensor
-        The pictures, both in the finer of the two precisions.
+        The pictures, both in the finer of the two precisions, float32 for half precision.
 
     Raises
     ------
@@ -107,7 +107,7 @@ def checked_pair(
     _validate.alike(predictions=predictions, targets=targets)
     check_values(peak, predictions=predictions, targets=targets)
     dtype = torch.promote_types(predictions.dtype, targets.dtype)
-    return predictions.to(dtype), targets.to(dtype)
+    return in_float32(predictions.to(dtype)), in_float32(targets.to(dtype))
 
 
 def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:

@@ -6,7 +6,11 @@ import pytest
 import torch
 
 from odak.learn.perception import (
+    FLIP,
+    PSNR,
+    SSIM,
     CSFLoss,
+    MetamericLossUniform,
     VisibilityLoss,
     foveated_budget,
     highest_frequency,
@@ -90,7 +94,8 @@ def test_gradients():
 def test_losses_of_half_precision_are_those_of_single(dtype):
     generator = torch.Generator().manual_seed(0)
     image, target = (torch.rand(1, 3, 33, 48, generator=generator).to(dtype) for _ in range(2))
-    for loss in (CSFLoss(**NARROW), VisibilityLoss(**NARROW)):
+    statistics = MetamericLossUniform(pooling_size=8, n_pyramid_levels=2)
+    for loss in (CSFLoss(**NARROW), VisibilityLoss(**NARROW), SSIM(), FLIP(), PSNR(), statistics):
         given = image.clone().requires_grad_()
         found = loss(given, target)
         assert found.dtype == torch.float32

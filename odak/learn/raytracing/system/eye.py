@@ -437,10 +437,13 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
     line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
     pupil = _pupil(line[:, None], line, [wave], diameter, accommodation, vergence)[0]
-    transfer = torch.fft.fft(torch.fft.fft2(pupil).abs().square().sum(0)).real[: count + 1]
+    # The autocorrelation over the pupil's area. At zero the squares of the shares on the rim would make it too small.
+    transfer = torch.fft.ifft(torch.fft.fft2(pupil, norm="ortho").abs().square().sum(0)).real[: count + 1]
+    transfer = transfer / (pupil.abs().sum() / len(line))
+    transfer[0] = 1.0
     place = (frequency * (wave / width * count)).clamp(max=count)
     # Cubic interpolation between four samples; the function is even, and zero beyond the last.
-    table = torch.cat([transfer[1:2], transfer, transfer.new_zeros(2)]) / transfer[0]
+    table = torch.cat([transfer[1:2], transfer, transfer.new_zeros(2)])
     index = place.floor().long().clamp(max=count - 1)
     share = place - index
     before, here, after, beyond = (table[index + step] for step in range(4))

@@ -138,7 +138,7 @@ def test_transfer_function_without_aberrations_is_the_closed_form():
     # A pupil of half a millimetre has no aberrations worth the name.
     size, pitch = (64, 48), 2e-4
     found = eye_transfer_function(size, pitch, GREEN, 0.5, vergence=float(eye_refraction(GREEN, 0.5)))[0]
-    assert float((found - perfect_transfer(size, pitch, 0.5)).abs().max()) < 0.02
+    assert float((found - perfect_transfer(size, pitch, 0.5)).abs().max()) < 2e-4
 
 
 def test_defocus_blurs_to_the_disc_of_geometry():
