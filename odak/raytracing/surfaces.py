@@ -64,18 +64,18 @@ class Shape(Parametric):
     """Base class of the shapes of surfaces.
 
     A shape is a frozen dataclass whose fields are its parameters: numbers, or arrays that broadcast against x and y. It
-    must define :meth:`sag`. Intersections, apertures, placement, optical systems, files, drawings and gradients follow
-    from it.
+    must define :meth:`sag`. Intersections, apertures, placement, optical systems, files, drawings and gradients are
+    derived from it.
 
     Notes
     -----
-    Two variables of the class tell more: ``closed_form``, that the surface is the conic of :meth:`base` itself, and
-    ``ranks``, the number of axes of each parameter that belong to one surface (0 unless given); axes in front of them
-    are a batch.
+    Two class variables may be set: ``closed_form``, True if the surface is the conic of :meth:`base` itself, and
+    ``ranks``, the number of trailing axes of each parameter that belong to one surface (0 by default). The axes in
+    front of them are batch axes.
 
     Examples
     --------
-    A paraboloid z = r²/(2R) as a shape of one's own:
+    A paraboloid z = r²/(2R) as a user-defined shape:
 
     >>> from dataclasses import dataclass
     >>> from odak.raytracing import Shape, intersect_w_sag
@@ -98,11 +98,11 @@ class Shape(Parametric):
         raise NotImplementedError(f"{type(self).__name__} must define sag(x, y)")
 
     def base(self) -> tuple:
-        """Return curvature and conic constant of a conic near the surface, from which iterations start."""
+        """Return curvature and conic constant of an approximating conic, the initial guess of iterations."""
         return 0.0, 0.0
 
     def curvatures(self) -> tuple:
-        """Return the curvatures at the vertex along x and along y, as first-order optics takes them."""
+        """Return the curvatures at the vertex along x and along y, for first-order properties."""
         curvature, _ = self.base()
         return curvature, curvature
 
@@ -314,7 +314,7 @@ class SplineFreeform(Shape):
     heights : array
         Control points ``[n0, n1]``, at least 2 along each axis; the first axis is x. See :meth:`through`.
     size : sequence or array
-        Extents along x and y. The surface ends there.
+        Extents along x and y, outside which the surface is undefined.
     curvature : float or array
         Vertex curvature of the conic.
     conic : float or array
@@ -357,13 +357,13 @@ class SplineFreeform(Shape):
         Returns
         -------
         SplineFreeform
-            Its control points solve the two tridiagonal systems of interpolation, in NumPy.
+            The control points are the solution of two tridiagonal systems, computed with NumPy.
         """
         values = _validate.image("heights", np.asarray(*_validate.reals(heights=heights)))
         for axis in (0, 1):
             n = values.shape[axis]
             matrix = (4 * np.eye(n) + np.eye(n, k=1) + np.eye(n, k=-1)) / 6
-            # The rim's control points are repeated beyond it.
+            # The control points of the boundary are repeated outside it.
             matrix[0, 0] += 1 / 6
             matrix[-1, -1] += 1 / 6
             values = np.moveaxis(np.linalg.solve(matrix, np.moveaxis(values, axis, 0)), 0, axis)
@@ -398,7 +398,7 @@ class OddAsphere(Conic):
     conic : float or array
         Conic constant of the conic.
     coefficients : sequence or array
-        a1, a2, … along the last axis. A term a1 makes a cone, whose tip has no normal.
+        a1, a2, … along the last axis. A nonzero a1 gives a conical apex, where the normal is undefined.
 
     Examples
     --------
@@ -546,7 +546,7 @@ class ChebyshevFreeform(Conic):
     coefficients : array
         ``[n0, n1]``, the first axis i.
     size : sequence or array
-        A and B, half the extents along x and y. The surface ends there.
+        A and B, half the extents along x and y, outside which the surface is undefined.
 
     Examples
     --------
@@ -794,7 +794,7 @@ def toroid_sag(x, y, curvature_x=0.0, curvature_y=0.0, conic=0.0, coefficients=(
     inside = arm * arm - (curvature_x * x) ** 2
     defined = profile.defined & (inside > 0) & (arm > 0)
     root = xp.where(defined, inside, 1.0) ** 0.5
-    # (1 − root)/c_x, written so that c_x may be zero.
+    # (1 − root)/c_x in a form that holds for c_x = 0.
     rise = 2 * profile.height - curvature_x * (profile.height * profile.height - x * x)
     height = xp.where(defined, rise / (1 + root), 0.0)
     slope_y = arm * profile.slope_y / root
@@ -804,7 +804,8 @@ def toroid_sag(x, y, curvature_x=0.0, curvature_y=0.0, conic=0.0, coefficients=(
 def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> Sag:
     """Return the conic's height plus Σ a_j·Z_j(x/R, y/R), Noll's order from j = 1, each of RMS 1 over the disc.
 
-    The polynomials go on beyond the disc of radius R. Noll, J. Opt. Soc. Am. 66, 207 (1976).
+    The polynomials are evaluated outside the disc of radius R as well.
+    Noll, J. Opt. Soc. Am. 66, 207 (1976).
     """
     base = conic_sag(x, y, curvature, conic)
     height, slope_x, slope_y = base.height, base.slope_x, base.slope_y
@@ -820,8 +821,9 @@ def zernike_sag(x, y, curvature=0.0, conic=0.0, coefficients=(), radius=1.0) -> 
 def spline_sag(x, y, heights, size, curvature=0.0, conic=0.0) -> Sag:
     """Return the conic's height plus a uniform cubic B-spline.
 
-    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x), the rim's
-    repeated beyond it; ``size`` holds the two extents. de Boor, A Practical Guide to Splines (1978), chapter IX.
+    `heights` ``[..., n0, n1]`` are its control points, at x and y from −size/2 to size/2 (first axis x); those of the
+    boundary are repeated outside it. ``size`` holds the two extents. de Boor, A Practical Guide to Splines (1978),
+    chapter IX.
     """
     xp = namespace(x, y)
     base = conic_sag(x, y, curvature, conic)
@@ -887,7 +889,7 @@ def _zernike(j: int, u, v):
     """Return the normalised Zernike polynomial of Noll's index j in Cartesian form, and its two derivatives.
 
     Re or Im of (u + iv)^m times Jacobi's P_k^(0, m)(2ρ² − 1), whose derivative is ½·Σ_l (2l + m + 2)·P_l^(0, m + 1),
-    l < k (Christoffel and Darboux): no angle, hence no trouble at the centre.
+    l < k (Christoffel and Darboux). The Cartesian form contains no angle and is regular at the centre.
     """
     n, signed = noll_to_nm(j)
     m = abs(signed)
@@ -944,9 +946,10 @@ def intersect_w_sag(
     angles : sequence of float, optional
         Its rotation in degrees about X, Y and Z, applied in this order.
     aperture : float, optional
-        Distance from the axis at which it ends.
+        Semi-diameter of the surface.
     ahead : bool
-        Take only points ahead of the start; else also those behind it, at negative distances.
+        Whether to accept only intersections in front of the start point; otherwise those behind it are returned as
+        well, with negative distances.
 
     Returns
     -------
@@ -956,11 +959,13 @@ def intersect_w_sag(
 
     Notes
     -----
-    Conics are intersected in closed form: the nearest point ahead. The others by Newton's method, bracketed, from the
-    conic nearest to them, so that of several points the one next to that conic's is found.
+    Conics are intersected in closed form, at the nearest point in front of the start. Other shapes are intersected by
+    a bracketed Newton method that starts at the intersection with the approximating conic; of several intersections
+    the one closest to it is found.
 
-    A start that lies on the surface within rounding is not a hit. Near the vertex its own coordinates do not tell how
-    large that is: give `aperture` where rays leave a surface that they may intersect again.
+    A start point that lies on the surface within rounding error is not an intersection. Near the vertex the size of
+    the rounding error does not follow from the coordinates: pass `aperture` where rays leave a surface that they may
+    intersect again.
 
     Examples
     --------
@@ -978,11 +983,11 @@ def _in_precision_of_rays(ray, **others):
 
 
 def placed_hits(read, ray, surface, center, angles, aperture, ahead) -> Hit:
-    """Return what :func:`intersect_w_sag` does; `read` makes arrays of arguments."""
+    """Implement :func:`intersect_w_sag` for any array library; `read` converts the arguments to arrays."""
     if not isinstance(surface, Shape):
         raise TypeError(f"surface must be a shape such as Conic, Toroid or SplineFreeform, got {surface!r:.80}")
     kinds = {f"surface.{f.name}": getattr(surface, f.name) for f in fields(surface)}
-    # Surfaces without coefficients are right as they are.
+    # Empty sequences of coefficients are not converted.
     held = {name: v for name, v in kinds.items() if not (isinstance(v, (list, tuple)) and len(v) == 0)}
     placed = {"center": center, "angles": angles, "aperture": aperture}
     given = {"ray": ray, **held, **{name: value for name, value in placed.items() if value is not None}}
@@ -1027,7 +1032,7 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     shape : Shape
         The surface.
     aperture : float or array, optional
-        Distance from the axis at which it ends.
+        Semi-diameter of the surface.
     select : str
         "ahead", "vertex" or "through", as in :func:`odak.raytracing.closed_forms.conic`.
 
@@ -1038,8 +1043,8 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
 
     Notes
     -----
-    The distance found by iteration is followed by two steps of Newton's method that derivatives pass through: the first
-    carries the first derivatives of the implicit function theorem, the second the second and third ones.
+    Two differentiable steps of Newton's method follow the iteration. By the implicit function theorem the first step
+    gives the first derivatives of the distance, the second step the second and third derivatives.
     """
     if isinstance(shape, Plane) and aperture is None and select != "ahead":
         found = closed_forms.vertex_plane(start, direction)
@@ -1073,7 +1078,7 @@ def _without_graph(*values):
         import torch
 
         return torch.no_grad()
-    # NaN marks the rays that are lost: no cause for NumPy's warnings.
+    # NaN marks failed rays; NumPy's warnings about it are suppressed.
     return np.errstate(all="ignore")
 
 
@@ -1097,7 +1102,7 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
     distance, found, crossed = newton(start, direction, shape, guess)
     x, y, _ = vec.along(start, distance, direction)
     if select == "ahead":
-        # A start on the surface itself is not a hit.
+        # A start point on the surface itself is not an intersection.
         scale = abs(distance) * length + vec.dot(start, start) ** 0.5 + (0.0 if aperture is None else aperture)
         crossed = crossed & (distance * length > 64 * epsilon(length) * scale)
     elif select == "through":
@@ -1112,7 +1117,7 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
 
 
 def newton(start, direction, shape: Shape, guess, limit: int = 64):
-    """Solve z = sag(x, y) along rays by Newton's method, kept within a bracket as soon as there is one.
+    """Solve z = sag(x, y) along rays by Newton's method, restricted to a bracket once one is known.
 
     Parameters
     ----------
@@ -1132,9 +1137,9 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
 
     Notes
     -----
-    A step that leaves the bracket, or does not lower the error, is replaced by halving the bracket; before there is
-    one, by halving the way back to the best place so far, the first of which is the ray's point nearest to the axis,
-    where a surface exists if anywhere.
+    A step that leaves the bracket, or does not reduce the error, is replaced by bisection of the bracket. Before a
+    bracket is known, the distance to the best point so far is halved instead; the first such point is that of the ray
+    closest to the axis, where a surface is most likely defined.
     """
     xp = namespace(guess, *start, *direction)
     (dx, dy, dz), across = direction, direction[0] * direction[0] + direction[1] * direction[1]
@@ -1165,11 +1170,11 @@ def newton(start, direction, shape: Shape, guess, limit: int = 64):
         between = (following - low) * (following - high) < 0
         halved = xp.where(bracketed, (low + high) / 2, (t + best) / 2)
         following = xp.where(usable & (between | ~bracketed), following, halved)
-        # One step further from within the noise: it brings the error down to rounding.
+        # One further step from within the noise reduces the error to rounding.
         polished = t - xp.where(slope == 0, 0.0, error) / xp.where(slope == 0, 1.0, slope)
         t, done = xp.where(done, t, xp.where(settled, polished, following)), settled
-        # A ray without a bracket after 24 steps passes the surface by. On a GPU every look at the result waits for it,
-        # so that it is taken every fourth time.
+        # A ray without a bracket after 24 steps misses the surface. On a GPU each test synchronises with the device and
+        # is therefore made every fourth step.
         over = done if step < 24 else done | ~crossed
         if not transformed and (step % 4 == 3 or is_readable(t)) and bool(xp.all(over)):
             break

@@ -64,11 +64,11 @@ intersect_w_sag = torch_face(
     angles : torch.Tensor, optional
         Its rotation in degrees about X, Y and Z, applied in this order, ``[3]``.
     aperture : float or torch.Tensor, optional
-        Distance from the axis at which it ends.
+        Semi-diameter of the surface.
 
     Notes
     -----
-    Large batches are evaluated block by block, forward and backward, and keep nothing but their arguments.
+    Large batches are evaluated block by block, forward and backward, and store only their arguments.
     Derivatives are those of the implicit function theorem; see :func:`odak.raytracing.surfaces.intersection`.
 
     Examples

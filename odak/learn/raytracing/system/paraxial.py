@@ -124,7 +124,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     -----
     Kingslake and Johnson, Lens Design Fundamentals (2010), chapter 3; after a mirror, index and thickness change sign.
     The r² term of an asphere adds 2a₁ to the curvature; of surfaces without rotational symmetry the curvature along y
-    counts. Shifts, tilts and coordinate breaks are left out. An afocal system has infinite focal length.
+    is used. Shifts, tilts and coordinate breaks are ignored. The focal length of an afocal system is infinite.
 
     Examples
     --------
@@ -142,7 +142,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     after = matrix(p, index, system.stop, len(system.surfaces))
     n, behind = index[..., 0], index[..., -1]
     pupil = entrance_pupil(system, wavelength, prescription)
-    # The axial ray is scaled so that it fills the pupil.
+    # The axial ray is scaled to the radius of the pupil.
     axial, slope = _axial_ray(system, whole, n)
     scale = pupil.reach
     slope = slope * scale
@@ -167,7 +167,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
 
 
 class EntrancePupil(NamedTuple):
-    """Entrance pupil in a form that includes one at infinity; each ``[...]``.
+    """Entrance pupil in a form that holds for a pupil at infinity as well; each ``[...]``.
 
     Attributes
     ----------
@@ -251,7 +251,7 @@ def check_media(system, p: Prescription, last: int | None = None) -> None:
 
 
 def check_image_space(system, p: Prescription) -> None:
-    """Raise ValueError where the image lies in a graded medium, in which rays do not end straight."""
+    """Raise ValueError if the image lies in a graded medium, where the rays are curved."""
     i = len(system.surfaces) - 1
     while i > 0 and (is_break(system.surfaces[i]) or system.surfaces[i].reflects):
         i -= 1
@@ -351,9 +351,9 @@ class ThirdOrder(NamedTuple):
     chromatic : torch.Tensor
         Axial and lateral colour of each surface, ``[..., 2, S]``, between the shortest and the longest wavelength.
     transverse : dict
-        Sums over all surfaces as transverse aberrations in the image: "SA", "TCO" (tangential coma), "TAS" and "SAS"
-        (tangential and sagittal astigmatism), "PTB" (Petzval blur), "DST" (distortion), "AX" and "LAT" (axial and
-        lateral colour).
+        Sums over all surfaces as transverse aberrations in the image: "SA" (spherical aberration), "TCO" (tangential
+        coma), "TAS" and "SAS" (tangential and sagittal astigmatism), "PTB" (Petzval blur), "DST" (distortion), "AX" and
+        "LAT" (axial and lateral colour).
 
     Examples
     --------
@@ -369,12 +369,12 @@ class ThirdOrder(NamedTuple):
 
 
 def seidel_sums(system: Any, field: Any = None, prescription: Prescription | None = None) -> ThirdOrder:
-    """Return the Seidel sums of a system by surface, and the transverse aberrations that they make.
+    """Return the Seidel coefficients of a system by surface, and the corresponding transverse aberrations.
 
     Parameters
     ----------
     system : optical_system
-        The system, of surfaces with rotational symmetry.
+        A system of rotationally symmetric surfaces.
     field : float, optional
         Field angle in degrees, or object height for a near object; by default the largest of the system's.
     prescription : Prescription, optional
@@ -388,17 +388,19 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     Raises
     ------
     ValueError
-        If a surface is no plane, conic or even asphere, is shifted or tilted, or has a phase; if a graded medium is
-        neither radial nor axial, goes on behind a mirror or a coordinate break, or reaches the image.
+        If a surface is not a plane, a conic or an even asphere, is shifted or tilted, or has a phase; if a graded
+        medium is neither radial nor axial, continues behind a mirror or a coordinate break, or extends to the image.
 
     Notes
     -----
-    Welford, Aberrations of Optical Systems (1986), chapter 8 and section 10.2: marginal and chief rays traced
-    paraxially. The powers r² and r⁴ of aspheres enter, with the stop shift of section 8.5. The lateral colour
-    "LAT" and the distortion are heights in the image plane. Coordinate breaks are left out: the sums are those of the
-    system without its folds. A graded medium adds to the surface in front of it: the integral of the fourth-order part
-    of the optical Hamiltonian along both rays, less that of a homogeneous medium, and the change of the index over the
-    sag of its surfaces. Their sum is that of P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970).
+    The coefficients follow from the paraxial marginal and chief rays (Welford, Aberrations of Optical Systems (1986),
+    chapter 8 and section 10.2). Of aspheres the terms r² and r⁴ contribute, with the stop shift of section 8.5.
+    Lateral colour "LAT" and distortion are heights in the image plane. Coordinate breaks are ignored: the sums are
+    those of the unfolded system.
+
+    The contribution of a graded medium (P. J. Sands, J. Opt. Soc. Am. 60, 1436 (1970)) is included in that of the
+    surface in front of it. It is the integral of the fourth-order part of the optical Hamiltonian along both rays, less
+    its value in a homogeneous medium, and a surface term due to the variation of the index over the sag.
 
     Examples
     --------
