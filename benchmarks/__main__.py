@@ -22,13 +22,13 @@ FOLDER = pathlib.Path(__file__).parent
 HISTORY = FOLDER / "history"
 # A ratio of two times of one run; what differs by less is noise.
 NOTEWORTHY = 1.2
-# Scripts of their own, which print other tables, have no such tuple.
+# Standalone scripts, which print other tables, have no such tuple.
 GROUPS = sorted(path.stem for path in FOLDER.glob("[a-z]*.py") if "\nALL = " in path.read_text(encoding="utf-8"))
 sys.path.insert(0, str(FOLDER))
 
 
 def main() -> int:
-    """Run the benchmarks asked for; return 1 if a ratio is above its bound."""
+    """Run the requested benchmarks; return 1 if a ratio is above its bound."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("groups", nargs="*", metavar="GROUP", help=", ".join(GROUPS))
     parser.add_argument("--device", default="cpu", choices=["cpu", "cuda"])

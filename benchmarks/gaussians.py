@@ -148,7 +148,7 @@ def memory(device: str) -> Iterator[dict]:
         f"before = peak_memory({device!r}); gaussians.slope(model, lambda: scene.render(({SIDE}, {SIDE}))); "
         f"print(json.dumps(peak_memory({device!r}) - before))"
     )
-    # By way of a shell: a process begins with the peak of the one that it was forked from.
+    # Through a shell, because a process inherits the peak memory of the one from which it was forked.
     command = ["sh", "-c", '"$0" -c "$1"; exit $?', sys.executable, code]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     arrays = json.loads(output) / (3 * 8 * SIDE**2)

@@ -32,7 +32,7 @@ def propagation(device: str) -> Iterator[dict]:
     with dask.config.set({"array.chunk-size": CHUNKS}):
         ours = propagate_beam(field, None, 0.05, 4e-6, 532e-9, "Angular Spectrum", None, (True, False, True))
         floor = bare(field, (2 * SIDE, 2 * SIDE))
-        # A sum stands for the result, which need not be in memory as a whole.
+        # A sum replaces the result, which need not fit in memory.
         tasks = {"ours": lambda: abs(ours).sum().compute(), "floor": lambda: abs(floor).sum().compute()}
         timings = interleave(tasks, runs=3)
     yield row(

@@ -1,6 +1,6 @@
-"""Automatic designs from flat plates, held to limits by rays of their own, and one run beside optiland's optimiser.
+"""Benchmarks of automatic designs from flat plates, with limits verified by independent rays, and one against optiland.
 
-The judge traces its own rays in plain NumPy; it shares nothing with the library but the list of surfaces.
+The reference traces its own rays in NumPy; it shares only the list of surfaces with the library.
 """
 
 import importlib.util
@@ -166,7 +166,7 @@ def _sag(r2, c, k, a):
 
 
 def automatic(device: str) -> Iterator[dict]:
-    """Yield the time of each automatic design against its limit; raise if the lens is not what was asked for."""
+    """Yield the time of each automatic design against its limit; raise if the lens does not meet the requirements."""
     for name, task in TASKS.items():
         asked, limits = task["design"], task["limits"]
         start = time.perf_counter()

@@ -29,7 +29,7 @@ def _systems() -> dict:
 
 
 def _rays(system, dtype, device: str) -> Rays:
-    """Return a million rays through the pupil in memory of their own, none shared."""
+    """Return a million rays through the pupil in separate memory."""
     rays = launch(system, "random", COUNT, fields=[(0.0, 2.0)], dtype=dtype)
     return Rays(*(value.detach().expand(rays.x.shape).clone().to(device) for value in rays))
 
@@ -87,7 +87,7 @@ def _bare(system, rays):
     numbers = system.prescription()
     layout = layout_of(system.surfaces, numbers)
     flat = tuple(value.reshape(1, -1) for value in rays)
-    # Made anew each time: a graph lives for one backward pass.
+    # Created each time, because a graph is freed by its backward pass.
     return lambda: fused.plain(layout, system.prescription().numbers(), flat)
 
 

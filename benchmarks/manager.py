@@ -117,7 +117,7 @@ def _busy(client, scheduler) -> float:
 
 
 def overhead(device: str) -> Iterator[dict]:
-    """Yield what a task costs beyond its own time, many together and one alone, against the bound of 20 ms."""
+    """Yield the overhead of a task, many together and one alone, against the bound of 20 ms."""
     from odak.manager import agent
 
     with cluster() as (address, _):
@@ -172,7 +172,7 @@ def shared(device: str) -> Iterator[dict]:
 
     from odak.manager import agent
 
-    # Defined here, it travels by its code: Dask's scheduler cannot import this file.
+    # Defined here, it is sent as code, because Dask's scheduler cannot import this file.
     def nap_beside(_, picture: torch.Tensor) -> float:
         time.sleep(NAP_OF_MAP)
         return float(picture[0, 0])

@@ -34,7 +34,7 @@ def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
 
 
 def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -> dict[str, Timing]:
-    """Return the timings of several tasks run in turn, so that a busy moment of the machine falls on all of them."""
+    """Return the timings of several tasks run alternately, so that the load of the machine affects all of them."""
     wait = _waiting_for(device)
     seconds = {name: [] for name in tasks}
     for turn in range(runs + 1):

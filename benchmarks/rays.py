@@ -96,7 +96,7 @@ def gradients(device: str) -> Iterator[dict]:
 
 
 def _rows(dtype: torch.dtype, device: str, **tasks: tuple[Callable, Callable]) -> Iterator[dict]:
-    """Yield a row for each pair of our task and the bare pass, run in turn."""
+    """Yield a row for each pair of a task and the bare pass, run alternately."""
     for name, (ours, floor) in tasks.items():
         timings = interleave({"ours": ours, "bare": floor}, 7, device)
         label = f"{name}, 10⁶ rays, {_name(dtype)}"

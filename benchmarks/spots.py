@@ -1,4 +1,4 @@
-"""Benchmarks of modulators, cameras and spots: each against the obvious way, in the same process."""
+"""Benchmarks of modulators, cameras and spots: each against a direct implementation, in the same process."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -25,7 +25,7 @@ def _row(task: str, ours: Callable, other: Callable, name: str, bound: float | N
 
 
 def spots_in_space(device: str) -> Iterator[dict]:
-    """Yield five turns for 100 spots in space on 512 × 512 pixels, against a loop over the spots."""
+    """Yield five iterations for 100 spots in space on 512 × 512 pixels, against a loop over the spots."""
     n, generator = 512, torch.Generator().manual_seed(0)
     points = (torch.rand(SPOTS, 3, generator=generator) - 0.5) * torch.tensor([2e-3, 2e-3, 1e-2])
     points = points.to(device)
@@ -60,7 +60,7 @@ def spots_in_space(device: str) -> Iterator[dict]:
 
 
 def thousand_spots(device: str) -> Iterator[dict]:
-    """Yield ten turns for 1000 spots in space at 1080 × 1920, uniform to 0.999, against 20 padded transforms."""
+    """Yield ten iterations for 1000 spots in space at 1080 × 1920, uniform to 0.999, against 20 padded transforms."""
     generator = torch.Generator().manual_seed(0)
     points = (torch.rand(1000, 3, generator=generator) - 0.5) * torch.tensor([4e-3, 4e-3, 2e-2])
     points, field = points.to(device), torch.randn(2160, 3840, dtype=torch.complex64, device=device)
@@ -80,7 +80,7 @@ def thousand_spots(device: str) -> Iterator[dict]:
 
 
 def far_image(device: str) -> Iterator[dict]:
-    """Yield ten turns of a far-field image of 1024 × 1024 against the two transforms of each."""
+    """Yield ten iterations of a far-field image of 1024 × 1024 against the two transforms of each."""
     target = torch.rand(1024, 1024, device=device)
     field = torch.randn(1024, 1024, dtype=torch.complex64, device=device)
 

@@ -13,7 +13,7 @@ from odak.learn import wave
 
 WAVELENGTH, PITCH = 532e-9, 8e-6
 PITCHES, SIZES, SHARES = (8e-6, 1e-6, 4e-7), (24, 48), (-0.3, 1.0, 3.0)
-# Below this the sums that judge are no more accurate than what they judge.
+# Below this the reference sums are not more accurate than the results.
 JUDGED_TO = 2e-12
 
 
@@ -84,7 +84,7 @@ def _row(task: str, ours, floor, name: str, bound: float | None, device: str) ->
 
 
 def choice(device: str) -> Iterator[dict]:
-    """Yield "auto" against the same propagation by name: what the choice costs in a loop."""
+    """Yield "auto" against the same propagation by name: the time of the choice in a loop."""
     for n in (128, 512):
         field = torch.randn(n, n, dtype=torch.complex64, device=device)
 

@@ -1,4 +1,4 @@
-"""Benchmarks of windows, tilted planes and partial coherence: each against the obvious way, in the same process."""
+"""Benchmarks of windows, tilted planes and partial coherence: each against a direct implementation."""
 
 import math
 from collections.abc import Callable, Iterator

@@ -230,7 +230,7 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Put thumbnails where a page asks for them."""
+    """Insert the thumbnails requested by a page."""
 
     def expanded(match):
         if match["group"]:

@@ -1,4 +1,4 @@
-"""What MkDocs does besides: equations become MathML, and notebooks get a way to be run and words for their pictures.
+"""Hooks of MkDocs: conversion of equations to MathML, download links of notebooks and texts for their pictures.
 
 MathML is drawn by the browser itself, so pages need no script and nothing from the network. Wide figures are marked, so
 that a phone scrolls them instead of making their text too small to read.

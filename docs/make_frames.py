@@ -32,7 +32,7 @@ from odak.visualize.plotly import field_show, plotshow, surfaceshow, system_show
 
 FOLDER = Path(__file__).resolve().parent / "pictures" / "interactive"
 WAVELENGTH, PITCH = 532e-9, 8e-6
-# No file is larger, so that a page stays light on a phone.
+# Largest size of a file, for short loading times on phones.
 LARGEST = 300_000
 
 
@@ -196,7 +196,7 @@ def glasses():
 
 
 def field():
-    """Return the amplitude of the light behind a square aperture."""
+    """Return the amplitude of the field behind a square aperture."""
     square = torch.zeros(160, 160, dtype=torch.complex128)
     square[55:105, 55:105] = 1
     behind = propagate_to_window(square, WAVELENGTH, 25e-3, PITCH)

@@ -162,7 +162,7 @@ def _index_of(match):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Replace the blocks of names and of commands by what they stand for."""
+    """Replace the blocks of names and of commands by their entries."""
     if not page.file.src_path.startswith("reference/"):
         return markdown
     for pattern, expanded in ((_COMMANDS, _commands_of), (_BLOCK, _entries_of), (_INDEX, _index_of)):
@@ -203,7 +203,7 @@ def on_page_content(html, page, config, files):
 
 
 class PublicNames(griffe.Extension):
-    """Gives each public name an object of its own in its package, and turns roles in docstrings into links."""
+    """Creates an object for each public name in its package, and converts roles in docstrings to links."""
 
     def on_package(self, *, pkg, loader, **kwargs):
         """Complete the package that was loaded."""

@@ -1,1 +1,1 @@
-"""Fuzzing of the readers: broken and hostile files, and the promise that each is refused by name or read."""
+"""Fuzzing of the readers: each damaged or malicious file must be read or refused with an error that names it."""

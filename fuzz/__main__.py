@@ -57,7 +57,7 @@ def _arguments():
 
 
 def supervise(name: str, seconds: float, seed: int, finds: str) -> dict:
-    """Run one reader in processes of its own until the time is over; return counts and finds."""
+    """Run one reader in separate processes until the time is over; return counts and findings."""
     folder = os.path.abspath(os.path.join(finds, name))
     os.makedirs(folder, exist_ok=True)
     total = {"cases": 0, "read": 0, "deaths": 0, "seconds": 0.0, "finds": {}}
@@ -145,7 +145,7 @@ def work(name: str, seconds: float, seed: int, place: str) -> int:
 
 
 def judge(reader, folder: str, case: tuple[str, bytes]) -> tuple[str | None, bool]:
-    """Return what a reader did to a file that it must not do, or None, and whether it read it."""
+    """Return the violation that a reader committed, or None, and whether it read the file."""
     path = _written(folder, case)
     with open(os.path.join(os.path.dirname(folder), "alive"), "w", encoding="ascii"):
         pass

@@ -1,4 +1,4 @@
-"""Valid files to start from, of every format that a reader takes, and hostile ones made by hand."""
+"""Valid seed files of every format that a reader accepts, and hand-written malicious ones."""
 
 import io
 import json

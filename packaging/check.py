@@ -90,7 +90,7 @@ def torch_requirement() -> str:
 
 
 def use(package: Path, folder: Path, borrowed: bool) -> None:
-    """Install a distribution in an environment of its own and run the smoke test there."""
+    """Install a distribution in a separate environment and run the smoke test there."""
     python = environment(folder, borrowed)
     if not borrowed:
         pip(python, torch_requirement())

@@ -34,7 +34,7 @@ LETTERS = {
 
 
 def _colour(code: str) -> np.ndarray:
-    """Return the linear light ``[3, 1]`` of an sRGB colour such as "ff8040"."""
+    """Return the linear intensities ``[3, 1]`` of an sRGB colour such as "ff8040"."""
     value = np.array([int(code[index : index + 2], 16) for index in (0, 2, 4)]) / 255
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)[:, None]
 
@@ -328,7 +328,7 @@ def _shade(rays: np.ndarray, depth: np.ndarray, seen: np.ndarray, lamp: np.ndarr
 
 
 def _render_rows(shape: tuple[int, int], rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the linear light ``[3, rows, columns]`` and the distance along z of some rows."""
+    """Return the linear intensities ``[3, rows, columns]`` and the distance along z of some rows."""
     offsets = (np.arange(RAYS_PER_SIDE) - RAYS_PER_SIDE // 2)[:, None] / RAYS_PER_SIDE
     rays = np.ones((3, RAYS_PER_SIDE, RAYS_PER_SIDE, len(rows), shape[1]))
     rays[0] = ((np.arange(shape[1]) + 0.5 + offsets - shape[1] / 2) / shape[0] / FOCAL_LENGTH)[None, :, None, :]

@@ -29,7 +29,7 @@ SEED, SIDE, BATCH, EPOCH = 2026, 128, 2, 25
 PHOTOGRAPHS = ("astronaut", "brick", "camera", "chelsea", "coins", "grass", "gravel", "moon", "rocket")
 DRAWN, CUT = 300, 16
 REFINEMENTS = (2, 5)
-# Share of the batches that stand for the inside of large pictures.
+# Share of the batches that represent the inside of large pictures.
 PERIODIC = 0.5
 
 

@@ -29,7 +29,7 @@ LIBRARIES = {
 
 
 def main() -> None:
-    """Measure what is asked for and print the table."""
+    """Run the requested measurements and print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("libraries", nargs="*", metavar="LIBRARY", default=list(LIBRARIES), help=", ".join(LIBRARIES))
     parser.add_argument("--install", action="store_true", help="install them from the package index (about 6 GB)")

@@ -1,4 +1,4 @@
-"""Gaussian beams that every library propagates. NumPy only: each library runs in an environment of its own."""
+"""Gaussian beams that every library propagates. NumPy only: each library runs in a separate environment."""
 
 from dataclasses import dataclass
 
@@ -31,13 +31,13 @@ class Beam:
         return -2 * self.distance / rayleigh**2 / (1 + (self.distance / rayleigh) ** 2) ** 2
 
 
-# One of the size at which libraries are timed, and one that spreads enough to tell exact from paraxial.
+# One of the size at which libraries are timed, and one that distinguishes exact from paraxial propagation.
 TIMED = Beam(1024, 8e-6, 0.4e-3, 0.2)
 TIGHT = Beam(256, 1e-6, 3e-6, 4e-4)
 
 
 def truth(beam: Beam) -> numpy.ndarray:
-    """Return a beam's field at its distance: its plane waves, summed by a quadrature over the radial frequency κ.
+    """Return the field of a beam at its distance: its plane waves, summed by a quadrature over the radial frequency κ.
 
     E(r, z) = (w² / 2) ∫ exp(-w²κ² / 4) J₀(κr) exp(iz√(k² - κ²)) κ dκ, with nothing paraxial in it.
     """

@@ -1,4 +1,4 @@
-"""Optimise a lens with optiland: a start as JSON comes in, the end goes out. Needs optiland alone."""
+"""Optimise a lens with optiland, from a start in JSON to a result in JSON. Requires only optiland."""
 
 import json
 import sys

@@ -1,4 +1,4 @@
-"""What is asked of each library, in its own documented calls.
+"""Tasks of the comparison in the documented calls of each library.
 
 ``python tasks.py LIBRARY TRUTH`` runs in that library's environment and prints one JSON object. TRUTH is a file with
 the exact field of the beam `TIGHT`.
@@ -194,7 +194,7 @@ def parallel_rays() -> tuple[numpy.ndarray, ...]:
 
 
 def rays_of(traced: Callable) -> dict:
-    """Time a trace; the root mean square of the spot in mm tells that all traced the same lens."""
+    """Time a trace; the RMS spot size in mm verifies that all traced the same lens."""
     x, y = (numpy.asarray(value).reshape(-1) for value in traced())
     return timed(traced) | {"rms": float(numpy.sqrt(numpy.var(x) + numpy.var(y)))}
 

@@ -198,7 +198,7 @@ def read_agf(path) -> list[Material]:
             raise ValueError(f"{path.name}, line {line}: {error}") from None
     finish()
     if not found:
-        raise ValueError(f"{path.name} holds no glass whose dispersion formula is known")
+        raise ValueError(f"{path.name} contains no glass whose dispersion formula is known")
     if unknown:
         warn(f"{path.name}: skipped {', '.join(unknown[:8])}, whose dispersion formula is not known", ArgumentWarning)
     return found

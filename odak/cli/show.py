@@ -149,7 +149,7 @@ def _load(path: Path) -> np.ndarray:
 
             values = torch_load(str(path), weights_only=True)
             if not isinstance(values, torch.Tensor):
-                raise ValueError(f"it holds a {type(values).__name__}, not a tensor")
+                raise ValueError(f"it contains a {type(values).__name__}, not a tensor")
             values = values.detach().cpu().numpy()
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"FILE {str(path)!r} cannot be drawn: {' '.join(str(error).split())}") from None

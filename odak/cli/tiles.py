@@ -172,7 +172,7 @@ def _claim(state: Path, job: Job, index: int, again: bool) -> None:
         files.write_json(about, identity)
     elif json.loads(about.read_text(encoding="utf-8")) != identity:
         raise InputError(
-            f"--output holds the state of a run with another picture, {str(state)!r}; use --again to start over"
+            f"--output contains the state of a run with another picture, {str(state)!r}; use --again to start over"
         )
 
 

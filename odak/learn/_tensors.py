@@ -153,7 +153,7 @@ def rows_of(**given: tuple) -> list[torch.Tensor]:
     values = [shaped(name, value, "N", *row) for name, (value, *row) in given.items()]
     if len({len(value) for value in values}) > 1:
         told = ", ".join(f"{name} {len(value)}" for name, value in zip(given, values, strict=True))
-        raise ValueError(f"these must have as many rows as each other: {told}")
+        raise ValueError(f"these must have the same number of rows: {told}")
     _validate.one_device(**dict(zip(given, values, strict=True)))
     dtype = functools.reduce(torch.promote_types, (value.dtype for value in values), torch.float32)
     return [value.resolve_neg().to(dtype) for value in values]

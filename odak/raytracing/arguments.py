@@ -70,7 +70,7 @@ def flat_rays(name: str, value) -> np.ndarray:
     if is_traced(value):
         raise TypeError(
             f"{name} must be numbers or an array that NumPy can read, got a tensor with a gradient or on a GPU: "
-            "odak.learn.raytracing takes such"
+            "use odak.learn.raytracing for such tensors"
         )
     return listed(name, np.asarray(*_validate.reals(**{name: value})), (2, 3), "[2, 3] or [m, 2, 3]")
 

@@ -205,7 +205,8 @@ def _open(path):
     if pixels > max(FREE_PIXELS, PIXELS_PER_BYTE * os.path.getsize(path)):
         image.close()
         raise ValueError(
-            f"{image.width} x {image.height} pixels in {os.path.getsize(path)} bytes are more than such a file can hold"
+            f"{image.width} x {image.height} pixels in {os.path.getsize(path)} bytes are more than such a file "
+            "can contain"
         )
     return image
 

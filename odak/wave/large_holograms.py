@@ -136,7 +136,7 @@ def hologram_in_chunks(
         if state.done == 0:
             energy = float(da.sum(amplitude.astype(np.float64) ** 2).compute())
             if not energy > 0 or not math.isfinite(energy):
-                raise ValueError("target must be finite and hold some light, got an image whose sum is 0 or not finite")
+                raise ValueError("target must be finite and not all zero, got an image whose sum is 0 or not finite")
             state.scale, state.energy = math.sqrt(math.prod(target.shape) / energy), energy
         while state.done < count:
             phase = state.read("phase") if state.done else _starting_phase(da, amplitude, initial_phase)
@@ -218,7 +218,9 @@ class _State:
         about = json.loads((stored[-1] / "about.json").read_text(encoding="utf-8"))
         if about["problem"] != problem:
             different = [key for key, value in problem.items() if about["problem"].get(key) != value]
-            raise ValueError(f"folder {str(folder)!r} holds the state of another problem: other {', '.join(different)}")
+            raise ValueError(
+                f"folder {str(folder)!r} contains the state of another problem: other {', '.join(different)}"
+            )
         self.done, self.scale, self.energy = about["done"], about["scale"], about["energy"]
 
     def _place(self, number: int) -> Path:

@@ -175,7 +175,7 @@ def sampling_report(
 def _checked_field(field, shape) -> np.ndarray:
     field = _array.to_complex(_validate.image("field", field))
     if tuple(field.shape[-2:]) != tuple(shape):
-        raise ValueError(f"field must be [..., {shape[0]}, {shape[1]}] as shape says, got {tuple(field.shape)}")
+        raise ValueError(f"field must be [..., {shape[0]}, {shape[1]}] as given by shape, got {tuple(field.shape)}")
     if not _array.is_readable(field):
         raise ValueError("field must be readable here: its spectrum decides")
     return np.asarray(field.detach().cpu().numpy() if _array.is_torch(field) else field)

@@ -243,7 +243,7 @@ def _constant(value):
     try:
         return np.asarray(_validate.numbers(value)).reshape(value.shape)
     except RuntimeError as error:
-        raise ValueError("the lengths decide what is computed: they must not be vmapped over") from error
+        raise ValueError("the lengths determine the computation: they must not be vmapped over") from error
 
 
 def roll_off(excess, width, guard: float):

@@ -154,7 +154,7 @@ def test_a_run_is_continued_for_the_same_picture_only(grey_file, tmp_path):
     assert "already" in run(grey_file, "-o", tmp_path / "b", *GEOMETRY, "--iterations", 3).stdout
     np.save(grey_file, np.load(grey_file)[::-1])
     said = run(grey_file, "-o", tmp_path / "a", *options, 4, expect=2)
-    assert "holds the state of a run with another picture" in said.stderr and "--again" in said.stderr
+    assert "contains the state of a run with another picture" in said.stderr and "--again" in said.stderr
     said = run(grey_file, "-o", tmp_path / "b", *options, 4, "--distance", "4e-3", "--again")
     assert read_report(tmp_path / "b")["parameters"]["distance"] == 4e-3
 
@@ -195,7 +195,7 @@ def test_what_tiles_cannot_do_is_said_in_a_line(arguments, message, grey_file, t
         ("deep.npy", np.ones((20, 20, 7)), "1 to 4 channels"),
         ("small.npy", np.ones((4, 20)), "at least 16 rows and columns"),
         ("objects.npy", np.array([print], object), "cannot be read"),
-        ("black.npy", np.zeros((20, 20)), "IMAGE must be finite and hold some light"),
+        ("black.npy", np.zeros((20, 20)), "IMAGE must be finite and not all zero"),
     ],
 )
 def test_pictures_that_cannot_be_used_are_named(name, content, message, tmp_path, capsys):

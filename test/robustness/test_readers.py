@@ -302,9 +302,9 @@ class TestTorchFiles:
         quantized = torch.quantize_per_tensor(torch.ones(3), 0.1, 0, torch.quint8)
         for odd in (nested, quantized):
             torch.save({"a": [odd]}, tmp_path / "a.pt")
-            with pytest.raises(ValueError, match=r"a\.pt': it holds a nested or a quantized tensor"):
+            with pytest.raises(ValueError, match=r"a\.pt': it contains a nested or a quantized tensor"):
                 torch_load(tmp_path / "a.pt")
-        with pytest.raises(ValueError, match=r"find04\.pt': it holds a tensor of shape \[-2147483648, 0\]"):
+        with pytest.raises(ValueError, match=r"find04\.pt': it contains a tensor of shape \[-2147483648, 0\]"):
             torch_load(CORPUS / "tensor" / "find04.pt")
 
     def test_shared_lists_are_walked_once(self, tmp_path):
@@ -319,7 +319,7 @@ class TestTorchFiles:
         endless: list = []
         endless.append({"a": endless})
         torch.save(endless, tmp_path / "a.pt")
-        with pytest.raises(ValueError, match=r"a\.pt': it holds a list that contains itself"):
+        with pytest.raises(ValueError, match=r"a\.pt': it contains a list that contains itself"):
             torch_load(tmp_path / "a.pt")
         deep: list = []
         for _ in range(100):
@@ -338,7 +338,7 @@ class TestTorchFiles:
             ([torch.ones(3, device="meta")], "without data"),
         ):
             torch.save(held, path)
-            with pytest.raises(ValueError, match=rf"a\.pt': it holds a tensor .*{told}"):
+            with pytest.raises(ValueError, match=rf"a\.pt': it contains a tensor .*{told}"):
                 torch_load(path)
         torch.save(torch.arange(12.0).reshape(3, 4).T[1:], path)
         assert torch_load(path, map_location="meta").is_meta
@@ -378,7 +378,7 @@ def test_a_scene_takes_no_arrays_of_another(tmp_path):
         made.save(tmp_path / f"{name}.json")
     assert scene.load(tmp_path / "a.json").objects[0].vertices.max() == 1
     (tmp_path / "b.npz").replace(tmp_path / "a.npz")
-    with pytest.raises(ValueError, match=r"a\.json' cannot be read as a scene: 'a\.npz' holds the arrays of another"):
+    with pytest.raises(ValueError, match=r"a\.json' cannot be read as a scene: 'a\.npz' contains the arrays of"):
         scene.load(tmp_path / "a.json")
 
 

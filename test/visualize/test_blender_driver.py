@@ -89,7 +89,7 @@ def test_order_of_the_search(program, tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("probe", "words"), [(3, "a Python without the package bpy"), (1, "is not a Python that runs")]
+    ("probe", "words"), [(3, "a Python without the package bpy"), (1, "is not a working Python interpreter")]
 )
 def test_what_was_named_must_have_it(program, probe, words):
     path = program("python", probe=probe)

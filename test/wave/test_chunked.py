@@ -142,5 +142,5 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
 
 def test_a_dark_target_is_refused(tmp_path):
     pytest.importorskip("zarr")
-    with pytest.raises(ValueError, match="target must be finite and hold some light"):
+    with pytest.raises(ValueError, match="target must be finite and not all zero"):
         hologram_in_chunks(np.zeros((8, 8)), tmp_path, 1, **PROBLEM)

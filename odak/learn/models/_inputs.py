@@ -18,7 +18,7 @@ def kernel(value, *, odd: bool = False) -> int:
     """Return a kernel size; `odd` where an even one, which grows the image by one, could not be added to it."""
     size = _validate.integer("kernel_size", value, minimum=1)
     if odd and size % 2 == 0:
-        raise ValueError(f"kernel_size must be odd, so that the image keeps its size; got {size}")
+        raise ValueError(f"kernel_size must be odd, so that the size of the image does not change; got {size}")
     return size
 
 

@@ -232,7 +232,9 @@ class positional_encoder(nn.Module):
         super().__init__()
         self.L = _validate.integer("L", L, minimum=1)
         if self.L > _MAXIMUM_OCTAVES:
-            raise ValueError(f"L must be at most {_MAXIMUM_OCTAVES}, got {self.L}: 2^L would exceed what float64 holds")
+            raise ValueError(
+                f"L must be at most {_MAXIMUM_OCTAVES}, got {self.L}: 2^L would exceed the range of float64"
+            )
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Return the coordinates, their cosines and their sines.

@@ -132,7 +132,7 @@ def read_state(path: str, device: torch.device | str | None) -> dict:
     except Exception as error:
         raise ValueError(f"{path!r} cannot be read as weights: {first_line(error)}") from error
     if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
-        raise ValueError(f"{path!r} holds no state dict (tensors by name)")
+        raise ValueError(f"{path!r} contains no state dict (tensors by name)")
     return state
 
 

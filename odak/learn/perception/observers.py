@@ -378,7 +378,7 @@ def metameric_failure(
     primaries, reference, observers = primaries.double(), reference.double(), observers.double()
     mixing = standard @ primaries.T
     if float(torch.linalg.cond(mixing.detach())) > 1e8:
-        raise ValueError("primaries must be three that the cones can tell apart")
+        raise ValueError("primaries must be three that the cones can distinguish")
     weights = torch.linalg.solve(mixing, standard @ reference)
     shown, wanted = observers @ (primaries.T @ weights), observers @ reference
     to_xyz = torch.linalg.lstsq(standard.T, matching.T).solution.T

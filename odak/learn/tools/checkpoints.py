@@ -99,7 +99,7 @@ def _refuse_odd_content(value, limit: int, meta: bool) -> None:
             entries[id(value)] = 0
             waiting += [item for item in inner if id(item) not in entries]
             if any(entries.get(id(item)) == 0 for item in lists):
-                raise ValueError("it holds a list that contains itself")
+                raise ValueError("it contains a list that contains itself")
             continue
         waiting.pop()
         if entries[id(value)] == 0:
@@ -111,13 +111,13 @@ def _refuse_odd_content(value, limit: int, meta: bool) -> None:
 def _refuse_odd_tensor(tensor: torch.Tensor, meta: bool) -> None:
     """Raise ValueError for a tensor with code to call with its gradient, or more elements than it has memory."""
     if _torch_private.has_hooks(tensor):
-        raise ValueError("it holds a tensor with hooks")
+        raise ValueError("it contains a tensor with hooks")
     if tensor.is_nested or tensor.is_quantized:
-        raise ValueError("it holds a nested or a quantized tensor; store plain ones")
+        raise ValueError("it contains a nested or a quantized tensor; store plain ones")
     if any(n < 0 for n in tensor.shape):
-        raise ValueError(f"it holds a tensor of shape {list(tensor.shape)}")
+        raise ValueError(f"it contains a tensor of shape {list(tensor.shape)}")
     if tensor.is_meta and not meta:
-        raise ValueError("it holds a tensor without data (of the device 'meta')")
+        raise ValueError("it contains a tensor without data (of the device 'meta')")
     if tensor.layout == torch.sparse_coo:
         parts = _torch_private.entries_of_sparse(tensor)
     elif tensor.layout in (torch.sparse_csr, torch.sparse_bsr):
@@ -128,7 +128,9 @@ def _refuse_odd_tensor(tensor: torch.Tensor, meta: bool) -> None:
         parts = [tensor]
     for part in parts:
         if part.numel() * part.element_size() > part.untyped_storage().nbytes():
-            raise ValueError(f"it holds a tensor of shape {list(part.shape)}, longer than its data; store a copy of it")
+            raise ValueError(
+                f"it contains a tensor of shape {list(part.shape)}, longer than its data; store a copy of it"
+            )
 
 
 def _check(name: str) -> bool:
@@ -153,7 +155,7 @@ def _check(name: str) -> bool:
 
 def _refuse_inflation(content) -> None:
     if content.find(_INFLATES) >= 0:
-        raise ValueError("it holds a bytearray; store bytes as a tensor of torch.uint8")
+        raise ValueError("it contains a bytearray; store bytes as a tensor of torch.uint8")
 
 
 def write_checkpoint(path: str | os.PathLike, state: dict[str, Any]) -> None:

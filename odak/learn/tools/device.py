@@ -48,7 +48,7 @@ def get_device(device: torch.device | str | None = "auto") -> torch.device:
         raise TypeError(f"device must be a torch.device or a string, got {type(device).__name__}")
     chosen = _parse(device)
     if chosen.type == "cuda" and not torch.cuda.is_available():
-        warn(f"{chosen} was asked for and there is no CUDA device: the CPU is used instead", DeviceWarning)
+        warn(f"{chosen} was requested and there is no CUDA device: the CPU is used instead", DeviceWarning)
         return torch.device("cpu")
     return chosen
 
@@ -82,5 +82,5 @@ def advising_on_memory(advice: str) -> Iterator[None]:
         yield
     except torch.cuda.OutOfMemoryError as error:
         raise torch.cuda.OutOfMemoryError(
-            f"The memory of the GPU is not enough; {advice}. torch says: {error}"
+            f"The memory of the GPU is not sufficient; {advice}. Message of torch: {error}"
         ) from error

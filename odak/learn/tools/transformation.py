@@ -263,7 +263,7 @@ def load_voxelized_PLY(
     validate_path(ply_filename, [".ply"], name="ply_filename")
     centres = torch.from_numpy(read_PLY(ply_filename).mean(axis=1)).to(checked_device("device", device))
     if len(centres) == 0:
-        raise ValueError(f"{ply_filename!r} holds no triangles")
+        raise ValueError(f"{ply_filename!r} contains no triangles")
     centres = centres - centres.mean()
     largest = centres.amax()
     if not largest > 0:

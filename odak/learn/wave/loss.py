@@ -265,7 +265,7 @@ class FocalTargets(nn.Module):
         if 0 < volume < focus:
             warn(
                 f"the depth of focus, {focus:.3g} m, exceeds the {volume:.3g} m between the first plane and the last: "
-                "no light can show a difference between them",
+                "a light field cannot distinguish them",
                 AccuracyWarning,
             )
         return {

@@ -415,7 +415,7 @@ class temporal_modulator(torch.nn.Module):
         self.slm = spatial_light_modulator(bits=None) if slm is None else slm
         start, end = _validate.numbers(_validate.several("lit", lit, 2))
         if not 0 <= start < end <= 1:
-            raise ValueError(f"lit must be the start and the end of the light, 0 ≤ start < end ≤ 1; got {lit!r}")
+            raise ValueError(f"lit must be the start and the end of the illumination, 0 ≤ start < end ≤ 1; got {lit!r}")
         self.lit = (start, end)
         self.time_samples = _validate.integer("time_samples", time_samples, minimum=1)
         self.samples_per_pixel = self.slm.samples_per_pixel

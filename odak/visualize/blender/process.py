@@ -159,7 +159,9 @@ def _named(source: str, given: str, environ: Mapping[str, str]) -> Blender:
         raise BlenderNotFoundError(f"{source} names {given!r}, a Python without the package bpy.\n{INSTALL}")
     if probe.returncode:
         said = probe.stderr.decode(errors="replace").strip()[-500:]
-        raise BlenderNotFoundError(f"{source} names {given!r}, which is not a Python that runs: {said}\n{INSTALL}")
+        raise BlenderNotFoundError(
+            f"{source} names {given!r}, which is not a working Python interpreter: {said}\n{INSTALL}"
+        )
     logger.debug("Blender: %s", candidate)
     return candidate
 
@@ -356,7 +358,7 @@ def _check_digest(store: str, digest: str | None) -> None:
         return
     with open(store, "rb") as stream:
         if hashlib.sha256(stream.read()).hexdigest() != digest:
-            raise ValueError(f"{os.path.basename(store)!r} holds the arrays of another scene")
+            raise ValueError(f"{os.path.basename(store)!r} contains the arrays of another scene")
 
 
 def item_from(entry: dict) -> Item:
@@ -385,7 +387,7 @@ def _array(store, name: str) -> np.ndarray:
         read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
         shape, _, dtype = read_header[np.lib.format.read_magic(stream)](stream)
         if math.prod(shape) * dtype.itemsize > record.file_size:
-            raise ValueError(f"{name} is truncated: its header says {list(shape)}")
+            raise ValueError(f"{name} is truncated: its header states {list(shape)}")
     return store[name]
 
 

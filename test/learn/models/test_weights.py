@@ -89,7 +89,7 @@ def test_a_file_that_would_run_code_is_refused(tmp_path, monkeypatch):
 @pytest.mark.parametrize("content", [b"", b"weights", b"PK\x03\x04 broken", pickle.dumps({"a": 1})])
 def test_a_broken_file_is_named(tmp_path, content):
     (tmp_path / "weights.pt").write_bytes(content)
-    with pytest.raises(ValueError, match=r"weights\.pt' (cannot be read as weights|holds no state dict)"):
+    with pytest.raises(ValueError, match=r"weights\.pt' (cannot be read as weights|contains no state dict)"):
         load_weights(network(), tmp_path / "weights.pt")
 
 
@@ -104,7 +104,7 @@ def test_a_truncated_file_is_named(tmp_path):
 @pytest.mark.parametrize("content", [[torch.rand(2)], {"a": 1}, torch.rand(2), collections.OrderedDict(a="b")])
 def test_a_file_without_a_state_dict_is_named(tmp_path, content):
     torch.save(content, tmp_path / "weights.pt")
-    with pytest.raises(ValueError, match=r"weights\.pt' holds no state dict"):
+    with pytest.raises(ValueError, match=r"weights\.pt' contains no state dict"):
         load_weights(network(), tmp_path / "weights.pt")
 
 

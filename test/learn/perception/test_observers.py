@@ -97,5 +97,5 @@ def test_gradients_and_wrong_arguments():
     assert bool(primaries.grad.isfinite().all()) and float(primaries.grad.abs().max()) > 0
     with pytest.raises(ValueError, match="wavelengths"):
         individual_cone_fundamentals([300.0])
-    with pytest.raises(ValueError, match="tell apart"):
+    with pytest.raises(ValueError, match="distinguish"):
         metameric_failure(torch.ones(3, 391, dtype=torch.float64), light, people)

@@ -260,7 +260,7 @@ def test_files_that_do_not_fit(tmp_path, capsys):
     with pytest.raises(ValueError, match="missing means_2d"):
         model.load_gaussians(path)
     torch.save([1], path)
-    with pytest.raises(ValueError, match="holds no Gaussians"):
+    with pytest.raises(ValueError, match="contains no Gaussians"):
         model.load_gaussians(path)
     with pytest.raises(FileNotFoundError):
         model.load_gaussians(tmp_path / "nothing.pth")

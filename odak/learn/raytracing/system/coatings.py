@@ -92,7 +92,7 @@ class Coating:
     def reversed(self) -> "Coating":
         """Return the stack for light from the other side."""
         if self.substrate is not None:
-            raise ValueError("substrate is the end of the stack, which light does not come from")
+            raise ValueError("substrate is the end of the stack, from which no light is incident")
         return Coating(self.media[::-1], list(terms(self.thicknesses))[::-1])
 
     def amplitudes(

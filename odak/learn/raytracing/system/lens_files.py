@@ -1177,7 +1177,7 @@ def _written_form(name: str, item, scale: float) -> list[str]:
         word = "SZERNSAG" if kind is ZernikeFreeform else "XPOLYNOM"
         extra = [len(given), value["radius"] * scale, *(a * scale for a in given)]
     else:
-        raise ValueError(f"{name} is a {kind.__name__}, which the format does not know")
+        raise ValueError(f"{name} is a {kind.__name__}, which the format does not support")
     if phase is not None:
         held = {field.name: _plain(getattr(phase, field.name)) for field in dataclasses.fields(phase)}
         if isinstance(phase, LinearGrating) and word == "STANDARD" and not held["frequency_x"]:
@@ -1189,7 +1189,7 @@ def _written_form(name: str, item, scale: float) -> list[str]:
             parameters = {0: held["order"], **parameters}
             extra = [len(held["coefficients"]), held["radius"] * scale, *held["coefficients"]]
         else:
-            raise ValueError(f"{name} has a {type(phase).__name__}, which the format does not know on this shape")
+            raise ValueError(f"{name} has a {type(phase).__name__}, which the format does not support on this shape")
     text = [f"  TYPE {word}", f"  CURV {lines['CURV']!r}"]
     text += [f"  CONI {lines['CONI']!r}"] if lines["CONI"] else []
     text += [f"  PARM {i} {a!r}" for i, a in parameters.items()]

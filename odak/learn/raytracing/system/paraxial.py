@@ -245,7 +245,7 @@ def check_media(system, p: Prescription, last: int | None = None) -> None:
         if following is not None and (is_break(following) or following.reflects):
             kind = "coordinate break" if is_break(following) else "mirror"
             raise ValueError(
-                f"surfaces[{i}] has a graded medium behind it that goes on behind a {kind}, surfaces[{i + 1}]: no "
+                f"surfaces[{i}] has a graded medium behind it that continues behind a {kind}, surfaces[{i + 1}]: no "
                 "paraxial properties"
             )
 

@@ -223,7 +223,7 @@ class complex_2d_gaussians(nn.Module):
         found = shared.load(load_path, held, self.means_2d.device, "load_path")
         size = found.get("img_size", self.img_size)
         if tuple(size) != self.img_size:
-            raise ValueError(f"{load_path!r} holds Gaussians of a picture of {tuple(size)}, not of {self.img_size}")
+            raise ValueError(f"{load_path!r} contains Gaussians of a picture of {tuple(size)}, not of {self.img_size}")
         for name, parameter in held.items():
             if found[name].shape != parameter.shape:
                 raise ValueError(

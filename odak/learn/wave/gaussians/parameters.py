@@ -44,9 +44,9 @@ def load(path: str | os.PathLike, names: Iterable[str], device: torch.device, na
     except Exception as error:
         raise ValueError(f"{path!r} cannot be read as Gaussians: {first_line(error)}") from error
     if not isinstance(contents, dict):
-        raise ValueError(f"{path!r} holds no Gaussians but a {type(contents).__name__}")
+        raise ValueError(f"{path!r} contains no Gaussians but a {type(contents).__name__}")
     if missing := [name for name in names if not isinstance(contents.get(name), torch.Tensor)]:
-        raise ValueError(f"{path!r} holds no Gaussians: missing {', '.join(missing)}")
+        raise ValueError(f"{path!r} contains no Gaussians: missing {', '.join(missing)}")
     return contents
 
 
