@@ -160,19 +160,34 @@ def _convolve_linearly(build_for: Callable) -> Callable:
 def _fraunhofer(field, request: Request):
     """Return the Fraunhofer pattern of a centred field (Goodman 2005, eq. 4-25)."""
     xp = _array.namespace(field)
-    spectrum = xp.fft.fftn(xp.fft.ifftshift(field, axes=_AXES), axes=_AXES) * _fraunhofer_factor(field, request)
+    field = _conjugate_behind(field, request)
+    spectrum = xp.fft.fftn(xp.fft.ifftshift(field, axes=_AXES), axes=_AXES)
+    spectrum = _conjugate_behind(spectrum, request) * _fraunhofer_factor(field, request)
     return xp.astype(xp.fft.fftshift(spectrum, axes=_AXES), field.dtype, copy=False)
 
 
 def _fraunhofer_inverse(field, request: Request):
     """Return the field whose Fraunhofer pattern is given: the exact inverse, with the pitch of the source plane."""
     xp = _array.namespace(field)
-    spectrum = xp.fft.ifftshift(field, axes=_AXES) / _fraunhofer_factor(field, request)
-    return xp.astype(xp.fft.fftshift(xp.fft.ifftn(spectrum, axes=_AXES), axes=_AXES), field.dtype, copy=False)
+    spectrum = _conjugate_behind(xp.fft.ifftshift(field, axes=_AXES) / _fraunhofer_factor(field, request), request)
+    source = _conjugate_behind(xp.fft.ifftn(spectrum, axes=_AXES), request)
+    return xp.astype(xp.fft.fftshift(source, axes=_AXES), field.dtype, copy=False)
+
+
+def _conjugate_behind(values, request: Request):
+    """Return the conjugate of fields whose distance is negative.
+
+    There the point x receives the frequency −x/(λ|z|). Conjugation before and after a transform changes its sign.
+    """
+    if not _array.is_array(request.distance) and min(_validate.numbers(request.distance)) > 0:
+        return values
+    xp = _array.namespace(values)
+    distance = request.grid((1, 1), xp, _array.device_of(values), values.dtype).distance
+    return xp.where(distance < 0, xp.conj(values), values)
 
 
 def _fraunhofer_factor(field, request: Request):
-    """Return exp(ikz)/(iλz)·exp(ik(x² + y²)/(2z))·dx² on the output grid, whose pitch is λz/(N·dx), in FFT order."""
+    """Return exp(ikz)/(iλz)·exp(ik(x² + y²)/(2z))·dx² on the output grid, whose pitch is λ|z|/(N·dx), in FFT order."""
     xp = _array.namespace(field)
     grid = request.grid(tuple(field.shape[-2:]), xp, _array.device_of(field), field.dtype)
     fy, fx = grid.frequencies()

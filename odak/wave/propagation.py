@@ -740,7 +740,7 @@ def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: A
     Returns
     -------
     array
-        Complex field ``[..., rows, columns]``; its pitch is λ·z/(N·dx) along an axis of N samples.
+        Complex field ``[..., rows, columns]``; its pitch is λ·|z|/(N·dx) along an axis of N samples.
 
     Examples
     --------

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import torch
 from physics import (
     centroid,
     circular_aperture_on_axis,
@@ -13,6 +14,7 @@ from physics import (
 )
 
 import odak
+import odak.learn.wave
 
 WAVELENGTH, DX = 532e-9, 8e-6
 PADDED = (True, False, True)
@@ -103,6 +105,27 @@ def test_fraunhofer_of_a_rectangle():
         expected * wrapped_phasor(distance, WAVELENGTH) * wrapped_phasor(radius_squared / (2 * distance), WAVELENGTH)
     )
     assert relative_error(result, expected) < 1e-10
+
+
+def test_fraunhofer_in_front_and_behind_is_the_sum_written_out(random):
+    shape, pitch, distances = (5, 6), (8e-6, 6e-6), np.array([0.2, -0.2, -0.3])
+    field = random.normal(size=shape) + 1j * random.normal(size=shape)
+    batch = np.broadcast_to(field, (3, *shape))
+    pattern = odak.wave.fraunhofer(batch, None, distances, pitch, WAVELENGTH)
+    tensors = odak.learn.wave.fraunhofer(torch.tensor(batch), None, torch.tensor(distances), pitch, WAVELENGTH)
+    for k, z in enumerate(distances):
+        axes = []
+        for n, step in zip(shape, pitch, strict=True):
+            x = (np.arange(n) - n // 2) * step
+            far = (np.arange(n) - n // 2) * WAVELENGTH * abs(z) / (n * step)
+            wave = np.exp(1j * np.pi / (WAVELENGTH * z) * (far[:, None] ** 2 - 2 * far[:, None] * x)) * step
+            axes.append(wave)
+        expected = np.exp(2j * np.pi * (z / WAVELENGTH % 1)) / (1j * WAVELENGTH * z) * axes[0] @ field @ axes[1].T
+        np.testing.assert_allclose(pattern[k], expected, rtol=1e-7)
+        alone = odak.wave.fraunhofer(field, None, z, pitch, WAVELENGTH)
+        np.testing.assert_allclose(alone, expected, rtol=1e-7)
+        np.testing.assert_allclose(odak.wave.fraunhofer_inverse(alone, None, z, pitch, WAVELENGTH), field, rtol=1e-12)
+    np.testing.assert_allclose(tensors.numpy(), pattern, rtol=1e-12)
 
 
 def test_fraunhofer_inverse_is_exact_and_equal_size_keeps_the_width(random):
