@@ -273,6 +273,6 @@ def ssim(image: torch.Tensor, target: torch.Tensor) -> float:
             f"image and target must have one shape of at least {WINDOW} x {WINDOW}, "
             f"got {tuple(image.shape)} and {tuple(target.shape)}"
         )
-    pair = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))
-    luminance, structure = similarity_terms(*pair, 1.0)
+    one, two = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))
+    luminance, structure = similarity_terms(one, two, 1.0)
     return float((luminance * structure).mean())

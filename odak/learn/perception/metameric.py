@@ -633,6 +633,18 @@ class MetamericLossUniform(_StatisticsLoss):
         ------
         ValueError, TypeError
             If the picture is too small for the pyramid, or no picture.
+
+        Examples
+        --------
+        The statistics agree, the pixels do not:
+
+        >>> import torch
+        >>> from odak.learn.perception import MetamericLossUniform
+        >>> loss = MetamericLossUniform(pooling_size=8, n_pyramid_levels=2)
+        >>> picture = torch.rand(1, 1, 32, 32, generator=torch.Generator().manual_seed(0))
+        >>> metamer = loss.gen_metamer(picture)
+        >>> loss(metamer, picture).item() < 1e-3, (metamer - picture).abs().mean().item() > 0.05
+        (True, True)
         """
         checked_pictures("MetamericLossUniform", image, image, self.n_pyramid_levels)
         level = max(0.0, math.log2(self.pooling_size))
@@ -858,6 +870,18 @@ class MetamerMSELoss(nn.Module):
         -----
         The start is that of Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4: noise whose bands are given
         local means and deviations. Bands overlap, so that the sum does not have them; L-BFGS then lowers the distance.
+
+        Examples
+        --------
+        Equal at the gaze, other pixels with equal statistics away from it:
+
+        >>> import torch
+        >>> from odak.learn.perception import MetamerMSELoss
+        >>> maker = MetamerMSELoss(n_pyramid_levels=2, alpha=1.0, real_image_width=1.0)
+        >>> picture = torch.rand(1, 1, 64, 64, generator=torch.Generator().manual_seed(0))
+        >>> difference = (maker.gen_metamer(picture, [0.0, 0.5]) - picture).abs()
+        >>> difference[..., 30:34, :4].max().item() < 1e-6, difference[..., 32:].mean().item() > 0.05
+        (True, True)
         """
         inner = self.metameric_loss
         checked_pictures("MetamerMSELoss", image, image, inner.n_pyramid_levels)

@@ -384,6 +384,19 @@ class SpatialSteerablePyramid(nn.Module):
         -----
         See :func:`odak.learn.perception.pyramid_filter_design.quadrature`. Filters of 9 × 9 taps come within a few per
         cent of the exact relation in the octave of the bands; :class:`FrequencySteerablePyramid` is exact.
+
+        Examples
+        --------
+        The local amplitude of a grating is the same everywhere:
+
+        >>> import torch
+        >>> from odak.learn.perception import SpatialSteerablePyramid
+        >>> maker = SpatialSteerablePyramid(use_bilinear_downup=False, n_orientations=4)
+        >>> grating = torch.cos(2 * torch.pi * torch.arange(64) * 13 / 64).expand(1, 1, 64, 64)
+        >>> groups, low = maker.stacked_bands(grating, 2)
+        >>> amplitude = torch.hypot(groups[1], maker.quadrature(low[0]))[0, 0, 0, :, 12:-12]
+        >>> bool(amplitude.std() / amplitude.mean() < 0.04)
+        True
         """
         if not isinstance(low, torch.Tensor) or not low.is_floating_point():
             raise TypeError("low must be a tensor of real floats [B, C, H, W]")
