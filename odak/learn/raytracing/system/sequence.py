@@ -342,21 +342,20 @@ class Frame(NamedTuple):
     def enter(self, point, direction):
         """Return points and directions in this frame."""
         point = vec.minus(point, self.origin)
-        return tuple(_dot(column, point) for column in _columns(self.matrix)), tuple(
-            _dot(column, direction) for column in _columns(self.matrix)
+        return tuple(vec.dot(column, point) for column in _columns(self.matrix)), tuple(
+            vec.dot(column, direction) for column in _columns(self.matrix)
         )
 
     def leave(self, point, direction):
         """Return points and directions of this frame in the outer frame."""
-        turned = tuple(_dot(row, point) for row in self.matrix)
+        turned = tuple(vec.dot(row, point) for row in self.matrix)
         point = tuple(a + b for a, b in zip(turned, self.origin, strict=True))
-        return point, tuple(_dot(row, direction) for row in self.matrix)
+        return point, tuple(vec.dot(row, direction) for row in self.matrix)
 
     def then(self, other: "Frame") -> "Frame":
         """Return the frame `other`, which is given in this one, in the outer frame."""
         origin, _ = self.leave(other.origin, other.origin)
-        matrix = [[_dot(row, column) for column in _columns(other.matrix)] for row in self.matrix]
-        return Frame(matrix, origin)
+        return Frame(_product(self.matrix, other.matrix), origin)
 
     def inverse(self) -> "Frame":
         """Return the outer frame in the coordinates of this one."""
@@ -432,7 +431,7 @@ def placement(shift, tilt, order=None) -> Frame:
     matrix = _product(_product(first, second), third)
     origin = (*_split(shift), 0.0)
     if order == "tilt":
-        origin = tuple(_dot(row, origin) for row in matrix)
+        origin = tuple(vec.dot(row, origin) for row in matrix)
     return Frame(matrix, origin)
 
 
@@ -444,12 +443,8 @@ def _columns(matrix) -> list:
     return [list(column) for column in zip(*matrix, strict=True)]
 
 
-def _dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
 def _product(a, b) -> list:
-    return [[_dot(row, column) for column in _columns(b)] for row in a]
+    return [[vec.dot(row, column) for column in _columns(b)] for row in a]
 
 
 def axis_signs(shift, tilt, actions, orders, distances) -> list[int] | None:
