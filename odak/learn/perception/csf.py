@@ -58,7 +58,10 @@ def pupil_diameter(luminance: torch.Tensor | float, size: torch.Tensor | float =
     >>> [round(pupil_diameter(luminance).item(), 1) for luminance in (1e-4, 10.0, 1e4)]
     [7.7, 3.5, 2.2]
     """
-    luminance, size = positive_numbers(luminance=luminance, size=size)
+    return _pupil(*positive_numbers(luminance=luminance, size=size))
+
+
+def _pupil(luminance, size):
     return 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
 
 
@@ -284,7 +287,7 @@ class CSFLoss(nn.Module):
 
 def sensitivity(frequency: torch.Tensor, luminance: torch.Tensor, size: torch.Tensor | float) -> torch.Tensor:
     """Return Barten's contrast sensitivity, its arguments unchecked: see :func:`contrast_sensitivity`."""
-    pupil = 5 - 3 * torch.tanh(0.4 * torch.log10(luminance * size**2 / 40**2))
+    pupil = _pupil(luminance, size)
     illuminance = math.pi * pupil**2 / 4 * luminance * (1 - (pupil / 9.7) ** 2 + (pupil / 12.4) ** 4)
     blur = BLUR**2 + (BLUR_PER_PUPIL * pupil) ** 2
     transfer = torch.exp(-2 * math.pi**2 * blur * frequency**2)
