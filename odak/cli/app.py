@@ -452,8 +452,9 @@ def calibrate(
                 lengths[name] = parse_length(text)
             except ValueError as error:
                 raise InputError(f"--{name}: {error}") from None
-            if not lengths[name] > 0:
-                raise InputError(f"--{name} must be positive, got {text!r}")
+            largest = 1e-3 if name == "wavelength" else 10.0
+            if not 0 < lengths[name] <= largest:
+                raise InputError(f"--{name} must be above 0 and at most {largest:g} metres, with a unit; got {text!r}")
         names = {"modulator": modulator, "camera": camera, "polariser": polariser}
         twin = {**lengths, **calibrating.faults_of(step, faults)}
         table = calibrating.open_table(names, option or (), seed, twin)
@@ -515,6 +516,12 @@ def _messages() -> Iterator[None]:
         raise typer.Exit(_fail(str(error), BAD_INPUT)) from None
     except (OSError, FloatingPointError) as error:
         raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
+    except (MemoryError, RuntimeError) as error:
+        # PyTorch has no exception of its own for the memory of the processor.
+        if not isinstance(error, MemoryError) and "out of memory" not in str(error) and "allocate" not in str(error):
+            raise
+        text = "not enough memory for this size; use fewer pixels (odak hologram: a smaller --resolution, or --tiles)"
+        raise typer.Exit(_fail(text, FAILURE)) from None
 
 
 def _given(context: typer.Context) -> set[str]:

@@ -1,6 +1,7 @@
 """Calibration of an optical table for `odak calibrate`: instruments by name, steps, results, pictures and a report."""
 
 import dataclasses
+import inspect
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -96,6 +97,13 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
         if simulated:
             if len(simulated) != len([entry for entry in names.values() if entry is not None]):
                 raise InputError(f"--{simulated[0]} is simulated, so all other instruments must be simulated too")
+            known = inspect.signature(instruments.SimulatedTable).parameters
+            for option in given[SIMULATED]:
+                if option not in known:
+                    raise InputError(
+                        f"--option: {SIMULATED} has no option {option!r}; it has {', '.join(known)}."
+                        f"{did_you_mean(option, known)}"
+                    )
             made = instruments.SimulatedTable(seed, **{**twin, **given[SIMULATED]})
             return Table(made.modulator, made.camera, made.polariser)
         opened = {
@@ -145,6 +153,9 @@ def run(
         raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
     folder = writable_folder(output)
     path = folder / "calibration.npz" if results is None else Path(results).expanduser()
+    if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
+        raise InputError(f"--results must end in .npz or .h5, got {str(path)!r}")
+    writable_folder(path.parent, "--results")
     known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
     if path.exists():
         try:

@@ -339,6 +339,7 @@ def hologram(
         If the picture will not do.
     """
     from odak.cli.hologram import run as compute
+    from odak.cli.report import collected_warnings
 
     with TemporaryDirectory(prefix="odak-hologram-") as name:
         folder = Path(name)
@@ -346,7 +347,9 @@ def hologram(
         depth_map = None if depth is None else str(depth.put(folder / "depth"))
         job = Job(**values, image=image, depth_map=depth_map, output=folder / "output", quiet=True)
         try:
-            report = compute(job)
+            # The warnings are part of the report; who reads it shows them, with the name of the picture.
+            with collected_warnings(lambda text: None):
+                report = compute(job)
         except InputError as error:
             raise InputError(str(error).replace(image, picture.name)) from None
         written = {path.name: path.read_bytes() for path in sorted(job.output.iterdir()) if path.name != REPORT}

@@ -26,13 +26,15 @@ REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
 _IRRELEVANT = ("image", "depth_map", "output", "device", "quiet", "preset")
 
 
-def writable_folder(folder: Path) -> Path:
+def writable_folder(folder: Path, name: str = "--output") -> Path:
     """Make a folder if need be, and make sure before the computation that it can be written to.
 
     Parameters
     ----------
     folder : Path
         Folder to write to.
+    name : str
+        Its name in messages.
 
     Returns
     -------
@@ -50,7 +52,7 @@ def writable_folder(folder: Path) -> Path:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except (OSError, ValueError) as error:
-        raise InputError(f"--output cannot be written to: {str(folder)!r} ({' '.join(str(error).split())})") from None
+        raise InputError(f"{name} cannot be written to: {str(folder)!r} ({' '.join(str(error).split())})") from None
     return folder
 
 

@@ -36,6 +36,7 @@ SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.pn
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
 LARGEST_PITCH = 1e-3
+LONGEST_WAVELENGTH = 2e-5
 # Points across the longer side of the picture below which a distance is taken for a mistake.
 FEWEST_POINTS = 16
 
@@ -286,6 +287,13 @@ class Job:
         """Warn of lengths that are possible but probably not intended, and state the probable intention."""
         wavelengths = self.wavelengths or (GREY_WAVELENGTH,)
         pitch, side = self.pixel_pitch, max(self.resolution)
+        if max(wavelengths) > LONGEST_WAVELENGTH:
+            meant = _likely_length(max(wavelengths), 1e-7, LONGEST_WAVELENGTH, "nm")
+            warn(
+                f"--wavelength {max(wavelengths):g} is {max(wavelengths):g} metres; did you mean {meant}?",
+                ArgumentWarning,
+            )
+            return
         if pitch > LARGEST_PITCH or pitch < min(wavelengths) / 2:
             why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
             meant = _likely_length(pitch, 1e-6, 1e-4, "um")
@@ -338,12 +346,21 @@ def parse_length(text: str | float) -> float:
     return value * UNITS[unit] if unit != "m" else value
 
 
+def is_length(text: str) -> bool:
+    """Return whether a text is a number with a unit of length."""
+    try:
+        parse_length(text)
+    except ValueError:
+        return False
+    return text[-1:].isalpha()
+
+
 def _likely_length(value: float, least: float, most: float, unit: str) -> str:
     """Return a length that is likely to have been meant by a number that was taken for metres."""
     for factor in (1e-3, 1e-6, 1e-9, 1e3, 1e6):
         if least <= value * factor <= most:
             return f"{value * factor / UNITS[unit]:g}{unit}"
-    return f"{math.sqrt(least * most) / UNITS[unit]:g}{unit}"
+    return f"{float(f'{math.sqrt(least * most) / UNITS[unit]:.1g}'):g}{unit}"
 
 
 def did_you_mean(value: str, names: Iterable[str]) -> str:
@@ -406,6 +423,8 @@ def _existing(name, value, shipped) -> Path:
         return Path(__file__).resolve().parents[1] / "assets" / shipped[value]
     if path.is_dir():
         raise InputError(f"{name} must be a picture, but {str(path)!r} is a directory")
+    if name == "IMAGE" and not path.exists() and is_length(value):
+        raise InputError(f"IMAGE {value!r} is a length: give --wavelength before each one (-w 638nm -w 520nm -w 450nm)")
     if not path.is_file():
         raise InputError(
             f"{name} not found: {str(path)!r} (shipped: {', '.join(shipped)}).{did_you_mean(value, shipped)}"

@@ -13,6 +13,7 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.cli.files import writable_folder, write_json
 from odak.cli.job import InputError
 from odak.cli.report import finite, versions
@@ -124,6 +125,10 @@ class DesignJob:
 
     def __post_init__(self) -> None:
         """Check every parameter; the messages name the option of the command line."""
+        for name in LENGTHS:
+            value = getattr(self, name)
+            if value is not None and value >= 5:
+                warn(f"{_option(name)} {value:g} is {value:g} metres; did you mean {value:g}mm?", ArgumentWarning)
         try:
             for name in ("focal_length", "f_number", "track", "distortion", "chief_ray_angle"):
                 if getattr(self, name) is not None:
@@ -186,6 +191,14 @@ def run(job: DesignJob) -> dict:
         except (TypeError, ValueError) as error:
             raise InputError(f"{'--elements' if job.system is None else 'SYSTEM'}: {error}") from None
     asked = {f.name: getattr(job, f.name) for f in fields(job) if f.name not in ("output", "quiet", "glasses")}
+    if job.track is not None:
+        track = sum(float(item.thickness) for item in lens.surfaces) * MICROMETRES[lens.unit] * 1e-6
+        if track > 1.01 * job.track:
+            warn(
+                f"--track {job.track * 1e3:g}mm was not reached: the lens is {track * 1e3:.4g} mm long; "
+                "ask for a longer one",
+                ArgumentWarning,
+            )
     report = {
         "did": did,
         "asked": {name: value for name, value in asked.items() if value not in (None, False)},

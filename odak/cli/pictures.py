@@ -14,7 +14,7 @@ MARGIN, GAP = 16, 8
 SIZES = (24, 20, 16, 13)
 LINES = 2
 BAR_HEIGHT = 12
-INK, PAPER = (20, 20, 20), (255, 255, 255)
+INK, PAPER, OUTLINE = (20, 20, 20), (255, 255, 255), (200, 200, 200)
 # Red, green and blue at equal steps of phase: plotly's cyclic scale "Twilight", whose ends are the same colour.
 PHASE_COLOURS = (
     (226, 217, 226), (166, 191, 202), (109, 144, 192), (95, 88, 176), (80, 20, 66),
@@ -96,8 +96,10 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None) -> Imag
     PIL.Image.Image
         RGB. Captions are set in the largest size, and broken into lines, such that none leaves its panel.
     """
+    # Small pictures are enlarged by a whole factor, such that each sample is a square.
+    factor = max(1, NARROWEST // rows[0][0].image.width)
+    width, height = (factor * side for side in rows[0][0].image.size)
     panels = [panel for row in rows for panel in row]
-    width, height = panels[0].image.size
     cell = max(width, NARROWEST)
     font, line = _typeset([panel.caption for panel in panels], cell)
     small = ImageFont.load_default(max(11, min(18, cell // 28)))
@@ -113,7 +115,8 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None) -> Imag
         for along, panel in enumerate(row):
             left = MARGIN + along * (cell + MARGIN)
             draw.multiline_text((left, top), _broken(panel.caption, font, cell), fill=INK, font=font, spacing=4)
-            paper.paste(panel.image, (left, top + above))
+            draw.rectangle((left - 1, top + above - 1, left + width, top + above + height), outline=OUTLINE)
+            paper.paste(panel.image.resize((width, height), Image.Resampling.NEAREST), (left, top + above))
             bottom = top + above + height + GAP
             if panel.scale is not None:
                 _draw_scale(paper, (left, bottom), max(width, NARROWEST), *panel.scale, small)

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from odak.cli.files import FINGERPRINT, REPORT, load_pattern, stored_bits
-from odak.cli.job import InputError
+from odak.cli.files import FINGERPRINT, REPORT, load_pattern, stored_bits, writable_folder
+from odak.cli.job import InputError, did_you_mean
 from odak.tools.paths import replacing
 
 PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
@@ -42,8 +42,8 @@ def run(path: str, page: Path) -> Path:
     Parameters
     ----------
     path : str
-        A folder that `odak hologram`, `metamer`, `trace` or `simulate` wrote, a picture, a field or an image in
-        ``.npy`` or ``.pt``, a lens (``.json``, ``.zmx``), or the name of a sample lens.
+        A folder that `odak hologram`, `metamer`, `trace` or `simulate` wrote, or its report.json, a picture, a field
+        or an image in ``.npy`` or ``.pt``, a lens (``.json``, ``.zmx``), or the name of a sample lens.
     page : Path
         HTML file to write; it needs nothing else, and no network.
 
@@ -55,9 +55,15 @@ def run(path: str, page: Path) -> Path:
     Raises
     ------
     InputError
-        If there is nothing at the path that can be drawn.
+        If there is nothing at the path that can be drawn, or the page is no HTML file.
     """
+    if page.suffix.lower() not in (".html", ".htm"):
+        raise InputError(f"--output must be an HTML file, such as page.html; got {str(page)!r}")
+    if page.is_dir():
+        raise InputError(f"--output must be a file, but {str(page)!r} is a folder")
     source = Path(os.path.expanduser(path))
+    if source.name == REPORT and source.is_file():
+        source = source.parent
     if source.is_dir():
         body = _folder(source)
     elif source.suffix.lower() in PICTURES and source.is_file():
@@ -69,15 +75,19 @@ def run(path: str, page: Path) -> Path:
         body = _figures([_field_figure(_load(source), source.name)])
     elif source.suffix.lower() in LENSES or not source.suffix:
         from odak.cli.trace import read_system
+        from odak.learn.raytracing.system import sample_systems
         from odak.visualize.plotly import system_show
 
-        body = _figures([system_show(read_system(path)[0], show=False).fig])
+        if not source.suffix and path not in sample_systems():
+            raise InputError(f"FILE not found: {path!r}.{did_you_mean(path, sample_systems())}")
+        body = _figures([system_show(read_system(path, "FILE")[0], show=False).fig])
     elif not source.is_file():
         raise InputError(f"FILE not found: {str(source)!r}")
     else:
         accepted = ", ".join([*PICTURES, ".npy", ".pt", *LENSES])
         raise InputError(f"FILE must be a folder of results, or end in {accepted}; got {str(source)!r}")
     text = _PAGE.format(title=html.escape(source.name or str(source)), body=body)
+    writable_folder(page.parent)
     with replacing(str(page)) as stream:
         stream.write(text.encode("utf-8"))
     return page

@@ -88,7 +88,7 @@ _TYPES: dict[str, dict] = {
     "number": {"type": "number"},
     "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]*$"},
     "file": {"type": "string"},
-    "method": {"enum": [*PROPAGATION_TYPES, "auto"]},
+    "method": {"enum": list(PROPAGATION_TYPES)},
     "pair of lengths": {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
     "pair of counts": {
         "type": "array",

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 from PIL import Image
 
+from odak._warnings import ArgumentWarning, warn
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, InputError, Job, depth_map_path, image_path
 from odak.learn.wave import multiplane_loss
 
@@ -55,8 +56,10 @@ def load_target(job: Job) -> Target:
     Raises
     ------
     InputError
-        If the picture is missing, unreadable or black.
+        If the picture is missing, unreadable, black, or fewer than 11 rows or columns on the modulator.
     """
+    from odak.learn.perception.quality import WINDOW
+
     path = image_path(job.image)
     picture = read_picture(path)
     if job.grey or len(job.wavelengths) == 1:
@@ -64,6 +67,12 @@ def load_target(job: Job) -> Target:
     wavelengths = job.wavelengths or (COLOUR_WAVELENGTHS if len(picture) == 3 else (GREY_WAVELENGTH,))
     picture = picture.expand(len(wavelengths), -1, -1)
     intensity, window = fit(picture, job.resolution)
+    if min(part.stop - part.start for part in window) < WINDOW:
+        rows, columns = (part.stop - part.start for part in window)
+        raise InputError(
+            f"IMAGE {str(path)!r} becomes {rows} x {columns} pixels when it is fitted to --resolution "
+            f"{job.resolution[0]} {job.resolution[1]}, but SSIM needs {WINDOW} x {WINDOW}: crop the picture"
+        )
     if not intensity.any():
         raise InputError(f"IMAGE must have a pixel above 0, but all pixels of {str(path)!r} are black")
     return Target(path, intensity, window, wavelengths)
@@ -114,7 +123,8 @@ def fitting_size(shape: Sequence[int], resolution: tuple[int, int]) -> tuple[int
 def read_picture(path: Path, name: str = "IMAGE") -> torch.Tensor:
     """Return a picture as ``[1 or 3, rows, columns]``; transparent parts are black, equal channels are one.
 
-    A photograph is rotated according to its EXIF orientation.
+    A photograph is rotated according to its EXIF orientation. Of several frames or pages the first one is used, with a
+    warning.
 
     Parameters
     ----------
@@ -147,8 +157,11 @@ def _upright(path: Path, picture: torch.Tensor) -> torch.Tensor:
     try:
         with Image.open(path) as image:
             orientation = image.getexif().get(_ORIENTATION, 1)
+            frames = getattr(image, "n_frames", 1)
     except (OSError, ValueError, SyntaxError):
         return picture
+    if frames > 1:
+        warn(f"{str(path)!r} has {frames} frames or pages; the first one is used", ArgumentWarning)
     if orientation in (5, 6, 7, 8):
         picture = picture.mT
     rows = orientation in (3, 4, 7, 8)

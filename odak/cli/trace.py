@@ -49,33 +49,41 @@ def read_glasses(paths: Sequence[Path]) -> None:
             raise InputError(f"--glasses {str(path)!r}: {error}") from None
 
 
-def read_system(name: str):
+def read_system(name: str, argument: str = "SYSTEM"):
     """Return a system and what was ignored in its file.
 
     Parameters
     ----------
     name : str
         A sample system, a .json file or a .zmx file.
+    argument : str
+        Its name in messages.
 
     Raises
     ------
     InputError
         If there is no such thing, or it cannot be understood.
     """
+    suffix = Path(name).suffix.lower()
+    if suffix and not Path(name).is_file():
+        raise InputError(f"{argument} not found: {name!r}")
+    if suffix not in ("", ".json", ".zmx"):
+        raise InputError(f"{argument} must be a .json or .zmx file, or the name of a sample lens; got {name!r}")
     try:
-        if name.lower().endswith(".zmx"):
+        if suffix == ".zmx":
             system, report = read_zmx(name)
             return system, [*report.ignored, *report.notes]
         return load_system(name), []
     except json.JSONDecodeError as error:
-        raise InputError(f"SYSTEM {name!r} is not a lens in JSON: line {error.lineno} cannot be read") from None
+        raise InputError(f"{argument} {name!r} is not a lens in JSON: line {error.lineno} cannot be read") from None
     except (ValueError, OSError) as error:
         known = sample_systems()
         if name not in known and not Path(name).suffix:
             raise InputError(
-                f"SYSTEM must be one of {', '.join(known)}, or a file; got {name!r}.{did_you_mean(name, known)}"
+                f"{argument} must be one of {', '.join(known)}, or a file; got {name!r}.{did_you_mean(name, known)}"
             ) from None
-        raise InputError(f"SYSTEM {name!r}: {error}") from None
+        text = str(error).removeprefix(f"{name}: ")
+        raise InputError(f"{argument} {name!r} cannot be read as a lens: {text}") from None
 
 
 def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] = (), figures: str = "png") -> dict:

@@ -68,3 +68,14 @@ def test_unexpected_failures_are_not_hidden(monkeypatch, tmp_path):
     with pytest.raises(RuntimeError, match="a bug"):
         main(["hologram"])
     assert CliRunner().invoke(app, ["hologram"]).exit_code == 1
+
+
+def test_lack_of_memory_is_told_in_a_line(monkeypatch, tmp_path, capsys):
+    """PyTorch reports it as RuntimeError, whose text this is."""
+
+    def fail(*_):
+        raise RuntimeError("[enforce fail at alloc_cpu.cpp] DefaultCPUAllocator: can't allocate memory")
+
+    monkeypatch.setattr("odak.cli.hologram.run", fail)
+    assert main(["hologram", "--output", str(tmp_path)]) == 1
+    assert capsys.readouterr().err.startswith("odak: not enough memory")

@@ -297,24 +297,26 @@ def test_what_is_printed(grey_file, tmp_path):
 def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
     run(grey_file, "--output", tmp_path, *SMALL, "--quiet")
     sheet = pixels(tmp_path / "comparison.png").astype(int)
-    target = pixels(grey_file)
+    # Pictures of 96 columns are shown three times as large, each sample as a square.
+    rows, columns = 3 * ROWS, 3 * COLUMNS
+    target = np.kron(pixels(grey_file), np.ones((3, 3)))
     found = [
         (row, column)
-        for row in range(sheet.shape[0] - ROWS)
+        for row in range(sheet.shape[0] - rows)
         for column in (16, 16 + 316)
-        if np.array_equal(sheet[row : row + ROWS, column : column + COLUMNS, 0], target)
+        if np.array_equal(sheet[row : row + rows, column : column + columns, 0], target)
     ]
     ((top, left),) = found
     assert left == 16
     # The phase below the reconstruction, in the colours of its bar, which begins and ends alike.
     phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
-    colours = pictures._coloured(phase / (2 * np.pi), pictures.PHASE_COLOURS)
+    colours = np.kron(pictures._coloured(phase / (2 * np.pi), pictures.PHASE_COLOURS), np.ones((3, 3, 1)))
     lower = next(
         row
-        for row in range(top + ROWS, sheet.shape[0] - ROWS)
-        if np.array_equal(sheet[row : row + ROWS, 332 : 332 + COLUMNS], colours)
+        for row in range(top + rows, sheet.shape[0] - rows)
+        if np.array_equal(sheet[row : row + rows, 332 : 332 + columns], colours)
     )
-    bar = sheet[lower + ROWS + 8 + 6, 333 : 332 + 299]
+    bar = sheet[lower + rows + 8 + 6, 333 : 332 + 299]
     assert np.abs(bar[0] - bar[-1]).max() < 8 and np.ptp(bar[:, 2]) > 100
 
 
@@ -322,7 +324,7 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
 @settings(max_examples=30)
 def test_captions_stay_within_their_panels(captions, width):
     panels = [pictures.picture_panel(caption, torch.zeros(1, 8, width)) for caption in captions]
-    cell = max(width, pictures.NARROWEST)
+    cell = max(width * max(1, pictures.NARROWEST // width), pictures.NARROWEST)
     font, _ = pictures._typeset(captions, cell)
     for caption in captions:
         broken = pictures._broken(caption, font, cell).split("\n")
@@ -373,6 +375,7 @@ def test_units_and_short_options(grey_file, tmp_path):
         ),
         (["--pixel-pitch", "8e-9"], "below half a wavelength; did you mean 8um?"),
         (["--distance", "150"], "resolves only 7.4e-06 points across the picture; did you mean 150mm?"),
+        (["--wavelength", "532um"], "--wavelength 0.000532 is 0.000532 metres; did you mean 532nm?"),
         (["--distance", "10um"], "the light of neighbouring pixels overlaps only beyond 0.00012 metres"),
     ],
 )
@@ -448,6 +451,7 @@ BAD = {
     "resolution": (["--resolution", "8", "8"], "--resolution"),
     "device": (["--device", "abacus"], "--device must be one of those of this machine (auto, cpu"),
     "unit": (["--distance", "15 feet"], "'15 feet' is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm"),
+    "wavelengths behind one option": (["600nm", "-w", "532nm"], "'600nm' is a length: give --wavelength before each"),
     "shipped picture": (["phto"], "Did you mean 'photo'?"),
     "preset": (["--preset", "holoeye-pluto"], "Did you mean 'holoeye-pluto-2.1'?"),
     "iterations of double phase": (
@@ -512,6 +516,18 @@ def test_float_pictures_must_stay_in_range(tmp_path, capsys):
     Image.fromarray(np.full((20, 20), 7.0, np.float32)).save(path)
     assert main(["hologram", str(path), "--output", str(tmp_path / "out"), *SMALL]) == 2
     assert "0 to 1" in capsys.readouterr().err
+
+
+def test_a_picture_of_few_rows_is_refused_and_of_several_frames_the_first_is_used(tmp_path, capsys):
+    Image.new("L", (1000, 3), 200).save(tmp_path / "wide.png")
+    assert main(["hologram", str(tmp_path / "wide.png"), "--output", str(tmp_path / "out")]) == 2
+    assert "becomes 6 x 1920 pixels" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    first, second = (Image.new("L", (COLUMNS, ROWS), level) for level in (255, 9))
+    first.save(tmp_path / "two.gif", save_all=True, append_images=[second])
+    said = run(tmp_path / "two.gif", "-o", tmp_path / "out", *SMALL, "--quiet")
+    assert "two.gif' has 2 frames or pages; the first one is used" in said.stderr
+    middle = pixels(tmp_path / "out" / "comparison.png")[120, 100]
+    assert (middle == 255).all()
 
 
 def test_a_black_picture_is_refused(tmp_path, capsys):

@@ -199,3 +199,12 @@ def test_near_objects_keep_their_distance_and_aspheres_get_their_terms(tmp_path)
     assert sum(f["rms_spot"] ** 2 for f in report["fields"]) < sum(
         f["rms_spot_at_start"] ** 2 for f in report["fields"]
     )
+
+
+def test_a_length_that_was_not_reached_and_a_doubtful_one_are_warned_of(tmp_path, capsys):
+    # A singlet of 100 mm cannot have its image within 1 mm.
+    options = ["--iterations", "1", "--quiet", "-o", str(tmp_path)]
+    assert main(["design", "singlet", "--track", "1mm", *options]) == 0
+    assert "--track 1mm was not reached: the lens is " in capsys.readouterr().err
+    assert main(["design", "singlet", "--focal-length", "50", *options]) == 0
+    assert "--focal-length 50 is 50 metres; did you mean 50mm?" in capsys.readouterr().err

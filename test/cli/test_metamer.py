@@ -48,12 +48,16 @@ def test_three_pictures(file, tmp_path):
     shade = np.round(np.log2(pooling.clip(1)) / np.log2(pooling.max()) * 255)
     assert abs(pixels(tmp_path / "pooling_map.png") - shade).max() <= 1
     sheet = pixels(tmp_path / "comparison.png")
+    # Small pictures are shown enlarged by a whole factor.
+    factor = 300 // COLUMNS
+    rows, columns = factor * ROWS, factor * COLUMNS
+    picture, metamer = (np.kron(values, np.ones((factor, factor, 1))) for values in (picture, metamer))
     (top,) = (
         row
-        for row in range(sheet.shape[0] - ROWS)
-        if np.array_equal(sheet[row : row + ROWS, 16 : 16 + COLUMNS], picture)
+        for row in range(sheet.shape[0] - rows)
+        if np.array_equal(sheet[row : row + rows, 16 : 16 + columns], picture)
     )
-    assert np.array_equal(sheet[top : top + ROWS, 332 : 332 + COLUMNS], metamer)
+    assert np.array_equal(sheet[top : top + rows, 332 : 332 + columns], metamer)
 
 
 def test_iterations_lower_the_loss_and_the_seed_reproduces(file, tmp_path):

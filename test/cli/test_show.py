@@ -24,6 +24,7 @@ def test_a_run_is_shown_with_pictures_numbers_and_figures(tmp_path):
     psnr = json.loads((tmp_path / "run" / "report.json").read_text())["psnr_db"]
     assert f"<td>psnr_db</td><td>{psnr:.6g}</td>" in page
     assert page.count("data:image/png;base64,") >= 3 and page.count("Plotly.newPlot(") >= 1
+    assert f"<td>{psnr:.6g}</td>" in page_of(tmp_path / "run" / "report.json", tmp_path)
     assert '<script src="http' not in page and "<link" not in page.partition("<script")[0]
 
 
@@ -40,6 +41,17 @@ def test_pictures_and_lenses(tmp_path):
     Image.new("RGB", (9, 8), "red").save(tmp_path / "red.png")
     assert "red.png" in page_of(tmp_path / "red.png", tmp_path)
     assert "Plotly.newPlot(" in page_of("cooke_triplet", tmp_path)
+
+
+def test_pages_are_written_to_html_files_only_whose_folder_is_made(tmp_path, capsys):
+    page = tmp_path / "new" / "page.html"
+    assert main(["show", "singlet", "-o", str(page), "--no-open"]) == 0 and page.is_file()
+    Image.new("RGB", (9, 8), "red").save(tmp_path / "red.png")
+    before = (tmp_path / "red.png").read_bytes()
+    for output in (tmp_path / "red.png", tmp_path):
+        assert main(["show", "singlet", "-o", str(output), "--no-open"]) == 2
+        assert "--output must be an HTML file" in capsys.readouterr().err
+    assert (tmp_path / "red.png").read_bytes() == before
 
 
 def test_the_browser_is_asked_to_open_the_page(tmp_path, monkeypatch, capsys):
