@@ -217,7 +217,7 @@ def _regions(table: Table, known: Calibration) -> Found:
 
 def _registration(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases)
-    mapping = instruments.register_camera(*there, wavefront=known.wavefront)
+    mapping = instruments.register_camera(*there, wavefront=known.wavefront, middle=not known.wavefront.any())
     half = 0.375 * np.array(table.modulator.shape[::-1]) * table.modulator.pitch
     axes = [np.linspace(-h, h, 6) for h in half]
     points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)

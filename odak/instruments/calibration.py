@@ -13,7 +13,7 @@ import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -61,6 +61,12 @@ UNITS = {
 STEPS, FIRST, SECOND = 11, 1, -3
 # Columns of level 0 beside the border of the two halves, and rows and columns of the camera that are read at most.
 GUARD, LARGEST_WINDOW = 3, 201
+# Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
+SPREAD = 0.6
+# Width of a lenslet in units of the square root of wavelength and distance.
+SMALLEST_LENSLET = 1.6
+# Change of the wavefront in the last step, in radians, that tells that it has not been found.
+UNSETTLED = 2 * np.pi / 20
 # In radians, of two measurements of the response that weight the pixels differently.
 LARGEST_DIFFERENCE = 0.25
 
@@ -196,7 +202,7 @@ def _regional_levels(phase: np.ndarray, tables: np.ndarray) -> np.ndarray:
 
 
 def calibrate_table(
-    modulator: Modulator, camera: Camera, wavelength: float, distance: float, *, rounds: int = 3
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, *, rounds: int = 2
 ) -> Calibration:
     """Calibrate an optical table: phase response, registration, wavefront, distance and illumination.
 
@@ -214,7 +220,8 @@ def calibrate_table(
     distance : float
         Nominal distance from the modulator to the camera in metres.
     rounds : int
-        Number of measurements of the wavefront, of ten captures each.
+        Number of measurements of the wavefront, of five captures the first and ten the others, with two or three more
+        at each of two exposures.
 
     Returns
     -------
@@ -229,10 +236,12 @@ def calibrate_table(
     """
     phases = measure_phase_response(modulator, camera, wavelength, distance)
     wavefront: np.ndarray | float = 0.0
-    for _ in range(_validate.integer("rounds", rounds, minimum=1)):
-        registration = register_camera(modulator, camera, wavelength, distance, phases, wavefront=wavefront)
+    for turn in range(_validate.integer("rounds", rounds, minimum=1)):
+        registration = register_camera(
+            modulator, camera, wavelength, distance, phases, wavefront=wavefront, middle=turn == 0
+        )
         wavefront = measure_wavefront(
-            modulator, camera, wavelength, distance, phases, registration, iterations=2, captures=5
+            modulator, camera, wavelength, distance, phases, registration, iterations=5, captures=min(1 + turn, 2)
         )
     there = (modulator, camera, wavelength)
     distance = measure_distance(*there, distance, phases, registration, wavefront=wavefront)
@@ -499,12 +508,16 @@ def register_camera(
     wavefront: np.ndarray | float = 0.0,
     grid: Sequence[int] = (6, 6),
     extent: float = 0.75,
-    captures: int = 8,
+    middle: bool = False,
+    captures: int = 6,
 ) -> Registration:
     """Determine the mapping from the pixels of a camera to points of the image plane.
 
     Three single spots give an affine estimate; then a grid of spots, computed by weighted Gerchberg–Saxton iterations
     (Di Leonardo, Ianni and Ruocco 2007), is found by centroids, and a homography with radial distortion is fitted.
+
+    The side lobes of other spots, and light that is not modulated, shift a spot by interference; captures of patterns
+    whose spots have different phases are averaged.
 
     Parameters
     ----------
@@ -523,9 +536,15 @@ def register_camera(
     grid : sequence of int
         Rows and columns of spots.
     extent : float
-        Width and height of the grid as a fraction of those of the modulator.
+        Width and height of the grid as a fraction of those of the modulator, at most 0.8 of what a pixel reaches,
+        λ·distance/pitch.
+    middle : bool
+        Form the spots by the middle part of the modulator, whose pixels reach all of them, and deflect the light of the
+        others outwards, for a first registration before the aberration is known: astigmatism and defocus move spots
+        that are formed by different parts by different amounts. The spots are larger, and found less accurately
+        (0.1 pixel of 4 µm on simulated tables); their grid is at most 0.6 of what a pixel reaches.
     captures : int
-        Number of captures that are averaged.
+        Number of patterns, whose captures are averaged.
 
     Returns
     -------
@@ -537,20 +556,37 @@ def register_camera(
     RuntimeError
         If the spots are not found.
     """
-    rows, columns = modulator.shape
-    half = np.array([columns, rows]) * modulator.pitch * _validate.number("extent", extent, positive=True) / 2
+    shape, pitch = np.array(modulator.shape), modulator.pitch
+    half = shape * pitch * float(_validate.number("extent", extent, positive=True)) / 2
+    # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
+    # there have a second focus at twice that distance on the other side.
+    farthest = wavelength * distance / (2 * pitch)
+    half = np.minimum(half, (SPREAD if middle else 0.8) * farthest)
+    size = np.minimum(shape, (2 * (farthest - half) / pitch).astype(int)) if middle else shape
+    part = _Part((int(size[0]), int(size[1])), pitch)
+    inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
+    y, x = _axes(modulator)
+    # The side lobes of an ellipse are weaker than those of a rectangle. Beyond it, light is deflected by nine tenths of
+    # what pixels can.
+    radius = np.hypot(x / size[1], y / size[0]) * 2 / pitch if (size < shape).any() else 0 * (x + y)
+    outwards = 0.9 * np.pi * np.hypot(x, y) / pitch * (1 - 1 / np.clip(radius, 1, None))
+    half = half[::-1]
 
-    def show(points: np.ndarray) -> None:
-        phase = spots_phase(modulator, wavelength, distance, points)
+    def show(points: np.ndarray, seed: int = 0) -> None:
+        phase = outwards.copy()
+        spots = spots_phase(part, wavelength, distance, points, seed=seed)
+        phase[inside_part] = np.where(radius[inside_part] < 1, spots, phase[inside_part])
         modulator.show(nearest_levels(phase - wavefront, phases))
 
     three = np.array([[0.0, 0.0], [half[0], 0.0], [0.0, half[1]]])
     show(three[:1])
     set_exposure(camera)
+    around = max(8, math.ceil(1.5 * wavelength * distance / (size.min() * pitch * camera.pitch)))
     pixels = []
     for point in three:
         show(point[None])
-        pixels.append(_centroid(_averaged(camera, captures), _brightest(_averaged(camera, 1)), 8))
+        frame = _averaged(camera, captures)
+        pixels.append(_centroid(frame, _brightest(frame), around))
     matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), np.array(pixels))
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
@@ -559,7 +595,10 @@ def register_camera(
     spacing = np.abs(np.linalg.norm(matrix[:2], axis=-1) * 2 * half / np.maximum([across - 1, down - 1], 1)).min()
     show(points)
     set_exposure(camera)
-    frame = _averaged(camera, captures)
+    frame = np.zeros(tuple(camera.shape))
+    for seed in range(_validate.integer("captures", captures, minimum=1)):
+        show(points, seed)
+        frame += _averaged(camera, 1)
     reach = int(0.4 * spacing)
     inside = ((expected > reach) & (expected < np.array(camera.shape[::-1]) - reach - 1)).all(-1)
     if inside.sum() < 6:
@@ -570,28 +609,29 @@ def register_camera(
     for place in expected[inside]:
         corner = np.rint(place).astype(int) - reach
         window = frame[corner[1] : corner[1] + 2 * reach + 1, corner[0] : corner[0] + 2 * reach + 1]
-        seen.append(_centroid(frame, _brightest(window) + corner, min(reach, 8)))
+        seen.append(_centroid(frame, _brightest(window) + corner, min(reach, around)))
     seen, points = np.array(seen), points[inside]
-    pitch = 1 / np.linalg.norm(matrix[0])
+    pixel = 1 / np.linalg.norm(matrix[0])
     start = np.linalg.inv(np.vstack([matrix.T, [0, 0, 1]]))
-    middle = np.array([[1, 0, camera.shape[1] / 2], [0, 1, camera.shape[0] / 2], [0, 0, 1.0]])
-    start = start @ middle
+    shift = np.array([[1, 0, camera.shape[1] / 2], [0, 1, camera.shape[0] / 2], [0, 0, 1.0]])
+    start = start @ shift
 
     def mapping(parameters: np.ndarray) -> Registration:
         homography = np.append(parameters[:8], 1.0).reshape(3, 3)
-        homography[:2] *= pitch
+        homography[:2] *= pixel
         return Registration(homography, float(parameters[8]), (camera.shape[0], camera.shape[1]))
 
     def misfit(parameters: np.ndarray) -> np.ndarray:
-        return ((mapping(parameters).plane_points(seen) - points) / pitch).ravel()
+        return ((mapping(parameters).plane_points(seen) - points) / pixel).ravel()
 
-    begin = np.append((start / start[2, 2] / np.array([[pitch], [pitch], [1.0]])).ravel()[:8], 0.0)
+    begin = np.append((start / start[2, 2] / np.array([[pixel], [pixel], [1.0]])).ravel()[:8], 0.0)
     scale = np.array([1, 1, 10, 1, 1, 10, 1e-3, 1e-3, 0.1])
     # Spots that were missed do not enter the fit of the mapping.
     fitted = least_squares(misfit, begin, x_scale=scale, loss="soft_l1", f_scale=0.3)
     found = mapping(fitted.x)
     residual = float(np.sqrt((misfit(fitted.x).reshape(-1, 2) ** 2).sum(-1).mean()))
-    if residual > 0.5:
+    # An aberration spreads the spots of a first registration.
+    if residual > (2.0 if middle else 0.5):
         warn(
             f"the registration of the camera is uncertain: the residual of the fit is {residual:.2f} pixels",
             AccuracyWarning,
@@ -607,17 +647,18 @@ def measure_wavefront(
     phases: np.ndarray,
     registration: Registration,
     *,
-    amplitude: np.ndarray | float = 1.0,
-    cells: int = 6,
+    amplitude: np.ndarray | float | None = None,
+    cells: int | None = None,
     order: int = 4,
-    iterations: int = 4,
-    captures: int = 5,
+    iterations: int = 10,
+    captures: int = 2,
 ) -> np.ndarray:
     """Measure the aberration at a modulator, which acts as the lenslets of a Shack–Hartmann sensor.
 
     Each of cells × cells parts of the modulator focuses at its own middle. The displacements of the spots from those
     of an ideal table, which is simulated, are the gradients of the wavefront; Zernike polynomials are fitted to them
-    and corrected, and the measurement is repeated until the gradients vanish.
+    and corrected, and the measurement is repeated until the gradients vanish. It begins with 3 × 3 lenslets and low
+    orders, for large aberrations.
 
     Parameters
     ----------
@@ -633,10 +674,11 @@ def measure_wavefront(
         Phase of each level in radians, from :func:`measure_phase_response`.
     registration : Registration
         Mapping of the camera, from :func:`register_camera`.
-    amplitude : numpy.ndarray or float
-        Amplitude of the illumination, for the simulation of the ideal table.
-    cells : int
-        Number of lenslets along each axis.
+    amplitude : numpy.ndarray or float, optional
+        Amplitude of the illumination, for the simulation of the ideal table; estimated from the brightness of the spots
+        by default.
+    cells : int, optional
+        Number of lenslets along each axis; by default as many as are wider than diffraction allows, from 4 to 6.
     order : int
         Highest radial order of the Zernike polynomials.
     iterations : int
@@ -649,40 +691,92 @@ def measure_wavefront(
     numpy.ndarray
         Aberration in radians at each pixel of the modulator, without piston and tilt. Defocus represents an error of
         the distance too.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the last pattern still changed it by more than a twentieth of a wavelength (root mean square).
     """
-    rows, columns = modulator.shape
-    cells = _validate.integer("cells", cells, minimum=3)
-    y, x = _axes(modulator)
-    number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
-    cell = number[0][:, None] * cells + number[1]
-    count = np.bincount(cell.ravel())
-    middles = np.stack([np.bincount(cell.ravel(), np.broadcast_to(a, cell.shape).ravel()) / count for a in (x, y)], -1)
-    lenslets = -np.pi / (wavelength * distance) * ((x - middles[cell, 0]) ** 2 + (y - middles[cell, 1]) ** 2)
-    modes = _modes(modulator, _validate.integer("order", order, minimum=2))
-    slopes = np.stack([np.gradient(mode, modulator.pitch) for mode in modes])
-    means = np.stack([[np.bincount(cell.ravel(), part.ravel()) / count for part in pair[::-1]] for pair in slopes])
-    system = np.moveaxis(means, 0, -1).transpose(1, 0, 2).reshape(-1, len(modes))
-    expected = registration.camera_pixels(middles)
-    spacing = np.linalg.norm(
-        registration.camera_pixels(middles[:1] + np.array([[columns * modulator.pitch / cells, 0.0]])) - expected[:1]
+    shape = np.array(modulator.shape)
+    order, iterations, captures = (
+        _validate.integer(name, value, minimum=least)
+        for name, value, least in (("order", order, 2), ("iterations", iterations, 1), ("captures", captures, 1))
     )
-    reach = int(0.42 * spacing)
-    ideal = _ideal_capture(modulator, lenslets, amplitude, wavelength, distance, registration)
-    wanted = np.stack([_centroid(ideal, place, reach) for place in expected])
-    wavefront = np.zeros((rows, columns))
+    modes = _modes(modulator, order)
+    slopes = np.stack([np.gradient(mode, modulator.pitch) for mode in modes])[:, ::-1]
+    if cells is None:
+        # Diffraction spreads the light of smaller lenslets over their neighbours.
+        smallest = SMALLEST_LENSLET * math.sqrt(wavelength * distance) / modulator.pitch
+        fine = np.clip((shape / smallest).astype(int), 4, 6)
+    else:
+        fine = np.full(2, _validate.integer("cells", cells, minimum=3))
+
+    def lenslets_of(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
+        """Return the pattern of lenslets, their middles x, y and slopes, and the places and reach of their spots."""
+        row, column = (np.minimum(np.arange(n) * k // n, k - 1) for n, k in zip(shape, parts, strict=True))
+        cell = row[:, None] * parts[1] + column
+        count = np.bincount(cell.ravel())
+
+        def mean(values: np.ndarray) -> np.ndarray:
+            return np.bincount(cell.ravel(), np.broadcast_to(values, cell.shape).ravel()) / count
+
+        y, x = _axes(modulator)
+        middles = np.stack([mean(x), mean(y)], axis=-1)
+        phase = -np.pi / (wavelength * distance) * ((x - middles[cell, 0]) ** 2 + (y - middles[cell, 1]) ** 2)
+        system = np.stack([np.stack([mean(slope) for slope in pair], axis=-1).ravel() for pair in slopes], axis=-1)
+        places = registration.camera_pixels(middles)
+        beside = registration.camera_pixels(middles[:1] + np.diag(shape[::-1] * modulator.pitch / parts[::-1]))
+        return phase, middles, system, places, int(0.42 * np.linalg.norm(beside - places[:1], axis=-1).min())
+
+    # Spots of a large aberration are nearer to those of other lenslets: coarse lenslets and low modes come first.
+    coarse = 2 if iterations > 4 else 0
+    wavefront = np.zeros(modulator.shape)
     camera.region = None
-    for step in range(_validate.integer("iterations", iterations, minimum=1)):
-        modulator.show(nearest_levels(lenslets - wavefront, phases))
-        if step == 0:
+    for step in range(iterations):
+        if step in (0, coarse):
+            phase, middles, system, places, reach = lenslets_of(np.minimum(fine, 3) if step < coarse else fine)
+        modulator.show(nearest_levels(phase - wavefront, phases))
+        if step in (0, coarse):
             set_exposure(camera)
-        frame = _averaged(camera, _validate.integer("captures", captures, minimum=1))
-        seen = np.stack([_centroid(frame, place, reach) for place in expected])
+        frame = _averaged(camera, captures)
+        seen = np.stack([_centroid(frame, place, reach) for place in places])
+        lit = _lit(modulator, frame, seen, middles, reach) if amplitude is None else amplitude
+        ideal = _ideal_capture(modulator, phase, lit, wavelength, distance, registration)
+        wanted = np.stack([_centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
         gradient = 2 * np.pi / wavelength * moved / distance
-        coefficients, *_ = np.linalg.lstsq(system, gradient.ravel(), rcond=None)
+        used = min(order, 2 + step)
+        used = used * (used + 3) // 2
+        coefficients, *_ = np.linalg.lstsq(system[:, :used], gradient.ravel(), rcond=None)
         # Tilts belong to the registration.
-        wavefront = wavefront + np.tensordot(coefficients[2:], modes[2:], axes=1)
+        change = np.tensordot(coefficients[2:], modes[2:used], axes=1)
+        wavefront = wavefront + change
+    if iterations > 1 and change.std() > UNSETTLED:
+        warn(
+            f"the wavefront is uncertain: the last pattern changed it by {change.std() / (2 * np.pi):.2g} wavelengths; "
+            "the aberration may be larger than the lenslets can measure",
+            AccuracyWarning,
+        )
     return wavefront - wavefront.mean()
+
+
+def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
+    """Return the amplitude at each pixel that the light of spots (column, row), from places x, y, tells."""
+    frame = frame - np.quantile(frame, 0.02)
+    corners = np.clip(np.rint(spots).astype(int) - reach, 0, None)
+    size = 2 * reach + 1
+    light = np.array([frame[row : row + size, column : column + size].sum() for column, row in corners])
+    half = max(modulator.shape) * modulator.pitch / 2
+
+    def system(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        x, y = np.broadcast_arrays(x / half, y / half)
+        return np.stack([1 + 0 * x, x, y, x * x, x * y, y * y], axis=-1)
+
+    logarithm = np.log(np.clip(light, 0.02 * light.max(), None)) / 2
+    coefficients, *_ = np.linalg.lstsq(system(*places.T), logarithm, rcond=None)
+    y, x = _axes(modulator)
+    amplitude = np.exp(system(x, y) @ coefficients)
+    return amplitude / amplitude.max()
 
 
 def measure_distance(
@@ -984,7 +1078,16 @@ def _read_npz(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         return {name: store[name] for name in store.files if name != "header"}, header
 
 
-def lens_phase(modulator: Modulator, wavelength: float, distance: float, point: Sequence[float] = (0, 0)) -> np.ndarray:
+class _Part(NamedTuple):
+    """Middle part of a modulator."""
+
+    shape: tuple[int, int]
+    pitch: float
+
+
+def lens_phase(
+    modulator: Modulator | _Part, wavelength: float, distance: float, point: Sequence[float] = (0, 0)
+) -> np.ndarray:
     """Return the phase in radians ``[rows, columns]`` of a lens that focuses at a point x, y of a plane.
 
     Parameters
@@ -1006,18 +1109,27 @@ def lens_phase(modulator: Modulator, wavelength: float, distance: float, point: 
 
 
 def spots_phase(
-    modulator: Modulator, wavelength: float, distance: float, points: np.ndarray, iterations: int = 12
+    modulator: Modulator | _Part,
+    wavelength: float,
+    distance: float,
+    points: np.ndarray,
+    iterations: int = 12,
+    seed: int = 0,
 ) -> np.ndarray:
-    """Return the phase ``[rows, columns]`` that forms spots of equal intensity at points x, y ``[n, 2]`` of a plane."""
+    """Return the phase ``[rows, columns]`` that forms spots of equal intensity at points x, y ``[n, 2]`` of a plane.
+
+    The phases of the spots begin at random, by the seed.
+    """
     lenses = np.stack([lens_phase(modulator, wavelength, distance, point) for point in points]).reshape(len(points), -1)
     waves = np.exp(1j * lenses)
-    angles = 2 * np.pi * np.random.default_rng(0).random(len(points))
+    angles = 2 * np.pi * np.random.default_rng(seed).random(len(points))
     weights = np.ones(len(points))
     for _ in range(iterations if len(points) > 1 else 1):
-        phase = np.angle((weights * np.exp(1j * angles)) @ waves)
-        spots = waves.conj() @ np.exp(1j * phase)
+        hologram = (weights * np.exp(1j * angles)) @ waves
+        hologram /= np.abs(hologram)
+        spots = (waves @ hologram.conj()).conj()
         angles, weights = np.angle(spots), weights * np.abs(spots).mean() / np.abs(spots)
-    return phase.reshape(modulator.shape)
+    return np.angle(hologram).reshape(modulator.shape)
 
 
 def without(surface: np.ndarray, modes: np.ndarray) -> np.ndarray:
@@ -1037,10 +1149,10 @@ def _modes(modulator: Modulator, order: int) -> np.ndarray:
     half = math.hypot(*modulator.shape) * modulator.pitch / 2
     rho, theta = np.hypot(x, y) / half, np.arctan2(y, x)
     pairs = [(n, m) for n in range(1, order + 1) for m in range(-n, n + 1, 2)]
-    return np.stack([zernike_polynomial(n, m, rho, theta) for n, m in pairs])
+    return np.stack([zernike_polynomial(n, m, np.minimum(rho, 1), theta) for n, m in pairs])
 
 
-def _axes(modulator: Modulator) -> tuple[np.ndarray, np.ndarray]:
+def _axes(modulator: Modulator | _Part) -> tuple[np.ndarray, np.ndarray]:
     """Return the coordinates y ``[rows, 1]`` and x ``[1, columns]`` of the pixels in metres."""
     rows, columns = modulator.shape
     y, x = ((np.arange(n) - n // 2) * modulator.pitch for n in (rows, columns))

@@ -209,7 +209,8 @@ class SimulatedTable:
         radius = draw.uniform(1.0, 1.4) * half
         amplitude = np.exp(-((x - centre[0]) ** 2 + (y - centre[1]) ** 2) / radius**2)
         weights = draw.normal(size=len(ABERRATIONS))
-        modes = [zernike_polynomial(n, m, np.hypot(x, y) / half, np.arctan2(y, x)) for n, m in ABERRATIONS]
+        rho, theta = np.minimum(np.hypot(x, y) / half, 1), np.arctan2(y, x)
+        modes = [zernike_polynomial(n, m, rho, theta) for n, m in ABERRATIONS]
         wavefront = sum(w * mode for w, mode in zip(weights, modes, strict=True))
         aberration = float(_validate.number("aberration", aberration, least=0))
         # Tilt and defocus are equivalent to a shift and a change of distance.

@@ -37,6 +37,28 @@ def instruments_of(table):
     return modulator, camera
 
 
+class Counting:
+    """Camera that counts its captures."""
+
+    def __init__(self, camera):
+        object.__setattr__(self, "camera", camera)
+        object.__setattr__(self, "taken", 0)
+
+    def __getattr__(self, name):
+        return getattr(self.camera, name)
+
+    def __setattr__(self, name, value):
+        setattr(self.camera, name, value)
+
+    def capture(self, count=1):
+        object.__setattr__(self, "taken", self.taken + count)
+        return self.camera.capture(count)
+
+
+def fresh_seed(number):
+    return int(np.random.default_rng(number).integers(10_000))
+
+
 def low_modes(modulator):
     return calibrating._modes(modulator, 2)[[0, 1, calibrating._DEFOCUS]]
 
@@ -170,6 +192,38 @@ def test_registration_of_an_unaberrated_table(seed):
     assert distance_in_pixels(found, table).max() < 0.1 and found.residual < 0.1
     pixels = np.random.default_rng(1).uniform(20, 300, (40, 2))
     assert np.abs(found.camera_pixels(found.plane_points(pixels)) - pixels).max() < 1e-6
+
+
+def test_large_wavefront_seen_by_a_camera_that_is_turned_and_mirrored():
+    """Root mean square of half a wavelength, a panel that is not square; the response is known."""
+    table = instruments.SimulatedTable(
+        fresh_seed(11), shape=(84, 110), distance=15e-3, camera_shape=(290, 250), aberration=0.5
+    )
+    turn = np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    table.truth = dataclasses.replace(table.truth, homography=table.truth.homography @ turn)
+    modulator, camera = instruments_of(table)
+    there = (modulator, Counting(camera), 532e-9, 15e-3, table.truth.phases)
+    found, low = 0.0, low_modes(table.modulator)
+    taken = 0
+    for captures, bound in ((1, 3.0), (2, 1.0)):
+        known = instruments.register_camera(*there, wavefront=found, middle=captures == 1)
+        before = there[1].taken
+        found = instruments.measure_wavefront(*there, known, iterations=5, captures=captures)
+        taken += there[1].taken - before
+        error = calibrating.without(found - table.truth.wavefront, low)
+        assert rms(error) < bound * 2 * np.pi / 100
+    assert taken <= 30
+
+
+def test_an_aberration_beyond_the_lenslets_is_reported():
+    table = instruments.SimulatedTable(
+        fresh_seed(12), shape=(64, 64), distance=5e-3, camera_shape=(140, 140), aberration=4.0, misalignment=False
+    )
+    known = instruments.Registration(table.truth.homography, 0.0, table.camera.shape)
+    with pytest.warns(AccuracyWarning, match="the wavefront is uncertain"):
+        instruments.measure_wavefront(
+            *instruments_of(table), 532e-9, 5e-3, table.truth.phases, known, iterations=5, captures=1
+        )
 
 
 def test_a_camera_that_sees_few_spots_is_reported():
