@@ -32,6 +32,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         Exit code: 0 success, 1 unexpected failure, 2 bad command line or input.
+
+    Examples
+    --------
+    >>> from odak.cli import main
+    >>> code = main(["--version"])  # doctest: +ELLIPSIS
+    0...
+    >>> code
+    0
     """
     if arguments is not None:
         if isinstance(arguments, str) or not isinstance(arguments, Sequence):

@@ -24,6 +24,16 @@ class RayStatus(IntEnum):
     HIT: the ray is propagated further. MISS: there is no intersection. TOTAL_INTERNAL_REFLECTION: there is no refracted
     or diffracted ray. VIGNETTED: the intersection lies outside the aperture. NOT_CONVERGED: an iteration did not find
     the intersection. NOT_AIMED: no ray from the field point through the requested point of the stop was found.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.raytracing import RayStatus
+    >>> status = np.array([0, 0, 3, 1], dtype=np.int8)
+    >>> int((status == RayStatus.HIT).sum())
+    2
+    >>> [RayStatus(value).name for value in status.tolist()]
+    ['HIT', 'HIT', 'VIGNETTED', 'MISS']
     """
 
     HIT = 0

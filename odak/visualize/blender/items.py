@@ -40,6 +40,13 @@ class Material:
         0 polished, 1 frosted.
     name : str
         What it is called.
+
+    Examples
+    --------
+    >>> from odak.visualize.blender import glass
+    >>> material = glass(1.5)
+    >>> material.kind, material.index
+    ('glass', 1.5)
     """
 
     kind: str
