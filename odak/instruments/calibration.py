@@ -903,11 +903,29 @@ def measure_illumination(
     -------
     numpy.ndarray
         Amplitude at each pixel of the modulator, 1 at its largest.
+
+    Warns
+    -----
+    AccuracyWarning
+        If pixels at the edges are farther from the axis than a pixel reaches, λ·distance/(2·pitch).
+
+    Notes
+    -----
+    The result contains the diffraction of the pixels, which send the less light to the axis the farther away they are.
+    With a fill factor of 0.9 it deviates by 10 % (root mean square) from the illumination of a simulated table of
+    144 × 144 pixels of 8 µm at 20 mm, whose edges are at 0.87 of the largest angle; larger distances reduce this.
     """
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
     number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
     cell = number[0][:, None] * cells + number[1]
+    farthest = wavelength * distance / (2 * modulator.pitch)
+    if max(rows, columns) * modulator.pitch / 2 > farthest:
+        warn(
+            f"the illumination is uncertain at the edges of the modulator: pixels farther than {farthest:.3g} m from "
+            "the axis along rows or columns send little light to it; use a larger distance",
+            AccuracyWarning,
+        )
     lens = lens_phase(modulator, wavelength, distance) - wavefront
     _read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 2)
     draw = np.random.default_rng(0)

@@ -226,6 +226,15 @@ def test_an_aberration_beyond_the_lenslets_is_reported():
         )
 
 
+def test_pixels_that_do_not_reach_the_axis_are_reported():
+    table = instruments.SimulatedTable(2, shape=(24, 24), distance=2e-3, camera_shape=(48, 48), misalignment=False)
+    known = instruments.Registration(table.truth.homography, 0.0, table.camera.shape)
+    with pytest.warns(AccuracyWarning, match="the illumination is uncertain at the edges"):
+        instruments.measure_illumination(
+            *instruments_of(table), 532e-9, 2e-3, table.truth.phases, known, cells=3, order=1, patterns=40
+        )
+
+
 def test_a_camera_that_sees_few_spots_is_reported():
     table = instruments.SimulatedTable(2, aberration=0.0, camera_shape=(90, 90), misalignment=False)
     # As if the three single spots had been far apart.
