@@ -93,6 +93,7 @@ def test_colours_of_an_image_are_in_their_places(tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_points_and_rays_are_in_their_places(tmp_path):
     picture = rayshow(shape=[600, 500], marker_size=8.0, line_width=6.0, opacity=1.0)
     picture.add_point([-1.0, 0.0, 0.0], color="red")
@@ -279,6 +280,7 @@ def look_at(page, tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_a_page_opens_without_errors_and_shows_the_rays(tmp_path):
     picture = rayshow(line_width=4.0, opacity=1.0, shape=[800, 600])
     random = np.random.default_rng(0)
