@@ -3,10 +3,11 @@
     python scripts/train_hologram_network.py [--device cuda] [--checkpoint training.pt] [--file FILE]
 
 Learns from pictures that are drawn here (shapes, strokes, gradients, textures, fractal noise) and from parts of those
-that come with scikit-image. What comes with odak (odak/assets) is not among them and is left for the judgement by
-``benchmarks/hologram_network.py``. Each batch has a geometry and a number of refinements of its own; half of
-them repeat their pictures without end, which stands for the inside of large pictures. The loss is the
-error of the amplitude at the brightness that fits best, in decibels, taken through the propagation.
+that come with scikit-image. What comes with odak (odak/assets) is not among them and is left for the tests of
+``benchmarks/hologram_network.py``. Each batch has a geometry, a number of refinements and a number of planes of its
+own; the depth of the pixels is another of the drawn pictures. Half of the batches repeat their pictures without end,
+which stands for the inside of large pictures. The loss is the error of the amplitude in focus, at the brightness that
+fits best, in decibels, computed through the propagation.
 """
 
 import argparse
@@ -22,6 +23,7 @@ from skimage import data
 
 from odak.learn.models import hologram_network, save_weights, train
 from odak.learn.models.hologram_networks import RATIOS, SPREADS
+from odak.learn.wave.loss import plane_indices
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
 SEED, SIDE, BATCH, EPOCH = 2026, 128, 2, 25
@@ -31,6 +33,8 @@ DRAWN, CUT = 300, 16
 REFINEMENTS = (2, 5)
 # Share of the batches that represent the inside of large pictures.
 PERIODIC = 0.5
+# Share of the batches with one plane, most planes of the others, and the range of the half of their depth by distance.
+FLAT, PLANES, HALF_DEPTHS = 0.5, 4, (0.05, 0.5)
 
 
 def fractal(random: np.random.Generator, side: int) -> np.ndarray:
@@ -85,7 +89,7 @@ def cuttings(random: np.random.Generator, count: int = CUT) -> list[np.ndarray]:
 
 
 class Batches:
-    """Batches of pictures, each with a geometry, a number of refinements, and whether it repeats itself."""
+    """Batches of pictures, each with planes, a geometry, a number of refinements, and whether it repeats itself."""
 
     def __init__(self, seed: int):
         random = np.random.default_rng(seed)
@@ -100,7 +104,8 @@ class Batches:
         fewest, most = REFINEMENTS
         for _ in range(EPOCH):
             chosen = torch.randint(len(self.pictures), (BATCH,), generator=self.generator)
-            place = torch.rand(8, generator=self.generator, dtype=torch.float64).tolist()
+            other = torch.randint(DRAWN, (BATCH,), generator=self.generator)
+            place = torch.rand(11, generator=self.generator, dtype=torch.float64).tolist()
             target = self.pictures[chosen]
             target = target.transpose(-1, -2) if place[0] < 0.5 else target
             target = target.flip([axis for axis in (-2, -1) if place[1 - axis] < 0.5])
@@ -110,11 +115,18 @@ class Batches:
             )
             wavelength = 420e-9 + 260e-9 * place[6]
             dx = wavelength / ratio
+            distance, depth = spread * dx**2 / wavelength, None
+            if place[8] >= FLAT:
+                half = HALF_DEPTHS[0] + place[9] * (HALF_DEPTHS[1] - HALF_DEPTHS[0])
+                planes = 2 + int((PLANES - 1) * place[10])
+                distance, depth = (distance * np.linspace(1 - half, 1 + half, planes)).tolist(), self.pictures[other]
+                depth = depth.clamp(0, 1)
             yield (
                 target,
                 wavelength,
                 dx,
-                spread * dx**2 / wavelength,
+                distance,
+                depth,
                 fewest + int((most - fewest + 1) * place[7]),
                 place[3] < PERIODIC,
             )
@@ -122,14 +134,18 @@ class Batches:
 
 def loss(network, batch) -> torch.Tensor:
     """Return the mean over the pictures of the squared error of the amplitude in decibels."""
-    target, wavelength, dx, distance, network.refinements, network.periodic = batch
-    phase = network(target, wavelength, dx, distance)
-    hologram, lengths = torch.polar(torch.ones_like(phase), phase), (distance, dx, wavelength, "Angular Spectrum")
-    if network.periodic:
-        field = propagate_beam(hologram, None, *lengths, zero_padding=(False, False, False))
-    else:
-        field = propagate_within_window(hologram, *lengths)
-    image = field.abs()
+    target, wavelength, dx, distance, depth, network.refinements, network.periodic = batch
+    phase = network(target, wavelength, dx, distance, depth)
+    hologram, image = torch.polar(torch.ones_like(phase), phase), 0
+    distances = [distance] if depth is None else distance
+    indices = torch.zeros_like(target) if depth is None else plane_indices(depth, len(distances))
+    for plane, one in enumerate(distances):
+        lengths = (one, dx, wavelength, "Angular Spectrum")
+        if network.periodic:
+            field = propagate_beam(hologram, None, *lengths, zero_padding=(False, False, False))
+        else:
+            field = propagate_within_window(hologram, *lengths)
+        image = image + (indices == plane) * field.abs()
     amplitude, axes = target.clamp_min(0).sqrt(), (-2, -1)
     scale = (image * amplitude).sum(axes, keepdim=True) / (image * image).sum(axes, keepdim=True)
     return 10 * torch.log10((scale * image - amplitude).square().mean(axes) + 1e-6).mean()
@@ -153,7 +169,7 @@ def main() -> None:
         if epoch % 10 == 0:
             with torch.no_grad():
                 values = [
-                    np.mean([loss(network, (*batch[:4], 4, inside)).item() for batch in trials])
+                    np.mean([loss(network, (*batch[:5], 4, inside)).item() for batch in trials])
                     for inside in (False, True)
                 ]
             sys.stdout.write(f"other pictures: {values[0]:.2f} dB, {values[1]:.2f} dB inside\n")

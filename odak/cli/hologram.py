@@ -62,7 +62,7 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         if job.method == "network":
             check_training_range(job, target.wavelengths)
         folder = files.writable_folder(job.output)
-        volume = job.method in VOLUME_METHODS
+        volume = job.method in VOLUME_METHODS or job.planes > 1
         names = _frame_files(job, target) if volume else [name for own in _channel_files(job, target) for name in own]
         others = ["reconstruction.png", "comparison.png", files.REPORT, *["focal_stack.png"] * (job.planes > 1)]
         existing = files.files_in_the_way(folder, [*names, *others])
@@ -111,16 +111,24 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
     """
     pitch, colours = job.pixel_pitch, ", ".join(f"{value * 1e9:.6g}nm" for value in wavelengths)
     size = f"{job.resolution[0]} x {job.resolution[1]} pixels"
-    widest = min(SPREADS[1], 2 * FARTHEST * min(job.resolution))
+    widest = 2 * FARTHEST * min(job.resolution) * pitch**2 / max(wavelengths)
+    if job.planes > 1:
+        size += f" and a volume depth of {job.volume_depth / UNITS['mm']:.4g}mm"
+        widest -= job.volume_depth / 2
+    if job.planes > 1 and job.volume_depth > job.distance:
+        raise InputError(
+            "--volume-depth must be at most --distance, which the weights of --method network were trained for; got "
+            f"{job.volume_depth / UNITS['mm']:.4g}mm at {job.distance / UNITS['mm']:.4g}mm"
+        )
     for name, value, least, most, unit, given in (
         ("--pixel-pitch", pitch, max(wavelengths) / RATIOS[1], min(wavelengths) / RATIOS[0], "um", colours),
         (
             "--distance",
             job.distance,
             SPREADS[0] * pitch**2 / min(wavelengths),
-            widest * pitch**2 / max(wavelengths),
+            min(SPREADS[1] * pitch**2 / max(wavelengths), widest),
             "mm",
-            f"{colours}, a pixel pitch of {pitch * 1e6:.4g}um and {size}",
+            f"{colours}, a pixel pitch of {pitch * 1e6:.4g}um{', ' if job.planes > 1 else ' and '}{size}",
         ),
     ):
         if least > most:
@@ -532,7 +540,10 @@ class Frames:
 def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], device: torch.device) -> dict:
     """Compute, save, read back and measure the patterns of a volume, or of colours that share their frames."""
     volume = load_volume(job, target, device)
-    ideal, seconds, loss = _optimise(job, target, volume, device)
+    if job.method == "network":
+        ideal, seconds, loss = _network_frames(job, target, volume), None, None
+    else:
+        ideal, seconds, loss = _optimise(job, target, volume, device)
     grating = grating_phase(job.resolution, device) if job.grating else torch.zeros(1, device=device)
     for name, phase in zip(names, ideal.phases, strict=True):
         modulated = wave.generate_complex_field(1.0, phase.double() + grating)
@@ -567,7 +578,7 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
 
 def _frame_files(job: Job, target: Target) -> list[str]:
     """Return the name of each frame's pattern file: its wavelength, or its number where frames share colours."""
-    if job.method == "multiplane":
+    if job.method in ("multiplane", "network"):
         return [pattern_name(wavelength) for wavelength in target.wavelengths]
     return [f"hologram_frame{index + 1}.png" for index in range(job.frames or len(target.wavelengths))]
 
@@ -616,6 +627,22 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
         # The scale is free: the brightest source is at full power.
         powers = powers / powers.amax().clamp_min(1e-6)
     return Frames(phases, powers), clock.seconds_per_tick(), clock.loss
+
+
+def _network_frames(job: Job, target: Target, volume: Volume) -> Frames:
+    """Return one pattern for each colour, with sources at the brightness that fits the picture best."""
+    device = volume.images.device
+    network, intensity = hologram_network(pretrained=True).to(device), target.intensity.to(device)
+    planes = torch.arange(job.planes, device=device)[:, None, None]
+    depth = (volume.masks[:, 0] * planes).sum(0) / (job.planes - 1)
+    with torch.no_grad():
+        phases = network(intensity, target.wavelengths, job.pixel_pitch, volume.distances, depth)
+    count = len(target.wavelengths)
+    frames = Frames(phases, torch.eye(count, device=device))
+    sharp = (_reconstruct_volume(job, target, volume, frames) * volume.masks).sum(0).double()
+    wanted = intensity.double()
+    scales = torch.stack([report.common_scale(sharp[c][target.window], wanted[c][target.window]) for c in range(count)])
+    return Frames(phases, frames.powers * (scales / scales.amax()).sqrt().to(frames.powers))
 
 
 def _reconstruct_volume(

@@ -198,9 +198,9 @@ class Job:
             if self.depth_map is not None:
                 raise InputError("--depth-map needs --planes of at least 2")
             return
-        if self.method not in VOLUME_METHODS:
+        if self.method not in (*VOLUME_METHODS, "network"):
             raise InputError(
-                f"--planes {self.planes} needs --method {' or '.join(VOLUME_METHODS)}, got {self.method!r}"
+                f"--planes {self.planes} needs --method {', '.join(VOLUME_METHODS)} or network, got {self.method!r}"
             )
         if self.volume_depth >= 2 * self.distance:
             raise InputError(

@@ -476,6 +476,16 @@ BAD = {
             ("start", ["--initial-phase", "gs"], "--initial-phase has no effect with --method network"),
             ("seed", ["--seed", "1"], "--seed has no effect with --method network"),
             ("fill factor", ["--fill-factor", "0.9"], "--fill-factor cannot be used with --method network"),
+            (
+                "depth",
+                ["scene", "--planes", "2", "-d", "3mm", "--volume-depth", "4mm"],
+                "--volume-depth must be at most --distance, which the weights",
+            ),
+            (
+                "far plane",
+                ["scene", "--planes", "2", "-d", "14mm", "--volume-depth", "6mm"],
+                "pixels and a volume depth of 6mm; got 14mm",
+            ),
         )
     },
     "fill factor": (["--fill-factor", "1.2"], "--fill-factor must be above 0 and at most 1"),

@@ -28,12 +28,15 @@ def psnr(image, target, mask=True):
     return 10 * np.log10(1 / np.mean(((image - target) ** 2)[np.broadcast_to(mask, target.shape)]))
 
 
-@pytest.mark.parametrize("method", ["multiplane", "multi-color"])
+@pytest.mark.parametrize("method", ["multiplane", "multi-color", "network"])
 @pytest.mark.parametrize("options", [[], ["--grating", "--bits", "10"]])
 def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
     picture, depth = files
-    run(picture, "--planes", 2, "--depth-map", depth, "--method", method, "--iterations", 30, *options,
-        "--output", tmp_path, *VOLUME)  # fmt: skip
+    iterations = [] if method == "network" else ["--iterations", 30]
+    distance, planes = ("3e-3", [2.5e-3, 3.5e-3]) if method == "network" else ("5e-3", [4e-3, 6e-3])
+    volume = ["--distance", distance, "--volume-depth", planes[1] - planes[0]]
+    run(picture, "--planes", 2, "--depth-map", depth, "--method", method, *iterations, *options,
+        "--output", tmp_path, *VOLUME, *volume)  # fmt: skip
     report = read_report(tmp_path)
     target = pixels(picture) / 255
     near = np.arange(COLUMNS)[None, :] < COLUMNS // 2
@@ -42,7 +45,7 @@ def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_
     phases = [pixels(tmp_path / name) * turn - grating for name in report["pattern"]["files"]]
     powers = np.array([frame["source_amplitudes"] for frame in report["frames"]])
     assert powers.shape == (3, 3)
-    assert [plane["distance"] for plane in report["planes"]] == pytest.approx([4e-3, 6e-3])
+    assert [plane["distance"] for plane in report["planes"]] == pytest.approx(planes)
     assert powers.max() == pytest.approx(1)
     light = []
     for c, wavelength in enumerate(WAVELENGTHS):

@@ -12,6 +12,7 @@ from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import trainable
 from odak.learn.models.weights import load_weights
+from odak.learn.wave.loss import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
 __all__ = ["hologram_network"]
@@ -29,11 +30,12 @@ _MARGIN = 8
 class hologram_network(nn.Module):
     """A network that computes phase-only holograms of pictures of any size, for any wavelength, pitch and distance.
 
-    The amplitude of the target is propagated back to the modulator, where a small convolutional network makes the first
-    hologram of the field. In each refinement the image of the hologram is computed, what it lacks is propagated back,
-    and a second network, the same in all of them, makes a correction of the hologram out of that. The propagation is
-    exact and has no weights, so that the networks learn little of the geometry; it is given to them as two ratios,
-    wavelength·distance/dx² and wavelength/dx.
+    The amplitude of the target is propagated back to the modulator, where a small convolutional network computes a
+    first hologram from the field. In each refinement the image of the hologram is computed, its difference from the
+    target is propagated back, and a second network, the same in all of them, computes a correction of the hologram.
+    A picture with a depth for each pixel has one image for each of several planes, in which the pixels of that plane
+    are in focus. The propagation is exact and has no weights, so that the networks have to learn little of the
+    geometry, which enters them by two ratios, wavelength·distance/dx² and wavelength/dx.
 
     Parameters
     ----------
@@ -60,7 +62,7 @@ class hologram_network(nn.Module):
 
     Notes
     -----
-    Gradients reach the target; wavelength, pitch and distance are numbers. Where light spreads over more than some
+    Gradients reach the target; wavelength, pitch, distance and depth have none. Where light spreads over more than some
     hundred pixels to each side, gradient descent from the start "gs" of
     :func:`odak.learn.wave.stochastic_gradient_descent` gains more in the same time.
 
@@ -79,6 +81,14 @@ class hologram_network(nn.Module):
     ...     phase = network(target, 532e-9, 8e-6, 5e-3)
     >>> tuple(phase.shape)
     (64, 96)
+
+    A picture whose columns lie deeper and deeper, on three planes:
+
+    >>> depth = torch.linspace(0, 1, 96).expand(64, 96)
+    >>> with torch.no_grad():
+    ...     phase = network(target, 532e-9, 8e-6, (4e-3, 5e-3, 6e-3), depth)
+    >>> tuple(phase.shape)
+    (64, 96)
     """
 
     def __init__(self, channels: int = 16, refinements: int = 8, pretrained: bool = False, periodic: bool = False):
@@ -93,7 +103,12 @@ class hologram_network(nn.Module):
             load_weights(self, str(files("odak") / "assets" / "hologram_network.pt"))
 
     def forward(
-        self, target: torch.Tensor, wavelength: float | Sequence[float], dx: float, distance: float
+        self,
+        target: torch.Tensor,
+        wavelength: float | Sequence[float],
+        dx: float,
+        distance: float | Sequence[float],
+        depth: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """Return the phase of the hologram of an image.
 
@@ -105,8 +120,13 @@ class hologram_network(nn.Module):
             Wavelength in metres; several are those of the colours of a target ``[..., colours, rows, columns]``.
         dx : float
             Pixel pitch in metres.
-        distance : float
-            Distance from hologram to image in metres; negative if the image lies before the hologram.
+        distance : float or sequence of float
+            Distance from hologram to image in metres; negative if the image lies before the hologram. With `depth`,
+            those of the planes, all of one sign.
+        depth : torch.Tensor, optional
+            Depth of each pixel ``[rows, columns]``, or one map for each picture of a batch, ``[..., rows, columns]``,
+            the same for all colours. 0 is the first plane of `distance` and 1 the last; a pixel belongs to the nearest
+            of planes that divide this range evenly. By default all pixels lie at one distance.
 
         Returns
         -------
@@ -121,12 +141,19 @@ class hologram_network(nn.Module):
                     "wavelength must be one number, or one for each colour of target [..., colours, rows, columns]; "
                     f"got {len(wavelengths)} numbers and {list(target.shape)}"
                 )
-            colours = (self(one, w, dx, distance) for one, w in zip(target.unbind(-3), wavelengths, strict=True))
+            colours = (self(one, w, dx, distance, depth) for one, w in zip(target.unbind(-3), wavelengths, strict=True))
             return torch.stack(list(colours), -3)
-        *_, last = self.stages(target, wavelength, dx, distance)
+        *_, last = self.stages(target, wavelength, dx, distance, depth)
         return last
 
-    def stages(self, target: torch.Tensor, wavelength: float, dx: float, distance: float) -> Iterator[torch.Tensor]:
+    def stages(
+        self,
+        target: torch.Tensor,
+        wavelength: float,
+        dx: float,
+        distance: float | Sequence[float],
+        depth: torch.Tensor | None = None,
+    ) -> Iterator[torch.Tensor]:
         """Return an iterator over the phase before the first refinement and after each.
 
         Parameters
@@ -137,8 +164,12 @@ class hologram_network(nn.Module):
             Wavelength in metres.
         dx : float
             Pixel pitch in metres.
-        distance : float
-            Distance from hologram to image in metres; negative if the image lies before the hologram.
+        distance : float or sequence of float
+            Distance from hologram to image in metres; negative if the image lies before the hologram. With `depth`,
+            those of the planes, all of one sign.
+        depth : torch.Tensor, optional
+            Depth of each pixel ``[rows, columns]`` or ``[..., rows, columns]``, 0 the first plane of `distance` and 1
+            the last. By default all pixels lie at one distance.
 
         Returns
         -------
@@ -147,66 +178,66 @@ class hologram_network(nn.Module):
         """
         target = _intensity(target)
         wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-        dx, distance = float(_validate.number("dx", dx, positive=True)), float(_validate.number("distance", distance))
-        if distance == 0:
-            raise ValueError("distance must not be 0, where a phase makes no image")
-        reach, shorter = 0.5 * wavelength * abs(distance) / dx**2, min(target.shape[-2:])
+        dx = float(_validate.number("dx", dx, positive=True))
+        distances, masks = _planes(target, distance, depth)
+        reach, shorter = 0.5 * wavelength * max(map(abs, distances)) / dx**2, min(target.shape[-2:])
         if self.pretrained and not self.periodic and reach > FARTHEST * shorter:
             warn(
                 f"light spreads over {reach:.0f} pixels to each side, more than {FARTHEST} of the {shorter} of the "
                 "target's shorter side: the weights were not trained for that; use gradient descent",
                 AccuracyWarning,
             )
-        images = trainable(target).to(self.encoding.enter.weight).reshape(-1, *target.shape[-2:])
+        images = trainable(target).to(self.encoding.enter.weight).reshape(-1, 1, *target.shape[-2:])
         # An image before the hologram is the one behind the conjugate hologram.
-        sign = math.copysign(1, distance)
+        sign = math.copysign(1, distances[0])
         return (
             (sign * hologram.angle()).reshape(target.shape).to(target.dtype)
-            for hologram in self._holograms(images, wavelength, dx, abs(distance))
+            for hologram in self._holograms(images, masks.to(images), wavelength, dx, [abs(z) for z in distances])
         )
 
-    def _holograms(self, images, wavelength, dx, distance) -> Iterator[torch.Tensor]:
-        """Yield phasors ``[B, rows, columns]``."""
-        turns = torch.tensor(2 * math.pi * (distance / wavelength % 1), dtype=torch.float64, device=images.device)
-        carrier = phasor(turns, images.dtype.to_complex())
+    def _holograms(self, images, masks, wavelength, dx, distances) -> Iterator[torch.Tensor]:
+        """Yield phasors ``[B, 1, rows, columns]`` of images of that shape with masks ``[B or 1, P, rows, columns]``."""
+        distances = torch.tensor(distances, dtype=torch.float64, device=images.device)
+        carriers = phasor(2 * math.pi * (distances / wavelength % 1), images.dtype.to_complex())[:, None, None]
 
-        def propagate(field, sign):
-            lengths = (sign * distance, dx, wavelength, "Angular Spectrum")
+        def propagate(fields, sign):
+            """Return the fields ``[B, P, rows, columns]`` of the planes, or the sum of those that they send back."""
+            lengths = (sign * distances, dx, wavelength, "Angular Spectrum")
             if self.periodic:
-                there = propagate_beam(field, None, *lengths, zero_padding=(False, False, False))
+                there = propagate_beam(fields, None, *lengths, zero_padding=(False, False, False))
             else:
-                there = propagate_within_window(field, *lengths)
-            return there * (carrier.conj() if sign > 0 else carrier)
+                there = propagate_within_window(fields, *lengths)
+            return there * carriers.conj() if sign > 0 else (there * carriers).sum(1, keepdim=True)
 
-        geometry = torch.tensor(
-            [_place(wavelength * distance / dx**2, SPREADS), _place(wavelength / dx, RATIOS)],
-        ).to(images)
+        spread = wavelength * float(distances.mean()) / dx**2
+        geometry = torch.tensor([_place(spread, SPREADS), _place(wavelength / dx, RATIOS)]).to(images)
         mean = images.mean((-2, -1), keepdim=True).clamp_min(torch.finfo(images.dtype).tiny)
         amplitude = (images / mean).clamp_min(_DARK**2).sqrt()
         covered = torch.ones_like(amplitude)
         if not self.periodic:
             for axis in (-2, -1):
-                covered = covered * _covered(amplitude.shape[axis], 0.5 * wavelength * distance / dx**2, axis, images)
+                covered = covered * _covered(amplitude.shape[axis], 0.5 * spread, axis, images)
 
         def corrected(network, error, *fields):
             known = torch.cat([geometry.expand(len(images), -1), error.view(-1, 1)], 1)
             parts = [part for field in fields for part in (field.real, field.imag)]
-            found = network(torch.stack([*parts, covered], 1), known, self.periodic)
+            found = network(torch.cat([*parts, covered], 1), known, self.periodic)
             # Autocast computes the convolutions in half precision, which complex numbers do not have.
-            return torch.complex(*found.to(images.dtype).unbind(1))
+            return torch.complex(*found.to(images.dtype).split(1, 1))
 
-        field = propagate(amplitude.to(carrier.dtype), -1)
+        field = propagate((masks * amplitude).to(carriers.dtype), -1)
         hologram = _unit(field + corrected(self.encoding, torch.zeros_like(mean), field))
         yield hologram
         step = torch.zeros_like(hologram)
         for _ in range(self.refinements):
-            image = propagate(hologram, 1)
-            magnitude = image.abs()
+            planes = propagate(hologram, 1)
+            magnitudes = planes.abs()
+            magnitude = (masks * magnitudes).sum(1, keepdim=True)
             scale = _mean(magnitude * amplitude) / _mean(amplitude * amplitude)
-            lacking = (scale * amplitude / magnitude.clamp_min(_DARK) - 1) * image
-            # The field outside the image is not constrained: only the error inside is propagated back.
+            # The field beside the pixels in focus is not constrained: only the error at these is propagated back.
+            lacking = masks * (scale * amplitude / magnitudes.clamp_min(_DARK) - 1) * planes
             back = propagate(lacking, -1) * hologram.conj()
-            error = _mean(lacking.abs().square()) / _mean(magnitude * magnitude)
+            error = _mean(lacking.abs().square().sum(1, keepdim=True)) / _mean(magnitude * magnitude)
             error = 1 + 0.5 * error.clamp_min(_DARK**2).log10()
             turn = corrected(self.refinement, error, back, step)
             before, hologram = hologram, _unit(hologram * (1 + back + turn))
@@ -277,6 +308,32 @@ def _place(value: float, ends: tuple[float, float]) -> float:
     """Return where a ratio lies between two ends, −1 … 1 on a logarithmic scale."""
     low, high = map(math.log, ends)
     return 2 * (min(max(math.log(value), low), high) - low) / (high - low) - 1
+
+
+def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
+    """Return the distances of the planes, and ones where a pixel belongs to one, ``[B or 1, P, rows, columns]``."""
+    if depth is None:
+        distances = [float(_validate.number("distance", distance))]
+        depth = target.new_zeros(target.shape[-2:])
+    else:
+        distances = [float(one) for one in _validate.numbers(_validate.several("distance", distance))]
+        if not isinstance(depth, torch.Tensor) or not depth.is_floating_point():
+            kind = getattr(depth, "dtype", type(depth).__name__)
+            raise TypeError(f"depth must be a real floating tensor, got {kind}")
+        if depth.ndim < 2 or depth.shape not in (target.shape[-2:], target.shape):
+            raise ValueError(
+                f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
+                f"got {list(depth.shape)}"
+            )
+        low, high = depth.min().item(), depth.max().item()
+        if not 0 <= low <= high <= 1:
+            raise ValueError(f"depth must be from 0 to 1, got {low:g} to {high:g}")
+    if not (all(z > 0 for z in distances) or all(z < 0 for z in distances)):
+        given = distances if len(distances) > 1 else distances[0]
+        raise ValueError(f"distance must not be 0, where a phase makes no image, nor of both signs; got {given}")
+    indices = plane_indices(depth.detach(), len(distances)).to(target.device)
+    masks = [plane_masks(one, len(distances)) for one in indices.reshape(-1, *target.shape[-2:])]
+    return distances, torch.stack(masks)
 
 
 def _intensity(target) -> torch.Tensor:

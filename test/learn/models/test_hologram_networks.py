@@ -97,6 +97,46 @@ def test_an_image_before_the_hologram(pretrained):
     assert abs(quality(before, target, -DISTANCE) - quality(behind, target)) < 1e-6
 
 
+def test_pixels_are_in_focus_on_the_planes_of_their_depth():
+    target, depth = torch.rand(20, 24, dtype=torch.float64) + 0.1, torch.linspace(0, 1, 24).expand(20, 24)
+    distances, amplitude = (4e-3, 5.5e-3, 7e-3), np.sqrt(target.numpy())
+    # The nearest of planes at depths of 0, ½ and 1.
+    columns = np.arange(24) / 23
+    masks = np.stack([columns < 0.25, (columns >= 0.25) & (columns < 0.75), columns >= 0.75])[:, None]
+    carriers = np.exp(2j * np.pi * np.array(distances) / WAVELENGTH)[:, None, None]
+
+    def sent_back(fields):
+        """Return the sum of the fields of the planes at the hologram, each without its carrier exp(ikz)."""
+        return sum(
+            unwrapped_propagation(field, -distance, PITCH, WAVELENGTH)
+            for field, distance in zip(carriers * fields, distances, strict=True)
+        )
+
+    first = sent_back(masks * amplitude)
+    first /= abs(first)
+    images = np.stack([unwrapped_propagation(first, z, PITCH, WAVELENGTH) for z in distances]) / carriers
+    sharp = (masks * abs(images)).sum(0)
+    scale = (sharp * amplitude).sum() / (amplitude**2).sum()
+    second = first + sent_back(masks * (scale * amplitude / abs(images) - 1) * images)
+    stages = untrained().stages(target, WAVELENGTH, PITCH, distances, depth)
+    for phase, wanted in zip(stages, (first, second), strict=True):
+        found = np.exp(1j * phase.detach().numpy()) * abs(wanted)
+        assert relative_error(found, wanted) < 1e-3
+
+
+def test_depths_of_batches_and_colours():
+    network, target = untrained(lively=True), torch.rand(2, 3, 12, 16, dtype=torch.float64) + 0.1
+    depth, wavelengths, distances = torch.rand(2, 12, 16, dtype=torch.float64), (639e-9, 515e-9, 473e-9), (-4e-3, -6e-3)
+    together = network(target, wavelengths, PITCH, distances, depth)
+    behind = network(target, wavelengths, PITCH, (4e-3, 6e-3), depth)
+    for index in range(2):
+        alone = network(target[index, 1], wavelengths[1], PITCH, distances, depth[index])
+        assert (torch.exp(1j * together[index, 1]) - torch.exp(1j * alone)).abs().max() < 1e-10
+    assert (torch.exp(1j * together) - torch.exp(-1j * behind)).abs().max() < 1e-10
+    single = network(target[0], 515e-9, PITCH, 5e-3)
+    assert torch.equal(network(target[0], 515e-9, PITCH, [5e-3], depth[0]), single)
+
+
 def test_a_wavelength_for_each_colour():
     network, target = untrained(lively=True), torch.rand(2, 3, 12, 16, dtype=torch.float64)
     wavelengths = (639e-9, 515e-9, 473e-9)
@@ -106,13 +146,14 @@ def test_a_wavelength_for_each_colour():
     assert torch.equal(network(target, np.array(wavelengths), PITCH, DISTANCE), colours)
 
 
-def test_gradients():
+@pytest.mark.parametrize("planes", [(DISTANCE,), ((4e-3, 6e-3), torch.eye(6, 7, dtype=torch.float64))])
+def test_gradients(planes):
     network, target = untrained(lively=True), torch.rand(6, 7, dtype=torch.float64) + 0.2
     weight = network.refinement.leave.weight
 
     def hologram(image, parameter):
         replaced = {"refinement.leave.weight": parameter}
-        phase = torch.func.functional_call(network, replaced, (image, *GEOMETRY))
+        phase = torch.func.functional_call(network, replaced, (image, WAVELENGTH, PITCH, *planes))
         return phase.cos(), phase.sin()
 
     inputs = (target.requires_grad_(), weight.detach().clone().requires_grad_())
@@ -194,6 +235,11 @@ def test_the_weights_are_small():
         (lambda n, t: n(t, -WAVELENGTH, PITCH, DISTANCE), ValueError, "wavelength"),
         (lambda n, t: n(t, WAVELENGTH, 0.0, DISTANCE), ValueError, "dx"),
         (lambda n, t: n(t, WAVELENGTH, PITCH, 0.0), ValueError, "distance"),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3]), TypeError, "distance"),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, -6e-3], t), ValueError, "distance must not .* both signs"),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t[:4]), ValueError, "depth must be .* got .4, 8."),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t + 1), ValueError, "depth must be from 0 to 1"),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t.long()), TypeError, "depth"),
         (lambda n, t: hologram_network(channels=0), ValueError, "channels"),
         (lambda n, t: hologram_network(refinements=-1), ValueError, "refinements"),
         (lambda n, t: hologram_network(8, pretrained=True), ValueError, "hologram_network"),
