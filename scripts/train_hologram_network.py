@@ -154,7 +154,7 @@ def loss(network, batch) -> torch.Tensor:
 def main() -> None:
     """Train for a number of epochs and write the weights."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--epochs", type=int, default=60, help=f"of {EPOCH} batches each")
+    parser.add_argument("--epochs", type=int, default=80, help=f"of {EPOCH} batches each")
     parser.add_argument("--device", default="cpu")
     parser.add_argument("--checkpoint", help="file of the state of the training (.pt), from which it continues")
     parser.add_argument("--file", default=str(files("odak") / "assets" / "hologram_network.pt"))

@@ -35,7 +35,8 @@ class hologram_network(nn.Module):
     target is propagated back, and a second network, the same in all of them, computes a correction of the hologram.
     A picture with a depth for each pixel has one image for each of several planes, in which the pixels of that plane
     are in focus. The propagation is exact and has no weights, so that the networks have to learn little of the
-    geometry, which enters them by two ratios, wavelength·distance/dx² and wavelength/dx.
+    geometry, which enters them by three ratios: wavelength·distance/dx² and wavelength/dx, with the mean distance of
+    the planes, and half of the distance between the first and the last over that mean.
 
     Parameters
     ----------
@@ -197,6 +198,7 @@ class hologram_network(nn.Module):
 
     def _holograms(self, images, masks, wavelength, dx, distances) -> Iterator[torch.Tensor]:
         """Yield phasors ``[B, 1, rows, columns]`` of images of that shape with masks ``[B or 1, P, rows, columns]``."""
+        middle, half = sum(distances) / len(distances), 0.5 * (max(distances) - min(distances))
         distances = torch.tensor(distances, dtype=torch.float64, device=images.device)
         carriers = phasor(2 * math.pi * (distances / wavelength % 1), images.dtype.to_complex())[:, None, None]
 
@@ -209,8 +211,9 @@ class hologram_network(nn.Module):
                 there = propagate_within_window(fields, *lengths)
             return there * carriers.conj() if sign > 0 else (there * carriers).sum(1, keepdim=True)
 
-        spread = wavelength * float(distances.mean()) / dx**2
-        geometry = torch.tensor([_place(spread, SPREADS), _place(wavelength / dx, RATIOS)]).to(images)
+        spread = wavelength * middle / dx**2
+        geometry = torch.tensor([_place(spread, SPREADS), _place(wavelength / dx, RATIOS), 2 * half / middle])
+        geometry = geometry.to(images)
         mean = images.mean((-2, -1), keepdim=True).clamp_min(torch.finfo(images.dtype).tiny)
         amplitude = (images / mean).clamp_min(_DARK**2).sqrt()
         covered = torch.ones_like(amplitude)
@@ -262,12 +265,12 @@ class _Correction(nn.Module):
         self.last = _residual(channels)
         self.leave = nn.Conv2d(channels, 4 * outputs, 3, padding=1)
         modulating = nn.Linear(16, 4 * channels)
-        self.modulation = nn.Sequential(nn.Linear(3, 16), nn.SiLU(), modulating)
+        self.modulation = nn.Sequential(nn.Linear(4, 16), nn.SiLU(), modulating)
         for parameter in (*self.leave.parameters(), *modulating.parameters()):
             nn.init.zeros_(parameter)
 
     def forward(self, images: torch.Tensor, geometry: torch.Tensor, periodic: bool) -> torch.Tensor:
-        """Return ``[B, outputs, rows, columns]`` for ``[B, inputs, rows, columns]`` and ``[B, 3]`` of the geometry."""
+        """Return ``[B, outputs, rows, columns]`` for ``[B, inputs, rows, columns]`` and ``[B, 4]`` of the geometry."""
         rows, columns = images.shape[-2:]
         margin = min(_MARGIN, rows // 4 * 4, columns // 4 * 4) if periodic else 0
         padding = (margin, margin + -columns % 4, margin, margin + -rows % 4)
