@@ -639,9 +639,8 @@ def _network_frames(job: Job, target: Target, volume: Volume) -> Frames:
         phases = network(intensity, target.wavelengths, job.pixel_pitch, volume.distances, depth)
     count = len(target.wavelengths)
     frames = Frames(phases, torch.eye(count, device=device))
-    sharp = (_reconstruct_volume(job, target, volume, frames) * volume.masks).sum(0).double()
-    wanted = intensity.double()
-    scales = torch.stack([report.common_scale(sharp[c][target.window], wanted[c][target.window]) for c in range(count)])
+    sharp, window = (_reconstruct_volume(job, target, volume, frames) * volume.masks).sum(0), (..., *target.window)
+    scales = holograms.best_scale(sharp[window].double(), intensity[window].double()).flatten()
     return Frames(phases, frames.powers * (scales / scales.amax()).sqrt().to(frames.powers))
 
 

@@ -142,8 +142,8 @@ Method = Annotated[
         metavar="|".join(METHODS),
         autocompletion=_complete(METHODS),
         help="sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band "
-        "Fourier filter that such holograms need; network: one pass of a trained network, for one or more planes at "
-        "distances at which the light of a pixel covers 5 to 75 pixels; multiplane: one pattern for each colour, all planes together; "
+        "Fourier filter that such holograms need; network: one pass of a trained network, for planes at distances at "
+        "which the light of a pixel covers 5 to 75 pixels; multiplane: one pattern for each colour, for all planes; "
         "multi-color: patterns that are each lit by all colours, with source powers that are optimised too.",
         show_default="sgd; multiplane for more than one plane",
     ),

@@ -483,8 +483,8 @@ BAD = {
             ),
             (
                 "far plane",
-                ["scene", "--planes", "2", "-d", "14mm", "--volume-depth", "6mm"],
-                "pixels and a volume depth of 6mm; got 14mm",
+                ["scene", "--planes", "2", "--resolution", "64", "96", "-d", "6mm", "--volume-depth", "4mm"],
+                "64 x 96 pixels and a volume depth of 4mm; got 6mm",
             ),
         )
     },

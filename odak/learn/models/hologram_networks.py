@@ -12,7 +12,6 @@ from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import trainable
 from odak.learn.models.weights import load_weights
-from odak.learn.wave.loss import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
 __all__ = ["hologram_network"]
@@ -36,7 +35,7 @@ class hologram_network(nn.Module):
     A picture with a depth for each pixel has one image for each of several planes, in which the pixels of that plane
     are in focus. The propagation is exact and has no weights, so that the networks have to learn little of the
     geometry, which enters them by three ratios: wavelength·distance/dx² and wavelength/dx, with the mean distance of
-    the planes, and half of the distance between the first and the last over that mean.
+    the planes, and the distance between the first and the last over that mean.
 
     Parameters
     ----------
@@ -315,28 +314,28 @@ def _place(value: float, ends: tuple[float, float]) -> float:
 
 def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
     """Return the distances of the planes, and ones where a pixel belongs to one, ``[B or 1, P, rows, columns]``."""
-    if depth is None:
+    if depth is None or not (isinstance(distance, Sequence) or getattr(distance, "ndim", False)):
         distances = [float(_validate.number("distance", distance))]
-        depth = target.new_zeros(target.shape[-2:])
     else:
         distances = [float(one) for one in _validate.numbers(_validate.several("distance", distance))]
-        if not isinstance(depth, torch.Tensor) or not depth.is_floating_point():
-            kind = getattr(depth, "dtype", type(depth).__name__)
-            raise TypeError(f"depth must be a real floating tensor, got {kind}")
-        if depth.ndim < 2 or depth.shape not in (target.shape[-2:], target.shape):
-            raise ValueError(
-                f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
-                f"got {list(depth.shape)}"
-            )
-        low, high = depth.min().item(), depth.max().item()
-        if not 0 <= low <= high <= 1:
-            raise ValueError(f"depth must be from 0 to 1, got {low:g} to {high:g}")
-    if not (all(z > 0 for z in distances) or all(z < 0 for z in distances)):
-        given = distances if len(distances) > 1 else distances[0]
-        raise ValueError(f"distance must not be 0, where a phase makes no image, nor of both signs; got {given}")
-    indices = plane_indices(depth.detach(), len(distances)).to(target.device)
-    masks = [plane_masks(one, len(distances)) for one in indices.reshape(-1, *target.shape[-2:])]
-    return distances, torch.stack(masks)
+    if depth is None:
+        depth = target.new_zeros(target.shape[-2:])
+    if not isinstance(depth, torch.Tensor) or not depth.is_floating_point():
+        kind = getattr(depth, "dtype", type(depth).__name__)
+        raise TypeError(f"depth must be a real floating tensor, got {kind}")
+    if depth.shape not in (target.shape[-2:], target.shape):
+        raise ValueError(
+            f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
+            f"got {list(depth.shape)}"
+        )
+    low, high = depth.min().item(), depth.max().item()
+    if not 0 <= low <= high <= 1:
+        raise ValueError(f"depth must be from 0 to 1, got {low:g} to {high:g}")
+    if not distances or not (min(distances) > 0 or max(distances) < 0):
+        given = distances[0] if len(distances) == 1 else distances
+        raise ValueError(f"distance must be positive or negative for all planes, not 0; got {given}")
+    nearest = (depth.detach() * (len(distances) - 1)).round().reshape(-1, 1, *target.shape[-2:])
+    return distances, nearest == torch.arange(len(distances), device=depth.device)[:, None, None]
 
 
 def _intensity(target) -> torch.Tensor:

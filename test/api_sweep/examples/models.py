@@ -130,8 +130,8 @@ BY_CALL = {
         "weights_filename": weights_of(lambda: models.gaussian_3d_volume(4))
     },
     "odak.learn.models.hologram_network": {"channels": 2, "refinements": 1},
-    "odak.learn.models.hologram_network.forward": {"target": tensor(8, 12)} | LENGTHS,
-    "odak.learn.models.hologram_network.stages": {"target": tensor(8, 12)} | LENGTHS,
+    "odak.learn.models.hologram_network.forward": {"target": tensor(8, 12), "depth": tensor(8, 12)} | LENGTHS,
+    "odak.learn.models.hologram_network.stages": {"target": tensor(8, 12), "depth": tensor(8, 12)} | LENGTHS,
     "odak.learn.models.load_weights": {"filename": weights_of(lambda: torch.nn.Linear(1, 1))},
     "odak.learn.models.gaussian_2d.initialize_from_image": {
         "image": tensor(4, 5),

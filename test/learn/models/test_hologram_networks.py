@@ -202,7 +202,7 @@ def test_corrections_of_a_periodic_picture_see_its_other_side():
 
 
 # PSNR in dB by the propagation above, of the photograph at 96 × 96 pixels, in float64.
-STATED = {(532e-9, 8e-6, 5e-3): 25.58, (638e-9, 3.74e-6, 2e-3): 22.88}
+STATED = {(532e-9, 8e-6, 5e-3): 26.05, (638e-9, 3.74e-6, 2e-3): 23.03}
 
 
 @pytest.mark.parametrize("geometry", STATED)
@@ -236,7 +236,7 @@ def test_the_weights_are_small():
         (lambda n, t: n(t, WAVELENGTH, 0.0, DISTANCE), ValueError, "dx"),
         (lambda n, t: n(t, WAVELENGTH, PITCH, 0.0), ValueError, "distance"),
         (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3]), TypeError, "distance"),
-        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, -6e-3], t), ValueError, "distance must not .* both signs"),
+        (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, -6e-3], t), ValueError, "distance must be positive or neg"),
         (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t[:4]), ValueError, "depth must be .* got .4, 8."),
         (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t + 1), ValueError, "depth must be from 0 to 1"),
         (lambda n, t: n(t, WAVELENGTH, PITCH, [4e-3, 6e-3], t.long()), TypeError, "depth"),
