@@ -65,7 +65,7 @@ GUARD, LARGEST_WINDOW = 3, 201
 SPREAD = 0.6
 # Width of a lenslet in units of the square root of wavelength and distance.
 SMALLEST_LENSLET = 1.6
-# Change of the wavefront in the last step, in radians, that tells that it has not been found.
+# Change of the wavefront in the last step, in radians, above which the measurement has not converged.
 UNSETTLED = 2 * np.pi / 20
 # In radians, of two measurements of the response that weight the pixels differently.
 LARGEST_DIFFERENCE = 0.25
@@ -761,7 +761,7 @@ def measure_wavefront(
 
 
 def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
-    """Return the amplitude at each pixel that the light of spots (column, row), from places x, y, tells."""
+    """Return the amplitude at each pixel, estimated from the light of spots (column, row) of lenslets at x, y."""
     frame = frame - np.quantile(frame, 0.02)
     corners = np.clip(np.rint(spots).astype(int) - reach, 0, None)
     size = 2 * reach + 1
@@ -911,9 +911,9 @@ def measure_illumination(
 
     Notes
     -----
-    The result contains the diffraction of the pixels, which send the less light to the axis the farther away they are.
-    With a fill factor of 0.9 it deviates by 10 % (root mean square) from the illumination of a simulated table of
-    144 × 144 pixels of 8 µm at 20 mm, whose edges are at 0.87 of the largest angle; larger distances reduce this.
+    The result includes the diffraction of the pixels: the farther a pixel is from the axis, the less light it sends
+    there. With a fill factor of 0.9 it deviates by 10 % (root mean square) from the illumination of a simulated table
+    of 144 × 144 pixels of 8 µm at 20 mm, whose edges are at 0.87 of the largest angle; larger distances reduce this.
     """
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
