@@ -143,7 +143,10 @@ def test_a_grey_picture_and_a_larger_depth_map(files, tmp_path):
         (["--planes", "2", "--depth-map", "nowhere.png"], "--depth-map not found"),
         (["--planes", "2", "--depth-map", "{flat}"], "--depth-map must have at least two depths"),
         (["--planes", "2", "--depth-map", "{narrow}"], "--depth-map must have the picture's shape"),
-        (["--planes", "2", "--depth-map", "{depth}", "--method", "sgd"], "needs --method multiplane or multi-color"),
+        (
+            ["--planes", "2", "--depth-map", "{depth}", "--method", "sgd"],
+            "needs --method multiplane, multi-color or network",
+        ),
         (["--planes", "2", "--depth-map", "{depth}", "--volume-depth", "1"], "--volume-depth must be less than"),
         (["--volume-depth", "0"], "--volume-depth must be positive"),
         (["--frames", "0"], "--frames must be at least 1"),
