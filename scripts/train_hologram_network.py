@@ -23,7 +23,7 @@ from skimage import data
 
 from odak.learn.models import hologram_network, save_weights, train
 from odak.learn.models.hologram_networks import RATIOS, SPREADS
-from odak.learn.wave.loss import plane_indices
+from odak.learn.tools.matrix import plane_indices
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
 SEED, SIDE, BATCH, EPOCH = 2026, 128, 2, 25

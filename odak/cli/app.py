@@ -525,8 +525,9 @@ def _messages() -> Iterator[None]:
     except (OSError, FloatingPointError) as error:
         raise typer.Exit(_fail(str(error) or type(error).__name__, FAILURE)) from None
     except (MemoryError, RuntimeError) as error:
-        # PyTorch has no exception of its own for the memory of the processor.
-        if not isinstance(error, MemoryError) and "out of memory" not in str(error) and "allocate" not in str(error):
+        # PyTorch has an exception of its own for the memory of a GPU; for that of the processor the text names it.
+        lacking = isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError"
+        if not lacking and "DefaultCPUAllocator" not in str(error):
             raise
         text = "not enough memory for this size; use fewer pixels (odak hologram: a smaller --resolution, or --tiles)"
         raise typer.Exit(_fail(text, FAILURE)) from None

@@ -347,7 +347,7 @@ def hologram(
         depth_map = None if depth is None else str(depth.put(folder / "depth"))
         job = Job(**values, image=image, depth_map=depth_map, output=folder / "output", quiet=True)
         try:
-            # The warnings are part of the report; who reads it shows them, with the name of the picture.
+            # The warnings are part of the report. They are shown from there, with the name of the picture.
             with collected_warnings(lambda text: None):
                 report = compute(job)
         except InputError as error:

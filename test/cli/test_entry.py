@@ -61,7 +61,7 @@ def test_unexpected_failures_are_not_hidden(monkeypatch, tmp_path):
     from odak.cli import hologram as module
 
     def broken(job, _):
-        raise RuntimeError("a bug")
+        raise RuntimeError("a bug, tasks that allocate nothing")
 
     monkeypatch.setattr(module, "run", broken)
     monkeypatch.chdir(tmp_path)

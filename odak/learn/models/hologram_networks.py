@@ -12,6 +12,7 @@ from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import trainable
 from odak.learn.models.weights import load_weights
+from odak.learn.tools.matrix import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
 
 __all__ = ["hologram_network"]
@@ -334,8 +335,8 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
     if not distances or not (min(distances) > 0 or max(distances) < 0):
         given = distances[0] if len(distances) == 1 else distances
         raise ValueError(f"distance must be positive or negative for all planes, not 0; got {given}")
-    nearest = (depth.detach() * (len(distances) - 1)).round().reshape(-1, 1, *target.shape[-2:])
-    return distances, nearest == torch.arange(len(distances), device=depth.device)[:, None, None]
+    nearest = plane_indices(depth.detach(), len(distances)).reshape(-1, *target.shape[-2:])
+    return distances, plane_masks(nearest, len(distances))
 
 
 def _intensity(target) -> torch.Tensor:

@@ -394,3 +394,40 @@ def _axis(name, length, device):
     length = _validate.side(name, _validate.integer(name, length, minimum=1))
     edge = length / 2 if length > 1 else 0.0
     return torch.linspace(-edge, edge, length, dtype=torch.float64, device=device)
+
+
+def plane_indices(depth: torch.Tensor, number_of_planes: int) -> torch.Tensor:
+    """Return the plane nearest to each pixel, round(depth·(P − 1)).
+
+    Parameters
+    ----------
+    depth : torch.Tensor
+        Depths, 0 … 1.
+    number_of_planes : int
+        Number of planes P.
+
+    Returns
+    -------
+    torch.Tensor
+        int64, 0 … P − 1; the even one of two planes that are equally near.
+    """
+    return torch.round(depth * (number_of_planes - 1)).long()
+
+
+def plane_masks(indices: torch.Tensor, number_of_planes: int) -> torch.Tensor:
+    """Return ones where a pixel belongs to a plane.
+
+    Parameters
+    ----------
+    indices : torch.Tensor
+        Plane of each pixel, ``[..., m, n]``.
+    number_of_planes : int
+        Number of planes P.
+
+    Returns
+    -------
+    torch.Tensor
+        Boolean ``[..., P, m, n]``; each pixel belongs to one plane.
+    """
+    planes = torch.arange(number_of_planes, device=indices.device)
+    return indices.unsqueeze(-3) == planes[:, None, None]

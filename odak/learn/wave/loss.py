@@ -12,47 +12,10 @@ from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
 from odak.learn._tensors import checked_device, checked_generator, in_own_precision, tensor
 from odak.learn.tools.device import get_device
-from odak.learn.tools.matrix import blur_gaussian
+from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.wave.transfer_functions import checked_pitch, pitches
 
 SCHEMES = ("defocus", "naive")
-
-
-def plane_indices(depth: torch.Tensor, number_of_planes: int) -> torch.Tensor:
-    """Return the plane nearest to each pixel, round(depth·(P − 1)).
-
-    Parameters
-    ----------
-    depth : torch.Tensor
-        Depths, 0 … 1.
-    number_of_planes : int
-        Number of planes P.
-
-    Returns
-    -------
-    torch.Tensor
-        int64, 0 … P − 1; the even one of two planes that are equally near.
-    """
-    return torch.round(depth * (number_of_planes - 1)).long()
-
-
-def plane_masks(indices: torch.Tensor, number_of_planes: int) -> torch.Tensor:
-    """Return ones where a pixel belongs to a plane.
-
-    Parameters
-    ----------
-    indices : torch.Tensor
-        Plane of each pixel, ``[m, n]``.
-    number_of_planes : int
-        Number of planes P.
-
-    Returns
-    -------
-    torch.Tensor
-        Boolean ``[P, m, n]``; each pixel belongs to one plane.
-    """
-    planes = torch.arange(number_of_planes, device=indices.device)
-    return indices == planes[:, None, None]
 
 
 def defocused_targets(
