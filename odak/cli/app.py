@@ -469,7 +469,8 @@ def calibrate(
         report = calibrating.run(step, table, output, **lengths, results=results)
     if not quiet:
         for name, value in report["found"].items():
-            typer.echo(f"{name}: {value:.6g}" if isinstance(value, float) else f"{name}: {value}")
+            text = f"{value:.6g}" if isinstance(value, float) else str(value)
+            typer.echo(f"{name}: {text} {report['units'][name]}")
         typer.echo(f"{report['figure']}, report.json in {output}; results in {report['results']}")
 
 

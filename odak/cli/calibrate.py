@@ -41,10 +41,10 @@ class Table(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What a step found: the calibration with it, numbers for the report, and a function that draws it."""
+    """What a step found: the calibration with it, values and units by name, and a function that draws it."""
 
     calibration: Calibration
-    numbers: dict[str, Any]
+    values: dict[str, tuple[Any, str]]
     draw: Callable[[Figure], None]
 
 
@@ -179,7 +179,8 @@ def run(
         figure.savefig(stream, format="png", dpi=110)
     report = {
         "step": step,
-        "found": found.numbers,
+        "found": {name: value for name, (value, _) in found.values.items()},
+        "units": {name: unit for name, (_, unit) in found.values.items()},
         "results": str(path),
         "figure": f"{step}.png",
         "warnings": texts,
@@ -197,8 +198,8 @@ def _phase(table: Table, known: Calibration) -> Found:
     return Found(
         dataclasses.replace(known, phases=phases),
         {
-            "phase_range": float(phases[-1] - phases[0]),
-            "largest_departure_from_a_line": float(np.abs(phases - line).max()),
+            "phase_range": (float(phases[-1] - phases[0]), "rad"),
+            "largest_departure_from_a_line": (float(np.abs(phases - line).max()), "rad"),
         },
         lambda figure: _curves(figure, phases),
     )
@@ -210,7 +211,7 @@ def _regions(table: Table, known: Calibration) -> Found:
     ends = tables[..., -1]
     return Found(
         dataclasses.replace(known, regional_phases=tables),
-        {"phase_ranges": ends.tolist()},
+        {"phase_ranges": (ends.tolist(), "rad")},
         lambda figure: _curves(figure, *tables.reshape(-1, tables.shape[-1])),
     )
 
@@ -232,7 +233,10 @@ def _registration(table: Table, known: Calibration) -> Found:
 
     return Found(
         dataclasses.replace(known, registration=mapping),
-        {"residual_pixels": mapping.residual, "distortion": mapping.distortion},
+        {
+            "residual_pixels": (mapping.residual, "pixels"),
+            "distortion": (mapping.distortion, "1/(half diagonal)²"),
+        },
         draw,
     )
 
@@ -243,7 +247,7 @@ def _wavefront(table: Table, known: Calibration) -> Found:
     waves = wavefront / (2 * np.pi)
     return Found(
         dataclasses.replace(known, wavefront=wavefront),
-        {"wavefront_rms_waves": float(waves.std())},
+        {"wavefront_rms_waves": (float(waves.std()), "wavelengths")},
         lambda figure: _map(figure, waves, known.pitch, "aberration (wavelengths)"),
     )
 
@@ -252,7 +256,7 @@ def _distance(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
     distance = instruments.measure_distance(*there, wavefront=known.wavefront)
     found = dataclasses.replace(known, distance=distance)
-    return Found(found, {"distance": distance}, _spot(table, known, found))
+    return Found(found, {"distance": (distance, "m")}, _spot(table, known, found))
 
 
 def _illumination(table: Table, known: Calibration) -> Found:
@@ -260,7 +264,7 @@ def _illumination(table: Table, known: Calibration) -> Found:
     amplitude = instruments.measure_illumination(*there, wavefront=known.wavefront)
     return Found(
         dataclasses.replace(known, amplitude=amplitude),
-        {"illumination_min": float(amplitude.min())},
+        {"illumination_min": (float(amplitude.min()), "of the largest amplitude")},
         lambda figure: _map(figure, amplitude, known.pitch, "amplitude of the illumination"),
     )
 
@@ -277,7 +281,8 @@ def _exposure(table: Table, known: Calibration) -> Found:
         axis.set(xlabel="counts", ylabel="pixels", title=f"Counts of a spot at {exposure:.3g} s")
 
     top = (1 << table.camera.bits) - 1
-    return Found(known, {"exposure": exposure, "brightest_share": float(frame.max() / top)}, draw)
+    share = float(frame.max() / top)
+    return Found(known, {"exposure": (exposure, "s"), "brightest_share": (share, "of the range")}, draw)
 
 
 def _settling(table: Table, known: Calibration) -> Found:
@@ -287,13 +292,13 @@ def _settling(table: Table, known: Calibration) -> Found:
 
     def draw(figure: Figure) -> None:
         axis = figure.subplots()
-        axis.plot(1e3 * result.delays, result.brightness, "o-")
+        axis.plot(1e3 * result.delays, result.phase, "o-")
         axis.axvline(1e3 * result.settling_time, color="tab:orange", label="settled to 0.02 rad")
-        axis.set(xlabel="delay (ms)", ylabel="mean counts")
+        axis.set(xlabel="delay (ms)", ylabel="phase (rad)")
         axis.legend()
 
-    numbers = {name: float(getattr(result, name)) for name in ("time_constant", "settling_time", "uncertainty")}
-    return Found(known, numbers, draw)
+    names = ("time_constant", "settling_time", "uncertainty")
+    return Found(known, {name: (float(getattr(result, name)), "s") for name in names}, draw)
 
 
 def _polarisation(table: Table, known: Calibration) -> Found:
@@ -309,8 +314,13 @@ def _polarisation(table: Table, known: Calibration) -> Found:
         axis.set(xlabel="angle of the polariser (degrees)", ylabel="brightness of the spot (counts)")
         axis.legend()
 
-    numbers = {"angle": result.angle, "uncertainty": result.uncertainty, "contrast": result.contrast}
-    return Found(known, {k: float(v) if np.isfinite(v) else None for k, v in numbers.items()}, draw)
+    contrast = float(result.contrast) if np.isfinite(result.contrast) else None
+    values = {
+        "angle": (float(result.angle), "degrees"),
+        "uncertainty": (float(result.uncertainty), "degrees"),
+        "contrast": (contrast, ": 1"),
+    }
+    return Found(known, values, draw)
 
 
 def _all(table: Table, known: Calibration) -> Found:
@@ -323,14 +333,14 @@ def _all(table: Table, known: Calibration) -> Found:
         _draw_map(middle, found.wavefront / (2 * np.pi), found.pitch, "aberration (wavelengths)")
         _draw_map(right, found.amplitude, found.pitch, "amplitude")
 
-    numbers = {
-        "residual_pixels": found.registration.residual,
-        "distance": found.distance,
-        "wavefront_rms_waves": float(found.wavefront.std() / (2 * np.pi)),
-        "illumination_min": float(found.amplitude.min()),
-        "phase_range": float(found.phases[-1]),
+    values = {
+        "residual_pixels": (found.registration.residual, "pixels"),
+        "distance": (found.distance, "m"),
+        "wavefront_rms_waves": (float(found.wavefront.std() / (2 * np.pi)), "wavelengths"),
+        "illumination_min": (float(found.amplitude.min()), "of the largest amplitude"),
+        "phase_range": (float(found.phases[-1]), "rad"),
     }
-    return Found(found, numbers, draw)
+    return Found(found, values, draw)
 
 
 STEPS: dict[str, Callable[[Table, Calibration], Found]] = {

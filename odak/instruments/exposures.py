@@ -25,6 +25,8 @@ __all__ = [
 EXPOSED = 0.6
 # Counts of this share of the range are taken as saturated.
 SATURATED = 0.98
+# Side in pixels of the squares whose settling is measured.
+SQUARE = 8
 
 
 def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: float = EXPOSED) -> float:
@@ -197,15 +199,15 @@ class SettlingResult:
         Standard deviation of the time constant in seconds.
     delays : numpy.ndarray
         Delays of the captures in seconds, their middles.
-    brightness : numpy.ndarray
-        Brightness seen at each, in counts.
+    phase : numpy.ndarray
+        Phase seen at each in radians, 0 before the change.
     """
 
     time_constant: float
     settling_time: float
     uncertainty: float
     delays: np.ndarray
-    brightness: np.ndarray
+    phase: np.ndarray
 
 
 def measure_settling(
@@ -221,9 +223,10 @@ def measure_settling(
 ) -> SettlingResult:
     """Measure in which time a modulator changes from one pattern to another.
 
-    A binary grating of period 2 pixels is shown, whose phase step φ goes from 0 to about π. Light of the zeroth order
-    goes over into others, and the brightness of any part of the image is a + b·cos φ + c·sin φ. The captures begin
-    after delays, which the settling time of the modulator is set to, and average over their exposure.
+    A fixed random pattern of squares is shown, whose phase step φ goes from 0 to about π. Each pixel of the camera sees
+    a + b·cos φ + c·sin φ; the three images a, b and c are determined from captures of five settled steps, and with them
+    the phase from captures that begin after delays, which the settling time of the modulator is set to. A relaxation
+    φ∞·(1 − e^{−t/τ}), averaged over the exposure, is fitted to it.
 
     Parameters
     ----------
@@ -257,40 +260,51 @@ def measure_settling(
     rows, columns = modulator.shape
     final = int(np.abs(phases - phases[0] - 0.9 * np.pi).argmin())
     step = float(phases[final] - phases[0])
-    flat = np.zeros((rows, columns), dtype=np.int64)
-    grating = np.where(np.arange(columns) % 2 == 1, final, 0) + flat
+    # Fringing fields smooth the edges of the squares, which must therefore not be small.
+    cell = max(1, min(SQUARE, rows // 4, columns // 4))
+    coarse = np.random.default_rng(0).random((-(-rows // cell), -(-columns // cell))) < 0.5
+    squares = np.kron(coarse, np.ones((cell, cell), dtype=np.int64))[:rows, :columns]
+    captures = _validate.integer("captures", captures, minimum=1)
+    settled = np.array([np.abs(phases - phases[0] - share * step).argmin() for share in np.linspace(0, 1, 5)])
     before = modulator.settling_time, camera.exposure
-    delays, seen = np.linspace(0, longest, samples), []
+    delays, images, seen = np.linspace(0, longest, samples), [], []
     try:
         camera.exposure = exposure
+        modulator.settling_time = 2 * longest
+        for level in settled:
+            modulator.show(level * squares)
+            images.append(camera.capture(4 * captures).mean(0).ravel())
         for delay in delays:
-            values = []
-            for _ in range(_validate.integer("captures", captures, minimum=1)):
+            frames = []
+            for _ in range(captures):
                 modulator.settling_time = 2 * longest
-                modulator.show(flat)
+                modulator.show(0 * squares)
                 modulator.settling_time = float(delay)
-                modulator.show(grating)
-                values.append(camera.capture(1).mean(dtype=np.float64))
-            seen.append(np.mean(values))
+                modulator.show(final * squares)
+                frames.append(camera.capture(1)[0].ravel())
+            seen.append(np.mean(frames, axis=0))
     finally:
         modulator.settling_time, camera.exposure = before
-    brightness = np.array(seen)
+    angles = phases[settled] - phases[0]
+    waves = np.stack([np.ones_like(angles), np.cos(angles), np.sin(angles)], axis=-1)
+    (constant, *parts), *_ = np.linalg.lstsq(waves, np.stack(images), rcond=None)
+    # Cosine and sine of the step at each delay, averaged over the exposure.
+    circle, *_ = np.linalg.lstsq(np.stack(parts, axis=-1), (np.stack(seen) - constant).T, rcond=None)
     # Gauss's points of the exposure.
     nodes, weights = np.polynomial.legendre.leggauss(5)
     moments, weights = delays[:, None] + exposure * (nodes + 1) / 2, weights / 2
 
     def model(parameters: np.ndarray) -> np.ndarray:
-        time_constant, mean, even, odd = parameters
+        """Return cosine and sine; noise in the images of the settled pattern makes both smaller by a factor."""
+        time_constant, contrast = parameters
         phase = step * (1 - np.exp(-moments / (longest * abs(time_constant) + 1e-12)))
-        return mean + (even * np.cos(phase) + odd * np.sin(phase)) @ weights
+        return contrast * np.stack([np.cos(phase) @ weights, np.sin(phase) @ weights])
 
-    span = float(np.ptp(brightness)) or 1.0
-    middle, half = (brightness[0] + brightness[-1]) / 2, (brightness[0] - brightness[-1]) / 2
-    starts = [np.array([t, middle, half, 0.0]) for t in (0.02, 0.1, 0.4)]
-    found = [least_squares(lambda p: (model(p) - brightness) / span, start) for start in starts]
+    starts = [np.array([time, 1.0]) for time in (0.02, 0.1, 0.4)]
+    found = [least_squares(lambda p: (model(p) - circle).ravel(), start) for start in starts]
     best = min(found, key=lambda result: result.cost)
     time_constant = longest * abs(best.x[0])
-    scatter = 2 * best.cost / max(samples - 4, 1)
+    scatter = 2 * best.cost / (2 * samples - 2)
     covariance = scatter * np.linalg.pinv(best.jac.T @ best.jac)
     settling = time_constant * math.log(max(step / tolerance, math.e))
     if settling > longest or math.sqrt(scatter) > 0.1:
@@ -300,7 +314,8 @@ def measure_settling(
             AccuracyWarning,
         )
     middles = delays + exposure / 2
-    return SettlingResult(time_constant, settling, longest * math.sqrt(covariance[0, 0]), middles, brightness)
+    phase = np.arctan2(circle[1], circle[0])
+    return SettlingResult(time_constant, settling, longest * math.sqrt(covariance[0, 0]), middles, phase)
 
 
 @dataclass(frozen=True)

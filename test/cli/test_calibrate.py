@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+import sys
 
 import numpy as np
 import pytest
 
 from odak import instruments
 from odak.cli import main
+from odak.instruments import calibration as calibrating
 
 SMALL = ["--option", "simulated.shape=[40,40]", "--option", "simulated.camera_shape=[80,80]", "--distance", "5mm"]
 
@@ -53,6 +55,53 @@ def test_settling_and_polarisation(tmp_path):
     assert code == 0 and report["found"]["time_constant"] == pytest.approx(truth.time_constant, rel=0.25)
     code, report = calibrate("polarisation", tmp_path)
     assert code == 0 and abs(report["found"]["angle"] - truth_of(polarisation=True).polarisation) < 1
+
+
+DRIVER = """
+from odak.instruments import SimulatedTable
+
+tables = {}
+
+
+class Panel:
+    bits, settling_time = 8, 0.0
+
+    def __init__(self, number):
+        self.inner = tables.setdefault(number, SimulatedTable(number, shape=(40, 40), camera_shape=(80, 80))).modulator
+        self.shape, self.pitch = self.inner.shape, self.inner.pitch
+
+    def show(self, levels):
+        self.inner.show(levels)
+
+
+def sensor(number):
+    return tables[number].camera
+"""
+
+
+def test_drivers_of_another_package_are_found_and_used(tmp_path, monkeypatch, capsys):
+    """A package as it is installed: a module, and metadata that name its drivers."""
+    (tmp_path / "rig_drivers.py").write_text(DRIVER)
+    metadata = tmp_path / "rig_drivers-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rig-drivers\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[odak.instruments]\nrig-panel = rig_drivers:Panel\nrig-sensor = rig_drivers:sensor\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    panel = instruments.open_instrument("rig-panel", number=4)
+    camera = instruments.open_instrument("rig-sensor", number=4)
+    assert isinstance(panel, instruments.Modulator) and isinstance(camera, instruments.Camera)
+    options = [f"--option={name}.number=4" for name in ("modulator", "camera")]
+    arguments = ["calibrate", "exposure", "--modulator", "rig-panel", "--camera", "rig-sensor", *options]
+    assert main([*arguments, "--output", str(tmp_path / "found")]) == 0
+    report = json.loads((tmp_path / "found" / "report.json").read_text())
+    assert report["found"]["exposure"] == camera.exposure != 1e-3
+    lens = calibrating.lens_phase(panel, 532e-9, 20e-3)
+    shown = instruments.Calibration.nominal(panel, camera, 532e-9, 20e-3).levels(lens)
+    assert np.array_equal(sys.modules.pop("rig_drivers").tables[4]._levels, shown)
+    # Values are printed with their units.
+    assert f"exposure: {camera.exposure:.6g} s\n" in capsys.readouterr().out
 
 
 def test_instruments_that_do_not_open_are_named(tmp_path, capsys):

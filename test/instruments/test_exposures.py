@@ -1,6 +1,7 @@
 """Exposure, dynamic range, settling and polarisation of simulated tables, through the protocols alone."""
 
 import dataclasses
+import warnings
 
 import numpy as np
 import pytest
@@ -73,6 +74,20 @@ def test_the_time_constant_is_found(seed):
     assert table.modulator.settling_time == 0.08 and table.camera.exposure == 0.5
     with pytest.warns(AccuracyWarning, match="settling time is uncertain"):
         instruments.measure_settling(table.modulator, table.camera, table.truth.phases, longest=4e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [4, 5])
+def test_the_time_constant_of_a_table_with_all_faults_is_found(seed):
+    """Little light, fringing fields, gaps, flicker and a response that varies over the modulator."""
+    faults = {**instruments.simulated.REALISTIC, "dust": 1}
+    table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, **faults, time_constant=8e-3)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Angular Spectrum is outside its range")
+        found = instruments.measure_settling(table.modulator, table.camera, table.truth.phases, samples=8)
+    assert found.time_constant == pytest.approx(table.truth.time_constant, rel=0.06)
+    assert abs(found.time_constant - table.truth.time_constant) < 4 * found.uncertainty
+    assert found.phase.shape == (8,) and abs(found.phase[-1] - 0.9 * np.pi) < 0.1
 
 
 @pytest.mark.parametrize("seed", [6, 7])
