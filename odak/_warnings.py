@@ -64,19 +64,86 @@ class AccuracyWarning(OdakWarning):
 
 
 class ConvergenceWarning(OdakWarning):
-    """An iteration stopped without reaching its tolerance, or an optimisation made its result worse."""
+    """An iteration stopped without reaching its tolerance, or an optimisation made its result worse.
+
+    Examples
+    --------
+    A Born series that is given too few iterations:
+
+    >>> import warnings
+    >>> import numpy as np
+    >>> import odak
+    >>> wave = np.ones((24, 8), dtype=complex)
+    >>> index = np.ones((24, 8))
+    >>> index[6:10, 2:6] = 1.4
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     field = odak.wave.scattered_field(wave, index, 0.1e-6, 532e-9, iterations=5)
+    >>> caught[0].category is odak.ConvergenceWarning
+    True
+    """
 
 
 class DeviceWarning(OdakWarning):
-    """A computation runs on another device than the requested one."""
+    """A computation runs on another device than the requested one.
+
+    Examples
+    --------
+    A program that must not fall back to the CPU in silence:
+
+    >>> import warnings
+    >>> import torch
+    >>> import odak
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", odak.DeviceWarning)
+    ...     try:
+    ...         found = odak.learn.tools.get_device("cuda").type == "cuda"
+    ...     except odak.DeviceWarning:
+    ...         found = False
+    >>> found == torch.cuda.is_available()
+    True
+    """
 
 
 class MissingPackageWarning(OdakWarning):
-    """A part of a result was left out because an optional package is not installed."""
+    """A part of a result was left out because an optional package is not installed.
+
+    Examples
+    --------
+    A metric whose package may be missing, "lpips" here:
+
+    >>> import importlib.util
+    >>> import warnings
+    >>> import odak
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("error", odak.MissingPackageWarning)
+    ...     try:
+    ...         available = odak.learn.perception.LPIPS(required=False).available
+    ...     except odak.MissingPackageWarning:
+    ...         available = False
+    >>> available == (importlib.util.find_spec("lpips") is not None)
+    True
+    """
 
 
 class ArgumentWarning(OdakWarning):
-    """An argument has no effect, or was interpreted in a way that its caller may not have meant."""
+    """An argument has no effect, or was interpreted in a way that its caller may not have meant.
+
+    Examples
+    --------
+    Alternating projections have no learning rate:
+
+    >>> import warnings
+    >>> import torch
+    >>> import odak
+    >>> with warnings.catch_warnings(record=True) as caught:
+    ...     warnings.simplefilter("always")
+    ...     hologram = odak.learn.wave.gerchberg_saxton(
+    ...         torch.ones(16, 16), 532e-9, 0.01, 8e-6, n_iterations=1, learning_rate=0.1
+    ...     )
+    >>> caught[0].category is odak.ArgumentWarning
+    True
+    """
 
 
 def warn(message: str, category: type[Warning] = OdakWarning) -> None:

@@ -49,6 +49,21 @@ def create_logger(
         If the path is not acceptable.
     OSError
         If the file cannot be opened.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.log import create_logger
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     path = os.path.join(folder, "experiment.log")
+    ...     experiment = create_logger("experiment", path, logger_fmt="%(levelname)s: %(message)s")
+    ...     experiment.info("exposure 20 ms")
+    ...     handler = experiment.handlers[0]
+    ...     experiment.removeHandler(handler)
+    ...     handler.close()
+    ...     with open(path) as stream:
+    ...         print(stream.readlines()[-1].strip())
+    INFO: exposure 20 ms
     """
     if not isinstance(logger_name, str):
         raise TypeError(f"logger_name must be a string, got {type(logger_name).__name__}")

@@ -52,6 +52,16 @@ class Captures:
         Exposure time in seconds, the same for all.
     dark : numpy.ndarray or float
         Counts without light ``[camera rows, camera columns]``, or one number.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, record_captures
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    >>> levels = np.random.default_rng(0).integers(256, size=(3, 24, 24))
+    >>> found = record_captures(table.modulator, table.camera, levels, 532e-9, captures=4)
+    >>> len(found), found.frames.shape, found[:2].means().shape
+    (3, (3, 4, 32, 32), (2, 32, 32))
     """
 
     levels: np.ndarray
@@ -186,6 +196,20 @@ def save_captures(path: str | os.PathLike, captures: Captures) -> None:
         ``.h5`` or ``.hdf5`` file to write; needs the package h5py (``pip install odak[instruments]``).
     captures : Captures
         The captures.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, load_captures, record_captures, save_captures
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32))
+    >>> levels = np.random.default_rng(0).integers(256, size=(3, 24, 24))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "captures.h5")
+    ...     save_captures(name, record_captures(table.modulator, table.camera, levels, 532e-9))
+    ...     found = load_captures(name)
+    >>> found.frames.shape, bool((found.levels == levels).all())
+    ((3, 2, 32, 32), True)
     """
     if not isinstance(captures, Captures):
         raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
@@ -213,6 +237,22 @@ def load_captures(path: str | os.PathLike) -> Captures:
         If there is no such file.
     ValueError
         If it does not hold captures; the message names it.
+
+    Examples
+    --------
+    A file of something else is refused by name:
+
+    >>> import os, tempfile
+    >>> import h5py
+    >>> from odak.instruments import load_captures
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "other.h5")
+    ...     h5py.File(name, "w").close()
+    ...     try:
+    ...         load_captures(name)
+    ...     except ValueError as error:
+    ...         print("cannot be read as captures" in str(error))
+    True
     """
     arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
     try:

@@ -189,12 +189,14 @@ class FileModulator:
 
     Examples
     --------
-    >>> import tempfile
+    >>> import os, tempfile
     >>> import numpy as np
     >>> from odak.instruments import FileModulator
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     modulator = FileModulator(folder, (4, 6), 8e-6, answer=False, settling_time=0)
     ...     modulator.show(np.zeros((4, 6), dtype=np.uint8))
+    ...     sorted(os.listdir(folder))
+    ['pattern.txt', 'pattern_1.npy']
     """
 
     def __init__(
@@ -256,8 +258,16 @@ class FileCamera:
 
     Examples
     --------
+    The other program writes the captures, here before they are asked for:
+
+    >>> import os, tempfile
+    >>> import numpy as np
     >>> from odak.instruments import FileCamera
-    >>> camera = FileCamera("/mnt/laboratory", (1080, 1440), 3.45e-6)  # doctest: +SKIP
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     camera = FileCamera(folder, (4, 6), 3.45e-6)
+    ...     np.save(os.path.join(folder, "capture_1.npy"), np.zeros((2, 4, 6), dtype=np.uint16))
+    ...     camera.capture(2).shape
+    (2, 4, 6)
     """
 
     def __init__(

@@ -201,6 +201,18 @@ class SettlingResult:
         Delays of the captures in seconds, their middles.
     phase : numpy.ndarray
         Phase seen at each in radians, 0 before the change.
+
+    Examples
+    --------
+    The time for another tolerance, 0.1 of a phase step of 3 radians, follows from the time constant:
+
+    >>> import math
+    >>> import numpy as np
+    >>> from odak.instruments import SettlingResult
+    >>> delays = np.array([0.0, 5e-3, 10e-3])
+    >>> found = SettlingResult(8e-3, 40e-3, 1e-4, delays, np.array([0.0, 1.5, 2.2]))
+    >>> round(found.time_constant * math.log(3 / 0.1), 4)
+    0.0272
     """
 
     time_constant: float
@@ -251,6 +263,14 @@ def measure_settling(
     -------
     SettlingResult
         Time constant and settling time. A settling time longer than `longest` is an AccuracyWarning.
+
+    Examples
+    --------
+    >>> from odak.instruments import SimulatedTable, measure_settling, set_exposure
+    >>> table = SimulatedTable(seed=1, shape=(24, 24), distance=3e-3, camera_shape=(32, 32), time_constant=8e-3)
+    >>> found = measure_settling(table.modulator, table.camera, table.truth.phases, exposure=5e-3)
+    >>> bool(abs(found.time_constant / table.truth.time_constant - 1) < 0.1)
+    True
     """
     longest = modulator.settling_time if longest is None else longest
     longest = float(_validate.number("longest", longest, positive=True))
@@ -334,6 +354,16 @@ class PolarisationResult:
         Angles of the captures in degrees.
     brightness : numpy.ndarray
         Brightness of the spot at each.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import PolarisationResult
+    >>> angles = np.array([0.0, 45.0, 90.0, 135.0])
+    >>> brightness = 10 + 90 * np.cos(np.radians(angles - 20)) ** 2
+    >>> found = PolarisationResult(20.0, 0.1, 10.0, angles, brightness)
+    >>> found.angle, round(float(found.brightness[0]), 1)
+    (20.0, 89.5)
     """
 
     angle: float
@@ -378,6 +408,20 @@ def measure_polarisation(
     -------
     PolarisationResult
         The angle and the contrast.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import Calibration, SimulatedTable, measure_polarisation
+    >>> from odak.wave import quadratic_phase_function
+    >>> table = SimulatedTable(
+    ...     seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), polarisation=True, aberration=0.05
+    ... )
+    >>> lens = np.angle(quadratic_phase_function(32, 32, 2 * np.pi / 532e-9, 4e-3, 8e-6))
+    >>> assumed = Calibration.nominal(table.modulator, table.camera, 532e-9, 4e-3)
+    >>> found = measure_polarisation(table.modulator, table.camera, table.polariser, assumed.levels(lens))
+    >>> bool(abs(found.angle - table.truth.polarisation) < 1)
+    True
     """
     samples = _validate.integer("samples", samples, minimum=5)
     angles = np.arange(samples) * (180.0 / samples)

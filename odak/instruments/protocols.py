@@ -27,6 +27,19 @@ class Modulator(Protocol):
         Bit depth: levels are 0 … 2^bits − 1.
     settling_time : float
         Seconds after which a new pattern is shown completely; :meth:`show` waits for it. May be set.
+
+    Examples
+    --------
+    Any class with these attributes and methods is one; it needs no base class:
+
+    >>> import numpy as np
+    >>> from odak.instruments import Modulator
+    >>> class Panel:
+    ...     shape, pitch, bits, settling_time = (1080, 1920), 8e-6, 8, 0.05
+    ...     def show(self, levels):
+    ...         self.shown = np.asarray(levels)
+    >>> isinstance(Panel(), Modulator)
+    True
     """
 
     shape: tuple[int, int]
@@ -55,6 +68,17 @@ class Camera(Protocol):
         Exposure time in seconds; may be set.
     region : tuple of int or None
         First row, first column, rows and columns that are read out; None for the whole sensor. May be set.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import Camera
+    >>> class Dark:
+    ...     shape, pitch, bits, exposure, region = (480, 640), 4e-6, 12, 1e-3, None
+    ...     def capture(self, count=1):
+    ...         return np.zeros((count, *self.shape), dtype=np.uint16)
+    >>> isinstance(Dark(), Camera), Dark().capture(2).shape
+    (True, (2, 480, 640))
     """
 
     shape: tuple[int, int]
@@ -78,6 +102,13 @@ class Laser(Protocol):
         Vacuum wavelength in metres; may be set where the laser has several lines.
     power : float
         Power as a fraction of the largest, 0 … 1; may be set.
+
+    Examples
+    --------
+    >>> from odak.instruments import Laser, SimulatedTable
+    >>> laser = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32)).laser
+    >>> isinstance(laser, Laser), laser.wavelength
+    (True, 5.32e-07)
     """
 
     wavelength: float
@@ -92,6 +123,14 @@ class Stage(Protocol):
     ----------
     position : float
         Position in metres, positive away from the modulator.
+
+    Examples
+    --------
+    >>> from odak.instruments import SimulatedTable, Stage
+    >>> stage = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32)).stage
+    >>> stage.move(1e-3)
+    >>> isinstance(stage, Stage), stage.position
+    (True, 0.001)
     """
 
     position: float
@@ -109,6 +148,14 @@ class Rotator(Protocol):
     ----------
     angle : float
         Angle in degrees.
+
+    Examples
+    --------
+    >>> from odak.instruments import Rotator, SimulatedTable
+    >>> rotator = SimulatedTable(seed=1, shape=(24, 24), camera_shape=(32, 32)).polariser
+    >>> rotator.turn(30.0)
+    >>> isinstance(rotator, Rotator), rotator.angle
+    (True, 30.0)
     """
 
     angle: float
@@ -142,6 +189,19 @@ def open_instrument(name: str, **options: Any) -> Any:
         If no installed package registers the name; the message lists the names that are.
     TypeError
         If what the driver returns is none of these.
+
+    Examples
+    --------
+    >>> from odak.instruments import open_instrument
+    >>> camera = open_instrument("my_camera", serial_number="0042")  # doctest: +SKIP
+
+    A name that no installed package registers is refused:
+
+    >>> try:
+    ...     open_instrument("no_such_camera")
+    ... except ValueError as error:
+    ...     print(str(error).partition(" (")[0])
+    name must be that of an installed driver
     """
     found = {entry.name: entry for entry in entry_points(group=ENTRY_POINTS)}
     if _validate.text("name", name) not in found:

@@ -507,6 +507,18 @@ class Failure:
         How often it was tried.
     worker : str
         Address of the worker of the last attempt.
+
+    Examples
+    --------
+    >>> from odak.manager import TaskError, agent
+    >>> with agent(divmod, cluster=False, retries=0, verbose=False) as work:
+    ...     _ = work.submit((7, 0))
+    ...     try:
+    ...         work.run()
+    ...     except TaskError as error:
+    ...         failure = error.failures[0]
+    >>> failure.index, failure.arguments, type(failure.error).__name__
+    (0, (7, 0), 'ZeroDivisionError')
     """
 
     index: int
@@ -536,6 +548,19 @@ class TaskError(RuntimeError):
         Tasks that failed, in the order of submission.
     results : list
         Results in the order of submission, a :class:`Failure` in the place of each that failed.
+
+    Examples
+    --------
+    The results of all other tasks are kept:
+
+    >>> from odak.manager import TaskError, agent
+    >>> with agent(divmod, cluster=False, retries=0, verbose=False) as work:
+    ...     _ = work.submit((7, 2)), work.submit((7, 0))
+    ...     try:
+    ...         work.run()
+    ...     except TaskError as error:
+    ...         print(error.results[0], len(error.failures))
+    (3, 1) 1
     """
 
     def __init__(self, failures: list[Failure], results: list[Any]) -> None:

@@ -111,6 +111,13 @@ def start_server(
     Anybody who can connect to a scheduler can run code on its workers, with the rights of the user who started them. A
     scheduler listens on `host` alone. A worker listens on the one address of this machine from which it connects to the
     scheduler, which is 127.0.0.1 for a scheduler on 127.0.0.1.
+
+    Examples
+    --------
+    >>> from odak.manager import start_server
+    >>> with start_server(port=0, workers=1, threads=1) as server:
+    ...     server.workers, server.alive()
+    (1, True)
     """
     require_dask("start_server")
     _validate.real("timeout", timeout, positive=True)
@@ -145,6 +152,15 @@ class Server:
         Address of the scheduler.
     cluster : distributed.LocalCluster
         The scheduler, None if it is somewhere else.
+
+    Examples
+    --------
+    >>> from odak.manager import start_server
+    >>> server = start_server(port=0, workers=1, threads=1)
+    >>> server.address.startswith("tcp://127.0.0.1:")
+    True
+    >>> server.close()
+    True
     """
 
     def __init__(self, cluster: Any, workers: "_Workers") -> None:
@@ -348,6 +364,14 @@ def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
         If the package cryptography is not installed.
     ValueError
         If the folder holds certificates already.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from odak.manager import make_certificates
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     sorted(path.name for path in make_certificates(folder).iterdir())
+    ['ca.pem', 'cert.pem', 'key.pem']
     """
     _validate.integer("days", days, minimum=1)
     folder = Path(folder).expanduser()

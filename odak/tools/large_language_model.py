@@ -55,6 +55,21 @@ def query_llm(
         ``message.content``.
     urllib.error.URLError
         If the server does not answer.
+
+    Examples
+    --------
+    >>> from odak.tools import query_llm
+    >>> query_llm("What is a hologram?", max_tokens=60)  # doctest: +SKIP
+    'A hologram is a recording of the interference of light …'
+
+    Where no server answers, the error is that of the standard library:
+
+    >>> import urllib.error
+    >>> try:
+    ...     query_llm("What is a hologram?", port=1, timeout=1)
+    ... except urllib.error.URLError:
+    ...     print("no answer")
+    no answer
     """
     if not isinstance(prompt, str):
         raise TypeError(f"prompt must be a string, got {type(prompt).__name__}")

@@ -385,8 +385,15 @@ def clear_kernel_cache() -> None:
 
     Examples
     --------
+    The next propagation computes its transfer function again:
+
+    >>> import numpy as np
     >>> import odak
+    >>> before = odak.wave.propagate_beam(np.ones((8, 8)), None, 1e-3, 8e-6, 532e-9, "Angular Spectrum")
     >>> odak.wave.clear_kernel_cache()
+    >>> after = odak.wave.propagate_beam(np.ones((8, 8)), None, 1e-3, 8e-6, 532e-9, "Angular Spectrum")
+    >>> bool((after == before).all())
+    True
     """
     kernels.clear()
 
@@ -410,6 +417,11 @@ def set_kernel_cache_size(maximum_bytes: int) -> None:
     --------
     >>> import odak
     >>> odak.wave.set_kernel_cache_size(2**30)
+    >>> try:
+    ...     odak.wave.set_kernel_cache_size(-1)
+    ... except ValueError:
+    ...     print("not a size")
+    not a size
     """
     kernels.resize(_validate.integer("maximum_bytes", maximum_bytes))
 

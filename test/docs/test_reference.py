@@ -1,6 +1,7 @@
 """The API reference lists each public name once, and tables of parameters agree with signatures."""
 
 import dataclasses
+import doctest
 import importlib
 import inspect
 import pkgutil
@@ -93,6 +94,37 @@ def test_tables_of_parameters_agree_with_signatures():
             wrong[path] = complaint(value)
     assert len(wrong) > 600
     assert not any(wrong.values()), "\n".join(f"{path}: {text}" for path, text in wrong.items() if text)
+
+
+# Public names without a value to print, and the reason.
+WITHOUT_OUTPUT = {
+    "odak.cli.app": "an object of typer",
+    "odak.instruments.ScreenModulator": "needs a second screen",
+    "odak.instruments.VideoCamera": "needs a camera",
+    "odak.visualize.plotly.close_browser": "returns nothing",
+}
+# Their examples need a package that is not among the requirements, and are skipped.
+OPTIONAL = {f"odak.learn.perception.{name}" for name in ("CVVDP", "FVVDP", "LPIPS", "castle_contrast_sensitivity")}
+
+
+def printed_examples(value):
+    """Return the examples of a docstring that print something and run as doctests, and those that are skipped."""
+    _, _, section = (inspect.getdoc(value) or "").partition("\nExamples\n--------\n")
+    printing = [example for example in doctest.DocTestParser().get_examples(section) if example.want]
+    skipped = [example for example in printing if example.options.get(doctest.SKIP)]
+    return [example for example in printing if example not in skipped], skipped
+
+
+def test_every_public_function_has_an_example_that_prints():
+    without = set()
+    for path in reference.entries():
+        package, _, name = path.rpartition(".")
+        value = getattr(importlib.import_module(package), name)
+        if callable(value):
+            run, skipped = printed_examples(value)
+            if not run and not (skipped and path in OPTIONAL):
+                without.add(path)
+    assert without == set(WITHOUT_OUTPUT)
 
 
 def test_methods_name_their_parameters():

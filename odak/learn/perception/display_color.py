@@ -176,7 +176,8 @@ def read_spectra(path: str | os.PathLike, wavelengths: torch.Tensor | Sequence[f
     Returns
     -------
     torch.Tensor
-        ``[P, S]``, float32 or the precision of a tensor given; linear between lines, 0 outside them.
+        ``[P, S]``, float32 by default, of the precision of a tensor that is given, and float64 for a sequence; linear
+        between lines, 0 outside them.
 
     Raises
     ------
@@ -187,8 +188,17 @@ def read_spectra(path: str | os.PathLike, wavelengths: torch.Tensor | Sequence[f
 
     Examples
     --------
-    >>> from odak.learn.perception import display_color_hvs, read_spectra
-    >>> display = display_color_hvs(primaries_spectrum=read_spectra("display.csv"))  # doctest: +SKIP
+    The spectra of two primaries, measured at three wavelengths:
+
+    >>> import os, tempfile
+    >>> from odak.learn.perception import read_spectra
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "display.csv")
+    ...     with open(name, "w") as stream:
+    ...         print("nm, green, red", "500, 0.8, 0.0", "550, 1.0, 0.1", "600, 0.2, 0.9", sep=os.linesep, file=stream)
+    ...     read_spectra(name, [525.0, 600.0])
+    tensor([[0.9000, 0.2000],
+            [0.0500, 0.9000]], dtype=torch.float64)
     """
     if not isinstance(path, (str, os.PathLike)):
         raise TypeError(f"path must be a string or a path, got {type(path).__name__}")

@@ -36,6 +36,11 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     >>> import torch
     >>> from odak.learn.perception import check_loss_inputs
     >>> check_loss_inputs("loss", torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8))
+    >>> try:
+    ...     check_loss_inputs("loss", torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 9))
+    ... except ValueError:
+    ...     print("of two sizes")
+    of two sizes
     """
     if not isinstance(loss_name, str):
         raise TypeError(f"loss_name must be a string, got {type(loss_name).__name__}")

@@ -588,6 +588,21 @@ class DisplayFit:
         `chi_squared` after each step of the fit of the physical parameters, then of that of the free forms.
     noise : tuple of float
         Slope and offset of the variance of a capture in counts.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.instruments import SimulatedTable, record_captures
+    >>> from odak.learn.wave import display_model, fit_display
+    >>> table = SimulatedTable(
+    ...     seed=1, shape=(16, 16), distance=2e-3, camera_shape=(24, 24), misalignment=False, distance_error=0.0
+    ... )
+    >>> table.camera.exposure = 0.1
+    >>> levels = np.random.default_rng(0).integers(256, size=(3, 16, 16))
+    >>> captures = record_captures(table.modulator, table.camera, levels, 532e-9, captures=4)
+    >>> fit = fit_display(display_model([16, 16], 8e-6, 532e-9, 2e-3, [24, 24], 4e-6), captures, iterations=2)
+    >>> fit.history[-1] < fit.history[0], len(fit.noise)
+    (True, 2)
     """
 
     chi_squared: float
@@ -726,6 +741,17 @@ def display_hologram(
     torch.Tensor
         uint8 or int32 levels ``[rows, columns]``. The squared error that is minimised is that of s·image, s being
         the best brightness, the same for all positions.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import display_hologram, display_model
+    >>> model = display_model([16, 16], 8e-6, 532e-9, 2e-3, [20, 24], 4e-6)
+    >>> target = torch.zeros(16, 16)
+    >>> target[4:12, 6:10] = 1
+    >>> levels = display_hologram(model, target, iterations=20)
+    >>> tuple(levels.shape), levels.dtype
+    ((16, 16), torch.uint8)
     """
     if not isinstance(model, display_model):
         raise TypeError(f"model must be a display_model, got {type(model).__name__}")
@@ -797,6 +823,17 @@ def display_camera(
     callable
         ``function(phase)`` with a phase ``[rows, columns]`` returns the intensity ``[rows, columns]`` on the scale of
         :meth:`display_model.image`.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.instruments import SimulatedTable
+    >>> from odak.learn.wave import display_camera, display_model
+    >>> table = SimulatedTable(seed=1, shape=(16, 16), distance=2e-3, camera_shape=(24, 24))
+    >>> model = display_model([16, 16], 8e-6, 532e-9, 2e-3, [24, 24], 4e-6)
+    >>> capture = display_camera(model, table.modulator, table.camera)
+    >>> tuple(capture(torch.zeros(16, 16)).shape)
+    (16, 16)
     """
     rows, columns = model.shape
     y, x = ((np.arange(n) - n // 2) * model.pitch for n in (rows, columns))

@@ -109,6 +109,15 @@ def prepare(
     -------
     scene
         The scene.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init()
+    >>> scene = blender.prepare(resolution=(640, 480), camera_location=(0, 0, -5), device="CPU")
+    >>> scene.resolution
+    (480, 640)
+    >>> blender.quit()
     """
     width, height = _validate.size("resolution", resolution)
     scene = current().scene
@@ -147,6 +156,19 @@ def import_ply(
     -------
     Item
         The object, named like the file.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> import numpy as np
+    >>> from odak.tools import write_PLY
+    >>> from odak.visualize import blender
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "triangle.ply")
+    ...     write_PLY(np.array([[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]]), name)
+    ...     blender.import_ply(name, location=(0, 0, 2)).name
+    'triangle'
+    >>> blender.quit()
     """
     return current().scene.add_mesh(filename, location=location, rotation=angle, scale=scale)
 
@@ -177,6 +199,13 @@ def cylinder_between(
     -------
     Item
         The object.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> blender.cylinder_between((0, 0, 0), (0, 0, 5), r=0.2, objname="rod").name
+    'rod'
+    >>> blender.quit()
     """
     scene = current().scene
     return scene.add_cylinder(start_loc, end_loc, r, color=coded_light(color[:3]), name=objname)
@@ -196,6 +225,23 @@ def render(fn: str, exit: bool = False) -> str:
     -------
     str
         The path.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> _ = blender.prepare(resolution=(640, 480), device="CPU")
+    >>> _ = blender.cylinder_between((-2, 0, 0), (2, 0, 0))
+    >>> blender.render("cylinder.png", exit=True)  # doctest: +SKIP
+    'cylinder.png'
+
+    Other kinds of files are refused before Blender starts:
+
+    >>> try:
+    ...     blender.render("cylinder.txt")
+    ... except ValueError as error:
+    ...     print(".png" in str(error))
+    True
+    >>> blender.quit()
     """
     now, path = current(), validate_path(fn, [".png"])
     if now.depth:
@@ -217,7 +263,16 @@ def set_render_type(render_type: str = "rgb") -> None:
 
 
 def quit() -> None:
-    """Release the scene; later drawing commands begin a new one."""
+    """Release the scene; later drawing commands begin a new one.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init()
+    >>> blender.quit()
+    >>> session.poll()
+    0
+    """
     stop()
 
 
@@ -389,6 +444,15 @@ def init(headless: bool = False, blend_fn: str = "") -> Session:
     -------
     Session
         A handle with `poll` and `kill`, as a process has them; its `scene` is what is drawn into.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init(headless=True)
+    >>> rod = blender.cylinder_between((0, 0, 0), (0, 0, 5))
+    >>> [item.name for item in session.scene.objects]
+    ['cylinder']
+    >>> session.kill()
     """
     return start(validate_path(blend_fn, [".blend"]) if blend_fn else None)
 
@@ -400,12 +464,32 @@ def check(proc: Session) -> None:
     ----------
     proc : Session
         Handle of :func:`init`.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init()
+    >>> session.poll() is None
+    True
+    >>> blender.check(session)
+    >>> session.poll()
+    0
     """
     proc.kill()
 
 
 def delete_the_cube() -> None:
-    """Remove the cube that a new ".blend" file holds."""
+    """Remove the cube that a new ".blend" file holds.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init()
+    >>> blender.delete_the_cube()
+    >>> session.scene.objects
+    []
+    >>> blender.quit()
+    """
     delete_object("Cube")
 
 
@@ -427,6 +511,16 @@ def send_msg(cmds: Iterable[str]) -> bool:
     ------
     ValueError
         If one is refused. None of them is carried out then.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> session = blender.init()
+    >>> blender.send_msg(["cylinder_between((0, 0, 0), (0, 0, 5))", "delete_the_cube()"])
+    True
+    >>> [item.name for item in session.scene.objects]
+    ['cylinder']
+    >>> blender.quit()
     """
     texts = [cmds] if isinstance(cmds, str) else list(cmds)
     for text in texts:

@@ -244,6 +244,8 @@ def diffuse(color: str | Sequence[float] = "white") -> Material:
     --------
     >>> from odak.visualize.blender import diffuse
     >>> wall = diffuse("#cc4444")
+    >>> wall.kind, [round(float(value), 3) for value in wall.color]
+    ('diffuse', [0.604, 0.058, 0.058])
     """
     return Material("diffuse", linear_color(color))
 
@@ -263,6 +265,8 @@ def emission(color: str | Sequence[float] = "white", strength: float = 1.0) -> M
     --------
     >>> from odak.visualize.blender import emission
     >>> lamp = emission("white", strength=5.0)
+    >>> lamp.kind, lamp.strength
+    ('emission', 5.0)
     """
     return Material("emission", linear_color(color), strength=float(_validate.number("strength", strength, least=0)))
 
@@ -333,6 +337,8 @@ def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Mat
     --------
     >>> from odak.visualize.blender import metal
     >>> mirror = metal("white", roughness=0.0)
+    >>> mirror.kind, mirror.roughness
+    ('metal', 0.0)
     """
     return Material("metal", linear_color(color), roughness=_share("roughness", roughness))
 

@@ -47,11 +47,34 @@ _PROBE = "import importlib.util as u, sys; sys.exit(0 if u.find_spec('bpy') else
 
 
 class BlenderError(RuntimeError):
-    """Blender failed; the message ends with its last output."""
+    """Blender failed; the message ends with its last output.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> picture = blender.scene(unit="mm")
+    >>> _ = picture.add_sphere([0, 0, 20], radius=5)
+    >>> import shutil
+    >>> try:  # a program that fails
+    ...     picture.render("sphere.png", blender=shutil.which("false"))
+    ... except blender.BlenderError as error:
+    ...     print("no picture")
+    no picture
+    """
 
 
 class BlenderNotFoundError(ImportError):
-    """No Blender was found; the message states how to install one."""
+    """No Blender was found; the message states how to install one.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> try:
+    ...     blender.find_blender("/nowhere/blender")
+    ... except blender.BlenderNotFoundError as error:
+    ...     print(str(error).splitlines()[0])
+    blender names '/nowhere/blender', where there is no program.
+    """
 
 
 class Blender(NamedTuple):
@@ -63,6 +86,12 @@ class Blender(NamedTuple):
         "python": an interpreter that has the package bpy. "program": Blender itself.
     path : str
         Its executable.
+
+    Examples
+    --------
+    >>> from odak.visualize.blender import Blender
+    >>> Blender("program", "/usr/bin/blender").command("scene.py", "picture.png")[-4:]
+    ['--python', 'scene.py', '--', 'picture.png']
     """
 
     kind: str
@@ -118,6 +147,15 @@ def find_blender(blender: str | os.PathLike | None = None, environ: Mapping[str,
     ------
     BlenderNotFoundError
         If there is none, or the one that was named does not exist or has no bpy; a subclass of ImportError.
+
+    Examples
+    --------
+    >>> from odak.visualize import blender
+    >>> try:
+    ...     blender.find_blender(environ={"ODAK_BLENDER": "/nowhere/blender", "PATH": ""})
+    ... except blender.BlenderNotFoundError as error:
+    ...     print(str(error).splitlines()[0])
+    ODAK_BLENDER names '/nowhere/blender', where there is no program.
     """
     environ = os.environ if environ is None else environ
     if blender is not None:

@@ -25,7 +25,20 @@ _HOW_TO_INSTALL = (
 
 
 class BrowserNotFoundError(RuntimeError):
-    """No browser is there, or the one that is does not start; the message states what to install."""
+    """No browser is there, or the one that is does not start; the message states what to install.
+
+    Examples
+    --------
+    >>> import os
+    >>> from unittest.mock import patch
+    >>> from odak.visualize.plotly import BrowserNotFoundError, find_browser
+    >>> with patch.dict(os.environ, BROWSER_PATH="/nowhere/chromium"):
+    ...     try:
+    ...         find_browser()
+    ...     except BrowserNotFoundError as error:
+    ...         print(str(error).splitlines()[0])
+    BROWSER_PATH='/nowhere/chromium' is not a program.
+    """
 
 
 def find_browser() -> str | None:
@@ -44,6 +57,15 @@ def find_browser() -> str | None:
         If BROWSER_PATH names something that cannot be run.
     ImportError
         If kaleido is missing.
+
+    Examples
+    --------
+    Draw an image where a browser is installed, and write a page where none is:
+
+    >>> from odak.visualize.plotly import find_browser
+    >>> ending = ".png" if find_browser() else ".html"
+    >>> ending in (".png", ".html")
+    True
     """
     chosen = os.environ.get("BROWSER_PATH")
     if chosen:
@@ -61,6 +83,13 @@ def close_browser() -> None:
     """Stop the browser that images are drawn with, if it runs; the next image starts it again.
 
     It also stops when Python ends.
+
+    Examples
+    --------
+    Free the memory of the browser in a program that has drawn its last image:
+
+    >>> from odak.visualize.plotly import close_browser
+    >>> close_browser()
     """
     _shared.close()
 

@@ -39,6 +39,14 @@ class Stage(NamedTuple):
         Root mean square of the spots of the best design, over its fields.
     system : optical_system
         A copy of it, with the aperture and the fields of the stage.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import automatic_design
+    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
+    >>> stage = found.stages[-1]
+    >>> stage.aperture, stage.field, bool(stage.rms > 0)
+    (1.0, 1.0, True)
     """
 
     aperture: float
@@ -58,6 +66,13 @@ class AutomaticResult(NamedTuple):
         Of the curriculum, the last one being the lens.
     start : optical_system
         The plates that it began with.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import automatic_design, rms_spot
+    >>> found = automatic_design(["stop", "N-BK7"], 100.0, 10.0, 1.0, starts=2, stages=1, iterations=2, polish=0)
+    >>> bool(rms_spot(found.system).mean() < rms_spot(found.start).mean())
+    True
     """
 
     system: optical_system

@@ -131,6 +131,14 @@ class DesignResult(NamedTuple):
         Whether it ended because nothing changed any more.
     values : torch.Tensor
         The variables at the end, ``[V]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Variable, lens_design, optical_system, surface
+    >>> lens = optical_system([surface(80.0, thickness=4.0, material="N-BK7"), surface(-120.0, thickness=90.0)], 20.0)
+    >>> found = lens_design(lens, ["spot"], [Variable("thickness", 1)]).optimise()
+    >>> found.converged, found.merit == found.history[-1] < found.history[0], tuple(found.values.shape)
+    (True, True, (1,))
     """
 
     merit: float

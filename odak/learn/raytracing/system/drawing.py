@@ -512,6 +512,12 @@ def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
         The system.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, report_figures
+    >>> list(report_figures(load_system("singlet")))
+    ['layout', 'spots', 'fans', 'transfer', 'field']
     """
     checked_system(system)
     found = {

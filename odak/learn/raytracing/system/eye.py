@@ -568,6 +568,15 @@ class RetinalField(NamedTuple):
         The sum of its squared modulus is the power that passes the pupil.
     pitch : tuple of float
         Angle between samples along rows and columns, in radians.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import retinal_field
+    >>> plane_wave = torch.ones(64, 64, dtype=torch.complex128)
+    >>> found = retinal_field(plane_wave, 5e-5, 550e-9, pupil_diameter=2.0)
+    >>> tuple(found.field.shape), len(found.pitch)
+    ((64, 64), 2)
     """
 
     field: torch.Tensor
@@ -683,6 +692,15 @@ class AccommodationResponse(NamedTuple):
         Those that were tried ``[A]``.
     contrast : torch.Tensor
         Contrast of the retinal image at each ``[A]``.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.raytracing.system import accommodation_response
+    >>> noise = torch.rand(1, 64, 64, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    >>> found = accommodation_response(noise, 2.0, 6e-4, [550e-9], accommodations=(1.0, 2.0, 3.0))
+    >>> found.accommodations[found.contrast.argmax()].item()
+    2.0
     """
 
     vergence: float

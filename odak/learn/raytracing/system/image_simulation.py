@@ -43,6 +43,18 @@ class PointSpreadMap(NamedTuple):
         Of the pixels.
     shape : tuple of int
         Rows and columns of the sensor.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, point_spread_map
+    >>> found = point_spread_map(load_system("cooke_triplet"), (64, 96), 0.3, grid=(3, 3), count=4)
+    >>> found.shape, found.pitch, tuple(found.illumination.shape)
+    ((64, 96), 0.3, (3, 3, 3))
+
+    The illumination falls off towards the corners:
+
+    >>> bool(found.illumination[1, 0, 0] < found.illumination[1, 1, 1])
+    True
     """
 
     kernels: torch.Tensor
