@@ -1,5 +1,9 @@
 import functools
+import gc
 import os
+
+# What imports and collection make stays to the end: nothing is gained by looking through it for garbage.
+gc.disable()
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # One worker per core: more threads than that only wait for each other.
@@ -17,6 +21,20 @@ for profile, fixed in (("fixed", True), ("search", False)):
         profile, derandomize=fixed, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
     )
 hypothesis.settings.load_profile("fixed")
+
+
+def pytest_collection_finish():
+    gc.freeze()
+    gc.enable()
+
+
+def pytest_configure(config):
+    """Let the processes of `-n` take assertions as they are: to rewrite all test files takes each of them ten seconds.
+
+    What an assertion compared is printed without `-n`, or with `--assert=rewrite`.
+    """
+    if config.getoption("numprocesses", None):
+        os.environ["PYTEST_ADDOPTS"] = f"--assert=plain {os.environ.get('PYTEST_ADDOPTS', '')}"
 
 
 @pytest.fixture(autouse=True)
