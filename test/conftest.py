@@ -2,9 +2,6 @@ import functools
 import gc
 import os
 
-# What imports and collection make stays to the end: nothing is gained by looking through it for garbage.
-gc.disable()
-
 if "PYTEST_XDIST_WORKER" in os.environ:
     # One worker per core: more threads than that only wait for each other.
     os.environ["OMP_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
@@ -13,6 +10,9 @@ import array_api_strict
 import hypothesis
 import numpy as np
 import pytest
+
+# What imports and collection make stays to the end: nothing is gained by looking through it for garbage.
+gc.disable()
 
 # The same examples in every run, however long they take: what a run finds depends on neither chance nor the machine's
 # load. `--hypothesis-profile search` draws others.
