@@ -6,6 +6,7 @@ Code lines are those without docstrings, comments and blank lines. Also read by 
 """
 
 import ast
+import functools
 import io
 import sys
 import tokenize
@@ -23,6 +24,12 @@ def modules(root: Path = ROOT) -> dict[str, Path]:
     }
 
 
+@functools.cache
+def tree(path: Path) -> ast.Module:
+    """Return the syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 def stubs(root: Path = ROOT) -> dict[str, dict[str, str]]:
     """Return, for each package, the module that each of its public names comes from."""
     found = {}
@@ -30,7 +37,7 @@ def stubs(root: Path = ROOT) -> dict[str, dict[str, str]]:
         package = ".".join(path.parent.relative_to(root.parent).parts)
         found[package] = {
             alias.asname or alias.name: module if node.module else f"{module}.{alias.name}"
-            for node in ast.parse(path.read_text(encoding="utf-8")).body
+            for node in tree(path).body
             if isinstance(node, ast.ImportFrom)
             for module in [_absolute(package, node)]
             for alias in node.names
@@ -51,7 +58,7 @@ def imports(root: Path = ROOT) -> dict[str, set[str]]:
     for module, path in known.items():
         package = module if path.name == "__init__.py" else module.rpartition(".")[0]
         found = set()
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.Import):
                 found |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):

@@ -23,9 +23,12 @@ MODULES = structure.modules()
 imports = functools.cache(structure.imports)
 
 
-@functools.cache
+# Several tests read the syntax trees of all modules: one process reads them.
+pytestmark = pytest.mark.xdist_group("structure")
+
+
 def tree_of(module):
-    return ast.parse(MODULES[module].read_text(encoding="utf-8"))
+    return structure.tree(MODULES[module])
 
 
 PACKAGES = sorted(".".join(path.parent.relative_to(ROOT.parent).parts) for path in ROOT.rglob("__init__.pyi"))
@@ -192,9 +195,12 @@ def test_numpy_under_its_older_name():
     assert odak.np is numpy
 
 
-def test_subpackages_load_on_use():
-    loaded = run("import odak; print(odak.wave.wavenumber(1.0), odak.learn.wave.propagate_beam.__name__, odak.pi)")
-    assert loaded.split() == ["6.283185307179586", "propagate_beam", "3.141592653589793"]
+def test_subpackages_load_on_use_and_a_class_named_as_its_module_stays_the_class():
+    loaded = run(
+        "import odak; print(odak.wave.wavenumber(1.0), odak.learn.wave.propagate_beam.__name__, odak.pi)\n"
+        "import odak.learn.raytracing.detector; print(type(odak.learn.raytracing.detector).__name__)"
+    )
+    assert loaded.split() == ["6.283185307179586", "propagate_beam", "3.141592653589793", "type"]
 
 
 def test_unknown_names_are_attribute_errors():
@@ -215,11 +221,6 @@ def test_every_public_name_resolves(package):
     for name in listed:
         assert getattr(module, name) is not None
     assert set(listed) == set(dir(module))
-
-
-def test_a_class_named_as_its_module_stays_the_class():
-    code = "import odak.learn.raytracing as r; import odak.learn.raytracing.detector; print(type(r.detector).__name__)"
-    assert run(code).strip() == "type"
 
 
 def test_a_stub_of_names_holds_imports_alone(tmp_path):

@@ -1,5 +1,7 @@
 """Valid arguments of odak.learn.raytracing and its optical systems."""
 
+import functools
+
 import torch
 from api_sweep.build import Build, tensor
 
@@ -41,6 +43,11 @@ def _wave_lens():
 def _rod():
     rod = surface(thickness=2.0, material=1.5, gradient=RadialGradient([-0.01]))
     return optical_system([rod, surface()], aperture=1.0)
+
+
+@functools.cache
+def _rod_rays():
+    return launch(_rod(), "y", 3)
 
 
 def _spread():
@@ -237,7 +244,7 @@ BY_CALL = {
     f"{HERE}.system.coordinate_break": {"tilt": [0.0, 1.0, 2.0], "return_to": None},
     f"{HERE}.system.coordinate_break.vary": {"name": "thickness"},
     f"{HERE}.system.trace": {"until": 1},
-    f"{HERE}.system.curved_paths": {"system": Build(lambda _: _rod()), "rays": Build(lambda _: launch(_rod(), "y", 3))}
+    f"{HERE}.system.curved_paths": {"system": Build(lambda _: _rod()), "rays": Build(lambda _: _rod_rays())}
     | {"place": 0, "ends": tensor(1, 1, 3, 3), "count": 2},
     f"{HERE}.system.encircled_energy": {"found": Build(lambda _: spot_diagram(_lens(), count=2)), "radii": [0.1, 0.2]},
     f"{HERE}.system.fans_figure": {"count": 5},

@@ -1,5 +1,7 @@
 """Valid arguments of odak.learn.models and odak.learn.lensless."""
 
+from pathlib import Path
+
 import torch
 from api_sweep.build import Build, tensor
 
@@ -175,16 +177,20 @@ BY_CALL = {
         "callback": no_callback,
     },
     "odak.learn.lensless.spec_track.load_weights": {
-        "filename": written("a.pt", lambda path: track().save_weights(path)),
+        "filename": Build(lambda folder: track_weights(folder)),
     },
 }
+_WRITTEN: list[Path] = []
 
 
-def track():
-    """Return the network of odak.learn.lensless."""
+def track_weights(folder):
+    """Return a file with weights of odak.learn.lensless.spec_track, 65 MB that are written once."""
     from odak.learn.lensless import spec_track
 
-    return spec_track()
+    if not _WRITTEN:
+        spec_track().save_weights(folder / "a.pt")
+        _WRITTEN.append(folder / "a.pt")
+    return _WRITTEN[0]
 
 
 POSITIVE = {
