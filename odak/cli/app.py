@@ -1,6 +1,7 @@
 """Commands of the command line, their messages and their exit codes.
 
-Exit codes: 0 success, 1 unexpected failure, 2 the command line or a file that it names cannot be used.
+Exit codes: 0 success, 1 unexpected failure, 2 the command line or a file that it names cannot be used, 130 interrupted
+by Ctrl-C.
 """
 
 import os
@@ -8,14 +9,17 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from odak.cli import options
 from odak.cli.job import InputError, Job, find_preset
 
-BAD_INPUT, FAILURE = 2, 1
+if TYPE_CHECKING:
+    from odak.cli import files
+
+BAD_INPUT, FAILURE, INTERRUPTED = 2, 1, 130
 
 app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -31,7 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 success, 1 unexpected failure, 2 bad command line or input.
+        Exit code: 0 success, 1 unexpected failure, 2 bad command line or input, 130 interrupted by Ctrl-C.
 
     Examples
     --------
@@ -49,12 +53,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         code = command.main(args=arguments, prog_name="odak", standalone_mode=False)
     except typer.Abort:
-        return _fail("interrupted", FAILURE)
+        return _fail("interrupted", INTERRUPTED)
     except Exception as error:
         # typer carries its own copy of click in some releases and not in others: errors of either have this method.
         if not hasattr(error, "format_message"):
             raise
-        return _fail(error.format_message(), BAD_INPUT)
+        return _fail(error.format_message() + _usage_of(error), BAD_INPUT)
+    if code == INTERRUPTED:
+        # Releases of typer differ: some return this code where others raise Abort.
+        return _fail("interrupted", INTERRUPTED)
     return code if isinstance(code, int) else 0
 
 
@@ -162,26 +169,18 @@ def hologram(
 def _single(job: Job, again: bool, workers: int | None) -> dict:
     from odak.cli import files
 
-    report = None if again else files.finished_report(job)
+    notices = _notices(again, job.quiet)
+    # Before the modules of the computation are imported, which takes seconds.
+    report = files.kept_report(job.output, files.fingerprint_of(job), notices)
     if report is not None:
-        if not job.quiet:
-            typer.echo(f"{job.output} already holds the result of this run; use --again to compute it again")
         return report
-
-    def replaces(names: list[str]) -> None:
-        text = f"{job.output} holds {', '.join(names)} of another run"
-        if not (again or job.quiet) and sys.stdin.isatty():
-            typer.confirm(f"{text}. Replace?", abort=True)
-        elif not (again or job.quiet):
-            typer.echo(f"odak: {text}, which will be replaced", err=True)
-
     if job.tiles:
         from odak.cli import tiles
 
-        return tiles.run(job, replaces, again, workers)
+        return tiles.run(job, notices, again, workers)
     from odak.cli import hologram
 
-    return hologram.run(job, replaces)
+    return hologram.run(job, notices)
 
 
 @app.command(
@@ -245,11 +244,11 @@ def certificates(
 @app.command(
     help="Make a picture that looks the same as another to an eye with a fixed gaze.\n\n"
     "Away from the gaze it is noise that has the picture's local statistics. Writes metamer.png, pooling_map.png (the "
-    "width of the pooling regions of the eye, on a logarithmic scale) and comparison.png."
+    "width of the pooling regions of the eye, on a logarithmic scale), comparison.png and report.json."
 )
 def metamer(
     image: options.MetamerImage = "photo",
-    output: options.Output = Path("output"),
+    output: options.Output = Path("metamer"),
     gaze: options.Gaze = (0.5, 0.5),
     width: options.Width = 0.6,
     distance: options.ViewingDistance = 0.7,
@@ -263,20 +262,22 @@ def metamer(
     seed: options.NoiseSeed = 0,
     device: options.Device = "auto",
     quiet: options.Quiet = False,
+    again: options.Again = False,
 ) -> None:
     """Make a metamer; the parameters are those of :class:`odak.cli.metamer.MetamerJob`."""
     values = dict(locals())
+    notices = _notices(values.pop("again"), quiet)
     with _messages():
         from odak.cli.metamer import MetamerJob, run
 
-        report = run(MetamerJob(**values))
+        report = run(MetamerJob(**values), notices)
     if not quiet:
         psnr = "exact" if report["psnr_db"] is None else f"{report['psnr_db']:.2f} dB"
         typer.echo(
             f"PSNR {psnr}, metameric loss {report['loss']:.3g}, that of white noise of the same PSNR "
             f"{report['noise_loss']:.3g}, largest pooling region {report['largest_pooling']:.3g} px"
         )
-        typer.echo(f"metamer.png, pooling_map.png, comparison.png in {output}")
+        typer.echo(f"metamer.png, pooling_map.png, comparison.png, report.json in {output}")
 
 
 @app.command(
@@ -296,12 +297,13 @@ def trace(
     glasses: options.Glasses = None,
     figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="File format of the figures.")] = "png",
     quiet: options.Quiet = False,
+    again: options.Again = False,
 ) -> None:
     """Trace a system; see :mod:`odak.cli.trace`."""
     with _messages():
         from odak.cli.trace import run
 
-        report = run(system, output, rings, aim, glasses or (), figures)
+        report = run(system, output, rings, aim, glasses or (), figures, _notices(again, quiet))
     if quiet:
         return
     unit, found = report["system"]["unit"], report["first_order"]
@@ -359,13 +361,15 @@ def design(
     glasses: options.Glasses = None,
     zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
     quiet: options.Quiet = False,
+    again: options.Again = False,
 ) -> None:
     """Design a lens; the parameters are those of :class:`odak.cli.lens_design.DesignJob`."""
     values = dict(locals()) | {"glasses": glasses or ()}
+    notices = _notices(values.pop("again"), quiet)
     with _messages():
         from odak.cli.lens_design import DesignJob, run
 
-        report = run(DesignJob(**values))
+        report = run(DesignJob(**values), notices)
     if quiet:
         return
     unit, found = report["unit"], report["first_order"]
@@ -392,6 +396,7 @@ def simulate(
     output: options.Output = Path("bench"),
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of the file.")] = False,
     quiet: options.Quiet = False,
+    again: options.Again = False,
 ) -> None:
     """Simulate a bench; see :mod:`odak.cli.simulate`."""
     with _messages():
@@ -404,7 +409,7 @@ def simulate(
             return
         if config is None:
             raise InputError("CONFIG is missing: the TOML or JSON file of a bench; --schema prints its schema")
-        report = bench.run(config, output)
+        report = bench.run(config, output, _notices(again, quiet))
     if not quiet:
         for step in report["steps"]:
             share = "" if step["share_of_source"] is None else f"{step['share_of_source']:.4g} of the source's power"
@@ -446,6 +451,7 @@ def calibrate(
         ),
     ] = None,
     quiet: options.Quiet = False,
+    again: options.Again = False,
 ) -> None:
     """Calibrate a table; see :mod:`odak.cli.calibrate`."""
     with _messages():
@@ -466,7 +472,7 @@ def calibrate(
         names = {"modulator": modulator, "camera": camera, "polariser": polariser}
         twin = {**lengths, **calibrating.faults_of(step, faults)}
         table = calibrating.open_table(names, option or (), seed, twin)
-        report = calibrating.run(step, table, output, **lengths, results=results)
+        report = calibrating.run(step, table, output, **lengths, results=results, notices=_notices(again, quiet))
     if not quiet:
         for name, value in report["found"].items():
             text = f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -513,6 +519,26 @@ def info() -> None:
         typer.echo(f"{name:<{width}}  {value}")
 
 
+def _notices(again: bool, quiet: bool) -> "files.Notices":
+    """Return what to do about results of earlier runs: kept and said so, or replaced after a question or a line."""
+    from odak.cli import files
+
+    def kept(folder: Path) -> None:
+        if not quiet:
+            typer.echo(f"{folder} already holds the result of this run; use --again to compute it again")
+
+    def replaces(folder: Path, names: list[str]) -> None:
+        text = f"{folder} holds {', '.join(names)} of another run"
+        if again or quiet:
+            return
+        if not sys.stdin.isatty():
+            typer.echo(f"odak: {text}, which will be replaced", err=True)
+        elif not typer.confirm(f"{text}. Replace?"):
+            raise InputError("nothing was computed; --output names another folder")
+
+    return files.Notices(again, kept, replaces)
+
+
 @contextmanager
 def _messages() -> Iterator[None]:
     """Print warnings as one line each, and turn errors into one line and an exit code."""
@@ -545,7 +571,8 @@ def _many(images: list[str], values: dict, spread: dict, watch: bool) -> int:
     from odak.cli.cluster import run, watched
 
     code = 0
-    for summary in watched(images, values, spread) if watch else [run(images, values, **spread)]:
+    notices = _notices(spread["again"], values["quiet"])
+    for summary in watched(images, values, spread) if watch else [run(images, values, **spread, notices=notices)]:
         for name, reason in summary["failed"].items():
             _fail(f"{name}: {reason}", FAILURE)
         if not values["quiet"]:
@@ -564,6 +591,17 @@ def _summarise(job: Job, report: dict) -> None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
     others = [*(["comparison.png"] if ssim else []), *(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
     typer.echo(f"{', '.join([*report['pattern']['files'], *others])} in {job.output}")
+
+
+def _usage_of(error: Exception) -> str:
+    """Return how an option of two values is written, if an error of the command line is about one."""
+    found = getattr(error, "param", None)
+    name, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
+    if found is None and name and context is not None:
+        found = next((item for item in context.command.params if name in item.opts), None)
+    if found is None or found.nargs != 2:
+        return ""
+    return f" Give two values: {found.opts[0]} {found.metavar}, with a space between."
 
 
 def _fail(message: str, code: int) -> int:

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odak import instruments
-from odak.cli.files import REPORT, writable_folder, write_json
+from odak.cli.files import REPORT, SILENT, Notices, announce, writable_folder, write_json
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import collected_warnings, versions
 from odak.instruments import Calibration
@@ -122,6 +122,7 @@ def run(
     wavelength: float,
     distance: float,
     results: Path | None = None,
+    notices: Notices = SILENT,
 ) -> dict:
     """Calibrate a table by one step, and write its results, a picture and a report.
 
@@ -138,6 +139,8 @@ def run(
     results : Path, optional
         File of the results (``.npz`` or ``.h5``), ``calibration.npz`` in the folder by default. What it holds is taken
         as known.
+    notices : Notices
+        What to do about the picture of an earlier run of the step.
 
     Returns
     -------
@@ -167,6 +170,8 @@ def run(
                 f"--results {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
                 f"at {wavelength:g} m, got {list(known.amplitude.shape)} at {known.wavelength:g} m"
             )
+    # Steps add to the results, which are replaced by a second run of the same step.
+    announce(folder, [f"{step}.png"], notices)
     with collected_warnings() as texts:
         try:
             found = STEPS[step](table, known)

@@ -15,7 +15,17 @@ from typing import Any
 
 from odak import _validate
 from odak._warnings import OdakWarning, warn
-from odak.cli.files import FINGERPRINT, REPORT, fingerprint, finished_report, sources, writable_folder, write_json
+from odak.cli.files import (
+    FINGERPRINT,
+    REPORT,
+    SILENT,
+    Notices,
+    fingerprint_of,
+    finished_report,
+    sources,
+    writable_folder,
+    write_json,
+)
 from odak.cli.job import SHIPPED_IMAGES, InputError, Job, image_path
 from odak.manager import Failure, agent
 from odak.manager.server import Server, require_dask, start_server, tls_security
@@ -53,6 +63,7 @@ def run(
     trusted_network: bool = False,
     security: Any = None,
     given: Collection[str] = (),
+    notices: Notices = SILENT,
 ) -> dict:
     """Compute the holograms of many pictures.
 
@@ -79,6 +90,8 @@ def run(
         TLS certificates.
     given : collection of str
         Parameters that were given by name, which must have an effect.
+    notices : Notices
+        What to do about results of other parameters, which are replaced.
 
     Returns
     -------
@@ -107,7 +120,10 @@ def run(
         raise InputError(
             f"--output {str(folder)!r} must not contain a folder named {SUMMARY}, which is the name of a result file"
         )
-    waiting = [frame for frame in frames if again or not finished_report(frame.job)]
+    waiting = [frame for frame in frames if again or not finished_report(frame.job.output, fingerprint_of(frame.job))]
+    replaced = [f"{frame.job.output.name}/{REPORT}" for frame in waiting if (frame.job.output / REPORT).exists()]
+    if replaced:
+        notices.replaces(folder, replaced)
     failed: dict[str, str] = {}
     busy: set[str] = set()
     if waiting:
@@ -366,7 +382,7 @@ def _write(frame: Frame, result: tuple[dict, dict[str, bytes]]) -> None:
             stream.write(content)
     report["parameters"] |= {name: frame.job.to_dict()[name] for name in ("image", "depth_map", "output", "quiet")}
     report["picture"]["file"] = str(image_path(frame.job.image))
-    write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint(frame.job)})
+    write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint_of(frame.job)})
 
 
 # --- odak worker

@@ -1,7 +1,8 @@
-"""Files of a run: its folder, reports, pictures, and phase patterns that can be read back exactly.
+"""Files of a run: its folder, results of earlier runs in it, reports, pictures, and phase patterns.
 
-A level L of 2^bits is stored as the grey value L·2^(depth − bits) of a PNG of depth 8 or 16. Whatever the bits, the
-phase of a pixel is then grey·2π/2^depth, which is what a modulator calibrated to 2π over 2^depth grey values displays.
+A level L of a pattern of 2^bits is stored as the grey value L·2^(depth − bits) of a PNG of depth 8 or 16. Whatever the
+bits, the phase of a pixel is then grey·2π/2^depth, which is what a modulator calibrated to 2π over 2^depth grey values
+displays.
 """
 
 import hashlib
@@ -9,9 +10,9 @@ import json
 import math
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from odak.cli.job import InputError, Job, depth_map_path, image_path
 from odak.tools import check_directory
@@ -85,14 +86,49 @@ def write_png(path: Path, image: "Image.Image") -> None:
         image.save(stream, format="PNG")
 
 
-def fingerprint(job: Job) -> str:
-    """Return a digest of the parameters, the picture and its depth map, on which a result depends."""
+class Notices(NamedTuple):
+    """What a run does about results of earlier runs in its folder.
+
+    Attributes
+    ----------
+    again : bool
+        Compute anew what is complete already.
+    kept : callable
+        Called with the folder whose results are kept, as they are those of this run.
+    replaces : callable
+        Called before the computation with the folder and the names of the files that will be replaced, if there are
+        any. It may raise an exception to end the run.
+    """
+
+    again: bool = True
+    kept: Callable[[Path], None] = lambda folder: None
+    replaces: Callable[[Path, list[str]], None] = lambda folder, names: None
+
+
+SILENT = Notices()
+
+
+def fingerprint(values: Mapping[str, Any], paths: Iterable[Path] = ()) -> str:
+    """Return a digest of the parameters and the files on which a result depends.
+
+    Parameters
+    ----------
+    values : mapping
+        The parameters; what is none of JSON is taken by its text.
+    paths : iterable of Path
+        Files or folders whose contents count.
+    """
     digest = hashlib.sha256()
-    values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
-    digest.update(json.dumps(values, sort_keys=True).encode())
-    for path in sources(job):
+    digest.update(json.dumps(values, sort_keys=True, default=str).encode())
+    for path in paths:
         digest.update(bytes.fromhex(digest_of(path)))
     return digest.hexdigest()
+
+
+def fingerprint_of(job: Job) -> str:
+    """Return the fingerprint of a run of `odak hologram`, with its picture and its depth map."""
+    values = {name: value for name, value in job.to_dict().items() if name not in _IRRELEVANT}
+    return fingerprint(values, sources(job))
 
 
 def digests(folder: Path, names: Iterable[str]) -> dict[str, str]:
@@ -118,19 +154,27 @@ def sources(job: Job) -> list[Path]:
     return [image_path(job.image), *([] if job.depth_map is None else [depth_map_path(job.depth_map)])]
 
 
-def finished_report(job: Job) -> dict | None:
-    """Return the report in the output folder if the folder holds the whole result of this very job, else None."""
-    folder = Path(os.path.expanduser(job.output))
+def finished_report(folder: Path, mark: str) -> dict | None:
+    """Return the report in a folder that holds the whole result of the run with this fingerprint, else None."""
+    folder = Path(os.path.expanduser(folder))
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        same = report[FINGERPRINT] == fingerprint(job) and report[DIGESTS] == digests(folder, report[DIGESTS])
+        same = report[FINGERPRINT] == mark and report[DIGESTS] == digests(folder, report[DIGESTS])
     except (OSError, ValueError, KeyError, TypeError):  # no report, or none of this version: the job is computed
         return None
     return report if same else None
 
 
-def files_in_the_way(folder: Path, names: Iterable[str]) -> list[str]:
-    """Return which files a run would replace; raise InputError where a folder has the name of one of them."""
+def kept_report(folder: Path, mark: str, notices: Notices) -> dict | None:
+    """Return the report of an earlier run that computed the same, with notice, and None if there is none."""
+    report = None if notices.again else finished_report(folder, mark)
+    if report is not None:
+        notices.kept(folder)
+    return report
+
+
+def announce(folder: Path, names: Iterable[str], notices: Notices) -> None:
+    """Give notice of the files that a run will replace; InputError where a folder has the name of one of them."""
     found = []
     for name in names:
         if (folder / name).is_dir():
@@ -139,7 +183,29 @@ def files_in_the_way(folder: Path, names: Iterable[str]) -> list[str]:
             )
         if (folder / name).exists():
             found.append(name)
-    return found
+    if found:
+        notices.replaces(folder, found)
+
+
+def write_report(folder: Path, report: dict, mark: str, names: Iterable[str]) -> dict:
+    """Write the report of a run, and return it with its fingerprint and the digests of its files.
+
+    A second run knows by these that the folder holds its whole result.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the run.
+    report : dict
+        The report.
+    mark : str
+        Fingerprint of the run.
+    names : iterable of str
+        Files of the run, all written by now.
+    """
+    report = {**report, FINGERPRINT: mark, DIGESTS: digests(folder, names)}
+    write_json(folder / REPORT, report)
+    return report
 
 
 def file_depth(bits: int) -> int:

@@ -32,15 +32,15 @@ UNFIT = tuple(
 )
 
 
-def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
+def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
     """Compute, save, read back and verify the holograms of a picture.
 
     Parameters
     ----------
     job : Job
         Parameters of the run.
-    replaces : callable, optional
-        Called before the computation with the names of the files that will be replaced, if there are any.
+    notices : files.Notices
+        What to do about files of earlier runs.
 
     Returns
     -------
@@ -65,9 +65,7 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         volume = job.method in VOLUME_METHODS or job.planes > 1
         names = _frame_files(job, target) if volume else [name for own in _channel_files(job, target) for name in own]
         others = ["reconstruction.png", "comparison.png", files.REPORT, *["focal_stack.png"] * (job.planes > 1)]
-        existing = files.files_in_the_way(folder, [*names, *others])
-        if existing and replaces is not None:
-            replaces(existing)
+        files.announce(folder, [*names, *others], notices)
         result = (_compute_volume if volume else _compute_plane)(job, target, folder, names, device)
         images, phases = result.pop("images"), result.pop("phases")
         quality = report.overall(target, images, result["channels"])
@@ -80,11 +78,9 @@ def run(job: Job, replaces: Callable[[list[str]], None] | None = None) -> dict:
         "verification": _verification(job, target),
         **report.parameters_of(job, target, names, device),
         "seconds_total": time.perf_counter() - start,
-        files.FINGERPRINT: files.fingerprint(job),
-        files.DIGESTS: files.digests(folder, [*names, "reconstruction.png", "comparison.png"]),
     }
-    files.write_json(folder / files.REPORT, summary)
-    return summary
+    written = [*names, "reconstruction.png", "comparison.png"]
+    return files.write_report(folder, summary, files.fingerprint_of(job), written)
 
 
 def check_propagation_type(name: str) -> None:

@@ -250,13 +250,7 @@ class Job:
         if self.grey and count == 3:
             raise InputError("--grey makes one hologram: give --wavelength once, not three times")
         for value in self.wavelengths:
-            if not math.isfinite(value) or value <= 0:
-                raise InputError(f"--wavelength must be positive and finite, in metres, got {value!r}")
-            if value > 1e-3:
-                raise InputError(
-                    f"--wavelength {value:g} is {value:g} metres, which is not a wavelength of light: "
-                    f"did you mean {value:g}nm?"
-                )
+            check_wavelength("--wavelength", value)
         if len({pattern_name(value) for value in self.wavelengths}) < count:
             raise InputError(f"--wavelength must be three different values, got {list(self.wavelengths)}")
 
@@ -287,17 +281,7 @@ class Job:
         """Warn of lengths that are possible but probably not intended, and state the probable intention."""
         wavelengths = self.wavelengths or (GREY_WAVELENGTH,)
         pitch, side = self.pixel_pitch, max(self.resolution)
-        if max(wavelengths) > LONGEST_WAVELENGTH:
-            meant = _likely_length(max(wavelengths), 1e-7, LONGEST_WAVELENGTH, "nm")
-            warn(
-                f"--wavelength {max(wavelengths):g} is {max(wavelengths):g} metres; did you mean {meant}?",
-                ArgumentWarning,
-            )
-            return
-        if pitch > LARGEST_PITCH or pitch < min(wavelengths) / 2:
-            why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
-            meant = _likely_length(pitch, 1e-6, 1e-4, "um")
-            warn(f"--pixel-pitch {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?", ArgumentWarning)
+        if warn_of_samples("--wavelength", max(wavelengths), "--pixel-pitch", pitch, min(wavelengths) / 2):
             return
         reach = max(wavelengths) * self.distance
         points = (side * pitch) ** 2 / reach if reach > 0 else math.inf
@@ -324,6 +308,30 @@ class Job:
         """Return all parameters as plain JSON values."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {name: str(value) if isinstance(value, Path) else value for name, value in values.items()}
+
+
+def check_wavelength(name: str, value: float) -> None:
+    """Raise InputError for what cannot be a wavelength of light in metres."""
+    if not math.isfinite(value) or value <= 0:
+        raise InputError(f"{name} must be positive and finite, in metres, got {value!r}")
+    if value > 1e-3:
+        raise InputError(
+            f"{name} {value:g} is {value:g} metres, which is not a wavelength of light: did you mean {value:g}nm?"
+        )
+
+
+def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float, finest: float = 0.0) -> bool:
+    """Warn of a wavelength or a pixel pitch that was probably not intended, and return whether there was one."""
+    if wavelength > LONGEST_WAVELENGTH:
+        meant = _likely_length(wavelength, 1e-7, LONGEST_WAVELENGTH, "nm")
+        warn(f"{name} {wavelength:g} is {wavelength:g} metres; did you mean {meant}?", ArgumentWarning)
+        return True
+    if pitch > LARGEST_PITCH or pitch < finest:
+        why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
+        meant = _likely_length(pitch, 1e-6, 1e-4, "um")
+        warn(f"{pitch_name} {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?", ArgumentWarning)
+        return True
+    return False
 
 
 def option(name: str) -> str:

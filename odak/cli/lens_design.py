@@ -14,7 +14,8 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.cli.files import writable_folder, write_json
+from odak.cli import files
+from odak.cli.files import writable_folder
 from odak.cli.job import InputError
 from odak.cli.report import finite, versions
 from odak.cli.trace import read_glasses, read_system
@@ -163,13 +164,15 @@ class DesignJob:
         return [word.strip() for word in text.split(",")]
 
 
-def run(job: DesignJob) -> dict:
+def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
     """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if requested.
 
     Parameters
     ----------
     job : DesignJob
         Parameters of the run.
+    notices : files.Notices
+        What to do about results of earlier runs.
 
     Returns
     -------
@@ -182,6 +185,17 @@ def run(job: DesignJob) -> dict:
         If an argument cannot be used, or no lens is found that keeps all rays. No file is written then.
     """
     folder = writable_folder(Path(job.output))
+    asked = {f.name: getattr(job, f.name) for f in fields(job) if f.name not in ("output", "quiet", "glasses")}
+    given = [Path(name) for name in (job.system, *job.glasses) if name is not None]
+    mark = files.fingerprint({"command": "design", **asked}, [path for path in given if path.is_file()])
+    if (kept := files.kept_report(folder, mark, notices)) is not None:
+        return kept
+    names = ["lens.json", *(["lens.zmx"] if job.zmx else []), "layout.png"]
+    if job.system is not None:
+        # A file that cannot be read is refused before anything is announced.
+        read_glasses(job.glasses)
+        read_system(job.system)
+    files.announce(folder, [*names, files.REPORT], notices)
     begun = time.perf_counter()
     with tqdm(desc="design", unit="step", disable=job.quiet) as bar:
         try:
@@ -190,7 +204,6 @@ def run(job: DesignJob) -> dict:
             raise
         except (TypeError, ValueError) as error:
             raise InputError(f"{'--elements' if job.system is None else 'SYSTEM'}: {error}") from None
-    asked = {f.name: getattr(job, f.name) for f in fields(job) if f.name not in ("output", "quiet", "glasses")}
     if job.track is not None:
         track = sum(float(item.thickness) for item in lens.surfaces) * MICROMETRES[lens.unit] * 1e-6
         if track > 1.01 * job.track:
@@ -202,7 +215,7 @@ def run(job: DesignJob) -> dict:
     report = {
         "did": did,
         "asked": {name: value for name, value in asked.items() if value not in (None, False)},
-        "files": ["lens.json", *(["lens.zmx"] if job.zmx else []), "layout.png", "report.json"],
+        "files": [*names, files.REPORT],
         "unit": lens.unit,
         "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
         "fields": _judged(start, lens),
@@ -217,8 +230,7 @@ def run(job: DesignJob) -> dict:
         write_zmx(lens, folder / "lens.zmx")
     with replacing(folder / "layout.png") as stream:
         drawing.savefig(stream, format="png", dpi=140)
-    write_json(folder / "report.json", report)
-    return report
+    return files.write_report(folder, report, mark, names)
 
 
 def _option(name: str) -> str:

@@ -1,7 +1,7 @@
 """Computation of metamers for `odak metamer`: pictures that look the same as another to a fixed gaze."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +11,20 @@ from tqdm import tqdm
 from odak import _validate
 from odak.cli import files, pictures
 from odak.cli.job import InputError, image_path
-from odak.cli.report import decibels, find_device
+from odak.cli.report import decibels, find_device, versions
 from odak.cli.target import read_picture
 
 STAGES = 3
+NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
+DEFINITIONS = {
+    "psnr_db": "Peak signal-to-noise ratio of metamer.png to the picture, in decibels; null if they are equal. A "
+    "metamer differs from the picture where the eye does not see it, so that a low value is no fault.",
+    "loss": "Metameric loss of metamer.png: the squared difference of the statistics that the eye perceives.",
+    "noise_loss": "The same of the picture with white noise of the same PSNR, for comparison.",
+    "largest_pooling": "Width in pixels of the largest region over which the eye pools.",
+    "gaze": "Fixated point, 0 to 1 from the left and from the top.",
+    "lengths": "Width of the picture and distance of the eye in metres.",
+}
 
 
 @dataclass(frozen=True)
@@ -52,7 +62,7 @@ class MetamerJob:
     """
 
     image: str = "photo"
-    output: Path = Path("output")
+    output: Path = Path("metamer")
     gaze: tuple[float, float] = (0.5, 0.5)
     width: float = 0.6
     distance: float = 0.7
@@ -83,19 +93,21 @@ class MetamerJob:
             raise InputError(str(error)) from None
 
 
-def run(job: MetamerJob) -> dict:
-    """Make the metamer of a picture; write metamer.png, pooling_map.png and comparison.png.
+def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
+    """Make the metamer of a picture; write metamer.png, pooling_map.png, comparison.png and report.json.
 
     Parameters
     ----------
     job : MetamerJob
         Parameters of the run.
+    notices : files.Notices
+        What to do about results of earlier runs.
 
     Returns
     -------
     dict
-        "psnr_db" of the metamer, "largest_pooling" in pixels, "loss": the metameric loss of the metamer as saved, over
-        the whole picture, and "noise_loss": that of the picture with white noise of the same squared error.
+        The report: "psnr_db" of the metamer, "largest_pooling" in pixels, "loss": the metameric loss of the metamer as
+        saved, over the whole picture, and "noise_loss": that of the picture with white noise of the same squared error.
 
     Raises
     ------
@@ -103,8 +115,14 @@ def run(job: MetamerJob) -> dict:
         If the picture, the device or the output folder cannot be used.
     """
     device = find_device(job.device)
-    picture = read_picture(image_path(job.image))[None].to(device)
+    path = image_path(job.image)
+    picture = read_picture(path)[None].to(device)
     folder = files.writable_folder(job.output)
+    parameters = {name: value for name, value in asdict(job).items() if name not in ("image", "output", "quiet")}
+    mark = files.fingerprint({"command": "metamer", **parameters, "device": None}, [path])
+    if (kept := files.kept_report(folder, mark, notices)) is not None:
+        return kept
+    files.announce(folder, [*NAMES, files.REPORT], notices)
     from odak.learn.perception import MetamericLoss, MetamerMSELoss, make_pooling_size_map_pixels
     from odak.learn.perception.metameric import metamer_stages
 
@@ -144,7 +162,11 @@ def run(job: MetamerJob) -> dict:
             )
         _write(folder, picture, metamer, pooling, job.width)
         bar.update()
-    return {"psnr_db": decibels(error), "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
+    found = {"psnr_db": decibels(error), "largest_pooling": float(pooling.max()), "loss": value, "noise_loss": of_noise}
+    given = {"command": "metamer", "picture": str(path), "parameters": parameters}
+    return files.write_report(
+        folder, {**found, **given, "versions": versions(), "definitions": DEFINITIONS}, mark, NAMES
+    )
 
 
 def _quantised(picture):
@@ -156,11 +178,11 @@ def _write(folder, picture, metamer, pooling, width) -> None:
     # A map of doublings: black is one pixel, white the largest region.
     levels = torch.log2(pooling.clamp_min(1))[None]
     shade = levels / levels.max().clamp_min(1e-6)
-    files.write_png(folder / "metamer.png", pictures.to_image(metamer[0]))
-    files.write_png(folder / "pooling_map.png", pictures.to_image(shade))
+    files.write_png(folder / NAMES[0], pictures.to_image(metamer[0]))
+    files.write_png(folder / NAMES[1], pictures.to_image(shade))
     panels = [
         pictures.picture_panel("Picture", picture[0].cpu()),
         pictures.picture_panel("Metamer", metamer[0].cpu()),
         pictures.picture_panel(f"Pooling, 1 (black) to {float(pooling.max()):.3g} px", shade.cpu()),
     ]
-    files.write_png(folder / "comparison.png", pictures.sheet([panels], width))
+    files.write_png(folder / NAMES[2], pictures.sheet([panels], width))

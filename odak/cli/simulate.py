@@ -16,7 +16,7 @@ import torch
 
 from odak import _validate, wave
 from odak.cli import files, pictures, report
-from odak.cli.job import InputError, did_you_mean, parse_length
+from odak.cli.job import InputError, check_wavelength, did_you_mean, parse_length, warn_of_samples
 from odak.wave.methods import PROPAGATION_TYPES
 
 BENCH, ELEMENTS, CONFIG = "bench", "elements", "config.json"
@@ -100,7 +100,7 @@ _TYPES: dict[str, dict] = {
 }
 
 
-def run(config: Path, output: Path) -> dict:
+def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> dict:
     """Pass light through the bench of a file, and write the fields that it records.
 
     Parameters
@@ -110,6 +110,8 @@ def run(config: Path, output: Path) -> dict:
     output : Path
         Folder to write to: for each record ``NAME.npy`` (complex64) and ``NAME.png``, and ``report.json``, which holds
         the configuration.
+    notices : files.Notices
+        What to do about results of earlier runs.
 
     Returns
     -------
@@ -123,9 +125,16 @@ def run(config: Path, output: Path) -> dict:
     """
     with report.collected_warnings() as texts:
         bench, elements = checked(read_config(config), Path(config).expanduser().resolve().parent)
+        check_wavelength(f"{BENCH}: wavelength", bench["wavelength"])
+        warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", bench["pixel_pitch"])
         folder = files.writable_folder(output)
-        names = [element["name"] for element in elements if element["kind"] == "record"]
-        files.files_in_the_way(folder, [files.REPORT, *(f"{name}{suffix}" for name in names for suffix in SUFFIXES)])
+        given = [Path(element[name]) for element in elements for name in ("pattern", "picture") if name in element]
+        mark = files.fingerprint({"command": "simulate", BENCH: bench, ELEMENTS: elements}, given)
+        if (kept := files.kept_report(folder, mark, notices)) is not None:
+            return kept
+        recorded = [element["name"] for element in elements if element["kind"] == "record"]
+        names = [f"{name}{suffix}" for name in recorded for suffix in SUFFIXES]
+        files.announce(folder, [*names, files.REPORT], notices)
         field = np.zeros(bench["resolution"], complex)
         steps, power = [], 0.0
         for element in elements:
@@ -149,8 +158,7 @@ def run(config: Path, output: Path) -> dict:
             "peak_position": "Metres from the centre of the field, sample n // 2, rows and columns.",
         },
     }
-    files.write_json(folder / files.REPORT, summary)
-    return summary
+    return files.write_report(folder, summary, mark, names)
 
 
 SUFFIXES = (".npy", ".png")

@@ -6,7 +6,7 @@ import os
 import shutil
 import time
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,9 +29,7 @@ MOST_PIXELS_IN_PNG = 4096**2
 _IN_PARTS = (1, 8, 32946)
 
 
-def run(
-    job: Job, replaces: Callable[[list[str]], None] | None = None, again: bool = False, workers: int | None = None
-) -> dict:
+def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, workers: int | None = None) -> dict:
     """Compute, save, read back and verify the holograms of a picture, a chunk at a time.
 
     The output folder receives the patterns and the intensities that they give as Zarr arrays, the state of the
@@ -42,8 +40,8 @@ def run(
     ----------
     job : Job
         Parameters of the run.
-    replaces : callable, optional
-        Called before the computation with the names of the files that will be replaced, if there are any.
+    notices : files.Notices
+        What to do about files of earlier runs.
     again : bool
         Start over, ignoring the state of an earlier run.
     workers : int, optional
@@ -69,9 +67,7 @@ def run(
         stems = [Path(pattern_name(value)).stem for value in target.wavelengths]
         names = [f"{stem}.png" for stem in stems] if in_memory else [f"{stem}.zarr" for stem in stems]
         others = ["reconstruction.png", "comparison.png"] if in_memory else []
-        existing = files.files_in_the_way(folder, [*(names if in_memory else []), *others, files.REPORT])
-        if existing and replaces is not None:
-            replaces(existing)
+        files.announce(folder, [*(names if in_memory else []), *others, files.REPORT], notices)
         with _computed_by(workers, folder):
             channels = [_channel(job, target, index, folder, stem, again) for index, stem in enumerate(stems)]
         errors = [channel.pop("mean_squared_error") for channel in channels]
@@ -89,11 +85,9 @@ def run(
         "verification": {"propagation_type": [_judge(job, wavelength) for wavelength in target.wavelengths]},
         **report.parameters_of(job, target, names, torch.device("cpu")),
         "seconds_total": time.perf_counter() - start,
-        files.FINGERPRINT: files.fingerprint(job),
-        files.DIGESTS: files.digests(folder, [*(f"{stem}.zarr" for stem in stems), *others]),
     }
-    files.write_json(folder / files.REPORT, summary)
-    return summary
+    written = [*(f"{stem}.zarr" for stem in stems), *others]
+    return files.write_report(folder, summary, files.fingerprint_of(job), written)
 
 
 @contextmanager

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import torch
 
-from odak.cli.files import writable_folder, write_json
+from odak.cli import files
+from odak.cli.files import writable_folder
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import finite, versions
 from odak.learn.raytracing.system import (
@@ -86,7 +87,15 @@ def read_system(name: str, argument: str = "SYSTEM"):
         raise InputError(f"{argument} {name!r} cannot be read as a lens: {text}") from None
 
 
-def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] = (), figures: str = "png") -> dict:
+def run(
+    name: str,
+    output: Path,
+    rings: int,
+    aim: str,
+    glasses: Sequence[Path] = (),
+    figures: str = "png",
+    notices: files.Notices = files.SILENT,
+) -> dict:
     """Trace a system and write its figures, report.html and report.json.
 
     Parameters
@@ -103,6 +112,8 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
         Glass catalogues (.agf), materials (.json) or entries of refractiveindex.info (.yml) to be read first.
     figures : str
         Kind of the figures' files, "png", "svg" or "pdf".
+    notices : files.Notices
+        What to do about results of earlier runs.
 
     Returns
     -------
@@ -123,9 +134,15 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
     read_glasses(glasses)
     system, ignored = read_system(name)
     folder = writable_folder(Path(output))
+    values = {"command": "trace", "system": Path(name).name, "rings": rings, "aim": aim, "figures": figures}
+    mark = files.fingerprint(values, [path for path in (Path(name), *glasses) if path.is_file()])
+    if (kept := files.kept_report(folder, mark, notices)) is not None:
+        return kept
+    drawn = report_figures(system, aim)
+    names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
+    files.announce(folder, [*names, files.REPORT], notices)
     with torch.no_grad():
         report = describe(system, rings, aim) | {"ignored": ignored}
-    drawn = report_figures(system, aim)
     for title, figure in drawn.items():
         # The layout serves both files of a figure; each saving would find it twice again.
         figure.draw_without_rendering()
@@ -133,9 +150,7 @@ def run(name: str, output: Path, rings: int, aim: str, glasses: Sequence[Path] =
         with replacing(folder / f"{title}.{figures}") as stream:
             figure.savefig(stream, format=figures, dpi=140)
     lens_report(system, folder / "report.html", aim, drawn)
-    report["figures"] = [f"{title}.{figures}" for title in drawn]
-    write_json(folder / "report.json", report)
-    return report
+    return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)
 
 
 def describe(system, rings: int, aim: str) -> dict:

@@ -11,6 +11,7 @@ from odak.cli import app, main
 from odak.learn.perception import make_pooling_size_map_pixels
 
 ROWS, COLUMNS = 60, 72
+METAMER = ["comparison.png", "metamer.png", "pooling_map.png"]
 VIEW = ["--gaze", "0.25", "0.5", "--width", "0.6", "--distance", "0.5", "--alpha", "0.6", "--levels", "4"]
 
 
@@ -37,7 +38,7 @@ def test_three_pictures(file, tmp_path):
     result = run(file, "--output", tmp_path, *VIEW)
     assert "metameric loss" in result.stdout
     assert "metamer" in result.stderr
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["comparison.png", "metamer.png", "pooling_map.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [*METAMER, "report.json"]
     metamer, picture = pixels(tmp_path / "metamer.png").astype(float), pixels(file).astype(float)
     assert metamer.shape == picture.shape
     error = abs(metamer - picture).mean(-1)

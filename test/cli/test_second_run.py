@@ -1,0 +1,145 @@
+"""Results of earlier runs: what a second run keeps, and what it says before it replaces files."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from odak.cli import lens_design, main, trace
+from odak.learn.raytracing.system import load_system
+
+BENCH = """
+[bench]
+wavelength = "{wavelength}"
+resolution = [32, 32]
+pixel_pitch = "8um"
+[[elements]]
+kind = "plane_wave"
+[[elements]]
+kind = "record"
+name = "a"
+"""
+TINY = ["--levels", "3", "--iterations", "0", "--device", "cpu"]
+ONE_STEP = ["--iterations", "1", "--starts", "1"]
+COMMANDS = {
+    "simulate": (["bench.toml"], ["other.toml"], ["a.npy", "a.png", "report.json"]),
+    "metamer": (
+        ["noise.png", *TINY],
+        ["noise.png", *TINY, "--seed", "1"],
+        ["metamer.png", "pooling_map.png", "comparison.png", "report.json"],
+    ),
+    "trace": (["singlet", "--rings", "1"], ["singlet", "--rings", "2"], ["layout.png", "report.html", "report.json"]),
+    "design": (["singlet", *ONE_STEP], ["singlet", *ONE_STEP, "--f-number", "6"], ["lens.json", "report.json"]),
+}
+
+
+@pytest.fixture
+def cheap(monkeypatch):
+    """Leave out what takes seconds: this is about files, not about lenses."""
+    lens = load_system("singlet")
+    monkeypatch.setattr(trace, "report_figures", lambda *_: {"layout": Figure(figsize=(1, 1))})
+    monkeypatch.setattr(trace, "lens_report", lambda system, path, *_: path.write_text("report"))
+    described = {"system": {"unit": "mm"}, "first_order": {"focal_length": None}, "fields": []}
+    monkeypatch.setattr(trace, "describe", lambda *_: described)
+    monkeypatch.setattr(lens_design, "_from_system", lambda *_: (lens, lens, [], []))
+    monkeypatch.setattr(lens_design, "_judged", lambda *_: [])
+    monkeypatch.setattr(lens_design, "_drawing", lambda *_: Figure(figsize=(1, 1)))
+
+
+@pytest.mark.usefixtures("cheap")
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_second_run_keeps_its_result_and_announces_others(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    noise = np.random.default_rng(0).integers(0, 256, (64, 64, 3)).astype(np.uint8)
+    Image.fromarray(noise).save("noise.png")
+    for name, wavelength in (("bench.toml", "532nm"), ("other.toml", "633nm")):
+        (tmp_path / name).write_text(BENCH.format(wavelength=wavelength))
+    first, other, names = COMMANDS[command]
+
+    def run(*arguments):
+        code = main([command, *arguments, "-o", "out"])
+        told = capsys.readouterr()
+        return code, told.out, told.err
+
+    def stamps():
+        return {path.name: path.stat().st_mtime_ns for path in (tmp_path / "out").iterdir()}
+
+    code, out, err = run(*first)
+    assert code == 0 and "already" not in out and "replaced" not in err
+    written = stamps()
+    assert set(names) <= set(written)
+    code, out, err = run(*first)
+    assert code == 0 and "already holds the result of this run; use --again" in out
+    assert stamps() == written
+    code, out, err = run(*other)
+    assert code == 0 and "already" not in out
+    assert "of another run, which will be replaced" in err and all(name in err for name in names)
+    assert stamps()["report.json"] > written["report.json"]
+    # A result that is no longer whole is computed again, and what is left of it is named.
+    (tmp_path / "out" / names[0]).unlink()
+    code, out, err = run(*other)
+    assert code == 0 and "already" not in out and "report.json of another run" in err and names[0] not in err
+    code, out, err = run(*other, "--again")
+    assert code == 0 and "already" not in out and "replaced" not in err
+
+
+def test_a_person_is_asked_and_may_refuse(tmp_path, monkeypatch, capsys):
+    for name, wavelength in (("bench.toml", "532nm"), ("other.toml", "633nm")):
+        (tmp_path / name).write_text(BENCH.format(wavelength=wavelength))
+    assert main(["simulate", str(tmp_path / "bench.toml"), "-o", str(tmp_path / "out")]) == 0
+    before = (tmp_path / "out" / "a.npy").read_bytes()
+    monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+    asked = []
+    monkeypatch.setattr("typer.confirm", lambda text: asked.append(text))
+    capsys.readouterr()
+    assert main(["simulate", str(tmp_path / "other.toml"), "-o", str(tmp_path / "out")]) == 2
+    assert "a.npy, a.png, report.json of another run. Replace?" in asked[0]
+    assert "nothing was computed; --output names another folder" in capsys.readouterr().err
+    assert (tmp_path / "out" / "a.npy").read_bytes() == before
+
+
+def test_a_repeated_step_of_a_calibration_is_announced(tmp_path, capsys):
+    arguments = [
+        "-o",
+        str(tmp_path),
+        "--option",
+        "simulated.shape=[32,32]",
+        "--option",
+        "simulated.camera_shape=[40,40]",
+    ]
+    assert main(["calibrate", "exposure", *arguments]) == 0
+    assert "replaced" not in capsys.readouterr().err
+    assert main(["calibrate", "exposure", *arguments]) == 0
+    assert "exposure.png of another run, which will be replaced" in capsys.readouterr().err
+    assert main(["calibrate", "exposure", *arguments, "--again"]) == 0
+    assert "replaced" not in capsys.readouterr().err
+
+
+def test_an_interrupted_run_ends_with_one_line_and_its_own_code(tmp_path, monkeypatch, capsys):
+    (tmp_path / "bench.toml").write_text(BENCH.format(wavelength="532nm"))
+
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("numpy.save", interrupt)
+    assert main(["simulate", str(tmp_path / "bench.toml"), "-o", str(tmp_path / "out")]) == 130
+    assert capsys.readouterr().err.strip() == "odak: interrupted"
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["hologram", "chart", "--resolution", "64x64"], "Give two values: --resolution ROWS COLUMNS"),
+        (["hologram", "--resolution", "64"], "Give two values: --resolution ROWS COLUMNS"),
+        (["metamer", "--gaze", "0.5,0.5", "photo"], "Give two values: --gaze X Y"),
+        (["simulate", "bench.toml"], "bench: wavelength 532 is 532 metres, which is not a wavelength of light"),
+    ],
+)
+def test_what_was_meant_is_said(arguments, named, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bench.toml").write_text(BENCH.format(wavelength="532"))
+    assert main([*arguments, "-o", "out"]) == 2
+    told = capsys.readouterr().err
+    assert named in told and told.count("\n") == 1
+    assert not (tmp_path / "out").exists()
