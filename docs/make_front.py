@@ -24,7 +24,7 @@ CAPTIONS = {
     "hologram": "a phase-only hologram",
     "reconstruction": "its image, 5 cm away",
     "lens": "a lens, and rays through it",
-    "metamer": "sharp where one looks",
+    "metamer": "a metamer, sharp where one looks",
 }
 
 
@@ -48,7 +48,8 @@ def pictures() -> dict[str, Image.Image]:
     return {
         "hologram": _image(colormaps["twilight"](phase.numpy())[60:390, 80:520, :3]),
         "reconstruction": _image(green[:, :600]),
-        "lens": lens.crop((120, 0, 120 + side, lens.height)),
+        # The elements and what enters and leaves them, without the ends of the rays.
+        "lens": lens.crop((lens.width - side, 0, lens.width, lens.height)),
         "metamer": _image(metamer),
     }
 
