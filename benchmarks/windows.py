@@ -80,22 +80,23 @@ def tilted(device: str) -> Iterator[dict]:
 
 def tilted_against_plain(device: str) -> Iterator[dict]:
     """Yield planes tilted about one axis and about any, again and again, against an ordinary padded propagation."""
-    for n in (256, 512):
-        field = torch.randn(n, n, dtype=torch.complex64, device=device)
+    for n, dtype in ((256, torch.complex64), (512, torch.complex64), (512, torch.complex128), (1024, torch.complex64)):
+        field = torch.randn(n, n, dtype=dtype, device=device)
 
         def plain(field=field):
             wave.propagate_beam(field, None, DISTANCE, PITCH, WAVELENGTH)
 
-        for about, angles, bound in (
-            ("y", (0.0, 30.0, 0.0), 5.0),
-            ("x", (10.0, 0.0, 0.0), 5.0),
-            ("x and y", (10.0, 20.0, 0.0), None),
+        for about, angles in (
+            ("y", (0.0, 30.0, 0.0)),
+            ("x", (10.0, 0.0, 0.0)),
+            ("x and y", (10.0, 20.0, 0.0)),
+            ("x, y and z", (10.0, 20.0, 30.0)),
         ):
 
             def ours(field=field, angles=angles):
                 wave.propagate_to_tilted_plane(field, WAVELENGTH, DISTANCE, PITCH, angles)
 
-            yield _row(f"tilted plane about {about}, {n}", ours, plain, "propagate_beam", bound, device)
+            yield _row(f"plane tilted about {about}, {n}, {str(dtype)[6:]}", ours, plain, "propagate_beam", 5.0, device)
 
 
 def partial_coherence(device: str) -> Iterator[dict]:

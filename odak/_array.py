@@ -180,6 +180,15 @@ def has_sparse_matrices(value) -> bool:
     return is_torch(value) or type(value).__module__ == "numpy"
 
 
+def added_at(array, indices, values):
+    """Return a vector of NumPy or PyTorch with values added at indices, which may repeat."""
+    if is_torch(array):
+        return array.index_add(0, indices, values)
+    array = array.copy()
+    numpy_namespace.add.at(array, indices, values)
+    return array
+
+
 def numbers_behind(value) -> list[float] | None:
     """Return the numbers in an array as a flat list without derivatives, None under vmap and torch.compile.
 

@@ -4,6 +4,7 @@ The chirp-z transform goes between any two uniform grids exactly; runs of the fr
 transform (:class:`Line`) use fast transforms where they can; the non-uniform transform gives the spectrum anywhere.
 """
 
+import functools
 import importlib
 import math
 from dataclasses import dataclass
@@ -114,6 +115,11 @@ def _indices(like, count: int, axis: int):
 
 def to_line(field, line: Line):
     """Return Σ u·exp(−i2πf·x) at the frequencies of `line`, for samples along its axis."""
+    return to_line_from_first(field, line) * phase_of_first(field, line, field.shape[line.axis])
+
+
+def to_line_from_first(field, line: Line):
+    """Return the sums of :func:`to_line` without the phase that counts samples from the one in the middle."""
     xp = _array.namespace(field)
     n = field.shape[line.axis]
     shifted = field * phasor_of_cycles(-line.first / line.period * centred(field, n, line.axis), field.dtype)
@@ -121,15 +127,19 @@ def to_line(field, line: Line):
     if line.count > line.period:
         # A line longer than the period goes round once more.
         spectrum = xp.concat([spectrum] * -(-line.count // line.period), axis=line.axis)
-    spectrum = spectrum[..., : line.count] if line.axis == -1 else spectrum[..., : line.count, :]
-    # The transform counts samples from the first, we from the one in the middle.
-    return spectrum * phasor_of_cycles(n // 2 / line.period * _indices(field, line.count, line.axis), field.dtype)
+    return spectrum[..., : line.count] if line.axis == -1 else spectrum[..., : line.count, :]
+
+
+def phase_of_first(like, line: Line, count: int):
+    """Return the phase that :func:`to_line_from_first` leaves out for `count` samples, in the dtype of `like`."""
+    return phasor_of_cycles(count // 2 / line.period * _indices(like, line.count, line.axis), like.dtype)
 
 
 def from_line(spectrum, line: Line, pitch, count: int):
     """Return Σ U·exp(i2πf·x)/period at `count` samples along the axis of `line`.
 
-    `pitch` is in units of the field's; None means the same, which a fast transform serves.
+    `pitch` is in units of the field's; None means the same, which a fast transform serves if `count` is not more than
+    the period.
     """
     xp = _array.namespace(spectrum)
     positions = centred(spectrum, count, line.axis)
@@ -137,15 +147,24 @@ def from_line(spectrum, line: Line, pitch, count: int):
         # At whole samples frequencies a period apart are the same.
         if line.count > line.period:
             spectrum, line = _folded(spectrum, line)
-        back = phasor_of_cycles(-(count // 2) / line.period * _indices(spectrum, line.count, line.axis), spectrum.dtype)
-        result = xp.fft.ifft(spectrum * back, n=line.period, axis=line.axis)
-        result = result[..., :count] if line.axis == -1 else result[..., :count, :]
+        result = _middle(xp.fft.ifft(spectrum, n=line.period, axis=line.axis), count, line.axis)
+        if line.first == 0:
+            return result
         return result * phasor_of_cycles(line.first / line.period * positions, result.dtype)
-    pitch = xp.ones((1, 1), dtype=xp.float64, device=_array.device_of(spectrum)) if pitch is None else pitch
     result = fourier_sum(spectrum, pitch / line.period, count, +1, line.axis) / line.period
     # The sum counts frequencies from the one in the middle.
     middle = (line.first + line.count // 2) / line.period
     return result * phasor_of_cycles(middle * pitch * positions, result.dtype)
+
+
+def _middle(periodic, count: int, axis: int):
+    """Return `count` samples about sample 0 of a periodic array."""
+    start, end = periodic.shape[axis] - count // 2, count - count // 2
+    if axis == -1:
+        parts = [periodic[..., start:], periodic[..., :end]]
+    else:
+        parts = [periodic[..., start:, :], periodic[..., :end, :]]
+    return _array.namespace(periodic).concat(parts, axis=axis)
 
 
 def _folded(spectrum, line: Line) -> tuple:
@@ -173,6 +192,7 @@ def _folded(spectrum, line: Line) -> tuple:
 
 # Taps along an axis: the spreading error is about 10^(1 − taps) for twofold oversampling.
 _TAPS = {"complex64": 8, "complex128": 14}
+_TAPS_OF_STEPS = {"complex64": 7, "complex128": 12}
 
 
 def spectrum_at(field, cycles_y, cycles_x):
@@ -199,7 +219,7 @@ def spectrum_at(field, cycles_y, cycles_x):
     """
     xp = _array.namespace(field)
     taps = _TAPS["complex128" if field.dtype == xp.complex128 else "complex64"]
-    sizes = [max(scipy.fft.next_fast_len(2 * n), 2 * taps) for n in field.shape[-2:]]
+    sizes = [_fine_size(n, taps) for n in field.shape[-2:]]
     for axis, size in zip((-2, -1), sizes, strict=True):
         field = _wrap(field / _window_transform(field, axis, size, taps), axis, size)
     fine = xp.fft.fftn(field, axes=(-2, -1))
@@ -208,138 +228,234 @@ def spectrum_at(field, cycles_y, cycles_x):
     return _gather(fine, rows, columns)
 
 
-def spectrum_along(field, cycles, axis: int):
-    """Return Σ u[…, m]·exp(−i2π·cycles·(m − M//2)) along one axis, at frequencies that differ from line to line.
+def compensated(field):
+    """Return a field divided along its last axis by the transform of the window that interpolates its spectrum."""
+    taps = _taps_of_steps(field.dtype)
+    return field / _window_transform(field, -1, _fine_size(field.shape[-1], taps), taps)
+
+
+def spectrum_along(field, cycles):
+    """Return Σ u[…, m]·exp(−i2π·cycles·(m − M//2)) along the last axis, at frequencies that differ from row to row.
 
     Parameters
     ----------
     field : array
-        Complex ``[..., N, M]``, its other axis already a frequency.
+        Complex ``[..., N, M]``, the result of :func:`compensated`; its rows may be frequencies already.
     cycles : array
-        Frequencies in cycles per sample, float64 ``[..., N, Q]`` for axis -1, ``[..., Q, M]`` for axis -2.
-    axis : int
-        -1 or -2.
+        Frequencies in cycles per sample, float64 ``[..., N, Q]``. Differentiable.
 
     Returns
     -------
     array
-        Complex ``[..., N, Q]`` or ``[..., Q, M]``; method and precision are those of :func:`spectrum_at`.
+        Complex ``[..., N, Q]``, to about 1e-6 (complex64) or 2e-11 (complex128) of its norm; the method is that of
+        :func:`spectrum_at`.
     """
-    xp = _array.namespace(field)
-    if axis == -2:
-        field, cycles = xp.matrix_transpose(field), xp.matrix_transpose(cycles)
-        return xp.matrix_transpose(spectrum_along(field, cycles, -1))
-    fine, size, taps = _fine_spectrum(field)
+    xp, taps = _array.namespace(field), _taps_of_steps(field.dtype)
+    fine = _fine_spectrum(field)
+    size = fine.shape[-1]
     # Continued by its beginning, so that no index has to go round.
     fine = xp.concat([fine, fine[..., :taps]], axis=-1)
     batch, width = np.broadcast_shapes(tuple(fine.shape[:-1]), tuple(cycles.shape[:-1])), size + taps
     flat = xp.reshape(xp.broadcast_to(fine, (*batch, width)), (-1,))
     first = xp.reshape(xp.arange(math.prod(batch), device=_array.device_of(fine)) * width, (*batch, 1))
-    place = cycles * size
-    nearest = xp.ceil(place - taps / 2)
-    aside = xp.astype((nearest - place) * (2 / taps), _array.real_dtype(field))
-    start = first + xp.astype(nearest, xp.int64) % size
+    nearest, weights = _taps_around(cycles * size, taps, field)
+    start = first + nearest % size
     shape, start = start.shape, xp.reshape(start, (-1,))
     result = 0.0
-    for tap in range(taps):
-        weight = _window(xp.clip(aside + 2 * tap / taps, -1.0, 1.0), taps)
+    for tap, weight in enumerate(weights):
         result = result + xp.reshape(xp.take(flat, start + tap, axis=0), shape) * weight
     return result
 
 
-def _fine_spectrum(field):
-    """Return the spectrum along the last axis on a grid twice as fine, its length, and the taps to interpolate it."""
-    xp = _array.namespace(field)
-    taps = _TAPS["complex128" if field.dtype == xp.complex128 else "complex64"]
-    size = max(scipy.fft.next_fast_len(2 * field.shape[-1]), 2 * taps)
-    return xp.fft.fft(_wrap(field / _window_transform(field, -1, size, taps), -1, size), axis=-1), size, taps
+def spread_along(spectrum, cycles, line: Line, width: int):
+    """Return values on `line` whose sum over its frequencies is that of `spectrum` over its own, along axis -2.
 
+    Columns `width` apart are added.
 
-class InterpolatedSpectrum:
-    """The linear map of :func:`spectrum_along` or :func:`spectrum_at` at frequencies that stay, by a sparse matrix.
+    After :func:`from_line`, the result is to be multiplied by :func:`compensation`. This is the transpose of
+    :func:`spectrum_along`, a non-uniform Fourier transform of type 1 in the terms of its references.
 
     Parameters
     ----------
-    cycles_y, cycles_x : numpy.ndarray or None
-        Frequencies in cycles per sample ``[P, Q]``, one set for all fields; None for the axis that is a frequency
-        already, whose index is that of the result.
-    shape : tuple of int
-        Rows and columns of the field.
-    double : bool
-        True for complex128.
-    needed : numpy.ndarray
-        Boolean ``[P, Q]``: the result is zero elsewhere.
+    spectrum : array
+        Complex ``[..., P, Q]`` of NumPy or PyTorch.
+    cycles : array
+        Its frequencies in cycles per sample, float64 ``[..., P, Q]``, within those of :func:`spreading_line`.
+        Differentiable.
+    line : Line
+        Frequencies of the result, of :func:`spreading_line`.
+    width : int
+        Columns of the result.
+
+    Returns
+    -------
+    array
+        Complex ``[..., frequencies of the line, width]``.
+    """
+    xp, taps = _array.namespace(spectrum), _taps_of_steps(spectrum.dtype)
+    batch = np.broadcast_shapes(tuple(spectrum.shape[:-2]), tuple(cycles.shape[:-2]))
+    height, columns = spectrum.shape[-2:]
+    nearest, weights = _taps_around(cycles * line.period, taps, spectrum)
+    device = _array.device_of(spectrum)
+    plane = xp.reshape(xp.arange(math.prod(batch), device=device) * (line.count * width), (*batch, 1, 1))
+    place = plane + xp.arange(columns, device=device) % width
+    result = xp.zeros(math.prod(batch) * line.count * width, dtype=spectrum.dtype, device=device)
+    for tap, weight in enumerate(weights):
+        index = place + (nearest + tap - line.first) % line.count * width
+        values = xp.broadcast_to(spectrum * weight, (*batch, height, columns))
+        index = xp.reshape(xp.broadcast_to(index, values.shape), (-1,))
+        result = _array.added_at(result, index, xp.reshape(values, (-1,)))
+    return xp.reshape(result, (*batch, line.count, width))
+
+
+def spreading_line(ends: tuple[float, float], extent: float, whole: bool, dtype) -> Line:
+    """Return the line for sums over frequencies between two, in cycles per sample, at places over `extent` samples.
+
+    If the places are `whole` samples, a period of frequencies is enough, in the order of a discrete transform.
+    """
+    taps = _taps_of_steps(dtype)
+    period = scipy.fft.next_fast_len(max(math.ceil(2 * extent), 2 * taps))
+    if whole:
+        return Line(-2, 0, period, period)
+    first, last = math.floor(ends[0] * period - taps / 2), math.ceil(ends[1] * period + taps / 2)
+    return Line(-2, first, last + 1 - first, period)
+
+
+def compensation(like, line: Line, ratio, count: int):
+    """Return the factor, along rows, that a sum over values of :func:`spread_along` needs at `count` places.
+
+    `ratio` is their distance in samples, a number or an array ``[..., 1, 1]``. The division by the line's period in
+    :func:`from_line` is undone.
+    """
+    xp, taps = _array.namespace(like), _taps_of_steps(like.dtype)
+    nodes, weights = (xp.asarray(v, device=_array.device_of(like)) for v in _quadrature())
+    places = centred(like, count, -2) * ratio
+    cosines = xp.cos((math.pi * taps / line.period) * nodes * places)
+    transform = xp.sum(cosines * (weights * _window(nodes, taps)), axis=-1, keepdims=True) * (taps / 2)
+    return xp.astype(line.period / transform, _array.real_dtype(like))
+
+
+def _taps_of_steps(dtype) -> int:
+    return _TAPS_OF_STEPS["complex128" if "complex128" in str(dtype) else "complex64"]
+
+
+def _fine_size(count: int, taps: int) -> int:
+    """Return the frequencies of a spectrum that is interpolated."""
+    return max(scipy.fft.next_fast_len(2 * count), 2 * taps)
+
+
+def _fine_spectrum(field):
+    """Return the spectrum of a compensated field along the last axis on a grid twice as fine."""
+    size = _fine_size(field.shape[-1], _taps_of_steps(field.dtype))
+    return _array.namespace(field).fft.fft(_wrap(field, -1, size), axis=-1)
+
+
+class InterpolatedSpectrum:
+    """The linear map of :func:`spectrum_along` at frequencies that stay, by a sparse matrix.
+
+    Parameters
+    ----------
+    cycles : numpy.ndarray
+        Frequencies in cycles per sample ``[N, Q]``, one set for all fields.
+    count : int
+        Samples of the field along its last axis.
+    dtype : numpy.dtype or torch.dtype
+        That of the field, complex64 or complex128.
+    needed : numpy.ndarray, optional
+        Boolean ``[N, Q]``; if given, the result holds the values that are needed, one after the other.
     """
 
-    def __init__(self, cycles_y, cycles_x, shape: tuple[int, int], double: bool, needed: np.ndarray):
-        self.transposed = cycles_x is None
-        if self.transposed:
-            cycles_x, shape, needed = cycles_y.T, shape[::-1], needed.T
-        self.both = not self.transposed and cycles_y is not None
-        taps = _TAPS["complex128" if double else "complex64"]
-        sizes = [max(scipy.fft.next_fast_len(2 * n), 2 * taps) for n in shape]
-        real = np.float64 if double else np.float32
-        places, weights = _taps_of(cycles_x[needed] * sizes[1], taps, real)
-        rows = np.nonzero(needed)[0]
-        self.tap_weights: np.ndarray | None = None
-        if self.both:
-            first, down = _taps_of(cycles_y[needed] * sizes[0], taps, real)
-            rows = first[:, 0] % sizes[0]
-            self.tap_weights = np.zeros((taps, needed.size), dtype=real)
-            self.tap_weights[:, needed.reshape(-1)] = down.T
-        columns = (rows[:, None] * sizes[1] + places % sizes[1]).astype(np.int32).reshape(-1)
-        starts = np.concatenate([[0], np.cumsum(needed.reshape(-1)) * taps]).astype(np.int32)
-        lines = sizes[0] if self.both else len(needed)
-        self.matrix = scipy.sparse.csr_matrix(
-            (weights.reshape(-1), columns, starts), shape=(needed.size, lines * sizes[1])
-        )
-        self.shape, self.sizes = needed.shape, sizes
-        self.held_bytes = columns.size * (4 + weights.itemsize)
-        if self.tap_weights is not None:
-            self.held_bytes += self.tap_weights.nbytes
-        self._operator: Any = None
+    def __init__(self, cycles, count: int, dtype, needed: np.ndarray | None = None):
+        size, rows = _fine_size(count, _taps_of_steps(dtype)), len(cycles)
+        self.shape = cycles.shape if needed is None else (int(needed.sum()),)
+        needed = np.ones(cycles.shape, dtype=bool) if needed is None else needed
+        starts = np.nonzero(needed)[0] * size
+        self.map = _SparseMap(_matrix_of_taps(cycles[needed] * size, size, starts, 1, rows * size, dtype))
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes of the matrix."""
+        return self.map.held_bytes
 
     def __call__(self, field):
-        """Return the spectrum ``[..., P, Q]`` of a field."""
-        xp = _array.namespace(field)
-        if self.transposed:
-            field = xp.matrix_transpose(field)
-        if not self.both:
-            fine = _fine_spectrum(field)[0]
-            flat = xp.reshape(fine, (-1, math.prod(fine.shape[-2:])))
-            result = xp.reshape(self._product(flat), (*fine.shape[:-2], *self.shape))
-            return xp.matrix_transpose(result) if self.transposed else result
-        taps, size = len(self.tap_weights), math.prod(self.sizes)
-        for axis, n in zip((-2, -1), self.sizes, strict=True):
-            field = _wrap(field / _window_transform(field, axis, n, taps), axis, n)
-        fine = xp.reshape(xp.fft.fftn(field, axes=(-2, -1)), (-1, size))
-        # The same matrix serves each tap along rows, on the spectrum moved by a row.
-        fine = xp.concat([fine, fine[:, : (taps - 1) * self.sizes[1]]], axis=-1)
-        return xp.reshape(self._product(fine), (*field.shape[:-2], *self.shape))
+        """Return the spectrum ``[..., N, Q]`` or ``[..., values]`` of compensated fields ``[..., N, samples]``."""
+        fine = _fine_spectrum(field)
+        flat = _array.namespace(field).reshape(fine, (-1, math.prod(fine.shape[-2:])))
+        return _array.namespace(field).reshape(self.map(flat), (*fine.shape[:-2], *self.shape))
 
-    def _product(self, flat):
+
+class SpreadSpectrum:
+    """The linear map of :func:`spread_along` at frequencies that stay, by a sparse matrix.
+
+    Parameters
+    ----------
+    cycles : numpy.ndarray
+        Frequencies in cycles per sample ``[P, Q]``, one set for all spectra.
+    line : Line
+        Frequencies along axis -2 on which they are spread.
+    width : int
+        Columns of the result; columns that are this far apart are added.
+    dtype : numpy.dtype or torch.dtype
+        That of the spectrum, complex64 or complex128.
+    needed : numpy.ndarray
+        Boolean ``[P, Q]``: the frequencies of the values that will be given, one after the other.
+    """
+
+    def __init__(self, cycles, line: Line, width: int, dtype, needed: np.ndarray):
+        self.shape = (line.count, width)
+        places, starts = cycles[needed] * line.period - line.first, np.nonzero(needed)[1] % width
+        matrix = _matrix_of_taps(places, line.count, starts, width, line.count * width, dtype)
+        self.map = _SparseMap(matrix.T.tocsr())
+
+    @property
+    def held_bytes(self) -> int:
+        """Return the bytes of the matrix."""
+        return self.map.held_bytes
+
+    def __call__(self, values):
+        """Return the spectrum ``[..., frequencies of the line, width]`` of ``[..., values]``."""
+        xp = _array.namespace(values)
+        flat = xp.reshape(values, (-1, values.shape[-1]))
+        return xp.reshape(self.map(flat), (*values.shape[:-1], *self.shape))
+
+
+def _matrix_of_taps(places, period: int, starts, step: int, width: int, dtype) -> scipy.sparse.csr_matrix:
+    """Return the matrix whose rows hold the taps around `places`, indices of a period that are `step` columns apart.
+
+    Index 0 is in column `starts`.
+    """
+    taps, block = _taps_of_steps(dtype), 1 << 14
+    shape = (len(places), taps)
+    weights = np.empty(shape, dtype=np.float64 if "complex128" in str(dtype) else np.float32)
+    columns = np.empty(shape, dtype=np.int32)
+    # Blocks stay in the processor's cache.
+    for part in (slice(first, first + block) for first in range(0, len(places), block)):
+        nearest, values = _taps_around(places[part], taps, weights)
+        for tap, value in enumerate(values):
+            weights[part, tap] = value
+        columns[part] = (nearest[:, None] + np.arange(taps)) % period * step + starts[part, None]
+    bounds = np.arange(0, weights.size + 1, taps, dtype=np.int32)
+    return scipy.sparse.csr_matrix((weights.reshape(-1), columns.reshape(-1), bounds), shape=(len(places), width))
+
+
+class _SparseMap:
+    """The product of a real sparse matrix with complex arrays ``[batch, columns of the matrix]``."""
+
+    def __init__(self, matrix: scipy.sparse.csr_matrix):
+        self.matrix = matrix
+        self.held_bytes = matrix.data.nbytes + matrix.indices.nbytes + matrix.indptr.nbytes
+        self._operator: Any = None
+
+    def __call__(self, flat):
         if _array.is_torch(flat):
             if self._operator is None:
-                module = importlib.import_module("odak.learn.wave.convolution")
-                self._operator = module.sparse_operator(self.matrix, self.tap_weights, self.sizes[1])
+                self._operator = importlib.import_module("odak.learn.wave.convolution").sparse_operator(self.matrix)
             return self._operator(flat)
         return np.stack([self._product_of_one(np.ascontiguousarray(one)) for one in flat])
 
     def _product_of_one(self, flat):
-        columns, inside, result = flat.view(flat.real.dtype).reshape(-1, 2), self.matrix.shape[1], 0.0
-        for term in range(len(self.tap_weights) if self.both else 1):
-            start = term * self.sizes[1]
-            part = self.matrix @ columns[start : start + inside]
-            result = result + (part * self.tap_weights[term][:, None] if self.both else part)
+        result = self.matrix @ flat.view(flat.real.dtype).reshape(-1, 2)
         return np.ascontiguousarray(result).view(flat.dtype)[..., 0]
-
-
-def _taps_of(place, taps: int, dtype):
-    """Return the indices of the fine frequencies near those asked for, ``[points, taps]``, and the window's values."""
-    nearest = np.ceil(place - taps / 2)
-    indices = nearest[:, None] + np.arange(taps)
-    values = _window(np.clip((indices - place[:, None]) * (2 / taps), -1.0, 1.0), taps)
-    return indices.astype(np.int64), values.astype(dtype)
 
 
 def _gather(fine, rows, columns):
@@ -363,15 +479,23 @@ def _gather(fine, rows, columns):
 
 def _nearby(cycles, size: int, taps: int, field) -> list[tuple]:
     """Return, for each tap, the index of a fine frequency near those asked for and the window's value there."""
-    xp = _array.namespace(field)
-    place = cycles * size
+    nearest, weights = _taps_around(cycles * size, taps, field)
+    return [((nearest + tap) % size, weight) for tap, weight in enumerate(weights)]
+
+
+def _taps_around(place, taps: int, like):
+    """Return the index of the first of the fine frequencies near `place`, and an iterator of the window's values."""
+    xp = _array.namespace(place)
     nearest = xp.ceil(place - taps / 2)
-    result = []
-    for tap in range(taps):
-        index = nearest + tap
-        value = _window(xp.clip((index - place) * (2 / taps), -1.0, 1.0), taps)
-        result.append((xp.astype(index % size, xp.int64), xp.astype(value, _array.real_dtype(field))))
-    return result
+    aside = xp.astype((nearest - place) * (2 / taps), _array.real_dtype(like))
+    weights = (_window(xp.clip(aside + 2 * tap / taps, -1.0, 1.0), taps) for tap in range(taps))
+    return xp.astype(nearest, xp.int64), weights
+
+
+@functools.cache
+def _quadrature():
+    """Return the nodes and weights of Gauss and Legendre by which the window is transformed."""
+    return np.polynomial.legendre.leggauss(64)
 
 
 def _window(t, taps: int):
@@ -385,7 +509,7 @@ def _window_transform(field, axis: int, size: int, taps: int):
     """Return the window's Fourier transform at the field's samples, by Gauss–Legendre quadrature."""
     xp = _array.namespace(field)
     count = field.shape[axis]
-    nodes, weights = np.polynomial.legendre.leggauss(64)
+    nodes, weights = _quadrature()
     samples = np.arange(count) - count // 2
     cosines = np.cos(np.pi * taps / size * nodes[:, None] * samples)
     values = taps / 2 * (weights * _window(nodes, taps)) @ cosines

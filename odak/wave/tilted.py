@@ -11,13 +11,26 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import AccuracyWarning, warn
-from odak.wave.fourier import InterpolatedSpectrum, Line, spectrum_along, spectrum_at, to_line
+from odak.wave.fourier import (
+    InterpolatedSpectrum,
+    Line,
+    SpreadSpectrum,
+    compensated,
+    compensation,
+    phase_of_first,
+    spectrum_along,
+    spectrum_at,
+    spread_along,
+    spreading_line,
+    to_line_from_first,
+)
 from odak.wave.transfer_functions import (
     Grid,
     Request,
     check_geometry,
     kernels,
     outside_inference,
+    pitches,
     plane_wave_transfer,
 )
 from odak.wave.windows import GUARD, Rays, Window, carry_to_offset, column, make_window, to_window
@@ -84,10 +97,19 @@ def propagate_to_tilted_plane(
     Notes
     -----
     Matsushima, Schimmel and Wyrowski, J. Opt. Soc. Am. A 20, 1755 (2003): a plane wave stays one on any plane. Its
-    frequencies rotate, and the spectrum is multiplied by the Jacobian f_z/f_z'. The field's spectrum is needed between
-    the frequencies of its grid; a non-uniform Fourier transform finds it to about 1e-7 (complex64) or 1e-12
-    (complex128), so that no interpolation error is seen; for a rotation about x or y alone it is needed along one axis
-    only, which is quicker. Waves that decay are left out.
+    frequencies rotate, and the spectrum is multiplied by the Jacobian f_z/f_z'. The rotation of the frequencies is done
+    in two steps along one axis each (Catmull and Smith, Comput. Graph. 14, 279 (1980), for images): the frequencies
+    along the field's columns become those along the window's columns, then those along the rows. Each step is a
+    non-uniform Fourier transform, to about 1e-6 (complex64) or 2e-11 (complex128) of the field's norm; a rotation about
+    x or y alone needs one of them. Where a step has no inverse (waves along the plane, at high numerical apertures and
+    large angles about both axes), the spectrum is interpolated along both axes at once, which takes some ten times
+    longer. Waves that decay are left out.
+
+    For angles and lengths that are plain numbers on the CPU, the steps are sparse matrices, which the first call makes,
+    and which stay in the store of :func:`odak.wave.set_kernel_cache_size` if that has room for them: 112 bytes for each
+    frequency (complex64) or 288 (complex128), about five times the samples of the field. With them the propagation
+    takes three to five times as long as :func:`odak.wave.propagate_beam` with its default padding, six times if the
+    window is also turned by more than 20° about the axis. Without them it takes ten times longer.
 
     Along a tilted plane the phase changes by sin θ/λ cycles per metre. The samples are right whatever their pitch; to
     resolve that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
@@ -116,12 +138,12 @@ def propagate_to_tilted_plane(
             "there may be wrong",
             AccuracyWarning,
         )
-    return to_window(path.spectrum(field) * path.transfer, path.lines, path.window, path.grid)
+    return path(field)
 
 
 @dataclass(frozen=True)
 class _Path:
-    """What leads from the spectrum of a field to its window on a tilted plane.
+    """What leads from a field to its window on a tilted plane.
 
     Attributes
     ----------
@@ -130,11 +152,17 @@ class _Path:
     window : Window
         The window, in the same coordinates.
     lines : tuple of Line
-        Frequencies along its rows and columns.
+        Frequencies along the rows and columns of the spectrum; those of the window if nothing is spread.
     spectrum : callable
-        Returns the spectrum of a field at the frequencies that become those of the lines.
+        Returns the spectrum of a field.
     transfer : array
-        Factor of each of them.
+        Factor of each of its frequencies.
+    spread : callable or None
+        Returns the spectrum with frequencies of the window along its rows.
+    factor : array or None
+        Factor of the window's rows after it.
+    turned : tuple of bool
+        Whether rows and columns of the field, and of the window, are exchanged in all of this.
     least : float
         Cosine of the angle between the planes.
     """
@@ -144,12 +172,25 @@ class _Path:
     lines: tuple[Line, Line]
     spectrum: Callable
     transfer: Any
+    spread: Callable | None
+    factor: Any
+    turned: tuple[bool, bool]
     least: float
 
     @property
     def held_bytes(self) -> int:
         """Return the bytes that the path takes in the store of kernels."""
-        return 16 * math.prod(self.transfer.shape) + getattr(self.spectrum, "held_bytes", 0)
+        parts = [getattr(part, "held_bytes", 0) for part in (self.spectrum, self.spread)]
+        return 16 * math.prod(self.transfer.shape) + sum(parts)
+
+    def __call__(self, field):
+        """Return the field on the window."""
+        xp = _array.namespace(field)
+        spectrum = self.spectrum(xp.matrix_transpose(field) if self.turned[0] else field) * self.transfer
+        spectrum = spectrum if self.spread is None else self.spread(spectrum)
+        result = to_window(spectrum, self.lines, self.window, self.grid)
+        result = result if self.factor is None else result * self.factor
+        return xp.matrix_transpose(result) if self.turned[1] else result
 
 
 def _key(field, request: Request, window: Window, angles, source_angles) -> tuple | None:
@@ -166,7 +207,7 @@ def _key(field, request: Request, window: Window, angles, source_angles) -> tupl
 
 
 def _tilted_path(field, request: Request, window: Window, angles, source_angles, kept: bool = False) -> _Path:
-    """Return the path of a field to a tilted plane; one that is kept interpolates by a matrix where it can."""
+    """Return the path of a field to a tilted plane; one that is kept interpolates by sparse matrices where it can."""
     xp, shape = _array.namespace(field), tuple(field.shape[-2:])
     with outside_inference(xp):
         grid = request.grid(shape, xp, _array.device_of(field), field.dtype)
@@ -174,65 +215,98 @@ def _tilted_path(field, request: Request, window: Window, angles, source_angles,
         window = replace(window, axes=_rotated_axes("angles", angles, grid))
         if not straight:
             grid, window = _seen_from(_rotated_axes("source_angles", source_angles, grid), grid, window)
-        rays = Rays.between(grid, window)
-        least = float(rays.numbers().axes[2][2].min())
+        least = float(Rays.between(grid, window).numbers().axes[2][2].min())
         if least < 1e-3:
             raise ValueError(
                 "angles and source_angles must tilt the planes by less than 90 degrees, "
                 f"got {angles!r}, {source_angles!r}"
             )
-        lines = rays.lines()
-        (fy, fx), transfer = _transfer(grid, window, rays, lines)
-        dy, dx = grid.pitch
-        axis = _axis_kept(angles) if straight else None
-        spectrum = _spectrum_of_path(axis, lines, (fy * dy, fx * dx), field, transfer if kept else None)
-    return _Path(grid, window, lines, spectrum, transfer, least)
+        turned = _turns(Rays.between(grid, window).numbers())
+        grid, window = _turned(grid, window, turned, request)
+        rays = Rays.between(grid, window)
+        along = straight and _is_about_one_axis(angles)
+        stretch = 1.0 if along else _stretch(rays.numbers())
+        if stretch is None or not _array.has_sparse_matrices(field):
+            return _general_path(grid, window, turned, least)
+        return _two_step_path(grid, window, turned, least, along, stretch, kept)
 
 
-def _spectrum_of_path(axis: int | None, lines, cycles, field, transfer) -> Callable:
-    """Return the function that takes a field to its spectrum at frequencies (y, x); those along `axis` are a line's.
+def _two_step_path(grid: Grid, window: Window, turned, least: float, along: bool, stretch: float, kept: bool) -> _Path:
+    """Return the path that takes the columns' frequencies to those of the window first, then those of the rows.
 
-    Where `transfer` is given, the path is kept, and a sparse matrix interpolates the spectrum where that is not zero.
+    With `along` the rows' frequencies remain; otherwise their derivative, at one frequency of the window's columns,
+    is at least 1/`stretch`.
     """
-    cycles_y, cycles_x = cycles
-    line = None if axis is None else lines[0 if axis == -2 else 1]
-    matrix = None
-    if transfer is not None and transfer.ndim == 2 and _fits(transfer, field):
+    rays = Rays.between(grid, window)
+    down, across = rays.lines()
+    rows = down if along else rays.source_line(stretch * down.period)
+    (fx, v), transfer = _mixed_transfer(grid, window, rays, (rows, across), down)
+    transfer = transfer * phase_of_first(transfer, rows, grid.shape[0])
+    cycles, target = fx * grid.pitch[1], v * grid.pitch[0]
+    matrices = kept and transfer.ndim == 2 and _fits(transfer, 1 if along else 2)
+    if along:
+        interpolate = (
+            InterpolatedSpectrum(np.asarray(cycles), grid.shape[1], grid.dtype)
+            if matrices
+            else functools.partial(spectrum_along, cycles=cycles)
+        )
+        return _Path(grid, window, (down, across), _Composed(rows, interpolate), transfer, None, None, turned, least)
+    # Where the window has the field's pitch, frequencies a period apart are the same.
+    whole = window.dx is None
+    ratio = window.pitch(grid)[0] / grid.pitch[0]
+    extent = window.shape[0] * float(np.asarray(_validate.numbers(ratio)).max())
+    ends = (down.first / down.period, (down.first + down.count - 1) / down.period)
+    line = spreading_line(ends, extent, whole, grid.dtype)
+    if whole:
+        across = replace(across, count=min(across.count, across.period))
+    factor = compensation(transfer, line, ratio, window.shape[0]) / rows.period
+    if matrices:
         size = np.abs(np.asarray(transfer))
-        y, x = (None if axis == own else np.asarray(c) for own, c in ((-2, cycles_y), (-1, cycles_x)))
-        shape = (size.shape[0] if axis == -2 else field.shape[-2], size.shape[1] if axis == -1 else field.shape[-1])
-        matrix = InterpolatedSpectrum(y, x, shape, _array.is_double(field), size > 1e-13 * size.max())
-    if line is None:
-        return matrix or (lambda field: spectrum_at(field, cycles_y, cycles_x))
-    if matrix is not None:
-        return _Composed(line, matrix)
-    one, other = (cycles_x, -1) if axis == -2 else (cycles_y, -2)
-    return lambda field: spectrum_along(to_line(field, line), one, other)
+        needed = size > 1e-13 * size.max()
+        interpolate = InterpolatedSpectrum(np.asarray(cycles), grid.shape[1], grid.dtype, needed)
+        spread = SpreadSpectrum(np.asarray(target), line, across.count, grid.dtype, needed)
+        transfer = transfer[needed if isinstance(transfer, np.ndarray) else grid.xp.asarray(needed)]
+    else:
+        interpolate = functools.partial(spectrum_along, cycles=cycles)
+        spread = functools.partial(spread_along, cycles=target, line=line, width=across.count)
+    spectrum = _Composed(rows, interpolate)
+    return _Path(grid, window, (line, across), spectrum, transfer, spread, factor, turned, least)
 
 
-def _fits(transfer, field) -> bool:
-    """Return whether a matrix can be used for a field, and be kept with others in the store of kernels."""
-    # Taps along both axes, an index and a weight or two each.
-    largest = math.prod(transfer.shape) * (14 * 20 if _array.is_double(field) else 8 * 12)
-    on_cpu = "cpu" in str(_array.device_of(field)).lower()
-    return on_cpu and _array.has_sparse_matrices(field) and largest < kernels.maximum_bytes // 2
+def _general_path(grid: Grid, window: Window, turned, least: float) -> _Path:
+    """Return the path that interpolates the spectrum along both axes, which any angles allow."""
+    rays = Rays.between(grid, window)
+    lines = rays.lines()
+    (fy, fx), transfer = _transfer(grid, window, rays, lines)
+    dy, dx = grid.pitch
+
+    spectrum = functools.partial(spectrum_at, cycles_y=fy * dy, cycles_x=fx * dx)
+    return _Path(grid, window, lines, spectrum, transfer, None, None, turned, least)
+
+
+def _fits(transfer, steps: int) -> bool:
+    """Return whether sparse matrices can be used for each of the steps, and be kept with others in the store."""
+    double = _array.is_double(transfer)
+    largest = math.prod(transfer.shape) * steps * (12 * 12 if double else 7 * 8)
+    on_cpu = "cpu" in str(_array.device_of(transfer)).lower()
+    return on_cpu and largest < 3 * kernels.maximum_bytes // 4
 
 
 @dataclass(frozen=True)
 class _Composed:
-    """Transform along one axis and interpolation along the other."""
+    """Transform along the rows' axis, less its phase, and interpolation along the columns'."""
 
     line: Line
-    matrix: InterpolatedSpectrum
+    interpolate: Callable
 
     @property
     def held_bytes(self) -> int:
-        """Return the bytes of the matrix."""
-        return self.matrix.held_bytes
+        """Return the bytes of the matrix, if there is one."""
+        return getattr(self.interpolate, "held_bytes", 0)
 
     def __call__(self, field):
         """Return the spectrum of a field."""
-        return self.matrix(to_line(field, self.line))
+        return self.interpolate(to_line_from_first(compensated(field), self.line))
 
 
 def _is_zero(value) -> bool:
@@ -240,11 +314,53 @@ def _is_zero(value) -> bool:
     return not _array.is_array(value) and value == 0
 
 
-def _axis_kept(angles) -> int | None:
-    """Return the axis (-2 or -1) whose frequencies a rotation about y or x alone leaves as they are, or None."""
-    if _array.is_array(angles) or not _is_zero(angles[2]):
+def _is_about_one_axis(angles) -> bool:
+    """Return whether a rotation is one about x or y alone, known as a plain number."""
+    return not _array.is_array(angles) and _is_zero(angles[2]) and (_is_zero(angles[0]) or _is_zero(angles[1]))
+
+
+def _turns(rays: Rays) -> tuple[bool, bool]:
+    """Return whether to exchange the axes of the field, and of the window, before the steps of a path.
+
+    The first step is along the field's axis that is tilted more, and leads to the window's axis next to it. NumPy
+    constants are needed.
+    """
+    tilt_x, tilt_y = (np.abs(rays.axes[2][k]).max() for k in (0, 1))
+    field = bool(tilt_y > tilt_x)
+    along_columns, along_rows = (np.abs(rays.axes[k][1 if field else 0]).min() for k in (0, 1))
+    return field, bool(along_rows > along_columns)
+
+
+def _turned(grid: Grid, window: Window, turned: tuple[bool, bool], request: Request) -> tuple[Grid, Window]:
+    """Return grid and window with the axes of the field and those of the window exchanged, as `turned` says."""
+    field, target = turned
+    if field:
+        axes = tuple((unit[1], unit[0], unit[2]) for unit in window.axes)
+        grid, window = replace(grid, shape=grid.shape[::-1], pitch=grid.pitch[::-1]), replace(window, axes=axes)
+    pitch = pitches(request.dx) if window.dx is None else pitches(window.dx)
+    if window.dx is not None or field != target:
+        # Unless the field's pitch along the exchanged axes serves.
+        same = window.dx is None and all(isinstance(value, (int, float)) for value in pitch) and pitch[0] == pitch[1]
+        window = replace(window, dx=None if same else tuple(pitch)[:: -1 if target else 1])
+    if target:
+        columns, rows, normal = window.axes
+        window = replace(window, shape=window.shape[::-1], offset=window.offset[::-1], axes=(rows, columns, normal))
+    return grid, window
+
+
+def _stretch(rays: Rays) -> float | None:
+    """Return the largest derivative of the window's frequencies along rows by the field's, None if it has no bound.
+
+    The frequency along the window's columns is held. NumPy constants are needed.
+    """
+    waves = rays.waves()
+    (a_x, _, a_z), _, normal = rays.axes
+    kept = a_x * waves[2] - a_z * waves[0]
+    kept = kept * np.where(a_x < 0, -1.0, 1.0) * rays.wavelength
+    if kept.min() < 0.1:
         return None
-    return -2 if _is_zero(angles[0]) else -1 if _is_zero(angles[1]) else None
+    forward = sum(f * n for f, n in zip(waves, normal, strict=True)) * rays.wavelength
+    return float((forward / kept).max())
 
 
 def _rotated_axes(name: str, angles, grid: Grid) -> tuple:
@@ -297,12 +413,55 @@ def _transfer(grid: Grid, window: Window, rays: Rays, lines):
     safe = xp.astype(meets, xp.float64)
     v, u = v * safe, u * safe
     w = xp.sqrt(1 / grid.wavelength**2 - v**2 - u**2)
-    fx, fy, fz = (u * a + v * b + w * n for a, b, n in zip(*window.axes, strict=True))
-    weight = rays.weight(window.guard, (v / w, u / w)) * safe * (fz / w)
+    field = tuple(u * a + v * b + w * n for a, b, n in zip(*window.axes, strict=True))
+    held, transfer = _factor(grid, window, rays, field, (u, v, w), meets, w)
+    fy, fx = (xp.where(held, f, xp.zeros_like(f)) for f in (field[1], field[0]))
+    return (fy, fx), transfer
+
+
+def _mixed_transfer(grid: Grid, window: Window, rays: Rays, lines, down: Line):
+    """Return the factor of the plane waves with frequencies of the field along rows, of the window along columns.
+
+    Their frequencies along the field's columns and the window's rows, those within `down`, come with it.
+    """
+    xp = grid.xp
+    fy, u = (line.cycles(pitch) / pitch for line, pitch in zip(lines, grid.pitch, strict=True))
+    (a_x, a_y, a_z), rows, normal = window.axes
+    length = a_x**2 + a_z**2
+
+    def squared(fy, rest):
+        return length * (1 / grid.wavelength**2 - fy**2) - rest**2
+
+    rest = u - a_y * fy
+    meets = squared(fy, rest) > (1e-3 / grid.wavelength) ** 2
+    safe = xp.astype(meets, xp.float64)
+    fy, rest = fy * safe, rest * safe
+    root = xp.sqrt(squared(fy, rest)) * xp.where(a_x < 0, -xp.ones_like(rest), xp.ones_like(rest))
+    field = ((a_x * rest - a_z * root) / length, fy, (a_z * rest + a_x * root) / length)
+    v, w = (sum(f * n for f, n in zip(field, unit, strict=True)) for unit in (rows, normal))
+    first, last = (index / down.period for index in (down.first, down.first + down.count - 1))
+    cycles = v * grid.pitch[0]
+    meets = meets & (w > 1e-3 / grid.wavelength) & (cycles > first - 1e-9) & (cycles < last + 1e-9)
+    w = xp.where(meets, w, xp.ones_like(w))
+    held, transfer = _factor(grid, window, rays, field, ((u + 0 * v), v, w), meets, xp.abs(root))
+    middle = (first + last) / 2 / grid.pitch[0]
+    return (xp.where(held, field[0], xp.zeros_like(v)), xp.where(held, v, middle + 0 * v)), transfer
+
+
+def _factor(grid: Grid, window: Window, rays: Rays, field, target, meets, slope):
+    """Return where plane waves count, and the factor of each: propagation, guard, area and the window's offset.
+
+    `field` and `target` are their frequencies (x, y, z) in the two planes, `meets` says where these are known, and
+    `slope` over the field's z is the area that a frequency takes.
+    """
+    xp = grid.xp
+    (fx, fy, fz), (u, v, w) = field, target
     # Of the two edges of the band that a sampled field holds, one counts.
-    cycles = [f * pitch for f, pitch in zip((fy, fx), grid.pitch, strict=True)]
-    edges = [(f >= -0.5 - 1e-9) & (f < 0.5 - 1e-9) for f in cycles]
-    held = (fz > 0) & edges[0] & edges[1]
-    fy, fx = (xp.where(held, f, xp.zeros_like(f)) for f in (fy, fx))
+    edges = [
+        (f * pitch >= -0.5 - 1e-9) & (f * pitch < 0.5 - 1e-9) for f, pitch in zip((fy, fx), grid.pitch, strict=True)
+    ]
+    held = meets & (fz > 0) & edges[0] & edges[1]
+    weight = rays.weight(window.guard, (v / w, u / w)) * (fz / slope)
+    fy, fx = (xp.where(held, f, xp.zeros_like(f)) for f in (fy + 0 * fx, fx))
     kernel = plane_wave_transfer(grid, fy, fx) * xp.astype(xp.where(held, weight, 0 * weight), grid.dtype)
-    return (fy, fx), carry_to_offset(kernel, window, grid, v, u)
+    return held, carry_to_offset(kernel, window, grid, v, u)

@@ -171,6 +171,23 @@ class Rays:
         )
         return fx, fy, np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
 
+    def waves(self):
+        """Return the frequencies of :meth:`directions`, and close to the field those of waves of all directions."""
+        waves = self.directions()
+        if not self._is_near().any():
+            return waves
+        lead = waves[2].shape[:-1]
+        return tuple(
+            np.concatenate([np.broadcast_to(f, (*lead, f.shape[-1])) for f in both], -1)
+            for both in zip(waves, self._band_waves(), strict=True)
+        )
+
+    def source_line(self, period: float) -> Line:
+        """Return the line of the field's own frequencies along its rows, of at least a period."""
+        rays = self.numbers()
+        count = scipy.fft.next_fast_len(math.ceil(period))
+        return rays._line(-2, rays.directions()[1], (0.0, 1.0, 0.0), count).held()
+
     def trace(self, slope, unit):
         """Return the extent on the window's plane, along `unit`, of a plane wave that leaves the field at a slope."""
         normal = self.axes[2]
@@ -205,20 +222,25 @@ class Rays:
         """Return the line from the lowest to the highest frequency of the whole batch."""
         cycles = frequency * self.pitch[axis]
         # Close to the field waves of all directions contribute.
-        near = np.abs(self.distance) < 10 * self.wavelength
-        low, high = (np.where(near, side * self.pitch[axis], cycles) for side in self._band(unit))
+        low, high = (np.where(self._is_near(), side * self.pitch[axis], cycles) for side in self._band(unit))
         # Rounding must not add an index at either end.
         first, last = math.floor(low.min() * period + 1e-9), math.ceil(high.max() * period - 1e-9)
         return Line(axis, first, last + 1 - first, period)
 
-    def _band(self, unit):
-        """Return the lowest and the highest frequency along `unit`, in 1/m, of all waves in the field."""
+    def _is_near(self):
+        return np.abs(self.distance) < 10 * self.wavelength
+
+    def _band_waves(self):
+        """Return frequencies (x, y, z) all over the band of the field, in 1/m."""
         fx, fy = (
             v.reshape(1, -1) / (2 * pitch)
             for v, pitch in zip(np.meshgrid(_BAND, _BAND), reversed(self.pitch), strict=True)
         )
-        fz = np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
-        frequency = unit[0] * fx + unit[1] * fy + unit[2] * fz
+        return fx, fy, np.sqrt(np.maximum(1 / self.wavelength**2 - fx**2 - fy**2, 0))
+
+    def _band(self, unit):
+        """Return the lowest and the highest frequency along `unit`, in 1/m, of all waves in the field."""
+        frequency = sum(f * u for f, u in zip(self._band_waves(), unit, strict=True))
         return frequency.min(-1, keepdims=True), frequency.max(-1, keepdims=True)
 
     def weight(self, guard: float, slopes):

@@ -332,27 +332,20 @@ def release_memory() -> None:
     _scratch.__dict__.clear()
 
 
-def sparse_operator(matrix: Any, weights: Any = None, step: int = 0) -> Callable:
+def sparse_operator(matrix: Any) -> Callable:
     """Return the linear map of a real sparse matrix for complex tensors.
 
     Parameters
     ----------
     matrix : scipy.sparse.csr_matrix
         Real ``[M, N]``.
-    weights : numpy.ndarray, optional
-        Real ``[T, M]``: the map is then the sum over t of weights[t] times the matrix applied to the field moved by
-        t·`step` samples.
-    step : int
-        Samples from one term to the next.
 
     Returns
     -------
     callable
-        Takes complex ``[batch, N + (T − 1)·step]`` on the CPU to ``[batch, M]``; differentiable any number of times.
+        Takes complex ``[batch, N]`` on the CPU to ``[batch, M]``; differentiable any number of times.
     """
     held: dict[bool, torch.Tensor] = {}
-    lines = None if weights is None else torch.from_numpy(weights)[..., None]
-    terms, (out, inside) = 1 if lines is None else len(lines), matrix.shape
 
     def table(adjoint):
         if adjoint not in held:
@@ -364,25 +357,13 @@ def sparse_operator(matrix: Any, weights: Any = None, step: int = 0) -> Callable
                 held[adjoint] = torch.sparse_csr_tensor(*parts, one.shape, check_invariants=False)
         return held[adjoint]
 
-    def product(fields, adjoint):
-        columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
-        if adjoint:
-            result = columns.new_zeros(inside + (terms - 1) * step, columns.shape[1])
-            for term in range(terms):
-                weighted = columns if lines is None else columns * lines[term]
-                result[term * step :][:inside] += table(True) @ weighted
-        else:
-            result = columns.new_zeros(out, columns.shape[1])
-            for term in range(terms):
-                part = table(False) @ columns[term * step :][:inside]
-                result = part if lines is None else result.addcmul_(part, lines[term])
-        return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
-
     class Product(torch.autograd.Function):
         @staticmethod
         def forward(ctx, fields, adjoint):
             ctx.adjoint = adjoint
-            return product(fields, adjoint)
+            columns = torch.view_as_real(fields.resolve_conj()).permute(1, 0, 2).reshape(fields.shape[-1], -1)
+            result = table(adjoint) @ columns
+            return torch.view_as_complex(result.reshape(-1, len(fields), 2).transpose(0, 1).contiguous())
 
         @staticmethod
         def backward(ctx, gradient):
