@@ -156,6 +156,8 @@ class Lenses:
         Rays are those of the reference wavelength; glasses have their index at it. Surfaces without a semi-diameter are
         drawn as far as rays reach. Cemented lenses stand 1/10 000 of a thickness apart.
         """
+        from odak.learn.raytracing.system.surfaces import drawn_radii, is_glass
+
         if not isinstance(getattr(system, "surfaces", None), Iterable):
             raise TypeError(
                 f"system must be an odak.learn.raytracing.system.optical_system, got {type(system).__name__}"
@@ -173,7 +175,11 @@ class Lenses:
         unit = MICROMETRES[system.unit] * 1e-6 / self.metres
         places = np.cumsum([0.0] + [float(item.thickness) for item in surfaces])
         paths, fields = _traced(system, pupil, max(_validate.integer("count", count), 2), places)
-        profiles = _profiles(surfaces, paths)
+        reaches = np.nanmax(np.hypot(paths[:, 1:-1, 0], paths[:, 1:-1, 1]), axis=0, initial=0.0)
+        profiles = [
+            Profile(float(item.curvature), float(item.conic), tuple(item.coefficients.tolist()), radius)
+            for item, radius in zip(surfaces, drawn_radii(surfaces, reaches), strict=True)
+        ]
         drawn = []
 
         def keep(mesh: Mesh, material, part: str, ground: int = 0) -> None:
@@ -188,7 +194,7 @@ class Lenses:
                 keep(profile_mesh(profiles[i], places[i], segments, facing=1), metal(), f"mirror {i}")
             elif item.material != "air" and i + 1 < len(surfaces):
                 behind = item.material if item.material is not None else float(item.index)
-                mesh = _element(profiles[i : i + 2], places[i : i + 2], _is_glass(surfaces, i - 1), segments)
+                mesh = _element(profiles[i : i + 2], places[i : i + 2], is_glass(surfaces, i - 1), segments)
                 keep(mesh, glass(behind, wavelength, system.unit), f"lens {i}", 2 * segments)
         if count:
             coded = [coded_light(linear_color(color)) for color in colors]
@@ -253,24 +259,6 @@ def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:
         paths = torch.stack(stations, dim=-2)[0]
     fields = np.repeat(np.arange(paths.shape[0]), paths.shape[1]).tolist()
     return paths.reshape(-1, len(stations), 3).cpu().numpy(), fields
-
-
-def _profiles(surfaces, paths) -> list[Profile]:
-    """Return the faces up to their semi-diameters or the rays' heights; the two of a lens alike where both are free."""
-    reach = np.nanmax(np.hypot(paths[:, 1:-1, 0], paths[:, 1:-1, 1]), axis=0, initial=0.0)
-    semi = [item.semi_diameter or 1.05 * float(r) or 1.0 for item, r in zip(surfaces, reach, strict=True)]
-    for i in range(len(surfaces) - 1):
-        free = surfaces[i].semi_diameter is None and surfaces[i + 1].semi_diameter is None
-        if free and _is_glass(surfaces, i):
-            semi[i] = semi[i + 1] = max(semi[i], semi[i + 1])
-    return [
-        Profile(float(item.curvature), float(item.conic), tuple(item.coefficients.tolist()), size)
-        for item, size in zip(surfaces, semi, strict=True)
-    ]
-
-
-def _is_glass(surfaces, i: int) -> bool:
-    return i >= 0 and surfaces[i].material != "air" and not surfaces[i].reflects
 
 
 def _element(faces: list[Profile], places, cemented: bool, segments: int) -> Mesh:

@@ -114,15 +114,21 @@ def _paths(system, rays) -> np.ndarray:
 
 def _draw_surfaces(figure, system, frames, paths) -> None:
     """Draw each piece of glass as one closed mesh, mirrors as sheets, and the image plane."""
-    heights = _heights(system, frames, paths)
-    sheets = [_points_of(item, frame, h) for item, frame, h in zip(system.surfaces, frames, heights, strict=False)]
+    from odak.learn.raytracing.system.surfaces import drawn_radii, is_break
+
+    reaches = [
+        np.nanmax(np.linalg.norm(((paths[..., i + 1, :] - origin) @ matrix)[..., :2], axis=-1), initial=0.0)
+        for i, (matrix, origin) in enumerate(frames[:-1])
+    ]
+    radii = drawn_radii(system.surfaces, reaches)
+    sheets = [_points_of(*drawn) for drawn in zip(system.surfaces, frames[:-1], radii, strict=True)]
     for i, item in enumerate(system.surfaces):
-        if item.order is not None:
+        if is_break(item):
             continue
         if item.reflects:
             figure.add_mesh(*_mesh(sheets[i]), color=MIRROR, opacity=0.6, label="mirror")
         elif item.material != "air" and i + 1 < len(sheets):
-            behind = next((j for j in range(i + 1, len(sheets)) if system.surfaces[j].order is None), i)
+            behind = next((j for j in range(i + 1, len(sheets)) if not is_break(system.surfaces[j])), i)
             figure.add_mesh(*_mesh(sheets[i], sheets[behind]), color=GLASS, opacity=0.35, label=f"element {i + 1}")
         if i == system.stop:
             rim = sheets[i][-1]
@@ -131,36 +137,20 @@ def _draw_surfaces(figure, system, frames, paths) -> None:
     matrix, origin = frames[-1]
     local = (paths[..., -1, :] - origin) @ matrix
     reached = np.nanmax(np.abs(local[..., :2]), axis=(0, 1), initial=0.0)
-    x, y = np.maximum(1.1 * reached, max(heights))
+    x, y = np.maximum(1.1 * reached, max(radii))
     corners = np.array([(-x, -y, 0.0), (x, -y, 0.0), (x, y, 0.0), (-x, y, 0.0)]) @ matrix.T + origin
     figure.add_mesh(corners, np.array([[0, 1, 2], [0, 2, 3]]), color=SCREEN, opacity=0.25, label="image plane")
 
 
-def _heights(system, frames, paths) -> list[float]:
-    """Return the height to which each surface is drawn: its semi-diameter, or that of the rays."""
-    heights = []
-    for i, item in enumerate(system.surfaces):
-        matrix, origin = frames[i]
-        met = np.linalg.norm(((paths[..., i + 1, :] - origin) @ matrix)[..., :2], axis=-1)
-        needed = 1.05 * float(np.nanmax(met, initial=0.0)) or 1.0
-        heights.append(item.semi_diameter or needed)
-    # The two faces of a lens share an edge.
-    for i, item in enumerate(system.surfaces[:-1]):
-        free = item.semi_diameter is None and system.surfaces[i + 1].semi_diameter is None
-        if free and item.material != "air" and not item.reflects:
-            heights[i] = heights[i + 1] = max(heights[i], heights[i + 1])
-    return heights
-
-
-def _points_of(item, frame, height: float) -> np.ndarray:
+def _points_of(item, frame, rim: float) -> np.ndarray:
     """Return points on a surface in space ``[RADII + 1, ANGLES, 3]``, from the vertex to the rim, where it exists."""
-    radius = np.linspace(0, height, RADII + 1)[:, None]
+    radius = np.linspace(0, rim, RADII + 1)[:, None]
     angle = np.linspace(0, 2 * np.pi, ANGLES, endpoint=False)
     x, y = radius * np.cos(angle), radius * np.sin(angle)
     parameters = [to_numpy("shape", value) for value in item.shape.parameters()]
     sag = type(item.shape)(*parameters).sag(x, y)
-    while not np.all(sag.defined) and height > 0:
-        x, y, height = 0.98 * x, 0.98 * y, 0.98 * height
+    while not np.all(sag.defined) and rim > 0:
+        x, y, rim = 0.98 * x, 0.98 * y, 0.98 * rim
         sag = type(item.shape)(*parameters).sag(x, y)
     matrix, origin = frame
     return np.stack([x, y, sag.height], axis=-1) @ matrix.T + origin

@@ -27,7 +27,7 @@ from odak.learn.raytracing.system.analysis import (
 from odak.learn.raytracing.system.lens_files import system_to_dict
 from odak.learn.raytracing.system.paraxial import first_order, seidel_sums
 from odak.learn.raytracing.system.pupils import AIMS, launch, pupil_samples
-from odak.learn.raytracing.system.surfaces import checked_system, is_break
+from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, is_break, is_glass
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import modulation_transfer_function, point_spread_function
 from odak.tools.paths import _text, replacing
@@ -78,9 +78,9 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         ahead = start - direction * ((start[..., 2:] + 0.15 * extent) / direction[..., 2:])
         paths = torch.cat([ahead[..., None, :], paths], -2)
     paths = paths.numpy()
-    heights = _heights(system, frames, paths[..., -len(frames) :, :])
+    radii = _radii(system, frames, paths[..., -len(frames) :, :])
     items = [*system.surfaces, system.image]
-    profiles = [_profile(*pair) for pair in zip(items, frames, heights, strict=True)]
+    profiles = [_profile(*pair) for pair in zip(items, frames, radii, strict=True)]
     figure = Figure(figsize=(10, 5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
@@ -88,7 +88,7 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     axes.axis("off")
     for i in range(len(system.surfaces)):
         behind = next((j for j in range(i + 1, len(items)) if items[j] is None or not is_break(items[j])), None)
-        if behind is not None and behind < len(items) - 1 and _is_glass(system, i):
+        if behind is not None and behind < len(items) - 1 and is_glass(system.surfaces, i):
             axes.fill(*np.concatenate([profiles[i], profiles[behind][::-1]]).T, color=GLASS, ec=FAINT, lw=0.6)
     for f in range(paths.shape[0]):
         color = _color(f)
@@ -99,13 +99,13 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     for i, item in enumerate(system.surfaces):
         if is_break(item):
             continue
-        bare = not item.reflects and not _is_glass(system, i) and (i == 0 or not _is_glass(system, i - 1))
+        bare = not item.reflects and not is_glass(system.surfaces, i) and not is_glass(system.surfaces, i - 1)
         width = 2.2 if item.reflects else 0.6 if bare else 1.1
         axes.plot(*profiles[i].T, color=FAINT if bare and not item.stop else INK, lw=width, zorder=3)
         if i == system.stop:
             upwards = frames[i][0][:, 1][[2, 1]]
             for end, side in ((profiles[i][-1], 1), (profiles[i][0], -1)):
-                axes.plot(*np.stack([end, end + 0.25 * side * heights[i] * upwards]).T, color=INK, lw=3, zorder=3)
+                axes.plot(*np.stack([end, end + 0.25 * side * radii[i] * upwards]).T, color=INK, lw=3, zorder=3)
         axes.annotate(str(i), profiles[i][-1], xytext=(0, 5), textcoords="offset points", ha="center", fontsize=7)
     axes.plot(*profiles[-1].T, color=INK, lw=2, zorder=3)
     figure.legend(fontsize=8, frameon=False, loc="outside right upper", title="field", title_fontsize=8)
@@ -150,35 +150,19 @@ def _unit(system) -> str:
     return system.unit.replace("um", "µm")
 
 
-def _is_glass(system, i: int) -> bool:
-    item = system.surfaces[i]
-    if is_break(item):
-        return i > 0 and _is_glass(system, i - 1)
-    return not item.reflects and item.material != "air"
-
-
-def _heights(system, frames, paths) -> list[float]:
-    """Return how far from its vertex each surface is drawn: to its rim, or as far as rays reach."""
-    found = []
-    for i, item in enumerate([*system.surfaces, system.image]):
-        matrix, origin = frames[i]
+def _radii(system, frames, paths) -> list[float]:
+    """Return how far from its vertex each surface, the image last, is drawn."""
+    items, reaches = list(system.surfaces), []
+    for i, (matrix, origin) in enumerate(frames):
         local = (paths[..., i, :] - origin) @ matrix
-        reach = float(np.nanmax(np.hypot(local[..., 0], local[..., 1]), initial=0.0))
-        limit = None if item is None else item.semi_diameter
-        parts = () if item is None else [part.reach() for part in item.apertures if not part.obscures]
-        found.append(limit or min(parts, default=0.0) or 1.05 * reach or 1.0)
-    for i in range(len(system.surfaces) - 1):
-        # The two faces of a lens share an edge.
-        free = all(system.surfaces[j].limit is None and not is_break(system.surfaces[j]) for j in (i, i + 1))
-        if free and _is_glass(system, i):
-            found[i] = found[i + 1] = max(found[i], found[i + 1])
-    return found
+        reaches.append(float(np.nanmax(np.hypot(local[..., 0], local[..., 1]), initial=0.0)))
+    return drawn_radii(items, reaches[:-1]) + drawn_radii([system.image], reaches[-1:])
 
 
-def _profile(item, frame, height: float) -> np.ndarray:
+def _profile(item, frame, radius: float) -> np.ndarray:
     """Return a section of a surface in the plane x = 0 as points (z, y) in global coordinates."""
     matrix, origin = frame
-    y = np.linspace(-height, height, POINTS)
+    y = np.linspace(-radius, radius, POINTS)
     z = np.zeros_like(y)
     if item is not None and not is_break(item):
         with torch.no_grad():

@@ -367,6 +367,38 @@ def is_break(item: Any) -> bool:
     return isinstance(item, coordinate_break)
 
 
+def is_glass(surfaces: Any, i: int) -> bool:
+    """Say whether there is glass behind surface `i`; behind a coordinate break the medium is that in front of it."""
+    while i >= 0 and is_break(surfaces[i]):
+        i -= 1
+    return i >= 0 and not surfaces[i].reflects and surfaces[i].material != "air"
+
+
+def drawn_radii(surfaces: Any, reaches: Any) -> list[float]:
+    """Return the radius to which drawings show each surface.
+
+    It is the semi-diameter or the reach of the smallest aperture, otherwise 1.05 times the largest distance of a ray
+    from the vertex; the two faces of a lens without apertures share the larger one.
+
+    Parameters
+    ----------
+    surfaces : sequence of surface or None
+        The surfaces; None is a plane without a rim.
+    reaches : sequence of float
+        Largest distance of a ray from the vertex of each.
+    """
+    radii = []
+    for item, reach in zip(surfaces, reaches, strict=True):
+        rim = None if item is None else item.semi_diameter
+        parts = () if item is None else [part.reach() for part in item.apertures if not part.obscures]
+        radii.append(float(rim or min(parts, default=0.0) or 1.05 * float(reach) or 1.0))
+    for i in range(len(radii) - 1):
+        free = all(item.limit is None and not is_break(item) for item in surfaces[i : i + 2])
+        if free and is_glass(surfaces, i):
+            radii[i] = radii[i + 1] = max(radii[i], radii[i + 1])
+    return radii
+
+
 def _has(module, name: str) -> bool:
     return name in module._parameters or name in module._buffers
 
