@@ -90,6 +90,33 @@ def plain(layout: Layout, numbers: Numbers, rays: tuple) -> State:
     return plain_trace(layout, *rays, *flat_arguments(layout, numbers)[0])
 
 
+class Contraction(torch.autograd.Function):
+    """Derivatives ``[7, B, R, K]`` by the numbers of B systems times tangents ``[B, K]``.
+
+    Under torch.func.vmap, which would copy the derivatives for each direction, all directions are one matrix product.
+    """
+
+    @staticmethod
+    def forward(derivative, tangent):
+        """Return the products ``[7, B, R]``."""
+        return (derivative @ tangent[..., None])[..., 0]
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        """Keep nothing: no further derivatives are taken."""
+
+    @staticmethod
+    def vmap(info, in_dims, derivative, tangent):
+        """Return the products of all directions, as the last axis."""
+        if in_dims[0] is not None or in_dims[1] is None:
+            derivative, tangent = (
+                value[None] if axis is None else value.movedim(axis, 0)
+                for value, axis in zip((derivative, tangent), in_dims, strict=True)
+            )
+            return (derivative @ tangent[:, None, :, :, None])[..., 0], 0
+        return derivative @ tangent.movedim(in_dims[1], -1), -1
+
+
 class Trace(torch.autograd.Function):
     """Trace through all surfaces as one node of the graph."""
 
@@ -137,11 +164,10 @@ class Trace(torch.autograd.Function):
         total: Any = torch.zeros(())
         for derivative, tangent in zip(by_rays, tangents[:6], strict=True):
             total = total if tangent is None else total + derivative * tangent
-        for derivative, tangent in zip(by_numbers, tangents[6:], strict=True):
-            if tangent is not None and tangent.numel():
-                # [7, B, R, …] times the tangent [B, …] of the numbers, whatever axes they have.
-                flat = derivative.flatten(3) @ tangent.reshape(len(tangent), -1, 1)
-                total = total + flat[..., 0]
+        chosen = [i for i, tangent in enumerate(tangents[6:]) if tangent is not None and tangent.numel()]
+        if chosen:
+            derivative = torch.cat([by_numbers[i].flatten(3) for i in chosen], -1)
+            total = total + Contraction.apply(derivative, torch.cat([tangents[6 + i].flatten(1) for i in chosen], -1))
         return (*total.unbind(0), None)
 
     @staticmethod
