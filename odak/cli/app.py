@@ -359,6 +359,10 @@ def design(
     ] = None,
     seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random starts.")] = 0,
     glasses: options.Glasses = None,
+    substitute: Annotated[
+        str | None,
+        typer.Option(metavar="MAKERS", help="Vary the glasses, then take the nearest of these makers: schott,ohara."),
+    ] = None,
     zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
     quiet: options.Quiet = False,
     again: options.Again = False,

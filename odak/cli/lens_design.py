@@ -5,7 +5,7 @@ import math
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,8 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
+from odak.catalog import glass_makers
+from odak.catalog.dispersion import Material
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.job import InputError
@@ -100,6 +102,9 @@ class DesignJob:
         Seed of the random numbers.
     glasses : sequence of Path
         Files of materials to be read first.
+    substitute : str or None
+        Makers of glass with commas between: index and Abbe number of the glasses vary, then each is replaced by one of
+        theirs.
     zmx : bool
         Write the lens as Zemax file too.
     quiet : bool
@@ -121,6 +126,7 @@ class DesignJob:
     iterations: int | None = None
     seed: int = 0
     glasses: Sequence[Path] = ()
+    substitute: str | None = None
     zmx: bool = False
     quiet: bool = False
 
@@ -142,6 +148,8 @@ class DesignJob:
                     _validate.integer(_option(name), getattr(self, name), minimum=1)
             for name in ("aspheric_terms", "seed"):
                 _validate.integer(_option(name), getattr(self, name))
+            for maker in self.makers():
+                _validate.one_of("--substitute", maker, glass_makers())
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
         if self.system is None:
@@ -153,6 +161,10 @@ class DesignJob:
                 )
         elif self.elements is not None:
             raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
+
+    def makers(self) -> list[str]:
+        """Return the makers whose glasses replace those of the lens."""
+        return [] if self.substitute is None else [word.strip().lower() for word in self.substitute.split(",")]
 
     def materials(self) -> list[str]:
         """Return the materials of the elements with "stop" among them; InputError for anything else."""
@@ -283,7 +295,24 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
         f"held the focal length at {f:g} mm and the image at the paraxial focus, with a defocus as variable",
     ]
     merit = [{"aperture": s.aperture, "field": s.field, "rms": finite(s.rms)} for s in found.stages]
+    if job.substitute is not None:
+        for item in lens.surfaces:
+            item.semi_diameter = None
+        conditions = (lens.aperture, lens.fields)
+        did.append(_substituted(_optimised(lens, conditions, conditions, job, f, 1.0, step)[2]))
+        _set_semi_diameters(lens)
     return start, lens, did, merit
+
+
+def _substituted(names: Sequence[str]) -> str:
+    return f"replaced the glasses by {', '.join(names)}"
+
+
+def _set_semi_diameters(system: optical_system) -> None:
+    """Set the semi-diameters of all surfaces to those of the beam."""
+    with torch.no_grad():
+        for item, size in zip(system.surfaces, clear_heights(system, system.prescription()), strict=True):
+            item.semi_diameter = 1.001 * float(size)
 
 
 LENGTHS = ("focal_length", "track", "back")
@@ -322,11 +351,11 @@ def _from_system(job: DesignJob, step: Callable[[], Any]):
             item.coefficients = torch.cat([item.coefficients, torch.zeros(lacking, dtype=torch.float64)])
     start = copy.deepcopy(system)
     start.aperture, start.fields = goal
-    merit, names = _optimised(system, own, goal, job, f, metre, step)
-    with torch.no_grad():
-        for item, size in zip(system.surfaces, clear_heights(system, system.prescription()), strict=True):
-            item.semi_diameter = 1.001 * float(size)
+    merit, names, chosen = _optimised(system, own, goal, job, f, metre, step)
+    _set_semi_diameters(system)
     did.append("varied " + ", ".join(names))
+    if chosen:
+        did.append(_substituted(chosen))
     did.append(f"held the focal length at {f:.9g} {system.unit}; semi-diameters are those of the beam")
     system.source = f"{system.source}; optimised by odak {versions()['odak']}, seed {job.seed}".lstrip("; ")
     return start, system, did, merit
@@ -384,7 +413,10 @@ def _fields_to(own: tuple, largest: float | None) -> tuple:
 
 
 def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
-    """Optimise a system in place in steps from its own aperture and fields to the requested ones."""
+    """Optimise a system in place in steps from its own aperture and fields to the requested ones.
+
+    Returns the merits of the last run, what varied in words, and the names of the glasses that were substituted.
+    """
 
     def set_conditions(share: float) -> None:
         if share == 1:
@@ -426,7 +458,13 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
             raise InputError(f"rays are lost beyond {place}: a larger --f-number, a smaller --field, or another SYSTEM")
     if job.starts and job.starts > 1:
         result = design.restarts(job.starts, seed=job.seed, iterations=iterations)
-    return list(result.history), names
+    history, chosen = list(result.history), ()
+    if "glass" in design.places:
+        chosen = design.substitute_glasses(job.makers(), iterations=iterations)
+        # The glasses are fixed now, and with them what the merit is made of.
+        design, _ = _problem(system, replace(job, substitute=None), abs(f), f, metre)
+        history = list(design.optimise(iterations, tolerance=1e-6, rounds=2, callback=told).history)
+    return history, names, chosen
 
 
 def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tuple[lens_design, list[str]]:
@@ -462,8 +500,17 @@ def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tup
     names = [f"{len(curved)} curvatures", f"{len(free)} thicknesses", "the focus"]
     names += [f"{len(aspheres)} conic constants"] if aspheres else []
     names += [f"aspheric coefficients of {len(powers)} surfaces"] if powers else []
-    solves = [Solve("focal_length", curved[-1], f), Solve("marginal_height", last)]
     operands = [Operand("spot")]
+    if job.substitute is not None:
+        varied = [i for i in glass if isinstance(items[i].material, Material)]
+        if not varied:
+            raise InputError("--substitute: no element has a glass that could be replaced")
+        variables.append(Variable("glass", varied))
+        names.append(f"{len(varied)} glasses")
+        # 0.01 in n_d or 1 in V_d away from a real glass counts like a spot of 10⁻⁵ focal lengths.
+        options = {"surfaces": varied, "makers": job.makers()}
+        operands.append(Operand("glass", weight=1e-5 * size, options=options))
+    solves = [Solve("focal_length", curved[-1], f), Solve("marginal_height", last)]
     for places, least in (
         ([i for i in glass if i in free], GLASS[0]),
         ([i for i in free if i not in glass and {i, i + 1} <= set(curved)], AIR[0]),

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from odak.catalog import refractive_index
+from odak.catalog import material_names, refractive_index
 from odak.cli import lens_design, main
-from odak.learn.raytracing.system import load_system, optical_system, read_zmx, save_system, surface
+from odak.learn.raytracing.system import first_order, load_system, optical_system, read_zmx, save_system, surface
 from odak.raytracing import EvenAsphere, intersect_w_sag, refract
 
 
@@ -125,6 +125,33 @@ def test_a_lens_of_first_order_demands(full, tmp_path, monkeypatch):
     report = json.loads((tmp_path / "a" / "report.json").read_text())
     np.testing.assert_allclose(spots, [field["rms_spot"] for field in report["fields"]], rtol=1e-7)
     assert report["asked"]["seed"] == 3 and len(report["merit"]) == (7 if full else 1)
+
+
+@pytest.mark.parametrize(
+    ("name", "makers", "iterations"),
+    [("singlet", "schott", 2), pytest.param("cooke_triplet", "schott,ohara", 6, marks=pytest.mark.slow)],
+)
+def test_glasses_are_replaced_by_those_of_makers(name, makers, iterations, tmp_path):
+    """The lens in the file has glasses of the catalogues, smaller spots, and the focal length that it had."""
+    asked = ["--substitute", makers, "--iterations", str(iterations), "-q", "--output", str(tmp_path)]
+    assert main(["design", name, *asked]) == 0
+    lens = json.loads((tmp_path / "lens.json").read_text())
+    own = [item.get("material", "air") for item in lens["surfaces"]]
+    listed = {entry.partition(":")[2] or entry for maker in makers.split(",") for entry in material_names(maker)}
+    glasses = [entry.partition(":")[2] or entry for entry in own if entry != "air"]
+    assert glasses and set(glasses) <= listed
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert all(entry in " ".join(report["did"]) for entry in glasses)
+    focal, _, spots = judged(tmp_path / "lens.json")
+    assert focal == pytest.approx(float(first_order(load_system(name)).focal_length), rel=1e-9)
+    np.testing.assert_allclose(spots, [field["rms_spot"] for field in report["fields"]], rtol=1e-7)
+    before = [field["rms_spot_at_start"] for field in report["fields"]]
+    assert (spots**2).sum() < 0.7 * np.square(before).sum()
+
+
+def test_an_unknown_maker_is_named(tmp_path, capsys):
+    assert main(["design", "singlet", "--substitute", "acme", "--output", str(tmp_path / "out")]) == 2
+    assert "--substitute" in capsys.readouterr().err and not (tmp_path / "out" / "lens.json").exists()
 
 
 DEMANDS = ["--focal-length", "50mm", "--f-number", "4", "--field", "10"]

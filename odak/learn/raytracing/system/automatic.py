@@ -11,12 +11,15 @@ from odak import _validate
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand
+from odak.learn.raytracing.system.pupils import pupil_samples
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 
-# Standard deviation of random curvatures in units of 1/focal length.
-SPREAD = 2.5
+# Standard deviations of random curvatures of spheres and of aspheres in units of 1/focal length.
+SPREAD = (2.5, 1.2)
 # Steepest slopes of aspheres.
 STEEPEST = 1.2
+# Steps in which lenses of aspheres grow within a stage.
+PARTS = 3
 # Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
@@ -118,7 +121,7 @@ def automatic_design(
     half_field : float
         Largest field angle in degrees.
     aspheric_terms : int
-        Number of coefficients of r⁴, r⁶, … of each surface; with them the conic constants vary too.
+        Number of coefficients of r⁴, r⁶, … that each surface has on a paraboloid.
     wavelengths : sequence of float
         Vacuum wavelengths, in `unit`.
     glass : pair of float, optional
@@ -166,9 +169,13 @@ def automatic_design(
     -----
     The curriculum of Yang et al., Nature Communications 15, 6568 (2024), doi 10.1038/s41467-024-50835-7: aperture and
     field grow to their full size. Here each stage is solved by least squares rather than by gradient
-    descent, several designs side by side, the best of which go on. Coefficients of aspheres are set free one after the
-    other, and slopes above 1.2 within 1.15 times the radius of the beam are penalised. The benchmark finds a triplet of
-    f/2.8; fast wide lenses of many aspheres may lose rays during the optimisation, which raises ValueError.
+    descent, several designs side by side, the best of which go on.
+
+    Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. The variables of the
+    least squares are coefficients of combinations whose slopes are orthonormal over the beam, as Forbes proposed,
+    Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218. They are set free one after the other, and slopes above
+    1.2 within 1.15 times the radius of the beam are penalised. Rays may be lost in fast wide lenses of many aspheres,
+    which raises ValueError.
 
     Examples
     --------
@@ -216,23 +223,23 @@ def automatic_design(
     ]
     solves = [Solve("focal_length", bent[0], f), Solve("marginal_height", last)]
     if terms:
-        variables += [
-            Variable("conic", bent, -30.0, 10.0),
-            Variable("coefficients", bent, terms=range(1, terms + 1)),
-        ]
+        # Limits of slopes take the place of those of curvatures, which are not variables by themselves.
+        variables[0] = Variable("curvature", bent[1:])
+        variables.append(Variable("coefficients", bent, terms=range(1, terms + 1)))
     first = 0 if 0 in bent else min(bent)
     between = list(range(first, last))
     height = f * math.tan(math.radians(angle))
     # Where the beam will be as it grows, aspheres must not have run away.
     beyond = (1.15,) if terms else ()
+    within = (0.25, 0.5, 0.75, 1.0, *beyond) if terms else (0.5, 0.75, 1.0)
     fixed = [
         # The curvature that the focal length is solved by, in units of 1/f.
         Operand(lambda _, p: f * p.curvature[..., bent[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": (0.5, 0.75, 1.0, *beyond)}),
+        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": within}),
         Operand("thickness", lower=back if cover is None else 0.3 * back, options={"surfaces": [last]}),
     ]
     if terms:
-        steep = {"surfaces": bent, "shares": (0.8, 1.0, *beyond)}
+        steep = {"surfaces": bent, "shares": (0.5, 0.7, 0.85, 1.0, *beyond)}
         fixed.append(Operand("slope", weight=0.1 * f, lower=-STEEPEST, upper=STEEPEST, options=steep))
     if angle:
         fixed.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * distortion, upper=0.9 * distortion))
@@ -251,7 +258,9 @@ def automatic_design(
 
     def describe(weights, rings: int, free: int = terms) -> lens_design:
         spot = Operand("spot", options={"fields": weights})
-        design = lens_design(system, [spot, *fixed], variables, solves=solves, count=rings)
+        # Turned, so that each ring has the two rays that are refracted most.
+        pupil = pupil_samples("rings", rings).flip(-1) if terms else "rings"
+        design = lens_design(system, [spot, *fixed], variables, solves=solves, pupil=pupil, count=rings)
         for (_, term), column in zip(
             design.places.get("coefficients", ()), design.columns.get("coefficients", ()), strict=True
         ):
@@ -263,18 +272,22 @@ def automatic_design(
     for number, (aperture, field, share, rings, count) in enumerate(CURRICULUM[-stages:]):
         # Coefficients become variable one after the other, as the beam fills a larger part of the surfaces.
         free = terms if number + 1 == stages else min(terms, number + 1)
-        while reached != (aperture, field):
-            reached = _nearer(set_stage, describe, values, reached, (aperture, field), rings, count)
-            design = describe(None, rings, free)
-            if values is None:
-                values = _random_starts(design, starts, f, generator)
-            values, loss = _run(design, values, iterations)
-            kept = loss.argsort()[: max(1, math.ceil(share * starts))]
-            values = values[kept]
-            design.apply(values[0])
-            taken.append(_stage(system, *reached))
-            if callback is not None:
-                callback(taken[-1])
+        before, parts = reached, PARTS if terms and number else 1
+        for part in range(1, parts + 1):
+            goal = (aperture, field)
+            if part < parts:
+                goal = tuple(a + part / parts * (b - a) for a, b in zip(before, goal, strict=True))
+            while reached != goal:
+                reached = _nearer(set_stage, describe, values, reached, goal, rings, count)
+                design = describe(None, rings, free)
+                if values is None:
+                    values = _random_starts(design, starts, SPREAD[bool(terms)] / f, generator)
+                values, loss = _run(design, values, iterations)
+                design.apply(values[loss.argmin()])
+                taken.append(_stage(system, *reached))
+                if callback is not None:
+                    callback(taken[-1])
+        values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
     weights = torch.ones(len(system.fields), dtype=torch.float64)
     for _ in range(polish):
         design = describe(weights.tolist(), rings)
@@ -303,7 +316,7 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
         raise ValueError('elements must hold one "stop", in front of a material')
     thick = (glass[0] * glass[1]) ** 0.5
     gap = min(max(air[0], 0.05 * f), air[1])
-    zeros = [0.0] * (terms + 1 if terms else 0)
+    bowl = {"curvature": 0.0, "conic": -1.0 if terms else 0.0, "coefficients": [0.0] * (terms + 1 if terms else 0)}
     row: list[surface] = []
     bent: list[int] = []
     for item in elements:
@@ -311,8 +324,8 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
             row.append(surface(thickness=air[0] if not row else gap, stop=True))
             continue
         bent += [len(row), len(row) + 1]
-        row.append(surface(curvature=0.0, coefficients=zeros, thickness=thick, material=item))
-        row.append(surface(curvature=0.0, coefficients=zeros, thickness=gap))
+        row.append(surface(**bowl, thickness=thick, material=item))
+        row.append(surface(**bowl, thickness=gap))
     gaps = list(range(len(row) - 1))
     if cover is not None:
         gaps.append(len(row) - 1)
@@ -340,14 +353,14 @@ def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> 
     raise ValueError(f"rays are lost in all designs beyond shares {here} of aperture and field: try another seed")
 
 
-def _random_starts(design: lens_design, count: int, f: float, generator) -> torch.Tensor:
+def _random_starts(design: lens_design, count: int, spread: float, generator) -> torch.Tensor:
     """Return starts ``[N, V]`` with random curvatures that lose no ray, decreased until there are enough starts."""
     found: list[torch.Tensor] = []
-    columns, spread = design.columns["curvature"], SPREAD
+    columns = design.columns["curvature"]
     while sum(len(part) for part in found) < count:
         values = design.values.expand(4 * count, -1).clone()
         drawn = torch.randn(4 * count, len(columns), dtype=torch.float64, generator=generator)
-        values[:, columns] = spread / f * drawn
+        values[:, columns] = spread * drawn
         values = values.clamp(design.lower, design.upper)
         with torch.no_grad():
             design.heights = design.clear_heights(values)
@@ -361,9 +374,34 @@ def _run(design: lens_design, values: torch.Tensor, iterations: int):
     for _ in range(2):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
-        found = design._minimised(values, max(1, iterations // 2), damping=1e-2)
+        basis = _slope_basis(design) if "coefficients" in design.places else None
+        found = design._minimised(values, max(1, iterations // 2), damping=1e-2, basis=basis)
         values = found.x
     return values, found.loss
+
+
+def _slope_basis(design: lens_design) -> torch.Tensor:
+    """Return matrices ``[N, V, V]`` to the variables of N designs from coefficients of functions orthonormal in slope.
+
+    On each paraboloid with coefficients these functions are combinations of r², r⁴, … up to their own power; the mean
+    of the product of the slopes of two over the beam is 1 or 0. Other variables are their own coefficients.
+    """
+    heights: Any = design.heights
+    count = len(design.values)
+    found = torch.eye(count, dtype=torch.float64).expand(len(heights), count, count).clone()
+    held: dict[int, list[tuple[int, int]]] = {}
+    for name in ("curvature", "coefficients"):
+        for (place, term), column in zip(design.places[name], design.columns[name], strict=True):
+            held.setdefault(place, []).append((0 if name == "curvature" else term, column))
+    for place, entries in held.items():
+        terms, columns = (torch.tensor(value) for value in zip(*entries, strict=True))
+        powers = 2.0 * (terms.double() + 1)
+        gram = 2 * powers[:, None] * powers / (powers[:, None] + powers)
+        functions = torch.linalg.inv(torch.linalg.cholesky(gram)).mT
+        # The paraboloid is c·r²/2.
+        scale = heights[:, place, None] ** (1 - powers) * torch.where(terms == 0, 2.0, 1.0)
+        found[:, columns[:, None], columns] = scale[..., None] * functions
+    return found
 
 
 def _stage(system, aperture: float, field: float) -> Stage:

@@ -486,20 +486,32 @@ class lens_design:
             self.apply(found.x[0])
         return DesignResult(history[-1], tuple(history), found.converged, self.values)
 
-    def _minimised(self, starts, iterations: int, damping: float = 1e-2, tolerance: float = 1e-9, callback=None):
-        """Minimise from several starts ``[N, V]`` side by side."""
+    def _minimised(
+        self, starts, iterations: int, damping: float = 1e-2, tolerance: float = 1e-9, callback=None, basis=None
+    ):
+        """Minimise from several starts ``[N, V]`` side by side, over their coefficients in the columns of a basis.
+
+        The basis ``[N, V, V]`` must leave variables with bounds other than 0 and infinity as they are.
+        """
         _validate.integer("iterations", iterations, minimum=1)
         _validate.number("damping", damping, positive=True)
         _validate.number("tolerance", tolerance, least=0)
 
         def losses(candidates):
             with torch.no_grad():
-                return 0.5 * self.residuals(candidates).square().sum(-1)
+                values = candidates if basis is None else candidates @ basis.mT
+                return 0.5 * self.residuals(values).square().sum(-1)
 
-        return least_squares(
-            self.linearised,
+        def linearised(numbers):
+            if basis is None:
+                return self.linearised(numbers)
+            value, jacobian = self.linearised((numbers[:, None] @ basis.mT)[:, 0])
+            return value, jacobian @ basis
+
+        found = least_squares(
+            linearised,
             losses,
-            starts,
+            starts if basis is None else torch.linalg.solve(basis, starts),
             lower=self.lower,
             upper=self.upper,
             iterations=iterations,
@@ -508,6 +520,7 @@ class lens_design:
             callback=callback,
             ladder=LADDER,
         )
+        return found if basis is None else found._replace(x=(found.x[:, None] @ basis.mT)[:, 0])
 
     def restarts(self, count: int = 16, spread: float = 0.2, seed: int = 0, iterations: int = 30) -> DesignResult:
         """Optimise from several random starts, and change the system to the best result if it is better.
@@ -647,6 +660,14 @@ class lens_design:
 
     def _with_glass(self, place: int, name: str) -> "lens_design":
         """Return the same design with a real glass behind a surface in place of the variable one."""
+
+        def without(item: Operand) -> Operand | None:
+            """Return an operand of glass for the other surfaces, None if there are none; others as they are."""
+            if item.kind != "glass":
+                return item
+            rest = [i for i in _listed(item.options["surfaces"]) if i % len(self.system.surfaces) != place]
+            return item._replace(options={**item.options, "surfaces": rest}) if rest else None
+
         found = object.__new__(lens_design)
         found.__dict__.update(self.__dict__)
         taken = {c for c, (i, _) in zip(self.columns["glass"], self.places["glass"], strict=True) if i == place}
@@ -658,6 +679,7 @@ class lens_design:
         if not found.places["glass"]:
             del found.places["glass"], found.columns["glass"]
         found.values, found.lower, found.upper = (v[kept] for v in (self.values, self.lower, self.upper))
+        found.operands = [item for item in map(without, self.operands) if item is not None]
         index = material(name).index(self.micrometres)
         found.base = self.base._replace(index=_set(self.base.index, place + 1, index, -1))
         return found

@@ -790,7 +790,7 @@ def _graded(number: int, kind: str, p: dict, scale: float) -> tuple[Gradient, fl
     """Return the gradient behind a surface and its index on the axis.
 
     GRINSUR1 has n = n0 + a·r², GRINSUR2 n² = n0 + a·r² + b·r⁴ + …, GRINSUR3 n = n0 + a·r² + b·r⁴ + c·r⁶ + d·z + e·z² +
-    f·z³; PARM 1 is a step of the numerical trace, PARM 2 is n0.
+    f·z³; PARM 1 is a step of the numerical trace, PARM 2 is n0 (Ansys Zemax OpticStudio 2024 R2 help, "Gradient 3").
     """
     base = p.get(2, 1.0)
     if not base > 0:

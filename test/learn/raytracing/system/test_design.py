@@ -228,6 +228,41 @@ def test_glass_becomes_real_and_stays_good():
     assert report < 3 * free.merit + 1e-6
 
 
+@pytest.mark.parametrize("mapped", [(None, 0), (None, 1), (0, 0), (0, None), (1, 2)])
+def test_derivatives_are_contracted_with_all_directions_at_once(mapped):
+    generator = torch.Generator().manual_seed(1)
+    derivative = torch.randn(4, 7, 2, 5, 3, generator=generator, dtype=F64)
+    tangent = torch.randn(4, 2, 3, generator=generator, dtype=F64)
+    given = [
+        value[0] if axis is None else value.movedim(0, axis)
+        for value, axis in zip((derivative, tangent), mapped, strict=True)
+    ]
+    found = torch.func.vmap(fused.Contraction.apply, in_dims=mapped)(*given)
+    for k in range(4):
+        one = [value[0 if axis is None else k] for value, axis in zip((derivative, tangent), mapped, strict=True)]
+        torch.testing.assert_close(found[k], torch.einsum("cbrk,bk->cbr", *one), rtol=1e-13, atol=1e-13)
+
+
+def test_an_operand_of_glass_ends_with_the_variables_of_glass():
+    """Real glasses stand in the lens afterwards; of the operands, those of glass are gone and the others remain."""
+    lens = optical_system(
+        [
+            surface(60.0, thickness=4.0, material=model_glass(1.60, 60.0)),
+            surface(-45.0, thickness=2.0, material=model_glass(1.65, 34.0)),
+            surface(-200.0, thickness=96.0),
+        ],
+        10.0,
+    )
+    operands = ["spot", Operand("glass", weight=1e-3, options={"surfaces": [0, -2], "makers": ["schott"]})]
+    solves = [Solve("focal_length", 2, 100.0), Solve("marginal_height", 2)]
+    variables = [Variable("curvature", 0), Variable("glass", [0, 1])]
+    design = lens_design(lens, operands, variables, solves=solves, count=1)
+    names = design.substitute_glasses(["schott"], candidates=1, iterations=1)
+    assert [item.kind for item in design.operands] == ["spot"] and "glass" not in design.places
+    assert [item.material for item in lens.surfaces[:2]] == [material(name) for name in names]
+    assert float(first_order(lens).focal_length) == pytest.approx(100.0, rel=1e-9)
+
+
 def test_a_model_glass_in_a_design_is_that_of_the_catalogue():
     lens = optical_system([surface(50.0, thickness=3.0, material="N-BK7"), surface(-50.0, thickness=48.0)], 5.0)
     design = lens_design(lens, "spot", Variable("glass", 0))
