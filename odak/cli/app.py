@@ -351,6 +351,9 @@ def design(
     chief_ray_angle: Annotated[
         float | None, typer.Option(metavar="DEGREES", help="Largest angle of chief rays in the image.")
     ] = None,
+    aim: Annotated[
+        str, typer.Option(metavar="paraxial|real", help="Pupil that rays are aimed at; the real one with a SYSTEM.")
+    ] = "paraxial",
     starts: Annotated[
         int | None, typer.Option(metavar="COUNT", help="Random starts.", show_default="16; with a SYSTEM 1")
     ] = None,

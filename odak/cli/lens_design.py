@@ -38,6 +38,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.raytracing.system.lens_files import MICROMETRES
 from odak.learn.raytracing.system.operands import clear_heights
+from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
 from odak.tools.paths import replacing
 
@@ -58,7 +59,8 @@ DISTORTION, RINGS = 0.02, 8
 DEFINITIONS = {
     "lengths": "In the unit of the lens; angles in degrees.",
     "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
-    "wavelengths together, equally weighted, no ray vignetted; paraxially aimed.",
+    "wavelengths together, equally weighted, no ray vignetted; aimed at the paraxial pupil, or with --aim real so that "
+    "they pass the stop at the same points for all fields.",
     "start": "The same for the lens that the design began with, at the aperture and the fields of the design; null "
     "where rays are lost. A SYSTEM is scaled to the focal length asked for; demands begin with flat plates.",
     "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
@@ -94,6 +96,8 @@ class DesignJob:
         Largest distortion; 0.02, or that of the system if larger, by default.
     chief_ray_angle : float or None
         Largest angle of the chief rays in the image in degrees.
+    aim : str
+        "paraxial" or "real", how rays are aimed; real ones for a system only.
     starts : int or None
         Number of random starts; 16 from flat plates, 1 from a system, by default.
     iterations : int or None
@@ -122,6 +126,7 @@ class DesignJob:
     back: float | None = None
     distortion: float | None = None
     chief_ray_angle: float | None = None
+    aim: str = "paraxial"
     starts: int | None = None
     iterations: int | None = None
     seed: int = 0
@@ -148,6 +153,7 @@ class DesignJob:
                     _validate.integer(_option(name), getattr(self, name), minimum=1)
             for name in ("aspheric_terms", "seed"):
                 _validate.integer(_option(name), getattr(self, name))
+            _validate.one_of("--aim", self.aim, AIMS)
             for maker in self.makers():
                 _validate.one_of("--substitute", maker, glass_makers())
         except (TypeError, ValueError) as error:
@@ -159,6 +165,8 @@ class DesignJob:
                     f"give a SYSTEM to begin with, or all of {', '.join(map(_option, DEMANDS))}; missing are "
                     f"{', '.join(missing)}"
                 )
+            if self.aim != AIMS[0]:
+                raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
         elif self.elements is not None:
             raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
 
@@ -230,7 +238,7 @@ def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
         "files": [*names, files.REPORT],
         "unit": lens.unit,
         "first_order": {name: finite(value) for name, value in first_order(lens)._asdict().items()},
-        "fields": _judged(start, lens),
+        "fields": _judged(start, lens, job.aim),
         "merit": merit,
         "seconds": time.perf_counter() - begun,
         "versions": versions(),
@@ -249,11 +257,11 @@ def _option(name: str) -> str:
     return f"--{name.replace('_', '-')}"
 
 
-def _judged(start: optical_system, lens: optical_system) -> list[dict]:
+def _judged(start: optical_system, lens: optical_system, aim: str) -> list[dict]:
     """Return spots and distortion of each field before and after the design."""
     with torch.no_grad():
-        before, after = (rms_spot(item, "rings", RINGS, vignetting=False) for item in (start, lens))
-        bent = distortion(lens)[lens.reference]
+        before, after = (rms_spot(item, "rings", RINGS, vignetting=False, aim=aim) for item in (start, lens))
+        bent = distortion(lens, aim=aim)[lens.reference]
     return [
         {"field": list(field)} | {"rms_spot_at_start": finite(a), "rms_spot": finite(b), "distortion": finite(c)}
         for field, a, b, c in zip(lens.fields, before, after, bent, strict=True)
@@ -300,7 +308,7 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
             item.semi_diameter = None
         conditions = (lens.aperture, lens.fields)
         did.append(_substituted(_optimised(lens, conditions, conditions, job, f, 1.0, step)[2]))
-        _set_semi_diameters(lens)
+        _set_semi_diameters(lens, job.aim)
     return start, lens, did, merit
 
 
@@ -308,10 +316,10 @@ def _substituted(names: Sequence[str]) -> str:
     return f"replaced the glasses by {', '.join(names)}"
 
 
-def _set_semi_diameters(system: optical_system) -> None:
+def _set_semi_diameters(system: optical_system, aim: str) -> None:
     """Set the semi-diameters of all surfaces to those of the beam."""
     with torch.no_grad():
-        for item, size in zip(system.surfaces, clear_heights(system, system.prescription()), strict=True):
+        for item, size in zip(system.surfaces, clear_heights(system, system.prescription(), aim=aim), strict=True):
             item.semi_diameter = 1.001 * float(size)
 
 
@@ -352,7 +360,7 @@ def _from_system(job: DesignJob, step: Callable[[], Any]):
     start = copy.deepcopy(system)
     start.aperture, start.fields = goal
     merit, names, chosen = _optimised(system, own, goal, job, f, metre, step)
-    _set_semi_diameters(system)
+    _set_semi_diameters(system, job.aim)
     did.append("varied " + ", ".join(names))
     if chosen:
         did.append(_substituted(chosen))
@@ -517,7 +525,8 @@ def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tup
     ):
         if places:
             options = {"surfaces": places, "shares": (0.5, 0.75, 1.0)}
-            trial = lens_design(system, [Operand("edge_thickness", options=options)], variables, solves=solves)
+            edges = [Operand("edge_thickness", options=options)]
+            trial = lens_design(system, edges, variables, solves=solves, aim=job.aim)
             # Edges may stay as thin as they are, and become no thinner.
             now = float(trial.report()[0][1].min())
             operands.append(Operand("edge_thickness", lower=min(least * size, now), options=options))
@@ -530,16 +539,16 @@ def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tup
         operands.append(Operand("total_track", upper=job.track * metre))
     if job.chief_ray_angle is not None:
         operands.append(Operand("chief_ray_angle", weight=0.002 * size, upper=job.chief_ray_angle))
-    height = _image_height(system)
+    height = _image_height(system, job.aim)
     if height:
-        now = float(distortion(system)[system.reference].detach().abs().max())
+        now = float(distortion(system, aim=job.aim)[system.reference].detach().abs().max())
         limit = job.distortion or max(DISTORTION, now if math.isfinite(now) else 0.0)
         operands.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * limit, upper=0.9 * limit))
-    return lens_design(system, operands, variables, solves=solves), names
+    return lens_design(system, operands, variables, solves=solves, aim=job.aim), names
 
 
-def _image_height(system) -> float:
+def _image_height(system, aim: str) -> float:
     """Return the largest image height of the chief rays; 0 where there is none."""
     with torch.no_grad():
-        chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False)
+        chief = trace_fields(system, torch.zeros(1, 2, dtype=torch.float64), vignetting=False, aim=aim)
     return float(torch.nan_to_num((chief.x**2 + chief.y**2).sqrt()).max())

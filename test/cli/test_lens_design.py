@@ -9,7 +9,15 @@ import pytest
 
 from odak.catalog import material_names, refractive_index
 from odak.cli import lens_design, main
-from odak.learn.raytracing.system import first_order, load_system, optical_system, read_zmx, save_system, surface
+from odak.learn.raytracing.system import (
+    first_order,
+    load_system,
+    optical_system,
+    read_zmx,
+    save_system,
+    surface,
+    trace_fields,
+)
 from odak.raytracing import EvenAsphere, intersect_w_sag, refract
 
 
@@ -147,6 +155,23 @@ def test_glasses_are_replaced_by_those_of_makers(name, makers, iterations, tmp_p
     np.testing.assert_allclose(spots, [field["rms_spot"] for field in report["fields"]], rtol=1e-7)
     before = [field["rms_spot_at_start"] for field in report["fields"]]
     assert (spots**2).sum() < 0.7 * np.square(before).sum()
+
+
+@pytest.mark.slow
+def test_real_rays_fill_the_stop_for_all_fields(tmp_path):
+    """With --aim real the spots of the report are of rays that pass the stop at the same points for all fields."""
+    asked = ["--aim", "real", "--iterations", "3", "-q", "--output", str(tmp_path)]
+    assert main(["design", "double_gauss", *asked]) == 0
+    report, lens = json.loads((tmp_path / "report.json").read_text()), load_system(tmp_path / "lens.json")
+    at_stop = trace_fields(lens, "rings", lens_design.RINGS, aim="real", until=lens.stop, vignetting=False)
+    middle = lens.reference
+    for name in ("x", "y"):
+        reached = getattr(at_stop, name)[middle]
+        np.testing.assert_allclose(reached, reached[:1].expand_as(reached), atol=1e-6)
+    ends = trace_fields(lens, "rings", lens_design.RINGS, aim="real", vignetting=False)
+    spread = sum((value - value.mean((0, 2), keepdim=True)) ** 2 for value in (ends.x, ends.y)).mean((0, 2)).sqrt()
+    np.testing.assert_allclose(spread.detach(), [field["rms_spot"] for field in report["fields"]], rtol=1e-9)
+    assert report["merit"][-1] < report["merit"][0]
 
 
 def test_an_unknown_maker_is_named(tmp_path, capsys):

@@ -18,8 +18,8 @@ from odak.learn.raytracing.system.surfaces import optical_system, surface
 SPREAD = (2.5, 1.2)
 # Steepest slopes of aspheres.
 STEEPEST = 1.2
-# Steps in which lenses of aspheres grow within a stage.
-PARTS = 3
+# Lenses of aspheres grow within a stage in steps, and at most this share of their designs goes on to the next stage.
+PARTS, KEPT = 3, 0.3
 # Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
@@ -287,6 +287,7 @@ def automatic_design(
                 taken.append(_stage(system, *reached))
                 if callback is not None:
                     callback(taken[-1])
+        share = min(share, KEPT) if terms else share
         values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
     weights = torch.ones(len(system.fields), dtype=torch.float64)
     for _ in range(polish):
