@@ -14,8 +14,6 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.catalog import glass_makers
-from odak.catalog.dispersion import Material
 from odak.cli import files
 from odak.cli.files import writable_folder
 from odak.cli.job import InputError
@@ -36,7 +34,7 @@ from odak.learn.raytracing.system import (
     trace_fields,
     write_zmx,
 )
-from odak.learn.raytracing.system.lens_files import MICROMETRES
+from odak.learn.raytracing.system.lens_files import MICROMETRES, glass_makers
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
@@ -510,7 +508,7 @@ def _problem(system, job: DesignJob, size: float, f: float, metre: float) -> tup
     names += [f"aspheric coefficients of {len(powers)} surfaces"] if powers else []
     operands = [Operand("spot")]
     if job.substitute is not None:
-        varied = [i for i in glass if isinstance(items[i].material, Material)]
+        varied = [i for i in glass if items[i].material is not None]
         if not varied:
             raise InputError("--substitute: no element has a glass that could be replaced")
         variables.append(Variable("glass", varied))
