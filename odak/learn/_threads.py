@@ -3,7 +3,7 @@
 import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import torch
 
@@ -27,15 +27,27 @@ def each(work: Callable, items: Iterable, parallel: bool = True) -> Iterator:
         Whether to share them out.
     """
     items = list(items)
-    count = torch.get_num_threads()
+    count, inference = torch.get_num_threads(), torch.is_inference_mode_enabled()
 
     def quiet(item):
-        with torch.no_grad():
+        # Tensors made in inference mode can be written to in that mode only, which belongs to a thread.
+        with torch.inference_mode(inference), torch.no_grad():
             return work(*item)
 
     if not parallel or count == 1 or len(items) < 2:
         return map(quiet, items)
-    return _threads(count).map(quiet, items)
+    return _in_order([_threads(count).submit(quiet, item) for item in items])
+
+
+def _in_order(futures: list[Future]) -> Iterator:
+    """Yield the results; an interrupt leaves none at work, which could write where the next call does."""
+    try:
+        for future in futures:
+            yield future.result()
+    finally:
+        for future in futures:
+            future.cancel()
+        wait(futures)
 
 
 def _threads(count: int) -> ThreadPoolExecutor:

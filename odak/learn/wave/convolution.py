@@ -14,11 +14,12 @@ from typing import Any
 import torch
 
 from odak import _array, _torch_private
+from odak.learn._threads import each
 from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
 
-# Small parts stay in the cache, but each synchronises all threads, which costs milliseconds on a busy machine.
-# 4 MB is as quick as 1 MB on an idle one and several times quicker when something else runs.
-_BLOCK_BYTES = 1 << 22
+# Parts that a thread takes at once: about a core's cache, and transforms of a millisecond, beside which handing them out
+# takes no time.
+_BLOCK_BYTES = 1 << 20
 _CACHE_LINE = 64
 # Fresh memory is cleared page by page by the system, which takes as long as a transform.
 _KEPT_LINES = 12
@@ -90,7 +91,8 @@ def _filtered(field, kernel, adjoint, batch, workspace):
         return _convolve_whole(field, kernel, adjoint, batch)
     if size >= BLOCKED_FROM:
         return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
-    if kernel.numel() > size or size * field.element_size() * math.prod(batch) <= _BLOCK_BYTES:
+    count = math.prod(batch)
+    if kernel.numel() > size or count == 1 or count * size * field.element_size() <= _BLOCK_BYTES:
         return _convolve_whole(field, kernel, adjoint, batch)
     return _convolve_by_fields(field, kernel.reshape(kernel.shape[-2:]), adjoint, batch)
 
@@ -174,8 +176,11 @@ def _convolve_by_fields(field, kernel, adjoint, batch):
     """Return many small fields filtered by one kernel, as many at once as have spectra that fit a core's cache."""
     result = field.new_empty(*batch, *field.shape[-2:])
     fields, results = field.reshape(-1, *field.shape[-2:]), result.view(-1, *field.shape[-2:])
-    for part in _parts(len(fields), kernel.numel(), field):
+
+    def filter_part(part):
         results[part] = _convolve_whole(fields[part], kernel, adjoint, fields[part].shape[:-2])
+
+    _each_part(filter_part, len(fields), kernel.numel(), field)
     return result
 
 
@@ -215,10 +220,14 @@ def _filter_one(field, kernel, result, adjoint):
 
     A transform's result is fresh memory even when `out` is given, so the parts are small and copied where they go.
     """
-    lines = _rows_to_spectra(field, kernel.shape[-1])
-    for part in _parts(*reversed(kernel.shape), field):
-        column = _columns_to_spectra(lines, part, kernel.shape[-2], adjoint)
+    height, width = kernel.shape
+    lines = _rows_to_spectra(field, width)
+
+    def filter_columns(part):
+        column = _columns_to_spectra(lines, part, height, adjoint)
         _spectra_to_columns(column.mul_(kernel[:, part].mT), lines, part, adjoint)
+
+    _each_part(filter_columns, width, height, field)
     _spectra_to_rows(lines, result)
 
 
@@ -231,12 +240,15 @@ def _scatter(group, adjoint):
     height, width = first.shape
     lines = _rows_to_spectra(field, width)
     filtered = [_lines(field, width, index + 1) for index in range(len(group))]
-    for part in _parts(width, height, field):
+
+    def filter_columns(part):
         column = _columns_to_spectra(lines, part, height, adjoint)
         for (_, kernel, _), target in zip(group, filtered, strict=True):
             product = _buffer("block", column.shape, field.dtype)
             torch.mul(column, kernel[:, part].mT, out=product)
             _spectra_to_columns(product, target, part, adjoint)
+
+    _each_part(filter_columns, width, height, field)
     for (_, _, result), target in zip(group, filtered, strict=True):
         _spectra_to_rows(target, result)
 
@@ -249,13 +261,16 @@ def _gather(group, adjoint):
         _rows_to_spectra(field, width, _lines(field, width, index + 1)) for index, (field, _, _) in enumerate(group)
     ]
     lines = _lines(result, width)
-    for part in _parts(width, height, result):
+
+    def filter_columns(part):
         total = None
         for (_, kernel, _), source in zip(group, incoming, strict=True):
             column = _columns_to_spectra(source, part, height, adjoint)
             factor = kernel[:, part].mT
             total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
         _spectra_to_columns(total, lines, part, adjoint)
+
+    _each_part(filter_columns, width, height, result)
     _spectra_to_rows(lines, result)
 
 
@@ -279,8 +294,11 @@ def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
 def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> torch.Tensor:
     """Return the transforms of a field's rows, continued by zeros to `width`, in the memory given or this thread's."""
     lines = _lines(field, width) if lines is None else lines
-    for part in _parts(len(field), width, field):
+
+    def transform(part):
         lines[part] = torch.fft.fft(field[part], n=width)
+
+    _each_part(transform, len(field), width, field)
     return lines
 
 
@@ -297,14 +315,23 @@ def _lines(field, width: int, index: int = 0) -> torch.Tensor:
 
 def _spectra_to_rows(lines, result):
     """Write the rows that have these transforms into `result`."""
-    for part in _parts(*lines.shape, lines):
+
+    def transform(part):
         result[part] = torch.fft.ifft(lines[part])[:, : result.shape[-1]]
 
+    _each_part(transform, *lines.shape, lines)
 
-def _parts(count: int, length: int, field):
-    """Yield slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each."""
-    step = max(1, _BLOCK_BYTES // (length * field.element_size()))
-    return (slice(start, min(start + step, count)) for start in range(0, count, step))
+
+def _each_part(work: Callable, count: int, length: int, field) -> None:
+    """Call `work` with slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each, on several threads.
+
+    A transform that torch shares out waits for all threads, beside other processes for milliseconds each time. Here
+    threads take one part after another and wait once, when none is left.
+    """
+    lines, threads = max(1, _BLOCK_BYTES // (length * field.element_size())), torch.get_num_threads()
+    step = max(1, min(lines, -(-count // threads)))
+    for _ in each(work, ((slice(start, min(start + step, count)),) for start in range(0, count, step))):
+        pass
 
 
 def _padded_columns(columns, height: int) -> torch.Tensor:

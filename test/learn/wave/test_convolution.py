@@ -41,6 +41,8 @@ def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance)
 def test_batches_in_parts_equal_whole_ones(shape, kernel, at_once, monkeypatch):
     field, factor = pair(*shape, kernel=kernel)
     expected = convolve_plainly(field, factor)
+    # Several threads would take smaller parts.
+    torch.set_num_threads(1)
     counts = []
 
     def counting(part, s):
@@ -79,6 +81,8 @@ def test_adjoint_is_the_transpose(path, shape, kernel, request):
 
 def test_one_field_through_many_kernels_is_transformed_once(blocked, monkeypatch):
     field, factor = pair(2, 1, 12, 15, kernel=(5, 24, 31))
+    # Additions from several threads could be lost.
+    torch.set_num_threads(1)
     lines = {"fft": 0, "ifft": 0}
 
     def counting(name, transform):
@@ -164,6 +168,25 @@ def test_threads_do_not_share_scratch(blocked):
     for thread in threads:
         thread.join()
     assert all(torch.equal(result, expected) for result in results)
+
+
+@pytest.mark.parametrize("kernel", [(24, 31), (3, 24, 31)])
+@pytest.mark.parametrize("mode", [torch.enable_grad, torch.no_grad, torch.inference_mode])
+def test_parts_on_several_threads(blocked, kernel, mode):
+    field, factor = pair(2, 1, 12, 15, kernel=kernel)
+    torch.set_num_threads(3)
+    expected = convolve_plainly(field, factor)
+    with mode():
+        result = convolution.convolve(field.clone().requires_grad_(mode is torch.enable_grad), factor)
+    torch.testing.assert_close(result.detach(), expected, rtol=0, atol=1e-13)
+
+
+def test_a_batch_on_several_threads():
+    field, factor = pair(5, 12, 15)
+    torch.set_num_threads(3)
+    with torch.inference_mode():
+        result = convolution._convolve_by_fields(field, factor, False, (5,))
+    torch.testing.assert_close(result, convolve_plainly(field, factor), rtol=0, atol=1e-13)
 
 
 def test_conjugate_views_and_strides_are_read_right(blocked):
