@@ -1,4 +1,4 @@
-"""A propagation that does not fit in the memory given to it, beside the bare transforms in chunks, and its rows checked.
+"""A propagation larger than the memory given to it, beside the bare transforms in chunks, and its rows checked.
 
     python benchmarks/larger_than_memory.py [SIDE] [--memory 3GiB] [--folder FOLDER]
 
@@ -59,9 +59,7 @@ def rows_of_result(side: int, rows: np.ndarray, step: int = 64) -> np.ndarray:
     result = np.zeros((len(rows), size), complex)
     for start in range(0, side + 1, step):
         columns = np.arange(start, min(start + step, side + 1))
-        transfer = np.exp(
-            2j * np.pi * DISTANCE * np.sqrt(1 / WAVELENGTH**2 - squared[:, None] - squared[columns] + 0j)
-        )
+        transfer = np.exp(2j * np.pi * DISTANCE * np.sqrt(1 / WAVELENGTH**2 - squared[:, None] - squared[columns] + 0j))
         sums = (weights @ transfer).reshape(len(rows), 3, -1)
         # The transfer function is even.
         for places in (columns, -columns % size):

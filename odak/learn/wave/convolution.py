@@ -17,8 +17,8 @@ from odak import _array, _torch_private
 from odak.learn._threads import each
 from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
 
-# What a thread takes at once: about a core's cache, and transforms of a millisecond, beside which handing them out takes
-# no time.
+# What a thread takes at once: about a core's cache, and transforms of a millisecond, beside which handing them out is
+# quick.
 _BLOCK_BYTES = 1 << 20
 _CACHE_LINE = 64
 # Fresh memory is cleared page by page by the system, which takes as long as a transform.
