@@ -5,6 +5,7 @@ Widths are radii at which the *amplitude* of the fundamental Gaussian factor fal
 A beam of `power` P has Σ|u|²·dx² = P on a window that holds all of it.
 """
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import Any
@@ -15,7 +16,6 @@ import scipy.special
 from odak import _array, _validate
 from odak._array import Array, namespace
 from odak.wave.elements import grid_positions, single_numbers, spiral_parts
-from odak.wave.transfer_functions import pitches
 
 
 def gaussian_beam(
@@ -221,10 +221,10 @@ def laguerre_gaussian_beam(
 def bessel_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
-    wavelength: float,
-    angle: float,
+    wavelength: float | Array,
+    angle: float | Array,
     order: int = 0,
-    waist: float | None = None,
+    waist: float | Array | None = None,
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: Any = None,
@@ -238,18 +238,18 @@ def bessel_beam(
         Rows and columns.
     dx : float or sequence of float
         Pitch in metres, one number or (rows, columns).
-    wavelength : float
+    wavelength : float or array
         Wavelength in the medium, in metres.
-    angle : float
+    angle : float or array
         Half angle of the cone in degrees.
     order : int
         Charge l of the vortex on the axis.
-    waist : float, optional
+    waist : float or array, optional
         Radius of a Gaussian envelope in metres (a Bessel–Gauss beam); none by default.
     offset : sequence of float
         Position of the axis (rows, columns) in metres.
     xp : optional
-        Array namespace, NumPy by default.
+        Array namespace; by default that of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -258,7 +258,7 @@ def bessel_beam(
     array
         Complex128 ``[rows, columns]``: J_l(k·sin(angle)·r)·exp(ilφ), times exp(−r²/waist²). Its peak amplitude is that
         of J_l, for an ideal Bessel beam has no finite power (J. Durnin, J. Opt. Soc. Am. A 4, 651 (1987)). Without an
-        envelope it propagates by the phase k·cos(angle)·z alone.
+        envelope it propagates by the phase k·cos(angle)·z alone. Differentiable in every number given as a tensor.
 
     Examples
     --------
@@ -270,25 +270,31 @@ def bessel_beam(
     11
     """
     order = _validate.integer("order", order, minimum=-math.inf)
-    angle = float(_validate.number("angle", angle))
-    if not 0 < angle < 90:
+    _validate.number("angle", angle)
+    if (not _array.is_array(angle) or _array.is_readable(angle)) and not 0 < _validate.numbers(angle)[0] < 90:
         raise ValueError(f"angle must be between 0 and 90 degrees, got {angle!r}")
     if waist is not None:
         _validate.number("waist", waist, positive=True)
-    y, x, xp = _plain_grid(shape, dx, offset, xp)
-    wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-    radius = np.hypot(y, x)
-    field = scipy.special.jv(order, 2 * math.pi / wavelength * math.sin(math.radians(angle)) * radius)
-    if waist is not None:
-        field = field * np.exp(-((radius / float(waist)) ** 2))
-    return xp.asarray(field * np.exp(1j * order * np.arctan2(y, x)), device=device)
+    xp, (y, x), (wavelength, angle, *waists) = _prepare(
+        shape, dx, offset, xp, device, wavelength=wavelength, angle=angle, waist=() if waist is None else (waist,)
+    )
+    y, x = y[:, None], x[None, :]
+    squared = y**2 + x**2
+    axis = squared == 0
+    safe = xp.sqrt(xp.where(axis, xp.ones_like(squared), squared))
+    radius = xp.where(axis, xp.zeros_like(squared), safe)
+    field = _bessel(order, 2 * math.pi / wavelength * xp.sin(angle * (math.pi / 180)) * radius)
+    for width in waists:
+        field = field * xp.exp(-squared / width**2)
+    cosine, sine = xp.where(axis, xp.ones_like(squared), x / safe), y / safe
+    return xp.astype(field, xp.complex128) * _array.make_complex(*spiral_parts(cosine, sine, order))
 
 
 def airy_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
-    scale: float | Sequence[float],
-    decay: float = 0.05,
+    scale: float | Array | Sequence[float | Array],
+    decay: float | Array = 0.05,
     offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: Any = None,
@@ -302,15 +308,15 @@ def airy_beam(
         Rows and columns.
     dx : float or sequence of float
         Pitch in metres, one number or (rows, columns).
-    scale : float or sequence of float
+    scale : float, array or sequence of these
         Transverse scale in metres, one number or (y, x); negative mirrors the beam. After a distance z the pattern has
         moved by z²/(4k²·scale³) along each axis.
-    decay : float
+    decay : float or array
         Exponential truncation a ≥ 0 of the tail.
     offset : sequence of float
         Position (rows, columns) of the origin in metres.
     xp : optional
-        Array namespace, NumPy by default.
+        Array namespace; by default that of the arrays given, else NumPy.
     device : optional
         Device of the result.
 
@@ -318,7 +324,8 @@ def airy_beam(
     -------
     array
         Complex128 ``[rows, columns]``: Ai(y/y₀)·exp(a·y/y₀)·Ai(x/x₀)·exp(a·x/x₀) (G. A. Siviloglou and
-        D. N. Christodoulides, Opt. Lett. 32, 979 (2007)), not normalised.
+        D. N. Christodoulides, Opt. Lett. 32, 979 (2007)), not normalised. Differentiable in every number given as a
+        tensor.
 
     Examples
     --------
@@ -332,21 +339,22 @@ def airy_beam(
     scales = _validate.several(
         "scale", _pair("scale", scale) if isinstance(scale, (list, tuple)) else (scale, scale), 2
     )
-    scales = tuple(_validate.numbers(_validate.real("scale", value, nonzero=True))[0] for value in scales)
-    decay = float(_validate.number("decay", decay, least=0))
-    y, x, xp = _plain_grid(shape, dx, offset, xp)
+    for value in scales:
+        _validate.real("scale", value, nonzero=True)
+    _validate.number("decay", decay, least=0)
+    xp, (y, x), (decay, *scales) = _prepare(shape, dx, offset, xp, device, decay=decay, waist=scales)
     along_y, along_x = (
-        scipy.special.airy(position / size)[0] * np.exp(decay * position / size)
-        for position, size in zip((y, x), scales, strict=True)
+        _airy(position / size) * xp.exp(decay * position / size)
+        for position, size in zip((y[:, None], x[None, :]), scales, strict=True)
     )
-    return xp.asarray((along_y * along_x).astype(np.complex128), device=device)
+    return xp.astype(along_y * along_x, xp.complex128)
 
 
 def flat_top_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
     waist: float | Array,
-    order: float = 10.0,
+    order: float | Array = 10.0,
     power: float | Array = 1.0,
     offset: Sequence[float] = (0.0, 0.0),
     *,
@@ -363,7 +371,7 @@ def flat_top_beam(
         Pitch in metres, one number or (rows, columns).
     waist : float or array
         Radius in metres at which the amplitude falls to 1/e.
-    order : float
+    order : float or array
         Steepness n ≥ 1 of the edge: 1 is a Gaussian, a large number a disc.
     power : float or array
         Power of the beam.
@@ -377,7 +385,8 @@ def flat_top_beam(
     Returns
     -------
     array
-        Complex128 ``[rows, columns]``: exp(−(r/w)^(2n)) times the amplitude that gives the power.
+        Complex128 ``[rows, columns]``: exp(−(r/w)^(2n)) times the amplitude that gives the power. Differentiable in
+        every number given as a tensor.
 
     Examples
     --------
@@ -389,10 +398,11 @@ def flat_top_beam(
     0.135335
     """
     _validate.number("order", order, least=1)
-    order = float(order)
     _validate.number("waist", waist, positive=True)
-    xp, (y, x), (power, waist) = _prepare(shape, dx, offset, xp, device, power=power, waist=(waist,))
-    area = math.pi * math.gamma(1 / order) / (order * 2 ** (1 / order)) * waist**2
+    xp, (y, x), (power, order, waist) = _prepare(
+        shape, dx, offset, xp, device, power=power, order=order, waist=(waist,)
+    )
+    area = math.pi * _gamma(1 / order) / (order * 2 ** (1 / order)) * waist**2
     squared = (y[:, None] ** 2 + x[None, :] ** 2) / waist**2
     return xp.astype(xp.sqrt(power / area) * xp.exp(-(squared**order)), xp.complex128)
 
@@ -440,9 +450,50 @@ def _prepare(shape, dx, offset, xp, device, **numbers):
     return xp, (y[:, 0], x[0, :]), values
 
 
-def _plain_grid(shape, dx, offset, xp):
-    """Return NumPy's positions as ``[rows, 1]`` and ``[1, columns]``, and the namespace of the result."""
-    steps = [float(_validate.number("dx", step)) for step in pitches(dx)]
-    offset = _validate.numbers(_validate.several("offset", offset, 2))
-    _, (y, x) = grid_positions(shape, steps, offset, namespace(), None)
-    return y, x, _validate.library("xp", xp)
+def _bessel(order: int, x):
+    """Return the Bessel function of the first kind of an array."""
+
+    def derivative(x):
+        return (_bessel(order - 1, x) - _bessel(order + 1, x)) / 2
+
+    return _of_scipy(lambda x: scipy.special.jv(order, x), derivative, x)
+
+
+def _airy(x):
+    """Return the Airy function of an array."""
+
+    def derivative(x):
+        return _of_scipy(lambda x: scipy.special.airy(x)[1], lambda x: x * _airy(x), x)
+
+    return _of_scipy(lambda x: scipy.special.airy(x)[0], derivative, x)
+
+
+def _gamma(x):
+    """Return the gamma function of an array of positive numbers."""
+    return _of_scipy(scipy.special.gamma, lambda x: _gamma(x) * x.digamma(), x)
+
+
+def _of_scipy(function, derivative, x):
+    """Return a function of SciPy of an array; `derivative` takes a tensor to the derivative there."""
+    if _array.is_torch(x):
+        return _operator().apply(x, function, derivative)
+    return namespace(x).asarray(function(np.asarray(x)), device=_array.device_of(x))
+
+
+@functools.cache
+def _operator():
+    """Return the operator of PyTorch that applies a function of SciPy, differentiable as often as its derivative."""
+    import torch
+
+    class Elementwise(torch.autograd.Function):
+        @staticmethod
+        def forward(ctx, x, function, derivative):
+            ctx.derivative = derivative
+            ctx.save_for_backward(x)
+            return torch.as_tensor(function(x.detach().cpu().numpy()), dtype=x.dtype, device=x.device)
+
+        @staticmethod
+        def backward(ctx, gradient):
+            return gradient * ctx.derivative(*ctx.saved_tensors), None, None
+
+    return Elementwise

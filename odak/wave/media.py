@@ -287,9 +287,9 @@ def _through_tensors(step: _Step, field, slices):
 def scattered_field(
     incident: Array,
     index: Array,
-    dx: float,
-    wavelength: float,
-    background: float = 1.0,
+    dx: float | Array,
+    wavelength: float | Array,
+    background: float | Array = 1.0,
     absorber: float | None = None,
     tolerance: float = 1e-5,
     iterations: int = 2000,
@@ -303,12 +303,12 @@ def scattered_field(
         solution of the wave equation in the background, a plane wave for instance.
     index : array
         Refractive index on the same grid, real, or complex where the object absorbs.
-    dx : float
+    dx : float or array
         Pitch in metres, the same along all axes; at most half a wavelength in the densest medium, a quarter or less for
         accuracy.
-    wavelength : float
+    wavelength : float or array
         Wavelength in vacuum, in metres.
-    background : float
+    background : float or array
         Index of the medium around.
     absorber : float, optional
         Width in metres of the absorbing layer that is added around the grid, by default four wavelengths.
@@ -320,8 +320,8 @@ def scattered_field(
     Returns
     -------
     array
-        Complex total field on the grid of `incident`. Differentiable in `incident` and in `index`, by one more
-        solution of the same kind: no iteration is kept.
+        Complex total field on the grid of `incident`. Differentiable in `incident`, `index`, and in `dx`, `wavelength`
+        and `background` given as tensors, by one more solution of the same kind: no iteration is kept.
 
     Raises
     ------
@@ -361,25 +361,28 @@ def scattered_field(
     for name, value in (("dx", dx), ("wavelength", wavelength), ("background", background), ("tolerance", tolerance)):
         _validate.number(name, value, positive=True)
     iterations = _validate.integer("iterations", iterations, minimum=1)
-    width = 4 * float(wavelength) if absorber is None else float(_validate.number("absorber", absorber, positive=True))
     xp = namespace(incident)
-    k = 2 * math.pi / float(wavelength)
+    known = {"dx": dx, "wavelength": wavelength, "background": background}
+    pitch, *_ = numbers = [_validate.numbers(value)[0] for value in known.values()]
+    width = 4 * numbers[1] if absorber is None else float(_validate.number("absorber", absorber, positive=True))
+    series = _BornSeries(incident, math.ceil(width / pitch), float(tolerance), iterations)
+    dx, wavelength, background = (xp.reshape(cast(value, incident, xp.float64), ()) for value in known.values())
+    # In units of the pitch.
+    step = 2 * math.pi / wavelength * dx
     index = xp.astype(cast(index, incident, index.dtype), xp.complex128)
-    contrast = k**2 * (index**2 - float(background) ** 2)
-    layer = math.ceil(width / float(dx))
-    series = _BornSeries(incident, float(dx), k, float(background), layer, float(tolerance), iterations)
-    if is_torch(incident):
-        return incident + _torch_solution().apply(contrast, contrast * incident, series).to(incident.dtype)
-    return xp.astype(incident + series.solve(contrast, contrast * incident), incident.dtype, copy=False)
+    contrast = step**2 * (index**2 - background**2)
+    medium = series.medium(contrast, step * background)
+    source = series.pad(contrast * incident)
+    psi = _torch_solution().apply(medium, source, series) if is_torch(incident) else series.solve(medium, source)
+    return xp.astype(incident + series.crop(psi), incident.dtype, copy=False)
 
 
 class _BornSeries:
-    """Solution of ∇²ψ + (k²n_b² + contrast)ψ = −source on a grid with absorbing layers around it."""
+    """Solution of ∇²ψ + medium·ψ = −source on a grid of unit pitch with absorbing layers around it."""
 
-    def __init__(self, like, dx, k, background, layer, tolerance, iterations):
+    def __init__(self, like, layer, tolerance, iterations):
         self.xp, self.device, self.shape = namespace(like), _array.device_of(like), tuple(like.shape)
         self.layer, self.tolerance, self.iterations = layer, tolerance, iterations
-        self.base = (k * background) ** 2
         xp = self.xp
         self.squared = 0.0
         self.border = 0.0
@@ -388,14 +391,18 @@ class _BornSeries:
             form[axis] = -1
             total = n + 2 * layer
             p = 2 * math.pi * (xp.fft.ifftshift(xp.arange(total, dtype=xp.float64, device=self.device) - total // 2))
-            self.squared = self.squared + xp.reshape((p / (total * dx)) ** 2, form)
+            self.squared = self.squared + xp.reshape((p / total) ** 2, form)
             places = xp.arange(total, dtype=xp.float64, device=self.device)
             depth = xp.clip(1 - xp.minimum(places, total - 1 - places) / max(layer, 1), 0.0, 1.0)
             # The absorption increases smoothly, so that little is reflected; a wave is attenuated to 1e-6.
-            strength = 4 * math.log(1e6) / (2 * layer * dx) * k * background
-            self.border = self.border + xp.reshape(strength * depth**3, form)
+            self.border = self.border + xp.reshape(4 * math.log(1e6) / (2 * layer) * depth**3, form)
+
+    def medium(self, contrast, wave_number):
+        """Return the squared wave number of the whole grid from its contrast to that of the background."""
+        return wave_number**2 + self.pad(contrast) + 1j * (self.border * wave_number)
 
     def pad(self, values):
+        """Return values on the grid proper with zeros in the layers around it."""
         xp = self.xp
         for axis in range(len(self.shape)):
             form = list(values.shape)
@@ -405,20 +412,19 @@ class _BornSeries:
         return values
 
     def crop(self, values):
+        """Return values on the grid proper."""
         return values[tuple(slice(self.layer, self.layer + n) for n in self.shape)]
 
-    def solve(self, contrast, source):
-        """Return ψ on the grid proper."""
+    def solve(self, medium, source):
+        """Return ψ on the whole grid."""
         xp = self.xp
-        squared_k = self.base + self.pad(contrast) + 1j * self.border
-        real = xp.real(squared_k)
+        real = xp.real(medium)
         centre = (float(xp.min(real)) + float(xp.max(real))) / 2
-        epsilon = 1.01 * float(xp.max(xp.abs(squared_k - centre)))
-        potential = squared_k - centre - 1j * epsilon
+        epsilon = 1.01 * float(xp.max(xp.abs(medium - centre)))
+        potential = medium - centre - 1j * epsilon
         green = 1 / (self.squared - centre - 1j * epsilon)
         weight = 1j / epsilon * potential
         axes = tuple(range(len(self.shape)))
-        source = self.pad(source)
 
         def respond(values):
             return xp.fft.ifftn(green * xp.fft.fftn(values, axes=axes), axes=axes)
@@ -431,18 +437,18 @@ class _BornSeries:
             if count % 10 == 9:
                 largest, norm = (float(xp.linalg.vector_norm(self.crop(v))) for v in (change, psi))
                 if not largest > self.tolerance * norm:
-                    return self.crop(psi)
+                    return psi
         if self.iterations >= 10 and not largest > self.tolerance * norm:
-            return self.crop(psi)
+            return psi
         warn(
             f"the Born series did not reach its tolerance of {self.tolerance:g} within {self.iterations} iterations",
             ConvergenceWarning,
         )
-        return self.crop(psi)
+        return psi
 
 
 def _torch_solution():
-    """Return the operator ψ(contrast, source) with its adjoint, which is the same solution for the conjugate medium."""
+    """Return the operator ψ(medium, source) with its adjoint, which is the same solution for the conjugate medium."""
     global _operator
     if _operator is None:
         import torch
@@ -451,17 +457,17 @@ def _torch_solution():
             """Solution of the wave equation, an operator that is symmetric: one more solution gives its gradient."""
 
             @staticmethod
-            def forward(ctx, contrast, source, series):
-                psi = series.solve(contrast, source)
+            def forward(ctx, medium, source, series):
+                psi = series.solve(medium, source)
                 ctx.series = series
-                ctx.save_for_backward(contrast, psi)
+                ctx.save_for_backward(medium, psi)
                 return psi
 
             @staticmethod
             def backward(ctx, gradient):
-                contrast, psi = ctx.saved_tensors
+                medium, psi = ctx.saved_tensors
                 # A symmetric solution operator: its adjoint is conj ∘ solve ∘ conj.
-                back = ctx.series.solve(contrast, gradient.conj().to(torch.complex128)).conj()
+                back = ctx.series.solve(medium, gradient.conj().to(torch.complex128)).conj()
                 return back * psi.conj(), back, None
 
         _operator = Solution

@@ -482,7 +482,8 @@ def focus_polarized(
     -----
     B. Richards and E. Wolf, Proc. R. Soc. Lond. A 253, 358 (1959): the component along the radius turns with its ray,
     the one across it does not, amplitudes scale with cosθ to the power 1/2 (the sine condition at equal power), and
-    the plane waves of the cone add up. The sum over the pupil is a matrix product for each axis.
+    the plane waves of the cone add up. The sum over the pupil is a matrix product for each axis. Its relative error is
+    about 5/N² of the intensity for N samples across a pupil of high numerical aperture, 1e-3 for 70 samples.
 
     Examples
     --------

@@ -24,7 +24,7 @@ def eye_image(
     pupil_position: Sequence[float] | Array = (0.0, 0.0),
     pupil_diameter: float | Array = 4e-3,
     focus: float | Array | None = None,
-    rotation: Sequence[float] = (0.0, 0.0),
+    rotation: Sequence[float | Array] | Array = (0.0, 0.0),
     aberrations: Mapping | None = None,
 ) -> Array:
     """Return the retinal field of an eye that looks at a field, on the samples of the latter.
@@ -52,7 +52,7 @@ def eye_image(
     focus : float or array, optional
         Distance in metres on which the eye is focused, infinity included; by default that of the field. ``[K]`` for K
         eyes.
-    rotation : sequence of float
+    rotation : sequence of float or array
         Angles in degrees (rows, columns) by which the eye is rotated about its centre of rotation, 10.5 mm behind the
         pupil. The pupil moves to the side and back, and appears narrower.
     aberrations : mapping, optional
@@ -62,7 +62,7 @@ def eye_image(
     -------
     array
         Complex ``[..., rows, columns]``; ``[..., K, rows, columns]`` with K eyes. The intensity keeps the power that
-        passes the pupil. Differentiable.
+        passes the pupil. Differentiable in the field and in every number given as a tensor, `dx` excepted.
 
     Raises
     ------
@@ -134,20 +134,22 @@ def eye_transfer(
     for name, value in (("pupil_diameter", diameter), ("focus", focus)):
         if getattr(value, "ndim", 0) and tuple(value.shape) != eyes:
             raise ValueError(f"{name} must be one number or one for each of the eyes {eyes}, got {tuple(value.shape)}")
-    turns = [math.radians(_validate.real("rotation", angle)) for angle in _validate.several("rotation", rotation, 2)]
-    if max(map(abs, turns)) >= math.pi / 2:
+    angles = [_validate.number("rotation", angle) for angle in _validate.several("rotation", rotation, 2)]
+    known = [_validate.numbers(angle)[0] for angle in angles if not _array.is_array(angle) or _array.is_readable(angle)]
+    if any(abs(angle) >= 90 for angle in known):
         raise ValueError(f"rotation must be within ±90 degrees, got {tuple(rotation)}")
-    away = distance + ROTATION_RADIUS * (1 - math.cos(turns[0]) * math.cos(turns[1]))
+    turns = [xp.reshape(_array.converted(angle, xp, device, xp.float64), ()) * (math.pi / 180) for angle in angles]
+    squeeze = [xp.cos(turn) for turn in turns]
+    away = distance + ROTATION_RADIUS * (1 - squeeze[0] * squeeze[1])
     _check_box(shape, steps, wavelength, away)
     # The response to a pupil with a rim is long: sampled finely, it does not wrap around.
     fine = [2 * n * (4 if n < 512 else 2) for n in shape]
     pitch = [wavelength * away / (n * step) for n, step in zip(fine, steps, strict=True)]
-    squeeze = [math.cos(turn) for turn in turns]
     radius = diameter[..., None, None] / 2
     from_middle = []
     for axis, n in enumerate(fine):
         along = xp.asarray(_frequencies(n), dtype=xp.float64, device=device) * n * pitch[axis]
-        along = along - place[..., axis, None] - ROTATION_RADIUS * math.sin(turns[axis])
+        along = along - place[..., axis, None] - ROTATION_RADIUS * xp.sin(turns[axis])
         from_middle.append(along[..., :, None] if axis == 0 else along[..., None, :])
     down, across = (values / (narrow * radius) for values, narrow in zip(from_middle, squeeze, strict=True))
     pupil = _covered(xp, down, across, [p / (s * radius) for p, s in zip(pitch, squeeze, strict=True)])

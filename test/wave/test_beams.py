@@ -103,7 +103,10 @@ def test_gradients_and_faces():
     makers = (
         lambda wavelength, waist, z, power: hermite_gaussian_beam((6, 5), 1.0, wavelength, waist, (1, 2), z, power),
         lambda wavelength, waist, z, power: laguerre_gaussian_beam((6, 5), 1.0, wavelength, waist, 1, -2, z, power),
-        lambda wavelength, waist, z, power: flat_top_beam((6, 5), 1.0, waist, 3, power),
+        lambda order, waist, z, power: flat_top_beam((6, 5), 1.0, waist, order + 2, power),
+        lambda wavelength, waist, z, angle: bessel_beam((5, 4), z / 2, wavelength, angle, 0, waist),
+        lambda wavelength, waist, z, angle: bessel_beam((5, 4), z / 2, wavelength, angle * 9, -2, waist, (z, 0.3)),
+        lambda scale, other, z, decay: airy_beam((5, 4), 1.0, (scale + 1, -other), decay, (z, 0.3)),
     )
     for make in makers:
         assert torch.autograd.gradcheck(make, numbers, fast_mode=True)

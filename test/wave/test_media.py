@@ -191,6 +191,17 @@ def test_gradients_of_the_born_series():
     np.testing.assert_allclose(scatter(incident, medium).detach().numpy(), arrays, atol=1e-9)
 
 
+def test_gradients_of_the_born_series_in_its_lengths():
+    incident = torch.exp(1.5j * torch.arange(4, dtype=torch.float64))[:, None].repeat(1, 5)
+    medium = 1 + 0.2 * torch.rand(4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    numbers = [torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.2, 1.0, 1.1)]
+
+    def scatter(dx, wavelength, background):
+        return scattered_field(incident, medium, dx, wavelength, background, 0.3, 1e-8, 9000)
+
+    assert torch.autograd.gradcheck(scatter, numbers, atol=1e-5, fast_mode=True)
+
+
 def test_coarse_slices_and_short_series_warn():
     field = np.ones((8, 8), dtype=complex)
     medium = 1.4 + 0.1 * np.random.default_rng(0).random((1, 8, 8))

@@ -122,6 +122,13 @@ def test_slopes():
         return wave.eye_image(field, PITCH, WAVELENGTH, distance, place * 1e-3, diameter * 1e-3, focus)
 
     assert torch.autograd.gradcheck(seen, (field, *others), fast_mode=True, atol=1e-4)
+    turns = torch.tensor([3.0, -5.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(
+        lambda turns: wave.eye_image(field.detach(), PITCH, WAVELENGTH, 0.08, rotation=turns),
+        turns,
+        fast_mode=True,
+        atol=1e-4,
+    )
     lists = ((others[1][0] * 1e-3, -5e-4), [others[1] * 1e-3, torch.zeros(2, dtype=torch.float64)])
     for place, expected in zip(lists, (others[1] * 1e-3, torch.stack(lists[1])), strict=True):
         listed, stacked = (wave.eye_image(field, PITCH, WAVELENGTH, 0.08, p, 1.7e-3) for p in (place, expected))
