@@ -48,7 +48,7 @@ def real(name: str, value, *, positive: bool = False, nonzero: bool = False):
     if isinstance(value, bool) or not (isinstance(value, Real) or listed or is_array(value)):
         raise TypeError(f"{name} must be a real number or an array of them, got {type(value).__name__}")
     if listed and not value:
-        raise ValueError(f"{name} must hold at least one number, got an empty {type(value).__name__}")
+        raise ValueError(f"{name} must contain at least one number, got an empty {type(value).__name__}")
     if is_array(value):
         if "complex" in str(value.dtype) or not _holds_numbers(value):
             raise TypeError(f"{name} must be real, got an array of {value.dtype}")
@@ -102,7 +102,7 @@ def image(name: str, value, *, axes: int = 2):
     if not is_array(value):
         raise TypeError(f"{name} must be an array or a tensor, got {type(value).__name__}")
     if not _holds_numbers(value):
-        raise TypeError(f"{name} must hold numbers, got an array of {value.dtype}")
+        raise TypeError(f"{name} must be numeric, got an array of {value.dtype}")
     if value.ndim < axes or 0 in value.shape[-2:]:
         raise ValueError(
             f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}"
@@ -152,7 +152,7 @@ def array(name: str, value, *, like=None):
     """
     if is_array(value):
         if not _holds_numbers(value):
-            raise TypeError(f"{name} must hold numbers, got an array of {value.dtype}")
+            raise TypeError(f"{name} must be numeric, got an array of {value.dtype}")
         return value
     if isinstance(value, (str, bytes, bool)) or not isinstance(value, (Number, Sequence)):
         raise TypeError(f"{name} must be an array, a tensor or a list of numbers, got {type(value).__name__}")
@@ -161,7 +161,7 @@ def array(name: str, value, *, like=None):
     except (ValueError, TypeError) as error:
         raise ValueError(f"{name} must be a regular array of numbers, got lists that differ in length") from error
     if not _holds_numbers(made):
-        raise TypeError(f"{name} must hold numbers, got {value!r:.100}")
+        raise TypeError(f"{name} must be numeric, got {value!r:.100}")
     return made if like is None else cast(made, like, (complex_dtype if made.dtype.kind == "c" else real_dtype)(like))
 
 
@@ -176,7 +176,7 @@ def given(name: str, value, *, rows: bool = False):
         return value
     made = array(name, value)
     if made is not value and not (made.size and ((rows and made.ndim > 1) or numpy.isfinite(made).all())):
-        raise ValueError(f"{name} must hold finite numbers, at least one; got {value!r:.100}")
+        raise ValueError(f"{name} must contain at least one number, all finite; got {value!r:.100}")
     return made
 
 
@@ -253,7 +253,9 @@ def alike(**arrays) -> None:
     shapes = {name: tuple(value.shape) for name, value in arrays.items()}
     first, *others = shapes.values()
     if any(shape != first for shape in others):
-        raise ValueError(f"{' and '.join(shapes)} must have one shape, got {' and '.join(map(str, shapes.values()))}")
+        raise ValueError(
+            f"{' and '.join(shapes)} must have the same shape, got {' and '.join(map(str, shapes.values()))}"
+        )
     one_device(**arrays)
 
 
@@ -285,7 +287,7 @@ def several(name: str, value, count: int | None = None, *, positive: bool = Fals
         raise TypeError(f"{name} must be a sequence of real numbers, got {type(value).__name__}")
     values = tuple(value)
     if count is not None and len(values) != count:
-        raise ValueError(f"{name} must hold {count} numbers, got {len(values)}")
+        raise ValueError(f"{name} must have {count} numbers, got {len(values)}")
     return tuple(real(name, v, positive=positive) for v in values)
 
 
@@ -310,7 +312,7 @@ def texts(name: str, value) -> list[str]:
     entries = list(value)
     for entry in entries:
         if not isinstance(entry, str):
-            raise TypeError(f"{name} must hold strings, got {entry!r:.80}")
+            raise TypeError(f"{name} must contain strings, got {entry!r:.80}")
     return entries
 
 

@@ -49,7 +49,7 @@ def read_materials(path) -> tuple[list[Material], dict[str, str]]:
         raise ValueError(f"{path} is not a JSON file of materials: {error}") from error
     entries = content.get("materials") if isinstance(content, dict) else None
     if not isinstance(entries, dict) or not entries:
-        raise ValueError(f'{path} must hold an object {{"materials": {{name: entry, …}}}}, with at least one entry')
+        raise ValueError(f'{path} must contain an object {{"materials": {{name: entry, …}}}}, with at least one entry')
     aliases = content.get("aliases", {})
     if not isinstance(aliases, dict) or not all(isinstance(name, str) for name in aliases.values()):
         raise ValueError(f'{path}: "aliases" must map names to names')
@@ -299,7 +299,7 @@ def read_entry(path) -> Material:
                 value.strip() if value.strip() not in ("", "|") else lines[i + 1].strip() if i + 1 < len(lines) else ""
             )
     if kind not in ("1", "2", "3", "5") or len(limits) != 2 or len(numbers) < 3:
-        raise ValueError(f"{path.name} must hold formula 1, 2, 3 or 5 with its range and coefficients, got {kind!r}")
+        raise ValueError(f"{path.name} must contain formula 1, 2, 3 or 5 with its range and coefficients, got {kind!r}")
     first, rest = numbers[0], numbers[1:]
     made: dict[str, Any]
     if kind in ("1", "2"):

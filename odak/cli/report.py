@@ -270,7 +270,7 @@ def ssim(image: torch.Tensor, target: torch.Tensor) -> float:
 
     if image.shape != target.shape or min(image.shape[-2:]) < WINDOW:
         raise ValueError(
-            f"image and target must have one shape of at least {WINDOW} x {WINDOW}, "
+            f"image and target must have the same shape, at least {WINDOW} x {WINDOW}, "
             f"got {tuple(image.shape)} and {tuple(target.shape)}"
         )
     one, two = (value.double().reshape(-1, 1, *value.shape[-2:]) for value in (image, target))

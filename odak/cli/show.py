@@ -165,7 +165,7 @@ def _load(path: Path) -> np.ndarray:
         raise InputError(f"FILE {str(path)!r} cannot be drawn: {' '.join(str(error).split())}") from None
     values = np.squeeze(values)
     if values.ndim < 2 or values.ndim > 3 or not np.issubdtype(values.dtype, np.number):
-        raise InputError(f"FILE {str(path)!r} must hold a field or a stack of fields, got shape {values.shape}")
+        raise InputError(f"FILE {str(path)!r} must contain a field or a stack of fields, got shape {values.shape}")
     return values
 
 

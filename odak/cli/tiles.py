@@ -332,7 +332,7 @@ def open_picture(path: Path) -> Any:
         or np.dtype(found.dtype).kind not in "buf"
     ):
         raise InputError(
-            f"IMAGE must hold real numbers [rows, columns] or [rows, columns, 1 to 4 channels], "
+            f"IMAGE must be a real array [rows, columns] or [rows, columns, 1 to 4 channels], "
             f"got {found.dtype} of shape {shape}: {str(path)!r}"
         )
     return _Channels(found) if len(shape) == 2 else found

@@ -86,7 +86,7 @@ def gradient_descent_1d(
         _validate.function(name, value)
     parameters = np.array(_validate.array("parameters", parameters))
     if not parameters.size:
-        raise ValueError(f"parameters must hold at least one number, got {parameters.shape}")
+        raise ValueError(f"parameters must contain at least one number, got {parameters.shape}")
     parameters = parameters.astype(np.result_type(parameters.dtype, np.float64))
     bar = tqdm(range(steps), disable=not progress)
     for _ in bar:
@@ -143,7 +143,7 @@ def least_square_1d(x: Array, y: Array) -> Array:
     across = x - middle
     spread = xp.sum(across**2)
     if _array.is_readable(spread) and not _validate.numbers(spread)[0] > 0:
-        raise ValueError(f"x must hold at least two different finite numbers, got {x.shape[0]} without any spread")
+        raise ValueError(f"x must contain at least two different finite numbers, got {x.shape[0]} without any spread")
     gradient = xp.sum(across * (y - height)) / spread
     return xp.stack((gradient, height - gradient * middle))
 
@@ -200,7 +200,7 @@ def perceptron(
     if points.ndim != 2 or len(points) != len(labels):
         raise ValueError(f"x must be [m x d] with one label each in y, got {points.shape} and {labels.shape[0]} labels")
     if not np.all((labels == 0) | (labels == 1)):
-        raise ValueError("y must hold the labels 0 and 1 only")
+        raise ValueError("y must contain the labels 0 and 1 only")
     passes = _validate.integer("iteration_number", iteration_number)
     points = np.column_stack((np.ones(len(points)), points))
     weights = np.zeros(points.shape[1])

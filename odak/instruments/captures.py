@@ -99,7 +99,7 @@ class Captures:
         """
         count = self.frames.shape[1]
         if count < 2:
-            raise ValueError(f"frames must hold at least 2 captures of each pattern to show their noise, got {count}")
+            raise ValueError(f"frames must contain at least 2 captures of each pattern to show noise, got {count}")
         top = 0.98 * ((1 << self.camera_bits) - 1)
         fine = self.frames.max(1) < top
         mean = self.means()[fine]
@@ -163,7 +163,7 @@ def record_captures(
         raise ValueError(f"levels must be [patterns, {modulator.shape[0]}, {modulator.shape[1]}], got {levels.shape}")
     places = np.zeros(len(levels)) if positions is None else np.asarray(positions, float)
     if places.shape != (len(levels),):
-        raise ValueError(f"positions must hold one number for each of the {len(levels)} patterns, got {places.shape}")
+        raise ValueError(f"positions must contain one number for each of {len(levels)} patterns, got {places.shape}")
     if stage is None and places.any():
         raise ValueError("stage must be given where positions differ from 0, got None")
     frames = []

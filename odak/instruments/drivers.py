@@ -302,7 +302,7 @@ class FileCamera:
             raise ValueError(f"{path!r} cannot be read as captures: {error}") from error
         if frames.shape != (count, *self.shape) or frames.dtype.kind not in "iu":
             expected = [count, *self.shape]
-            raise ValueError(f"{path!r} must hold integers {expected}, got {frames.dtype} {list(frames.shape)}")
+            raise ValueError(f"{path!r} must contain integers {expected}, got {frames.dtype} {list(frames.shape)}")
         os.remove(path)
         row, column, rows, columns = self.region or (0, 0, *self.shape)
         return frames[:, row : row + rows, column : column + columns]

@@ -57,10 +57,10 @@ class Backend(Protocol):
         """Return how many tasks run at once."""
 
     def load(self, compute: Callable) -> None:
-        """Take the function that the tasks of the next run call."""
+        """Set the function that the tasks of the next run call."""
 
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
-        """Take groups of tasks: their numbers and their arguments."""
+        """Submit groups of tasks: their numbers and their arguments."""
 
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
         """Return groups that are done, or an exception in the place of outcomes; none after :meth:`wake`."""
@@ -76,7 +76,7 @@ class Backend(Protocol):
 
 
 def choose(cluster: Any, depends: Sequence, server: bool, **settings: Any) -> Backend:
-    """Return the backend that `cluster` names; parameters are those of :class:`odak.manager.agent`."""
+    """Return the backend selected by `cluster`; parameters are those of :class:`odak.manager.agent`."""
     here = cluster is None or cluster is True or cluster == "local"
     if settings.get("workers") is not None and not here and not server:
         raise ValueError(
@@ -118,15 +118,15 @@ class Serial:
         return 1
 
     def load(self, compute: Callable) -> None:
-        """Take the function that the tasks of the next run call."""
+        """Set the function that the tasks of the next run call."""
         self._compute = compute
 
     def start(self, groups: list[tuple[Group, list[Job]]]) -> None:
-        """Take groups of tasks."""
+        """Submit groups of tasks."""
         self._started += groups
 
     def wait(self) -> list[tuple[Group, list[tasks.Outcome] | BaseException]]:
-        """Compute what was started, one group a call."""
+        """Compute the submitted groups, one for each call."""
         group, jobs = self._started.popleft()
         compute: Any = self._compute
         return [(group, [tasks.attempt(lambda job=job: compute(*job[0], **job[1])) for job in jobs])]

@@ -314,7 +314,7 @@ def _is_loopback(place: str) -> bool:
 
 
 def load_security(security: Any) -> Any:
-    """Return Dask's form of certificates that were given as a folder; anything else as it is."""
+    """Convert a folder of certificates to Dask's security object; return anything else unchanged."""
     if not isinstance(security, (str, os.PathLike)):
         return security
     files = [Path(security).expanduser() / name for name in _CERTIFICATES]
@@ -327,7 +327,7 @@ def load_security(security: Any) -> Any:
 
 
 def tls_security(ca_file: str, cert: str, key: str) -> Any:
-    """Return Dask's form of certificates in PEM files, which all roles use, with encryption required."""
+    """Return Dask's security object for PEM files that all roles use, with encryption required."""
     from distributed import Security
 
     roles = ("client", "scheduler", "worker")

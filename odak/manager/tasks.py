@@ -173,7 +173,7 @@ class _Process:
             return Outcome(value, f"ChildProcessError: {text}\n", "", start, seconds, ended)
 
     def kill(self, reason: str, outside: bool) -> None:
-        """End the process and remember why."""
+        """End the process and record the reason."""
         self._reason, self._outside = reason, outside
         self._process.kill()
 
@@ -284,7 +284,7 @@ def _on_cpu(value: Any) -> Any:
 
 
 def pin_threads(count: int) -> None:
-    """Let the numerical libraries of this process use so many threads, those included that load later."""
+    """Set the number of threads of the numerical libraries of this process, loaded now or later."""
     os.environ.update(thread_variables(count))
     torch = sys.modules.get("torch")
     if torch is not None and torch.get_num_threads() != count:
@@ -297,7 +297,7 @@ def thread_variables(count: int) -> dict[str, str]:
 
 
 def keep_memory() -> None:
-    """Let glibc keep the memory of freed arrays for the next ones.
+    """Let glibc retain the memory of freed arrays for later ones.
 
     Dask has its workers hand back all but 64 KiB at once (MALLOC_TRIM_THRESHOLD_), and every new array is then cleared
     page by page: half the time of a hologram.
@@ -314,14 +314,14 @@ def keep_memory() -> None:
 
 
 def pack(value: Any) -> bytes:
-    """Return a value as bytes; functions and classes of scripts and notebooks are included with their code."""
+    """Serialise a value; functions and classes of scripts and notebooks are included with their code."""
     import cloudpickle
 
     return cloudpickle.dumps(value, protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def unpack(data: bytes) -> Any:
-    """Return the value that :func:`pack` made bytes of."""
+    """Return the value that :func:`pack` serialised."""
     return pickle.loads(data)
 
 
@@ -351,7 +351,7 @@ def packed_by_value(modules: Iterable[ModuleType]) -> Iterator[None]:
 
 
 def modules_of(depends: Iterable[ModuleType | Callable | str]) -> list[ModuleType]:
-    """Return the modules that are named, or whose functions or classes are; paths are left out."""
+    """Return the given modules and those of given functions and classes; paths are skipped."""
     return [
         item if isinstance(item, ModuleType) else importlib.import_module(item.__module__)
         for item in depends

@@ -212,7 +212,7 @@ def modulation_transfer_function(line_x: Array, line_y: Array, px_size: Sequence
 def _line(name: str, line):
     (line,) = _validate.reals(**{name: line})
     if _validate.shaped(name, line, "n").shape[0] < 2:
-        raise ValueError(f"{name} must hold at least two values, got {line.shape[0]}")
+        raise ValueError(f"{name} must contain at least two values, got {line.shape[0]}")
     return line
 
 

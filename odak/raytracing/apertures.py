@@ -171,7 +171,7 @@ class PolygonAperture(Aperture):
         super().__post_init__()
         corners = tuple(tuple(float(v) for v in _validate.several("corners", pair, 2)) for pair in self.corners)
         if len(corners) < 3:
-            raise ValueError(f"corners must hold three pairs (x, y) or more, got {len(corners)}")
+            raise ValueError(f"corners must contain three pairs (x, y) or more, got {len(corners)}")
         object.__setattr__(self, "corners", corners)
 
     def contains(self, x: Array, y: Array) -> Array:

@@ -42,7 +42,7 @@ def convert_to_torch(a: np.ndarray, grad: bool = True) -> "torch.Tensor":
     grad = _validate.flag("grad", grad)
     tensor = a.detach().clone() if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(_validate.array("a", a)))
     if grad and not (tensor.is_floating_point() or tensor.is_complex()):
-        raise TypeError(f"a must hold real or complex floats to have a gradient, got {tensor.dtype}; pass grad=False")
+        raise TypeError(f"a must have a floating-point dtype to have a gradient, got {tensor.dtype}; pass grad=False")
     return tensor.requires_grad_(grad)
 
 

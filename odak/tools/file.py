@@ -226,7 +226,7 @@ def size_of_a_file(file_path: str | os.PathLike) -> tuple[float | None, str | No
 
 
 def copy_file(source: str | os.PathLike, destination: str | os.PathLike, follow_symlinks: bool = True) -> str:
-    """Copy a file with its times and rights, over an older one if there is one.
+    """Copy a file with its times and permissions, replacing an existing one.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ def _plain(value):
         return value.tolist()
     if isinstance(value, os.PathLike):
         return os.fspath(value)
-    raise TypeError(f"settings must hold what JSON can, got a {type(value).__name__}: {value!r:.80}")
+    raise TypeError(f"settings must be serialisable as JSON, got a {type(value).__name__}: {value!r:.80}")
 
 
 def load_dictionary(filename: str | os.PathLike) -> Any:
@@ -464,7 +464,7 @@ _CONTROL = re.compile(r"[\x01-\x1f\x7f]")
 
 
 def validate_shell_command(cmd_list: list[str]) -> list[str]:
-    """Return a copy of a command after refusing characters that would mean something to a shell.
+    """Return a copy of a command after rejecting characters with a special meaning in shells.
 
     A program that odak does not know is logged as a warning and passes: no shell is involved.
 

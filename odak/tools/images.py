@@ -131,7 +131,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float = 0.0, torch_style: boo
 
 
 def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
-    """Read an image as the file holds it.
+    """Read the levels of an image as they are stored in the file.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _shallow(image):
 def _checked(img):
     img = np.asarray(img)
     if img.dtype.kind not in "buif":
-        raise TypeError(f"img must hold real numbers, got {img.dtype}")
+        raise TypeError(f"img must be real, got {img.dtype}")
     img = img[:, None] if img.ndim == 1 else img
     if img.ndim not in (2, 3) or 0 in img.shape or (img.ndim == 3 and img.shape[-1] not in (1, 3, 4)):
         raise ValueError(f"img must be [H], [H, W] or [H, W, 1 | 3 | 4], none empty; got {img.shape}")
@@ -258,9 +258,9 @@ def _encoder(path, levels) -> Callable:
     deep, colour, alpha = levels.dtype == np.uint16, levels.ndim == 3, levels.shape[2:] == (4,)
     if deep and (form in ("JPEG", "BMP") or (colour and form != "PNG")):
         held = "16-bit grey only" if form == "TIFF" else "8 bits only"
-        raise ValueError(f"{path!r} cannot hold this image: {form} takes {held}; PNG takes 16 bits")
+        raise ValueError(f"{path!r} cannot store this image: {form} stores {held}; PNG stores 16 bits")
     if alpha and form in ("JPEG", "BMP"):
-        raise ValueError(f"{path!r} cannot hold an alpha channel: PNG and TIFF can")
+        raise ValueError(f"{path!r} cannot store an alpha channel: PNG and TIFF can")
     if deep and colour:
         return lambda stream: _write_deep_png(stream, levels)
     options = _ENCODER_OPTIONS.get(form, {})
@@ -395,7 +395,7 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
     """
     img = np.asarray(img)
     if img.dtype.kind not in "buifc":
-        raise TypeError(f"img must hold numbers, got {img.dtype}")
+        raise TypeError(f"img must be numeric, got {img.dtype}")
     if img.ndim not in (2, 3) or 0 in img.shape:
         raise ValueError(f"img must be [H, W] or [H, W, C], none empty; got {img.shape}")
     if np.shape(target_size) != (2,):

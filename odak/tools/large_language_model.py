@@ -104,5 +104,5 @@ def _answer(content: bytes) -> str:
             raise ValueError(f"The server's answer lacks {key!r}")
         answer = answer[key]
     if not isinstance(answer, str):
-        raise ValueError(f"The server's answer must hold a text, got {type(answer).__name__}")
+        raise ValueError(f"The server's answer must contain a string, got {type(answer).__name__}")
     return answer.strip()

@@ -26,7 +26,7 @@ __all__ = [
 
 
 def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "center") -> ArrayT:
-    """Surround a field with zeros.
+    """Pad a field with zeros.
 
     Sample ``n // 2`` of each axis is its centre, before and after, so that :func:`crop_center` gives the field back
     for every parity.
@@ -77,7 +77,7 @@ def zero_pad(field: ArrayT, size: Sequence[int] | None = None, method: str = "ce
 
 
 def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
-    """Cut the centre out of a field: sample ``n // 2`` of each axis stays the centre.
+    """Crop the centre of a field; sample ``n // 2`` of each axis stays the centre.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def crop_center(field: ArrayT, size: Sequence[int] | None = None) -> ArrayT:
 
 
 def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
-    """Return the 8-bit levels of an image as levels of fewer bits, the rest cut off.
+    """Reduce the 8-bit levels of an image to fewer bits by truncation.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def generate_2d_gaussian(kernel_length: Sequence[int] = (21, 21), nsigma: Sequen
 def blur_gaussian(
     field: ArrayT, kernel_length: Sequence[int] = (21, 21), nsigma: Sequence[float] = (3.0, 3.0), normalize: bool = True
 ) -> ArrayT:
-    """Blur pictures that continue periodically by :func:`generate_2d_gaussian`.
+    """Blur images by :func:`generate_2d_gaussian`, with periodic boundaries.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def last_two(size) -> tuple[int, int]:
 
 
 def convolve2d(field: ArrayT, kernel: Array) -> ArrayT:
-    """Convolve pictures that continue periodically with a kernel whose sample ``n // 2`` of each axis is its centre.
+    """Convolve images with a kernel, periodically; the kernel is centred on sample ``n // 2`` of each axis.
 
     Parameters
     ----------
@@ -380,7 +380,7 @@ def smooth_pad(
     method: str = "center",
     smooth_factor: Sequence[float] | None = None,
 ) -> ArrayT:
-    """Surround a field with its own border samples, fading to zero at the rim.
+    """Pad a field with its border samples, tapered to zero at the edge.
 
     Parameters
     ----------
@@ -420,7 +420,7 @@ def smooth_pad(
     height, width, top, left = frame(field, size, method)
     xp, device = _array.namespace(field), _array.device_of(field)
     if not xp.isdtype(field.dtype, ("real floating", "complex floating")):
-        raise TypeError(f"field must hold floating numbers, got {field.dtype}")
+        raise TypeError(f"field must have a floating-point dtype, got {field.dtype}")
     columns, rows = _factors(smooth_factor)
     window, inside = 1.0, 1.0
     for axis, start, total, factor in ((-2, top, height, rows), (-1, left, width, columns)):
@@ -596,7 +596,7 @@ def nufft2(
     field, fx, fy = _checked(field, fx, fy, sign, eps)
     shape = field.shape if size is None else _counts("size", size)
     if math.prod(shape) != fx.size:
-        raise ValueError(f"size must hold as many samples as fx, {fx.size}; got {shape}")
+        raise ValueError(f"size must have as many samples as fx, {fx.size}; got {shape}")
     finufft = _finufft(field.size * fx.size)
     if finufft is not None:
         return finufft.nufft2d2(fx, fy, field, eps=eps, isign=sign).reshape(shape)
@@ -659,7 +659,7 @@ def nuifft2(
     field, fx, fy = _checked(field, fx, fy, sign, eps, modes=False)
     shape = _validate.size("size", field.shape if size is None else size)
     if field.size != fx.size:
-        raise ValueError(f"field must hold as many values as fx, {fx.size}; got {field.size}")
+        raise ValueError(f"field must have as many values as fx, {fx.size}; got {field.size}")
     finufft = _finufft(shape[0] * shape[1] * fx.size)
     if finufft is not None:
         return finufft.nufft2d1(fx, fy, field.ravel(), shape, eps=eps, isign=sign)
@@ -688,7 +688,7 @@ def _checked(field, fx, fy, sign, eps, modes: bool = True):
         for name, value in (("fx", fx), ("fy", fy))
     )
     if fx.size != fy.size:
-        raise ValueError(f"fx and fy must be of one size, got {fx.size} and {fy.size}")
+        raise ValueError(f"fx and fy must have the same size, got {fx.size} and {fy.size}")
     return field, fx, fy
 
 

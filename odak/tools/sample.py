@@ -251,7 +251,7 @@ def circular_sample(
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
-    """Return points of a disc on a polar grid, equally far apart in radius and angle, without the centre.
+    """Return points of a disc on a polar grid, equally spaced in radius and angle, without the centre.
 
     Parameters
     ----------
@@ -305,7 +305,7 @@ def circular_uniform_random_sample(
     device: Any = None,
     dtype: Any = None,
 ) -> Array:
-    """Return random points of a disc, of equal density everywhere and independent of each other.
+    """Return independent random points of uniform density on a disc.
 
     Parameters
     ----------
@@ -468,7 +468,7 @@ def grid_sample(
 
 
 def batch_of_rays(entry: Array, exit: Array) -> Array:
-    """Return the rays from points to points.
+    """Return the rays from entry points to exit points.
 
     Parameters
     ----------
@@ -507,7 +507,8 @@ def batch_of_rays(entry: Array, exit: Array) -> Array:
     starts, stops = (xp.reshape(end, (-1, 3)) for end in ends)
     if starts.shape[0] != stops.shape[0] and 1 not in (starts.shape[0], stops.shape[0]):
         raise ValueError(
-            f"entry and exit must be as many, or one of them one; got {starts.shape[0]} and {stops.shape[0]}"
+            "entry and exit must have the same number of points, or one of them a single one; "
+            f"got {starts.shape[0]} and {stops.shape[0]}"
         )
     way = stops - starts
     length = xp.linalg.vector_norm(way, axis=-1, keepdims=True)

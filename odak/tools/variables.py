@@ -88,7 +88,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
 def create_group_tensor(
     number_of_elements: int, group_percentages: Sequence[float] | None = None, number_of_groups: int | None = None
 ) -> Any:
-    """Return the number of the group that each element belongs to, in rising runs.
+    """Return the group number of each element; the groups are consecutive and ascending.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ from odak.tools.conversions import convert_to_numpy
 
 
 def to_numpy(name: str, value) -> np.ndarray:
-    """Return numbers as an array on the CPU, whatever holds them.
+    """Return numbers of any array library as a NumPy array on the CPU.
 
     Parameters
     ----------

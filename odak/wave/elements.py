@@ -1102,7 +1102,7 @@ def zernike_basis(
     xp = _validate.library("xp", xp)
     modes = _pairs("modes", modes)
     if not modes:
-        raise ValueError("modes must hold at least one pair (n, m), got none")
+        raise ValueError("modes must contain at least one pair (n, m), got none")
     return xp.stack(list(_modes(nx, ny, modes, radius, dx, offset, xp, device)))
 
 

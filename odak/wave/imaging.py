@@ -330,7 +330,7 @@ def _lengths(name, values, *counts):
     values = values if _array.is_array(values) else _array.numpy_namespace.asarray(values, dtype="float64")
     if values.ndim != 1 or values.shape[0] not in counts:
         accepted = " or ".join(map(str, counts))
-        raise ValueError(f"{name} must hold {accepted} numbers, got the shape {tuple(values.shape)}")
+        raise ValueError(f"{name} must contain {accepted} numbers, got the shape {tuple(values.shape)}")
     return values[: counts[0]]
 
 

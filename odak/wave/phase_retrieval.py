@@ -252,10 +252,10 @@ def gerchberg_saxton_3d(
     """
     fields = _validate.image("fields", fields, axes=3)
     if not len(fields):
-        raise ValueError(f"fields must hold at least one plane, got {tuple(fields.shape)}")
+        raise ValueError(f"fields must contain at least one plane, got {tuple(fields.shape)}")
     distances = _validate.several("distances", distances)
     if len(distances) != len(fields):
-        raise ValueError(f"distances must hold one distance for each of {len(fields)} fields, got {len(distances)}")
+        raise ValueError(f"distances must contain one distance for each of {len(fields)} fields, got {len(distances)}")
     update = None
     if _validate.one_of("target_type", target_type, TARGET_TYPES) == "double constraint":
         update = _double_constraint(coefficients)
@@ -485,7 +485,7 @@ def uniformity(intensities: Array, axis: int = -1) -> Array:
     shape = tuple(_validate.array("intensities", intensities).shape)
     axis = _validate.integer("axis", axis, minimum=-math.inf)
     if not -len(shape) <= axis < len(shape) or 0 in shape:
-        raise ValueError(f"intensities must hold spots along the axis {axis}, got {shape}")
+        raise ValueError(f"intensities must contain spots along the axis {axis}, got {shape}")
     xp = _array.namespace(intensities)
     most, least = xp.max(intensities, axis=axis), xp.min(intensities, axis=axis)
     return 1 - (most - least) / (most + least)

@@ -127,7 +127,7 @@ def _propagate(
 ):
     field = _array.to_complex(_validate.image("field", field))
     if 0 in field.shape:
-        raise ValueError(f"field must hold at least one field, got the shape {tuple(field.shape)}")
+        raise ValueError(f"field must contain at least one field, got the shape {tuple(field.shape)}")
     geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)
     arguments = (tuple(field.shape), *geometry, _plain_pair(zero_padding), _plain_pair(samples))
     plain = kernel is None and all(type(value) in _PLAIN for value in arguments[1:])

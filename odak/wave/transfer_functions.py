@@ -550,7 +550,7 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
     shapes["dx[1]"] = _shape(columns)
     for name, shape in shapes.items():
         if 0 in shape:
-            raise ValueError(f"{name} must hold at least one number, got the shape {shape}")
+            raise ValueError(f"{name} must contain at least one number, got the shape {shape}")
     if any(shapes.values()):
         _validate.fitting(field=batch or (), **shapes)
     for shape in (shapes["dx"], shapes["dx[1]"]):

@@ -376,5 +376,5 @@ def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
     assert catalog.material("Malitson").index(0.5875618) == pytest.approx(1.45846, abs=1e-5)
     assert catalog.material("Malitson").relative_to == "vacuum"
     entry.write_text("DATA:\n  - type: tabulated n\n")
-    with pytest.raises(ValueError, match="must hold formula 1, 2, 3 or 5"):
+    with pytest.raises(ValueError, match="must contain formula 1, 2, 3 or 5"):
         material_files.read_entry(entry)

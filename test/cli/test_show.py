@@ -69,7 +69,7 @@ def test_what_cannot_be_shown_is_named(tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("text")
     for name, message in (
         ("empty", "must be a folder with pictures or fields"),
-        ("line.npy", "must hold a field or a stack of fields, got shape (3,)"),
+        ("line.npy", "must contain a field or a stack of fields, got shape (3,)"),
         ("broken.npy", "cannot be drawn"),
         ("objects.npy", "cannot be drawn"),
         ("notes.txt", "must be a folder of results, or end in"),

@@ -191,7 +191,7 @@ def test_what_tiles_cannot_do_is_said_in_a_line(arguments, message, grey_file, t
     ("name", "content", "message"),
     [
         ("bright.npy", np.full((20, 20), 7.0), "values from 0 to 1"),
-        ("complex.npy", np.ones((20, 20), complex), "must hold real numbers"),
+        ("complex.npy", np.ones((20, 20), complex), "must be a real array"),
         ("deep.npy", np.ones((20, 20, 7)), "1 to 4 channels"),
         ("small.npy", np.ones((4, 20)), "at least 16 rows and columns"),
         ("objects.npy", np.array([print], object), "cannot be read"),

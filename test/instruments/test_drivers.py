@@ -109,7 +109,7 @@ def test_a_folder_that_does_not_answer(tmp_path):
     with pytest.raises(ValueError, match="cannot be read as captures"):
         camera.capture()
     np.save(tmp_path / "capture_3.npy", np.zeros((1, 4, 5), int))
-    with pytest.raises(ValueError, match=r"must hold integers \[1, 4, 4\]"):
+    with pytest.raises(ValueError, match=r"must contain integers \[1, 4, 4\]"):
         camera.capture()
 
 

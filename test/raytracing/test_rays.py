@@ -128,7 +128,7 @@ def test_quadrics_are_zero_on_themselves():
 def test_errors_name_the_argument(call, message):
     with pytest.raises(ValueError, match=message):
         call()
-    with pytest.raises(TypeError, match="x1y1z1 must hold numbers"):
+    with pytest.raises(TypeError, match="x1y1z1 must be numeric"):
         rt.create_ray_from_two_points([0, 0, 0], ["a", "b", "c"])
 
 

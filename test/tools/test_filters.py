@@ -94,7 +94,7 @@ def test_soft_border_factors_and_gradient():
     field = torch.rand(3, 3, requires_grad=True)
     smooth_pad(field).sum().backward()
     assert torch.equal(field.grad, torch.ones(3, 3))
-    with pytest.raises(TypeError, match="field must hold floating numbers"):
+    with pytest.raises(TypeError, match="field must have a floating-point dtype"):
         smooth_pad(np.ones((2, 2), int))
     with pytest.raises(ValueError, match="smooth_factor must be two numbers"):
         smooth_pad(np.ones((2, 2)), smooth_factor=[1.0])
@@ -138,8 +138,8 @@ def test_finufft_agrees_with_the_sum(random, monkeypatch):
     "arguments, message",
     [
         ({"sign": 2}, "sign must be 1 or -1"),
-        ({"size": [2, 2]}, "size must hold as many samples as fx, 6"),
-        ({"fy": np.ones(5)}, "fx and fy must be of one size, got 6 and 5"),
+        ({"size": [2, 2]}, "size must have as many samples as fx, 6"),
+        ({"fy": np.ones(5)}, "fx and fy must have the same size, got 6 and 5"),
         ({"field": np.ones(6)}, "field must be"),
     ],
 )

@@ -175,7 +175,7 @@ def test_transparent_palette_float_tiff_and_gif(tmp_path):
         ("a.jpg", np.zeros((2, 2)), {"color_depth": 16}, r"a\.jpg.*8 bits only"),
         ("a.bmp", np.zeros((2, 2)), {"color_depth": 16}, r"a\.bmp.*8 bits only"),
         ("a.tif", np.zeros((2, 2, 3)), {"color_depth": 16}, r"a\.tif.*16-bit grey only"),
-        ("a.jpg", np.zeros((2, 2, 4)), {}, "cannot hold an alpha channel"),
+        ("a.jpg", np.zeros((2, 2, 4)), {}, "cannot store an alpha channel"),
         ("a.gif", np.zeros((2, 2)), {}, "not allowed"),
         ("a", np.zeros((2, 2)), {}, "not allowed"),
         ("no/a.png", np.zeros((2, 2)), {}, r"Folder .*no' does not exist"),

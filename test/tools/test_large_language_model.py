@@ -43,7 +43,7 @@ def test_request_and_answer(server, endpoint):
         (b'{"message": {}}', "lacks 'content'"),
         (b"[]", "lacks 'message'"),
         (b"<html>", "not JSON"),
-        (b'{"message": {"content": 3}}', "must hold a text"),
+        (b'{"message": {"content": 3}}', "must contain a string"),
     ],
 )
 def test_wrong_answers(server, answer, message):

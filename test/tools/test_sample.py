@@ -135,7 +135,10 @@ def test_draws_follow_their_probabilities(as_array):
         (lambda: tools.grid_sample(size=[1.0]), "size must be 2 numbers, got 1"),
         (lambda: tools.circular_sample(center=[0.0, 1.0]), "center must be 3 numbers, got 2"),
         (lambda: tools.sphere_sample(k=[1]), "k must be two numbers"),
-        (lambda: tools.batch_of_rays(np.ones((2, 3)), np.zeros((3, 3))), "entry and exit must be as many"),
+        (
+            lambda: tools.batch_of_rays(np.ones((2, 3)), np.zeros((3, 3))),
+            "entry and exit must have the same",
+        ),
         (lambda: tools.batch_of_rays(np.ones(3), np.ones((2, 3))), "exit must differ from entry"),
         (lambda: tools.batch_of_rays(np.ones(2), np.ones(3)), "entry must be"),
     ],

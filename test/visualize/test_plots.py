@@ -98,7 +98,7 @@ def test_origins_and_places_that_do_not_exist_are_named():
     [
         (lambda: surfaceshow(title=["Sag"]), "title must be a string, got list"),
         (lambda: surfaceshow(labels="xyz"), "labels must be a sequence of strings"),
-        (lambda: surfaceshow(labels=["x", "y"]), "labels must hold 3 strings, got 2"),
+        (lambda: surfaceshow(labels=["x", "y"]), "labels must have 3 strings, got 2"),
         (lambda: surfaceshow(margin=[0, 0, -1, 0]), "margin must be at least 0"),
         (lambda: plot2dshow(color_scale="no such scale"), "color_scale must be a colour scale of Plotly"),
         (lambda: plot2dshow(font_settings=48), "font_settings must be a dictionary, got int"),

@@ -138,7 +138,11 @@ def test_colours_of_single_lines():
         (lambda p: p.add_sphere([0.0, 1.0]), ValueError, r"sphere must be \[4\]"),
         (lambda p: p.add_rays(np.zeros((4, 3))), ValueError, r"rays must be \[2, 3\]"),
         (lambda p: p.add_rays(np.zeros((4, 2, 3)), np.ones(3)), ValueError, "one for each of the 4 rays, got 3"),
-        (lambda p: p.add_volume(np.zeros((4, 3)), np.zeros(3)), ValueError, "values must be as many as points"),
+        (
+            lambda p: p.add_volume(np.zeros((4, 3)), np.zeros(3)),
+            ValueError,
+            "values must have one entry for each of 4",
+        ),
         (lambda p: p.add_mesh(CORNERS, [[0, 1, 3]]), ValueError, "faces must be indices of vertices, 0 to 2"),
         (lambda p: p.add_surface(*[np.zeros((2, 3))] * 3, np.zeros((3, 2))), ValueError, "surface_color must be"),
         (lambda p: p.set_axis_limits(row=2), ValueError, "row must be 1 to 1"),

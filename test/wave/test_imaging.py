@@ -95,7 +95,7 @@ def test_slice_edges_are_the_positions_of_planes(scene):
     np.testing.assert_array_equal(edges, plain)
     slices, covers = slice_rgbd_targets(torch.ones(3, 4, 4), torch.linspace(0, 1, 16).reshape(4, 4), [0.0, 0.5, 1.0])
     assert torch_face(slices, covers, [0.0, 1e-3, 2e-3], DX, COLOURS).shape == (2, 3, 4, 4)
-    with pytest.raises(ValueError, match="distances must hold 3 or 4 numbers"):
+    with pytest.raises(ValueError, match="distances must contain 3 or 4 numbers"):
         incoherent_focal_stack_rgbd(targets, masks, [*PLACES, 1.0, 2.0], DX, COLOURS)
 
 
@@ -169,8 +169,8 @@ def test_gradients(scene, random):
         ({"targets": [[1.0]]}, TypeError, "targets must be an array"),
         ({"targets": np.ones((3, 3, 12, 11), complex)}, TypeError, "targets must be real"),
         ({"masks": np.ones((2, 12, 11))}, ValueError, r"masks must be \[P, m, n\] or"),
-        ({"distances": [0.0, 1e-3]}, ValueError, "distances must hold 3 or 4 numbers"),
-        ({"wavelengths": COLOURS[:2]}, ValueError, "wavelengths must hold 3 numbers"),
+        ({"distances": [0.0, 1e-3]}, ValueError, "distances must contain 3 or 4 numbers"),
+        ({"wavelengths": COLOURS[:2]}, ValueError, "wavelengths must contain 3 numbers"),
         ({"wavelengths": [639e-9, 515e-9, -1.0]}, ValueError, "wavelengths must be positive"),
         ({"apertures": [1.0, 1.0]}, ValueError, "apertures must be one or 3"),
         ({"apertures": np.ones((12, 11))}, ValueError, "apertures must be numbers or shaped like"),

@@ -104,7 +104,7 @@ def test_planes_are_coupled(target):
 
 def test_three_dimensional_arguments_are_checked(target):
     planes = np.stack([target, target])
-    with pytest.raises(ValueError, match="distances must hold one distance for each of 2"):
+    with pytest.raises(ValueError, match="distances must contain one distance for each of 2"):
         odak.wave.gerchberg_saxton_3d(planes, 1, [0.1], 8e-6, 532e-9)
     with pytest.raises(ValueError, match="coefficients must be"):
         odak.wave.gerchberg_saxton_3d(planes, 1, [0.1, 0.2], 8e-6, 532e-9, target_type="double constraint")

@@ -417,7 +417,7 @@ def test_auto_takes_a_method_that_serves_every_distance():
 
 
 def test_no_field_at_all():
-    with pytest.raises(ValueError, match="field must hold at least one field"):
+    with pytest.raises(ValueError, match="field must contain at least one field"):
         propagate(np.ones((0, 4, 4)))
 
 

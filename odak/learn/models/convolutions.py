@@ -393,7 +393,7 @@ class upsample_layer(nn.Module):
         small = self.up.out_channels if transposed else x1.shape[1]
         x2 = images("x2", x2, convolution.in_channels - small, convolution.weight)
         if len(x1) != len(x2):
-            raise ValueError(f"x1 and x2 must be as many images, got {len(x1)} and {len(x2)}")
+            raise ValueError(f"x1 and x2 must have the same number of images, got {len(x1)} and {len(x2)}")
         return self.conv(torch.cat([x2, _fit(self.up(x1), x2)], dim=1))
 
 
@@ -508,7 +508,7 @@ class global_transformations(nn.Module):
         x1 = images("x1", x1, second.in_features, second.weight)
         x2 = images("x2", x2, first.in_features, first.weight)
         if x2.shape[0] not in (1, x1.shape[0]):
-            raise ValueError(f"x2 must hold as many images as x1, {x1.shape[0]}, or one; got {list(x2.shape)}")
+            raise ValueError(f"x2 must have as many images as x1, {x1.shape[0]}, or one; got {list(x2.shape)}")
         scale = self.global_feature_1(x2.mean(dim=(2, 3)))
         offset = self.global_feature_2(scale)
         return x1 * scale[:, :, None, None] + offset[:, :, None, None]

@@ -909,7 +909,7 @@ def _check_same_samples(name, samples, ground_truth):
             raise TypeError(f"{key} must be a tensor, got {type(value).__name__}")
     if samples.shape != ground_truth.shape:
         raise ValueError(
-            f"{name} and ground_truth must hold as many samples, got {list(samples.shape)} and "
+            f"{name} and ground_truth must have the same number of samples, got {list(samples.shape)} and "
             f"{list(ground_truth.shape)}"
         )
     _validate.one_device(**{name: samples, "ground_truth": ground_truth})

@@ -383,7 +383,7 @@ class spatially_adaptive_unet(nn.Module):
         if not listed or isinstance(sv_kernel, str):
             raise TypeError(f"sv_kernel must be a sequence of tensors, got {type(sv_kernel).__name__}")
         if len(sv_kernel) != self.depth + 1:
-            raise ValueError(f"sv_kernel must hold {self.depth + 1} tensors, got {len(sv_kernel)}")
+            raise ValueError(f"sv_kernel must contain {self.depth + 1} tensors, got {len(sv_kernel)}")
         first: Any = self.inc.model[0]
         field = images("field", field, first.in_channels, first.weight, smallest=2 ** (self.depth + 1))
         for level, factors in zip(range(self.depth + 1, 0, -1), sv_kernel, strict=True):

@@ -105,7 +105,7 @@ class triangle_mesh:
         """
         (vertices,) = reals_of(vertices=vertices)
         if len(_checked_vertices(vertices)) != len(self.vertices):
-            raise ValueError(f"vertices must be as many as before, {len(self.vertices)}; got {len(vertices)}")
+            raise ValueError(f"vertices must have as many rows as before, {len(self.vertices)}; got {len(vertices)}")
         mesh = triangle_mesh(vertices, self.faces, self.normals, self.backend, self.memory_budget)
         mesh._leaves = self._sorted()
         return mesh

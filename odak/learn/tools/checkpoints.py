@@ -184,9 +184,9 @@ def read_checkpoint(
     device : torch.device
         Where its tensors go.
     parts : iterable of str
-        Names that the state must hold, besides "about".
+        Required keys of the state, besides "about".
     about : dict
-        Numbers and words that the state must agree with.
+        Values that the state must agree with.
     kind : str
         What such a run is, with its article, for messages.
 

@@ -155,7 +155,7 @@ def save_image(
     image = _as_array(img)
     if image.ndim == 4:
         if len(image) != 1:
-            raise ValueError(f"img must hold one image, got a batch of {len(image)}; save them one by one")
+            raise ValueError(f"img must be one image, got a batch of {len(image)}; save them one by one")
         image = image[0]
     if image.ndim == 3 and image.shape[0] in (1, 3, 4) and image.shape[-1] not in (1, 3, 4):
         image = np.moveaxis(image, 0, -1)
@@ -260,7 +260,7 @@ def _as_array(img):
         img = img.float() if img.dtype == torch.bfloat16 else img
     image = np.asarray(img)
     if image.dtype.kind == "c":
-        raise TypeError(f"img must hold real numbers, got {image.dtype}; save its magnitude or its phase")
+        raise TypeError(f"img must be real, got {image.dtype}; save its magnitude or its phase")
     return image
 
 

@@ -391,7 +391,7 @@ def reconstruct_wavelet_like(
     for name, layers in (("coefficients", coefficients), ("residuals", residuals), ("base", [base])):
         listed = isinstance(layers, Sequence) and not isinstance(layers, str)
         if not listed or not all(isinstance(layer, torch.Tensor) for layer in layers):
-            raise TypeError(f"{name} must hold tensors, got {layers!r:.80}")
+            raise TypeError(f"{name} must contain tensors, got {layers!r:.80}")
     for residual in residuals:
         _validate.fitting(base=base, residuals=residual)
     # Backwards, as each sum then is the picture that the finer residual was taken from.

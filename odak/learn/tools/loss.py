@@ -395,7 +395,7 @@ def _checked_region(name, region, size):
     try:
         region = [operator.index(edge) for edge in region]
     except TypeError as error:
-        raise ValueError(f"{name} must hold integers, got {region!r:.80}") from error
+        raise ValueError(f"{name} must contain integers, got {region!r:.80}") from error
     top, bottom, left, right = region
     if not (0 <= top < bottom <= size[0] and 0 <= left < right <= size[1]):
         raise ValueError(f"{name} must lie inside the image of {tuple(size)} and not be empty, got {region}")

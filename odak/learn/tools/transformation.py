@@ -267,6 +267,6 @@ def load_voxelized_PLY(
     centres = centres - centres.mean()
     largest = centres.amax()
     if not largest > 0:
-        raise ValueError(f"{ply_filename!r} must hold more than a single point")
+        raise ValueError(f"{ply_filename!r} must contain more than a single point")
     locations, grid = point_cloud_to_voxel(centres / largest, voxel_size)
     return locations.reshape(-1, 3), grid.reshape(-1)

@@ -436,7 +436,7 @@ class display_model(torch.nn.Module):
         rows, columns = self.shape
         levels = np.arange(256) * (2 * np.pi / 256) if phases is None else _numbers("phases", phases)
         if levels.ndim != 1 or len(levels) < 2:
-            raise ValueError(f"phases must hold the phase of each level, got an array {list(levels.shape)}")
+            raise ValueError(f"phases must contain the phase of each level, got an array {list(levels.shape)}")
         at = np.linspace(0, len(levels) - 1, _validate.integer("nodes", nodes, minimum=4))
         spline = CubicSpline(at, np.eye(nodes)[:, 1:])(np.arange(len(levels)))
         y, x = ((torch.arange(n, dtype=torch.float64) - n // 2) * self.pitch for n in (rows, columns))
@@ -757,7 +757,7 @@ def display_hologram(
         raise TypeError(f"model must be a display_model, got {type(model).__name__}")
     places = [float(place) for place in _validate.several("positions", positions)]
     if not places:
-        raise ValueError("positions must hold at least one position, got none")
+        raise ValueError("positions must contain at least one position, got none")
     callback, seed = _validate.function_or_none("callback", callback), _validate.integer("seed", seed)
     target = torch.as_tensor(_numbers("target", target)).to(model._slope)
     if tuple(target.shape[-2:]) != model.shape or target.ndim > 3 or (target.ndim == 3 and len(target) != len(places)):

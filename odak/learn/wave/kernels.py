@@ -467,7 +467,7 @@ def _lengths(name, values, positive, device) -> torch.Tensor:
     alone = isinstance(values, Real) or getattr(values, "ndim", 1) == 0
     lengths = _validate.several(name, [values] if alone else values, positive=positive)
     if not lengths:
-        raise ValueError(f"{name} must hold at least one length, got none")
+        raise ValueError(f"{name} must contain at least one length, got none")
     return torch.stack([tensor(name, length, torch.float64, device).reshape(()) for length in lengths])
 
 
@@ -555,11 +555,11 @@ def get_point_wise_impulse_response_fresnel_kernel(
         for name, points in (("aperture_points", aperture_points), ("target_points", target_points))
     )
     if len(targets) != rows * columns:
-        raise ValueError(f"target_points must hold {rows * columns} points for the resolution, got {len(targets)}")
+        raise ValueError(f"target_points must contain {rows * columns} points for the resolution, got {len(targets)}")
     aperture_field = tensor("aperture_field", aperture_field)
     if aperture_field.numel() != len(sources):
         raise ValueError(
-            f"aperture_field must hold a value for each of {len(sources)} aperture_points, "
+            f"aperture_field must contain a value for each of {len(sources)} aperture_points, "
             f"got {list(aperture_field.shape)}"
         )
     generator = checked_generator("generator", generator)

@@ -134,7 +134,7 @@ def plane_distances(distances, volume_depth: float, count: int, offset: float) -
         given = tensor("distances", distances, torch.float64).reshape(-1)
         _validate.real("distances", given)
         if not len(given):
-            raise ValueError("distances must hold at least one distance, got none")
+            raise ValueError("distances must contain at least one distance, got none")
         return given
     _validate.real("volume_depth", volume_depth)
     _validate.real("image_location_offset", offset)
@@ -585,7 +585,7 @@ def _checked_wavelengths(wavelengths) -> list:
     for wavelength in listed:
         _validate.real("wavelengths", wavelength, positive=True)
     if not listed:
-        raise ValueError("wavelengths must hold at least one wavelength, got none")
+        raise ValueError("wavelengths must contain at least one wavelength, got none")
     return [value if _array.is_traced(value) else float(value) for value in listed]
 
 

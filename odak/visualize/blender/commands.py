@@ -277,7 +277,7 @@ def quit() -> None:
 
 
 def delete_object(label: str) -> None:
-    """Remove the object of a name, if there is one, also from the ".blend" file that the scene continues."""
+    """Remove the object with a name, if there is one, also from the ".blend" file that the scene continues."""
     scene = current().scene
     scene.remove(label) if any(item.name == label for item in scene.objects) else scene.removed.append(label)
 

@@ -260,7 +260,7 @@ def ground_glass():
 
 
 def place(thing, entry):
-    """Put a camera or a light to its place: both look along their own −z."""
+    """Set location and orientation of a camera or a light; both look along their own −z."""
     right, up, behind = entry["axes"]
     rows = [[right[i], up[i], behind[i], entry["location"][i]] for i in range(3)]
     # A plain list would be read column by column.
@@ -283,7 +283,7 @@ def add_camera(scene, entry):
 
 
 def add_light(scene, name, entry, metres):
-    """Add a light; what comes from one unit of length away must be as bright as from that many metres."""
+    """Add a light, its power scaled so that distances in units of length act as distances in metres."""
     light = bpy.data.lights.new(name, entry["kind"].upper())
     light.color = entry["color"]
     if entry["kind"] == "sun":

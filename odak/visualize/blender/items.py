@@ -122,7 +122,7 @@ class Item:
         return points.astype(np.float64) @ (turn * self.scale).T + np.asarray(self.location)
 
     def extremes(self) -> np.ndarray:
-        """Return points between which the object lies but for the thickness of its rods, float64 ``[m, 3]``."""
+        """Return points whose bounding box contains the object but for the thickness of rods, float64 ``[m, 3]``."""
         return self.placed(self.vertices if self.rods is None else self.rods[..., :3].reshape(-1, 3))
 
 
@@ -181,7 +181,7 @@ class Camera:
         return np.stack((columns / 2 + across, rows / 2 - up), axis=-1)
 
     def rays(self, resolution: tuple[int, int]) -> np.ndarray:
-        """Return the rays that end in the middles of a picture's pixels, float64 ``[rows, columns, 2, 3]``.
+        """Return the rays that end at the centres of the pixels of a picture, float64 ``[rows, columns, 2, 3]``.
 
         Parameters
         ----------

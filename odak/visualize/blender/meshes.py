@@ -119,7 +119,7 @@ class Profile(NamedTuple):
     semi_diameter: float
 
     def at(self, x: np.ndarray, y: np.ndarray):
-        """Return the height and slopes there."""
+        """Return the sag and its derivatives at x and y."""
         return even_asphere_sag(x, y, self.curvature, self.conic, np.asarray(self.coefficients, dtype=np.float64))
 
 

@@ -348,7 +348,7 @@ class scene(Lines, Shapes, Lenses, Views):
         self.background: dict | None = None
 
     def find(self, name: str) -> Item:
-        """Return the object of a name; raise ValueError that lists the names if there is none."""
+        """Return the object with a name; raise ValueError that lists the names if there is none."""
         for item in self.objects:
             if item.name == name:
                 return item
@@ -445,7 +445,7 @@ class scene(Lines, Shapes, Lenses, Views):
         timeout: float | None = 3600.0,
         verbose: bool = True,
     ) -> np.ndarray:
-        """Return the distance of the first surface from the camera's plane in the middle of each pixel.
+        """Return the distance of the first surface from the camera's plane at the centre of each pixel.
 
         Parameters
         ----------

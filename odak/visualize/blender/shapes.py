@@ -133,7 +133,7 @@ class Lines:
     def add_points(
         self, points, *, radius: float | None = None, color="red", material=None, name: str = "points"
     ) -> Item:
-        """Draw points as small balls.
+        """Draw points as small spheres.
 
         Parameters
         ----------
@@ -392,7 +392,7 @@ class Shapes:
         segments: int = 128,
         name: str = "sphere",
     ) -> Item:
-        """Draw a ball.
+        """Draw a sphere.
 
         Parameters
         ----------

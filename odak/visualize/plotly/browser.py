@@ -25,7 +25,7 @@ _HOW_TO_INSTALL = (
 
 
 class BrowserNotFoundError(RuntimeError):
-    """No browser is there, or the one that is does not start; the message states what to install.
+    """No browser was found, or it does not start; the message states what to install.
 
     Examples
     --------

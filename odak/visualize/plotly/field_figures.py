@@ -208,7 +208,7 @@ class _Images(Figure):
         self._rows, self._cells = rows, (rows, cols)
 
     def update_layout(self) -> None:
-        """Bring the figure in line with its settings; showing and saving do this first."""
+        """Apply the settings to the figure; done before it is shown or saved."""
         super().update_layout()
         fit = self.settings["height"] is None
         figure_style.place_images(self.fig, self._domains, rows=self._rows, fit_height=fit)
@@ -377,7 +377,7 @@ class plot2dshow(_Images):
             self.fig.add_layout_image(source=figure, **place, **inset)
 
     def update_layout(self) -> None:
-        """Bring the figure in line with its settings; showing and saving do this first."""
+        """Apply the settings to the figure; done before it is shown or saved."""
         for update, name in ((self.fig.update_xaxes, "xaxis"), (self.fig.update_yaxes, "yaxis")):
             update(self.settings[name])
             # Numbers where a unit stands.

@@ -144,7 +144,7 @@ class Figure:
 
 
 def write_html(figure, filename: str | os.PathLike, plotlyjs=True) -> str:
-    """Write a figure as a page and return its ``<div>``, which needs plotly.js on the page that it is put into.
+    """Write a figure as a page and return its ``<div>``, for pages that load plotly.js.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def texts(name: str, value, least: int = 0) -> list:
         raise TypeError(f"{name} must be a sequence of strings, got {value!r:.80}")
     found = [text(f"{name}[{i}]", entry) for i, entry in enumerate(value)]
     if len(found) < least:
-        raise ValueError(f"{name} must hold {least} strings, got {len(found)}")
+        raise ValueError(f"{name} must have {least} strings, got {len(found)}")
     return found
 
 

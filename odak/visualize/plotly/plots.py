@@ -134,7 +134,7 @@ class surfaceshow(Figure):
         self.fig.add_trace(trace)
 
     def update_layout(self) -> None:
-        """Bring the figure in line with its settings; showing and saving do this first."""
+        """Apply the settings to the figure; done before it is shown or saved."""
         settings, scene = self.settings, {"aspectmode": "manual", "aspectratio": dict.fromkeys(_AXES, 1.0)}
         for axis in _AXES:
             scene[f"{axis}axis"] = {
@@ -244,7 +244,7 @@ class plotshow(Figure):
         x = real_array("data_x", data_x).reshape(-1)
         y = np.arange(len(x)) if data_y is None else real_array("data_y", data_y).reshape(-1)
         if len(x) != len(y):
-            raise ValueError(f"data_x and data_y must have one length, got {len(x)} and {len(y)}")
+            raise ValueError(f"data_x and data_y must have the same length, got {len(x)} and {len(y)}")
         place, label = figures.cell(self._cells, row, col), figures.text("label", label)
         if not isinstance(mode, str) or not set(mode.split("+")) <= _MODES:
             raise ValueError(f"mode must be made of {', '.join(sorted(_MODES))} with + between; got {mode!r:.80}")
@@ -275,7 +275,7 @@ class plotshow(Figure):
         add_image(self, image, row, col, showscale, origin, figures.text("label", label))
 
     def update_layout(self) -> None:
-        """Bring the figure in line with its settings; showing and saving do this first."""
+        """Apply the settings to the figure; done before it is shown or saved."""
         settings = self.settings
         self.fig.update_xaxes(title={"text": settings["x label"]})
         self.fig.update_yaxes(title={"text": settings["y label"]})

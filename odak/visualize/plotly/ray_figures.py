@@ -116,7 +116,7 @@ class SceneFigure(Figure):
         return self.save_html(filename)
 
     def update_layout(self) -> None:
-        """Bring the figure in line with its settings; showing and saving do this first."""
+        """Apply the settings to the figure; done before it is shown or saved."""
         settings, ratio = self.settings, self.settings["aspect ratio"]
         if isinstance(ratio, str):
             aspect = {"aspectmode": _validate.one_of("aspect_ratio", ratio, ("data", "cube", "auto"))}
@@ -593,7 +593,7 @@ class rayshow(SceneFigure):
         """
         places, numbers = _arrays.points("points", points), _arrays.real_array("values", values).reshape(-1)
         if len(numbers) != len(places):
-            raise ValueError(f"values must be as many as points, {len(places)}, got {len(numbers)}")
+            raise ValueError(f"values must have one entry for each of {len(places)} points, got {len(numbers)}")
         low, high = figures.numbers("limits", limits, 2)
         trace = graph.Volume(
             **dict(zip(AXES, places.T, strict=True)),

@@ -99,7 +99,7 @@ def test_errors_are_weighed():
     estimate, truth = torch.tensor([[1.0, 2.0, 3.0]]), torch.tensor([[0.0, 4.0, 3.0]])
     assert small().evaluate(estimate, truth).item() == 100 * 5 + 3
     assert small(reduction="mean").evaluate(estimate, truth, weights=[3.0, 6.0]).item() == pytest.approx(3 * 5 / 3 + 6)
-    with pytest.raises(ValueError, match=r"input_data and ground_truth must have one shape, got \(3,\) and \(1, 3\)"):
+    with pytest.raises(ValueError, match=r"and ground_truth must have the same shape, got \(3,\) and \(1, 3\)"):
         small().evaluate(estimate[0], truth)
     with pytest.raises(ValueError, match="weights must be two numbers"):
         small().evaluate(estimate, truth, weights=[1.0])

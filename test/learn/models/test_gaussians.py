@@ -237,7 +237,7 @@ def test_gaussians_that_start_from_an_image_approximate_it():
     for wrong in (image[0], image[None]):
         with pytest.raises(ValueError, match=r"image must be \[H, W\]"):
             start.initialize_from_image(wrong)
-    with pytest.raises(ValueError, match="must have one shape"):
+    with pytest.raises(ValueError, match="must have the same shape"):
         start.initialize_from_image(image, x[1:], y[1:])
 
 

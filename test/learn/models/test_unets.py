@@ -199,7 +199,7 @@ def test_shapes_that_do_not_meet_are_named(focal, field, named):
 
 
 def test_the_number_of_kernels_is_checked():
-    with pytest.raises(ValueError, match="sv_kernel must hold 4 tensors, got 3"):
+    with pytest.raises(ValueError, match="sv_kernel must contain 4 tensors, got 3"):
         models.spatially_adaptive_unet()([torch.rand(1, 72, 8, 8)] * 3, torch.rand(1, 6, 16, 16))
 
 

@@ -198,7 +198,7 @@ def test_refused():
     display = p.display_color_hvs()
     with pytest.raises(ValueError, match=r"primaries must be pictures \[..., 3, H, W\]"):
         display.primaries_to_lms(torch.zeros(1, 4, 2, 2))
-    with pytest.raises(ValueError, match="must have one shape"):
+    with pytest.raises(ValueError, match="must have the same shape"):
         display(torch.zeros(1, 3, 2, 2), torch.zeros(1, 3, 2, 3))
     with pytest.raises(ValueError, match=r"dataset must be \[N, 2\]"):
         display.initialize_random_spectrum_normalized(torch.ones(5, 3))

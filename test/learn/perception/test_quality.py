@@ -113,7 +113,7 @@ def test_psnr():
 @pytest.mark.parametrize("measure", [PSNR, SSIM, MSSSIM, CVVDP, LPIPS])
 def test_refused(measure):
     picture = torch.ones(3, 180, 180)
-    with pytest.raises(ValueError, match="predictions and targets must have one shape"):
+    with pytest.raises(ValueError, match="predictions and targets must have the same shape"):
         measure()(picture, picture[:1])
     with pytest.raises(TypeError, match=r"targets must be a tensor of real floats, got torch\.int32"):
         measure()(picture, picture.int())

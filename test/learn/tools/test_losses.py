@@ -143,9 +143,9 @@ FRAME = torch.ones(4, 4)
         (
             lambda: tools.wrapped_mean_squared_error(FRAME, FRAME[:2]),
             ValueError,
-            "and ground_truth must have one",
+            "and ground_truth must have the same",
         ),
-        (lambda: tools.psnr(FRAME, FRAME[:1]), ValueError, "one shape"),
+        (lambda: tools.psnr(FRAME, FRAME[:1]), ValueError, "same shape"),
         (lambda: tools.psnr(FRAME, FRAME, 0), ValueError, "peak_value must be positive"),
         (lambda: tools.circular_binary_mask(0, 4, 1), ValueError, "px must be at least 1"),
     ],

@@ -370,7 +370,7 @@ def test_point_wise_kernel_is_the_fresnel_sum(monkeypatch):
     )
     assert not torch.allclose(jittered, result)
     assert torch.equal(targets, kept)
-    with pytest.raises(ValueError, match="target_points must hold 6 points"):
+    with pytest.raises(ValueError, match="target_points must contain 6 points"):
         wave.get_point_wise_impulse_response_fresnel_kernel(*arguments, distance=0.05)
 
 

@@ -302,7 +302,7 @@ def test_hologram_optimizers_take_the_losses(loss_type):
         (lambda: multiplane_loss(PICTURE, DEPTH, 1.0, 0), ValueError, "target_blur_size must be at least 1"),
         (lambda: multiplane_loss(PICTURE, DEPTH, number_of_planes=0), ValueError, "number_of_planes must be at least"),
         (lambda: multiplane_loss(PICTURE, DEPTH, weights=[1.0]), ValueError, "weights must be three"),
-        (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE[:1], 0), ValueError, "one shape"),
+        (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE[:1], 0), ValueError, "same shape"),
         (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE, PICTURE, 4), ValueError, "plane_id must be None or 0 to 3"),
         (lambda: multiplane_loss(PICTURE, DEPTH)(PICTURE[:2], PICTURE[:2], 0), ValueError, "image must be"),
         (

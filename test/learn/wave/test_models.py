@@ -81,7 +81,7 @@ def test_errors_are_weighed():
     estimate, truth = torch.tensor([1.0, 5.0]), torch.tensor([0.0, 2.0])
     assert Light().evaluate(estimate, truth).item() == pytest.approx(10 + 0.1 * 4)
     assert Light(reduction="mean").evaluate(estimate, truth, weights=[2.0, 3.0]).item() == pytest.approx(10 + 6)
-    with pytest.raises(ValueError, match="input_data and ground_truth must have one shape"):
+    with pytest.raises(ValueError, match="input_data and ground_truth must have the same shape"):
         Light().evaluate(estimate, truth[:1])
     with pytest.raises(ValueError, match="n_output must be at least 2, got 1"):
         holobeam_multiholo(n_output=1)

@@ -275,7 +275,7 @@ def test_eyebox_wants_an_even_disc_and_nothing_else():
     assert made.eyebox_constrain(inside, [5, 2], 8).item() == pytest.approx(mask_size - 1, rel=1e-3)
     # Outside it is all lost.
     assert made.eyebox_constrain(inside, [-5, 2], 1.5).item() > 0.99
-    with pytest.raises(ValueError, match="eyebox must hold"):
+    with pytest.raises(ValueError, match="eyebox must contain"):
         made.eyebox_constrain(inside, [100, 0], 4)
 
 
@@ -370,7 +370,7 @@ def test_powers_from_a_file(tmp_path):
     made = optimizer(channel_power_filename=str(path))
     torch.testing.assert_close(made.channel_power.detach(), torch.tensor([[1.0, 0.5, 0.0]] * 3))
     torch.save(torch.ones(2, 2), path)
-    with pytest.raises(ValueError, match=r"channel_power_filename .* must hold"):
+    with pytest.raises(ValueError, match=r"channel_power_filename .* must contain"):
         optimizer(channel_power_filename=str(path))
 
 

@@ -365,7 +365,7 @@ def test_padding_of_ones_own(phases):
         ({"method": "monochrome"}, "method"),
         ({"laser_channel_power": torch.ones(2, 3)}, "laser_channel_power must be"),
         ({"laser_channel_power": -torch.eye(3)}, "laser_channel_power must not be negative"),
-        ({"distances": []}, "distances must hold"),
+        ({"distances": []}, "distances must contain"),
         ({"memory_budget": -1}, "memory_budget"),
         ({"volume_depth": math.inf}, "volume_depth"),
     ],

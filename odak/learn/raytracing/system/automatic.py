@@ -314,7 +314,7 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
         raise ValueError('elements must be materials and one "stop"')
     elements = list(elements)
     if elements.count("stop") > 1 or elements[-1] == "stop":
-        raise ValueError('elements must hold one "stop", in front of a material')
+        raise ValueError('elements must contain one "stop", in front of a material')
     thick = (glass[0] * glass[1]) ** 0.5
     gap = min(max(air[0], 0.05 * f), air[1])
     bowl = {"curvature": 0.0, "conic": -1.0 if terms else 0.0, "coefficients": [0.0] * (terms + 1 if terms else 0)}

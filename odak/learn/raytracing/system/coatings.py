@@ -64,7 +64,7 @@ class Coating:
         object.__setattr__(self, "substrate", substrate)
         count = len(terms(self.thicknesses))
         if count != len(self.media):
-            raise ValueError(f"thicknesses must be as many as media, {len(self.media)}, got {count}")
+            raise ValueError(f"thicknesses must have one entry for each of {len(self.media)} media, got {count}")
 
     @classmethod
     def quarter_waves(cls, media: Sequence, wavelength: float, unit: str = "mm") -> "Coating":

@@ -233,7 +233,7 @@ class lens_design:
                 low.append(bounds[0])
                 high.append(bounds[1])
         if not values:
-            raise ValueError("variables must hold at least one")
+            raise ValueError("variables must contain at least one")
         self.values, self.lower, self.upper = (torch.tensor(v, dtype=torch.float64) for v in (values, low, high))
         if bool((self.lower > self.upper).any()):
             raise ValueError("lower bounds of variables must be at most their upper bounds")

@@ -235,7 +235,7 @@ def _numbers(name, values):
     except TypeError as error:
         raise TypeError(f"{name} must be a number or a sequence of numbers, got {values!r:.80}") from error
     if not given:
-        raise ValueError(f"{name} must hold one or more numbers, got none")
+        raise ValueError(f"{name} must contain one or more numbers, got none")
     return given
 
 

@@ -414,7 +414,7 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
             general.append(line)
     if len(surfaces) < 3:
         raise ValueError(
-            f"{path.name}: must hold an object, at least one surface and an image, got {len(surfaces)} SURF"
+            f"{path.name}: must contain an object, at least one surface and an image, got {len(surfaces)} SURF"
         )
     return general, surfaces
 
@@ -695,7 +695,7 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     p, x = _parameters(lines, "PARM"), _parameters(lines, "XDAT")
     terms, norm = int(x.get(1, 0.0)), x.get(2, 1.0) * scale or 1.0
     if not 0 <= terms <= MAXIMUM_TERMS:
-        raise ValueError(f"surface {number}: XDAT must hold at most {MAXIMUM_TERMS} terms, got {terms}")
+        raise ValueError(f"surface {number}: XDAT must contain at most {MAXIMUM_TERMS} terms, got {terms}")
     extra = [x.get(i, 0.0) for i in range(3, 3 + terms)]
     last = max((i for i, value in p.items() if value), default=0)
     if kind in ("EVENASPH", "ODDASPHE") and last > 8:
@@ -752,7 +752,7 @@ def _fringe_modes(count: int) -> list[tuple[int, int]]:
     pairs = [(n, m) for n in range(11) for m in range(-n, n + 1, 2) if n + abs(m) <= 10]
     modes = [*sorted(pairs, key=lambda pair: (pair[0] + abs(pair[1]), -abs(pair[1]), pair[1] < 0)), (12, 0)]
     if count > len(modes):
-        raise ValueError(f"XDAT must hold at most {len(modes)} fringe Zernike terms, got {count}")
+        raise ValueError(f"XDAT must contain at most {len(modes)} fringe Zernike terms, got {count}")
     return modes[:count]
 
 

@@ -329,7 +329,7 @@ def checked_operands(operands: Any) -> list[Operand]:
             raise ValueError(f"lower must be at most upper, got {item.lower} and {item.upper} of {item.kind!r}")
         found.append(item)
     if not found:
-        raise ValueError("operands must hold at least one")
+        raise ValueError("operands must contain at least one")
     return found
 
 

@@ -150,7 +150,7 @@ def field_points(system, fields=None) -> torch.Tensor:
         raise TypeError(f"fields must be a sequence of pairs (x, y), got {type(fields).__name__}")
     pairs = [_validate.several("fields", point, 2) for point in (system.fields if fields is None else fields)]
     if not pairs:
-        raise ValueError("fields must hold at least one pair (x, y), got an empty sequence")
+        raise ValueError("fields must contain at least one pair (x, y), got an empty sequence")
     return torch.tensor(pairs, dtype=torch.float64)
 
 

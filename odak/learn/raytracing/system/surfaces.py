@@ -840,7 +840,7 @@ class optical_system(torch.nn.Module):
         first = next((i for i, item in enumerate(surfaces) if not is_break(item)), None)
         if first is None:
             raise ValueError(
-                f"surfaces must hold a surface beside coordinate breaks, got {len(surfaces)} coordinate breaks"
+                f"surfaces must contain a surface beside coordinate breaks, got {len(surfaces)} coordinate breaks"
             )
         if len(stops) > 1:
             raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
@@ -1024,7 +1024,7 @@ def _wavelengths(values) -> tuple[float, ...]:
         )
     )
     if not found:
-        raise ValueError("wavelengths must hold at least one, got none")
+        raise ValueError("wavelengths must contain at least one, got none")
     return found
 
 

@@ -481,7 +481,7 @@ def propagated_point_spread_function(
     Notes
     -----
     Unlike :func:`point_spread_function` this takes neither Abbe's sine condition nor a small aperture for granted: the
-    field has the amplitude and the phase of the rays where they are. It costs more: the pitch must hold the phase of
+    field has the amplitude and the phase of the rays where they are. It costs more: the pitch must resolve the phase of
     the whole converging wave. The unit is the peak of a sphere of the same amplitude about the image point, by the
     Rayleigh–Sommerfeld integral (Goodman 2005, section 3.5).
 
@@ -606,8 +606,8 @@ def exit_field(
     Raises
     ------
     ValueError
-        If the exit pupil is at infinity and no distance is given, if the pitch cannot hold the phase, if the light does
-        not fit on the grid, or if rays cross in the plane.
+        If the exit pupil is at infinity and no distance is given, if the pitch cannot resolve the phase, if the field
+        does not fit on the grid, or if rays cross in the plane.
 
     Notes
     -----

@@ -55,7 +55,7 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
             raise ValueError(f"weights[{name!r}] must not be negative, got {value}")
     weights = defaults | {name: float(value) for name, value in given.items()}
     if not any(weights.values()):
-        raise ValueError(f"weights must hold one above zero, got {given!r}")
+        raise ValueError(f"weights must contain one above zero, got {given!r}")
     return weights
 
 
@@ -122,7 +122,7 @@ def checked_eyebox(eyebox: dict | None) -> dict:
     if eyebox is not None and not isinstance(eyebox, dict):
         raise TypeError(f"eyebox must be a dictionary of offset and diameter, got {eyebox!r:.80}")
     if unknown := set(map(str, eyebox or {})) - set(usual):
-        raise ValueError(f"eyebox must hold offset and diameter, got {', '.join(sorted(unknown))}")
+        raise ValueError(f"eyebox must contain offset and diameter, got {', '.join(sorted(unknown))}")
     return usual | (eyebox or {})
 
 
@@ -147,7 +147,7 @@ def eyebox_mask(shape: Sequence[int], offset: float | Sequence[float], diameter:
     shift = _validate.numbers(_validate.several("offset", (offset, offset) if alone else offset, 2))
     mask = disc(shape, _validate.real("diameter", diameter, positive=True) / 2, shift)
     if not bool(mask.any()):
-        raise ValueError(f"the eyebox must hold a sample of the spectrum, got offset {offset} and diameter {diameter}")
+        raise ValueError(f"eyebox must contain a sample of the spectrum, got offset {offset} and diameter {diameter}")
     return torch.fft.ifftshift(mask)
 
 
@@ -157,7 +157,7 @@ def powers_from(filename, shape: tuple[int, int]) -> torch.Tensor:
     powers = torch_load(path)
     if not isinstance(powers, torch.Tensor) or tuple(powers.shape) != shape:
         got = list(powers.shape) if isinstance(powers, torch.Tensor) else type(powers).__name__
-        raise ValueError(f"channel_power_filename {path!r} must hold a tensor {list(shape)}, got {got}")
+        raise ValueError(f"channel_power_filename {path!r} must contain a tensor {list(shape)}, got {got}")
     return floating("channel_power_filename", powers).clamp(0, 1)
 
 

@@ -276,7 +276,7 @@ def test_a_model_glass_in_a_design_is_that_of_the_catalogue():
     [
         (lambda s: lens_design(s, "sport", Variable("thickness", 1)), "kind of operands"),
         (lambda s: lens_design(s, [], Variable("thickness", 1)), "at least one"),
-        (lambda s: lens_design(s, "spot", []), "variables must hold"),
+        (lambda s: lens_design(s, "spot", []), "variables must contain"),
         (lambda s: lens_design(s, "spot", Variable("thick", 1)), "name of a variable"),
         (lambda s: lens_design(s, "spot", Variable("thickness", 9)), "surfaces of a variable"),
         (lambda s: lens_design(s, "spot", Variable("thickness", [1, 1])), "twice"),

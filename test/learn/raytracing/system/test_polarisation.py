@@ -282,7 +282,7 @@ def test_films_in_files_gratings_and_what_is_refused():
     assert torch.allclose((found.rotation @ found.incoming[..., None])[..., 0], found.outgoing, atol=1e-12)
     with pytest.raises(ValueError, match="substrate of a coating belongs to mirrors"):
         surface(coating=metal)
-    with pytest.raises(ValueError, match="thicknesses must be as many as media, 1, got 2"):
+    with pytest.raises(ValueError, match="thicknesses must have one entry for each of 1 media, got 2"):
         Coating((1.4,), [1.0, 2.0])
     with pytest.raises(ValueError, match=r"media\[0\] must be an index"):
         Coating((-1.4,), [1.0])

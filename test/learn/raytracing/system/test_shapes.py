@@ -21,6 +21,7 @@ from odak.learn.raytracing.system import (
     trace,
     trace_fields,
 )
+from odak.learn.raytracing.system.surfaces import drawn_radii
 from odak.raytracing import Conic, EvenAsphere, RayStatus, SplineFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, PolygonAperture, RectangularAperture
 from odak.raytracing.phases import IdealLens, LinearGrating, PolynomialPhase, RadialPhase, ZernikePhase
@@ -349,3 +350,11 @@ def test_a_ghost_is_two_reflections_traced_by_hand():
     assert ghost.surfaces[0].stop and len(ghost.surfaces) == 4
     with pytest.raises(ValueError, match="first must be below second"):
         ghost_system(lens, 1, 0)
+
+
+def test_surfaces_are_drawn_up_to_their_rims_or_the_rays():
+    near, far = surface(50.0, thickness=2.0, material=1.5), surface(-50.0)
+    stop = surface(aperture=CircularAperture(radius=3.0))
+    rimmed = surface(40.0, material=1.5, semi_diameter=4.0)
+    assert drawn_radii([near, far, stop, rimmed, None], [1.0, 2.0, 9.0, 9.0, 10.0]) == [2.1, 2.1, 3.0, 4.0, 10.5]
+    assert drawn_radii([surface(), far, near], [0.0, 2.0, 1.0]) == [1.0, 2.1, 1.05]

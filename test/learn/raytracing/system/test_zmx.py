@@ -284,7 +284,11 @@ def test_messages_name_the_surface_that_they_are_about(tmp_path):
     for key, value, message in (
         ("radius", 0, r"surfaces\[1\]: radius must not be 0"),
         ("tilt", [1.0], r"surfaces\[1\]: tilt must be"),
-        ("coating", {"media": [1.4], "thicknesses": []}, r"coating of surfaces\[1\]: thicknesses must be as many"),
+        (
+            "coating",
+            {"media": [1.4], "thicknesses": []},
+            r"coating of surfaces\[1\]: thicknesses must have one",
+        ),
         ("shape", {"kind": "Toroid", "curvature_x": "a", "curvature_y": 1.0}, r"surfaces\[1\]"),
     ):
         surfaces = [dict(item) for item in entry["surfaces"]]
