@@ -356,5 +356,6 @@ def test_surfaces_are_drawn_up_to_their_rims_or_the_rays():
     near, far = surface(50.0, thickness=2.0, material=1.5), surface(-50.0)
     stop = surface(aperture=CircularAperture(radius=3.0))
     rimmed = surface(40.0, material=1.5, semi_diameter=4.0)
-    assert drawn_radii([near, far, stop, rimmed, None], [1.0, 2.0, 9.0, 9.0, 10.0]) == [2.1, 2.1, 3.0, 4.0, 10.5]
-    assert drawn_radii([surface(), far, near], [0.0, 2.0, 1.0]) == [1.0, 2.1, 1.05]
+    radii = drawn_radii([near, far, stop, rimmed, None], [1.0, 2.0, 9.0, 9.0, 10.0])
+    assert radii == pytest.approx([2.1, 2.1, 3.0, 4.0, 10.5])
+    assert drawn_radii([surface(), far, near], [0.0, 2.0, 1.0]) == pytest.approx([1.0, 2.1, 1.05])
