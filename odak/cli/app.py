@@ -596,8 +596,15 @@ def _summarise(job: Job, report: dict) -> None:
     typer.echo(f"PSNR {psnr}, {ssim}efficiency {report['efficiency']:.1%} (saved patterns)")
     if report["seconds_per_iteration"] is not None:
         typer.echo(f"{report['seconds_per_iteration']:.3g} s per iteration on {report['device']}")
-    others = [*(["comparison.png"] if ssim else []), *(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
+    others = [*(["focal_stack.png"] if job.planes > 1 else []), "report.json"]
+    if ssim:
+        others = ["reconstruction.png", "comparison.png", *others]
     typer.echo(f"{', '.join([*report['pattern']['files'], *others])} in {job.output}")
+    if ssim:
+        typer.echo(
+            f"{job.output / 'comparison.png'} shows the picture, the image that the saved pattern forms "
+            f"{job.distance:g} m behind the modulator (computed), their difference and the pattern"
+        )
 
 
 def _usage_of(error: Exception) -> str:

@@ -148,7 +148,7 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     ]
     difference = pictures.difference_panel("Reconstruction minus target", images - target.intensity)
     patterns = [
-        pictures.phase_panel(f"SLM phase, {name}, {job.bits} bit", phase)
+        pictures.phase_panel(f"Hologram: phase on the modulator, {name}, {job.bits} bit", phase)
         for name, phase in list(zip(names, phases, strict=True))[:3]
     ]
     rows = [first, [difference, *patterns]] if len(patterns) == 1 else [[*first, difference], patterns]

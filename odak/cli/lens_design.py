@@ -165,6 +165,8 @@ class DesignJob:
                 )
             if self.aim != AIMS[0]:
                 raise InputError(f"--aim {self.aim} needs a SYSTEM; flat plates are designed with paraxial pupils")
+            if self.f_number is not None and self.f_number < 0.5:
+                raise InputError(f"--f-number must be at least 0.5, the limit of a lens in air; got {self.f_number:g}")
         elif self.elements is not None:
             raise InputError("--elements has no effect with a SYSTEM, whose elements are given")
 
@@ -221,7 +223,7 @@ def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
         except InputError:
             raise
         except (TypeError, ValueError) as error:
-            raise InputError(f"{'--elements' if job.system is None else 'SYSTEM'}: {error}") from None
+            raise InputError(_of_options(str(error), job)) from None
     if job.track is not None:
         track = sum(float(item.thickness) for item in lens.surfaces) * MICROMETRES[lens.unit] * 1e-6
         if track > 1.01 * job.track:
@@ -249,6 +251,15 @@ def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
     with replacing(folder / "layout.png") as stream:
         drawing.savefig(stream, format="png", dpi=140)
     return files.write_report(folder, report, mark, names)
+
+
+def _of_options(text: str, job: DesignJob) -> str:
+    """Return a message about an argument of the library as one about the option, or about what was designed."""
+    name, _, rest = text.partition(" ")
+    name = {"half_field": "field"}.get(name, name)
+    if name in {item.name for item in fields(DesignJob)}:
+        return f"{_option(name)} {rest}"
+    return f"{'--elements' if job.system is None else 'SYSTEM'}: {text}"
 
 
 def _option(name: str) -> str:

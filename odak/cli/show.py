@@ -19,7 +19,21 @@ from odak.tools.paths import replacing
 PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 LENSES = (".json", ".zmx")
 LARGEST_SIDE = 1024
-HEIGHT = "560px"
+RESPONSIVE = {"responsive": True}
+# What the files of a run hold, by the beginnings of their names.
+CAPTIONS = {
+    "comparison": "the results side by side",
+    "hologram_": "phase pattern for the modulator; its grey levels stand for phases from 0 to 2π",
+    "reconstruction": "intensity that a camera would record in the plane of the image, computed from the saved pattern",
+    "focal_stack": "intensity in each of the planes",
+    "metamer": "the picture that looks the same to an eye that fixates the gaze position",
+    "pooling_map": "width of the regions over which the eye pools, on a logarithmic scale: white is the largest",
+    "layout": "section through the lens with rays of its fields",
+    "spots": "where the rays of each field meet the image plane",
+    "fans": "errors and path differences of rays over the pupil",
+    "transfer": "modulation transfer functions and encircled energy",
+    "field": "field curvature, distortion and lateral colour",
+}
 _PAGE = """\
 <!doctype html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
@@ -27,8 +41,12 @@ _PAGE = """\
 <style>
 body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 80rem; padding: 0 1rem; }}
 img {{ max-width: 100%; image-rendering: auto; }}
-table {{ border-collapse: collapse; }} td {{ padding: 0.1rem 1rem 0.1rem 0; vertical-align: top; }}
-figure {{ margin: 1.5rem 0; }}
+table {{ border-collapse: collapse; }} td {{ padding: 0.2rem 1rem 0.2rem 0; vertical-align: top; }}
+td:first-child {{ max-width: 44rem; }} td:last-child {{ white-space: nowrap; }} .wide {{ white-space: normal; }}
+small {{ display: block; opacity: 0.75; }}
+figure {{ margin: 1.5rem 0; }} figcaption {{ max-width: 44rem; }}
+.plotly-graph-div {{ height: 560px !important; }}
+@media (max-width: 45em) {{ body {{ margin: 1rem auto; }} .plotly-graph-div {{ height: 380px !important; }} }}
 @media (prefers-color-scheme: dark) {{ body {{ background: #16181c; color: #e6e6e6; }} }}
 </style></head><body><h1>{title}</h1>
 {body}
@@ -80,7 +98,7 @@ def run(path: str, page: Path) -> Path:
 
         if not source.suffix and path not in sample_systems():
             raise InputError(f"FILE not found: {path!r}.{did_you_mean(path, sample_systems())}")
-        body = _figures([system_show(read_system(path, "FILE")[0], show=False).fig])
+        body = _figures([(system_show(read_system(path, "FILE")[0], show=False).fig, "")])
     elif not source.is_file():
         raise InputError(f"FILE not found: {str(source)!r}")
     else:
@@ -107,7 +125,7 @@ def _folder(folder: Path) -> str:
     parts = [_table(report)] if isinstance(report, dict) and report else []
     parts += [
         f'<figure><img alt="{html.escape(path.name)}" src="data:image/{_kind(path)};base64,{_encoded(path)}">'
-        f"<figcaption>{html.escape(path.name)}</figcaption></figure>"
+        f"<figcaption>{html.escape(_caption(path.name))}</figcaption></figure>"
         for path in sorted(pictures, key=lambda path: path.name != "comparison.png")
     ]
     settings = report.get("bench") or report.get("parameters") or {}
@@ -124,14 +142,30 @@ def _folder(folder: Path) -> str:
     return "\n".join([*parts, _figures(figures)])
 
 
+def _caption(name: str) -> str:
+    """Return the name of a file, with what it holds where that is known."""
+    told = next((text for start, text in CAPTIONS.items() if name.startswith(start)), "")
+    return f"{name}: {told}" if told else name
+
+
 def _table(report: dict) -> str:
-    """Return the single numbers and texts of a report as rows."""
+    """Return the single numbers and texts of a report as rows, with their definitions."""
     shown = {name: value for name, value in report.items() if isinstance(value, (int, float, str))}
     shown.pop(FINGERPRINT, None)
+    definitions = report.get("definitions")
+    told = definitions if isinstance(definitions, dict) else {}
     rows = [(name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in shown.items()]
     rows += [("warning", str(text)) for text in report.get("warnings", [])]
-    cells = [f"<tr><td>{html.escape(name)}</td><td>{html.escape(text)}</td></tr>" for name, text in rows]
-    return f"<table>{''.join(cells)}</table>"
+    cells = "".join(
+        f"<tr><td>{html.escape(name.replace('_', ' '))}{_small(told.get(name))}</td>"
+        f"<td{' class=wide' if len(text) > 20 else ''}>{html.escape(text)}</td></tr>"
+        for name, text in rows
+    )
+    return f"<table>{cells}</table>"
+
+
+def _small(text: Any) -> str:
+    return f"<small>{html.escape(text)}</small>" if isinstance(text, str) else ""
 
 
 def _kind(path: Path) -> str:
@@ -175,21 +209,36 @@ def _field_figure(
     pitch: float | None = None,
     wavelength: float | None = None,
     quantities: Sequence[str] | None = None,
-):
-    """Return a figure of a field, of which only every n-th sample is drawn where it is too large for a page."""
+) -> tuple[Any, str]:
+    """Return a figure of a field and its caption; of one too large for a page its middle, of a picture means."""
     from odak.visualize.plotly import field_show
 
     step = -(-max(values.shape[-2:]) // LARGEST_SIDE)
-    values = values[..., ::step, ::step]
-    pitch = None if pitch is None else pitch * step
-    title = title if step == 1 else f"{title}, every sample number {step}"
+    rows, columns = values.shape[-2:]
+    if step > 1 and np.iscomplexobj(values):
+        # Every second sample of a phase would show patterns that are not there.
+        first, second = (max(0, (count - LARGEST_SIDE) // 2) for count in (rows, columns))
+        values = values[..., first : first + LARGEST_SIDE, second : second + LARGEST_SIDE]
+        title = f"{title}, its middle of {values.shape[-2]} × {values.shape[-1]} samples"
+    elif step > 1:
+        values = _block_means(values, step)
+        pitch = None if pitch is None else pitch * step
+        title = f"{title}, means over {step} × {step} samples"
     chosen: dict[str, Any] = {} if quantities is None else {"quantities": quantities}
-    return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig
+    return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig, title
 
 
-def _figures(figures: list) -> str:
-    """Return figures as parts of a page, the first of which brings the library along."""
+def _block_means(values: np.ndarray, step: int) -> np.ndarray:
+    """Return the means over squares of `step` samples a side of the last two axes."""
+    rows, columns = (max(1, count // step) for count in values.shape[-2:])
+    kept = values[..., : rows * step, : columns * step]
+    return kept.reshape(*kept.shape[:-2], rows, -1, columns, kept.shape[-1] // columns).mean((-3, -1))
+
+
+def _figures(figures: list[tuple[Any, str]]) -> str:
+    """Return figures and their captions as parts of a page, the first of which brings the library along."""
     return "\n".join(
-        f"<figure>{figure.to_html(full_html=False, include_plotlyjs=number == 0, default_height=HEIGHT)}</figure>"
-        for number, figure in enumerate(figures)
+        f"<figure>{figure.to_html(full_html=False, include_plotlyjs=number == 0, config=RESPONSIVE)}"
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+        for number, (figure, caption) in enumerate(figures)
     )

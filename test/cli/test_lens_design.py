@@ -189,6 +189,8 @@ DEMANDS = ["--focal-length", "50mm", "--f-number", "4", "--field", "10"]
         (DEMANDS, "missing are --elements"),
         ([*DEMANDS, "--elements", "7"], "--elements must be 1 to 6 or materials, got 7"),
         ([*DEMANDS, "--elements", "stop,N-BK8"], "--elements: "),
+        ([*DEMANDS[:4], "--field", "95", "--elements", "1"], "--field must be below 80 degrees, got 95"),
+        ([*DEMANDS[:2], "--f-number", "0.2", "--field", "1", "--elements", "1"], "--f-number must be at least 0.5"),
         ([*DEMANDS, "--elements", "N-BK7,SF5"], '"stop"'),
         (["singlet", "--elements", "2"], "--elements has no effect with a SYSTEM"),
         (["singlet", "--focal-length", "-1mm"], "--focal-length"),

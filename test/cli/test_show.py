@@ -10,7 +10,7 @@ from command import SMALL, run
 from PIL import Image
 from typer.testing import CliRunner
 
-from odak.cli import app, main
+from odak.cli import app, main, show
 
 
 def page_of(source, tmp_path):
@@ -22,7 +22,8 @@ def test_a_run_is_shown_with_pictures_numbers_and_figures(tmp_path):
     run("photo", "--output", tmp_path / "run", *SMALL, "--grey", "--quiet")
     page = page_of(tmp_path / "run", tmp_path)
     psnr = json.loads((tmp_path / "run" / "report.json").read_text())["psnr_db"]
-    assert f"<td>psnr_db</td><td>{psnr:.6g}</td>" in page
+    assert "<tr><td>psnr db<small>10*log10(1/mean((s*I - T)^2))" in page and f"<td>{psnr:.6g}</td>" in page
+    assert "hologram_532nm.png: phase pattern for the modulator" in page
     assert page.count("data:image/png;base64,") >= 3 and page.count("Plotly.newPlot(") >= 1
     assert f"<td>{psnr:.6g}</td>" in page_of(tmp_path / "run" / "report.json", tmp_path)
     assert '<script src="http' not in page and "<link" not in page.partition("<script")[0]
@@ -35,6 +36,15 @@ def test_fields_and_stacks(suffix, tmp_path):
     np.save(path, field) if suffix == ".npy" else torch.save(torch.as_tensor(field), path)
     page = page_of(path, tmp_path)
     assert f"field{suffix}" in page and "phase" in page
+
+
+def test_what_is_too_large_for_a_page_is_averaged_or_cut_but_never_decimated():
+    stripes = np.tile([0.0, 1.0], (8, 1500))
+    assert np.array_equal(show._block_means(stripes, 2), np.full((4, 1500), 0.5))
+    figure, caption = show._field_figure(stripes, "stripes")
+    assert caption == "stripes, means over 3 × 3 samples"
+    assert max(np.shape(trace.z)[-1] for trace in figure.data if trace.z is not None) == 1000
+    assert show._field_figure(np.exp(1j * stripes), "phase")[1] == "phase, its middle of 8 × 1024 samples"
 
 
 def test_pictures_and_lenses(tmp_path):

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from odak import _validate
@@ -96,6 +97,9 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
             label = _field_label(system, f) if p == 0 else None
             line = _with_curves(paths[f, p], {place: curve[f, p] for place, curve in curves.items()}, len(frames))
             axes.plot(line[:, 2], line[:, 1], color=color, lw=0.7, label=label, zorder=2)
+    # Of two numbers without room between them the second is raised. The drawing is about 600 points of print wide.
+    point = (np.nanmax(paths[..., 2]) - np.nanmin(paths[..., 2])) / 600
+    last, raised = np.full(2, np.inf), False
     for i, item in enumerate(system.surfaces):
         if is_break(item):
             continue
@@ -106,7 +110,13 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
             upwards = frames[i][0][:, 1][[2, 1]]
             for end, side in ((profiles[i][-1], 1), (profiles[i][0], -1)):
                 axes.plot(*np.stack([end, end + 0.25 * side * radii[i] * upwards]).T, color=INK, lw=3, zorder=3)
-        axes.annotate(str(i), profiles[i][-1], xytext=(0, 5), textcoords="offset points", ha="center", fontsize=7)
+        # Above the blade of a stop, which stands on the edge of its surface.
+        label = profiles[i][-1] + (0.25 * radii[i] * frames[i][0][:, 1][[2, 1]] if i == system.stop else 0)
+        room = point * np.array([4.0 * len(str(i)) + 2.0, 9.0])
+        raised = not raised and bool((np.abs(label - last) < room).all())
+        last = label
+        place = (0, 13 if raised else 5)
+        axes.annotate(str(i), label, xytext=place, textcoords="offset points", ha="center", fontsize=7)
     axes.plot(*profiles[-1].T, color=INK, lw=2, zorder=3)
     figure.legend(fontsize=8, frameon=False, loc="outside right upper", title="field", title_fontsize=8)
     _scale_bar(axes, system.unit)
@@ -341,6 +351,8 @@ def field_figure(system: Any, points: int = 21) -> Figure:
         strict=True,
     ):
         axes.axvline(0, color=FAINT, lw=0.6)
+        axes.xaxis.set_major_locator(MaxNLocator(4))
+        axes.ticklabel_format(axis="x", scilimits=(-3, 4))
         axes.set_xlabel(name, fontsize=9)
     first.set_ylabel("field (°)" if system.at_infinity else f"object height ({_unit(system)})", fontsize=9)
     return figure
@@ -564,10 +576,12 @@ def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str
 
 
 _PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><title>{title}</title>
+<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
 <style>body{{font:15px/1.5 system-ui,sans-serif;max-width:1050px;margin:2em auto;padding:0 1em;color:#202020}}
 table{{border-collapse:collapse;margin:1em 0}}td,th{{padding:.2em .9em;text-align:right;border-bottom:1px solid #ddd}}
-th:first-child,td:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}</style></head>
+th:first-child,td:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}.table,.figure{{overflow-x:auto}}
+@media (max-width:45em){{body{{margin:1em auto}}td,th{{padding:.2em .5em}}.figure svg{{max-width:none;width:660px}}}}
+</style></head>
 <body>
 {body}
 </body></html>
@@ -578,7 +592,7 @@ def _svg(figure: Figure) -> str:
     stream = io.StringIO()
     figure.savefig(stream, format="svg")
     text = stream.getvalue()
-    return text[text.index("<svg") :]
+    return f'<div class="figure">{text[text.index("<svg") :]}</div>'
 
 
 def _table(head, rows) -> str:
@@ -586,9 +600,10 @@ def _table(head, rows) -> str:
     body = ""
     for row in rows:
         cells = [float(value.detach()) if isinstance(value, torch.Tensor) else value for value in row]
-        texts = [f"{value:.6g}" if isinstance(value, float) else str(value) for value in cells]
+        # A zero has no sign in a table.
+        texts = [f"{value + 0.0:.6g}" if isinstance(value, float) else str(value) for value in cells]
         body += "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in texts) + "</tr>"
-    return f"<table><tr>{top}</tr>{body}</table>"
+    return f'<div class="table"><table><tr>{top}</tr>{body}</table></div>'
 
 
 @torch.no_grad()
