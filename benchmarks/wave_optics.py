@@ -76,6 +76,41 @@ def sizes(device: str) -> Iterator[dict]:
         yield row(f"propagation with gradient, {name}", best["both"], 2 * best["bare"], "4 fft2", bound)
 
 
+def vector_fields_and_media(device: str) -> Iterator[dict]:
+    """Yield a field of two components, and a slice of a medium, against propagations of one component."""
+    side, slices, pitch = 512, 16, 0.5e-6
+    field = torch.randn(2, side, side, dtype=torch.complex64, device=device)
+    media = {
+        "random": 1.5 + 0.02 * torch.rand(slices, side, side, device=device),
+        "of two indices": 1.5 + 0.02 * (torch.rand(slices, side, side, device=device) > 0.5),
+    }
+
+    def vector():
+        wave.propagate_beam(field, None, 1e-6, pitch, WAVELENGTH)
+
+    def scalar():
+        wave.propagate_beam(field[0], None, 1e-6, pitch, WAVELENGTH)
+
+    timings = interleave({"scalar": scalar, "vector": vector}, device=device)
+    yield row("field of two components, 512", timings["vector"].best, 2 * timings["scalar"].best, "2 scalar ones", 1.2)
+    for medium, index in media.items():
+        for method, options, bound in (
+            ("split-step", {}, 1.2),
+            ("split-step, reference given", {"reference": 1.51}, 1.0),
+            ("wave propagation", {}, None),
+        ):
+
+            def through(index=index, method=method, options=options):
+                name = method.split(",")[0]
+                wave.propagate_through_medium(field[0], index, pitch, 1e-6, WAVELENGTH, name, **options)
+
+            timings = interleave({"scalar": scalar, "through": through}, 5, device)
+            ours = timings["through"].best / slices
+            yield row(
+                f"{method}, a slice of a medium {medium}, 512", ours, timings["scalar"].best, "propagate_beam", bound
+            )
+
+
 def hologram(device: str) -> Iterator[dict]:
     """Yield one iteration of gradient descent against four bare FFTs of the padded size."""
     target = torch.rand(SHAPE, device=device)
@@ -164,4 +199,4 @@ def import_time(device: str) -> Iterator[dict]:
     yield {"task": "import odak, seconds above numpy", "ours_s": added, "floor": "1 s", "ratio": added, "bound": 0.1}
 
 
-ALL = (import_time, memory, impulse_response, propagation, sizes, hologram)
+ALL = (import_time, memory, impulse_response, propagation, sizes, vector_fields_and_media, hologram)

@@ -162,14 +162,15 @@ class _Step:
         low, high = xp.min(real), xp.max(real)
         nodes = xp.linspace(0.0, 1.0, self.levels, dtype=xp.float64, device=self.device)
         span = xp.where(high > low, high - low, xp.ones_like(high))
-        nearness, result = (real - low) * ((self.levels - 1) / span), 0
+        nearness = xp.astype((real - low) * ((self.levels - 1) / span), _array.real_dtype(field), copy=False)
+        result = 0
         # The difference of a sample's index from a node delays the axial wave, in two factors of which only one is of
         # the sample; the rest is interpolated.
         back = phasor_of_cycles((low - high) * nodes * (self.dz / self.wavelength), self.dtype)
         for k in range(self.levels):
             wave = xp.fft.ifftn(spectrum * self._kernel(low + (high - low) * nodes[k], 1.0), axes=(-2, -1))
             weight = xp.clip(1 - xp.abs(nearness - k), 0.0, 1.0)
-            result = result + wave * (back[k] * xp.astype(weight, _array.real_dtype(field)))
+            result = result + wave * (back[k] * weight)
         delay = phasor_of_cycles((real - low) * (self.dz / self.wavelength), self.dtype)
         return xp.astype(result * delay, self.dtype, copy=False)
 
