@@ -18,7 +18,7 @@ from odak.learn._threads import each
 from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
 
 # What a thread takes at once: it stays in the cache, and its transforms take a millisecond, beside which handing it out
-# is quick. Less would be slower where a spectrum meets several kernels, since columns are copied in pieces of its width.
+# is quick. Less would be slower where a spectrum meets several kernels: columns are copied in pieces of its width.
 _BLOCK_BYTES = 1 << 21
 _CACHE_LINE = 64
 # Fresh memory is cleared page by page by the system, which takes as long as a transform.
