@@ -608,9 +608,11 @@ def _summarise(job: Job, report: dict) -> None:
 
 
 def _usage_of(error: Exception) -> str:
-    """Return how an option of two values is written, if an error of the command line is about one."""
+    """Return how an option of two values is written, or where a missing argument is explained, in such an error."""
     found = getattr(error, "param", None)
     name, context = getattr(error, "option_name", None), getattr(error, "ctx", None)
+    if type(error).__name__ == "MissingParameter" and context is not None:
+        return f" `{context.command_path} --help` explains it."
     if found is None and name and context is not None:
         found = next((item for item in context.command.params if name in item.opts), None)
     if found is None or found.nargs != 2:

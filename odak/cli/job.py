@@ -373,7 +373,9 @@ def _likely_length(value: float, least: float, most: float, unit: str) -> str:
 
 def did_you_mean(value: str, names: Iterable[str]) -> str:
     """Return a question with the name nearest to a misspelt one, empty if none is near."""
-    near = difflib.get_close_matches(value.casefold(), list(names), n=1, cutoff=0.6)
+    names, value = list(names), value.casefold()
+    near = difflib.get_close_matches(value, names, n=1, cutoff=0.6)
+    near = near or [name for name in names if len(value) > 2 and name.casefold().startswith(value)]
     return f" Did you mean {near[0]!r}?" if near else ""
 
 

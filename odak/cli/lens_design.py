@@ -156,6 +156,8 @@ class DesignJob:
                 _validate.one_of("--substitute", maker, glass_makers())
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
+        if self.chief_ray_angle is not None and self.chief_ray_angle >= 90:
+            raise InputError(f"--chief-ray-angle must be below 90 degrees, got {self.chief_ray_angle:g}")
         if self.system is None:
             missing = [_option(name) for name in DEMANDS if getattr(self, name) is None]
             if missing:

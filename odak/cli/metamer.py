@@ -9,12 +9,15 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.cli import files, pictures
 from odak.cli.job import InputError, image_path
 from odak.cli.report import decibels, find_device, versions
 from odak.cli.target import read_picture
 
 STAGES = 3
+# Metres above which a width or a distance is taken for centimetres without their unit.
+LARGEST_SCREEN = 15.0
 NAMES = ("metamer.png", "pooling_map.png", "comparison.png")
 DEFINITIONS = {
     "psnr_db": "Peak signal-to-noise ratio of metamer.png to the picture, in decibels; null if they are equal. A "
@@ -88,6 +91,10 @@ class MetamerJob:
             _validate.integer("--orientations", self.orientations, minimum=1)
             _validate.integer("--iterations", self.iterations)
             _validate.integer("--seed", self.seed)
+            for name in ("width", "distance"):
+                value = getattr(self, name)
+                if value > LARGEST_SCREEN:
+                    warn(f"--{name} {value:g} is {value:g} metres; did you mean {value:g}cm?", ArgumentWarning)
             object.__setattr__(self, "mode", _validate.one_of("--mode", self.mode, ("quadratic", "linear")))
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None

@@ -199,6 +199,8 @@ def schema() -> dict:
 def read_config(path: Path) -> dict:
     """Return the content of a TOML or JSON file; raise InputError where there is none."""
     path = Path(os.path.expanduser(path))
+    if not path.exists():
+        raise InputError(f"CONFIG not found: {str(path)!r}")
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
