@@ -315,7 +315,8 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     ]
     merit = [{"aperture": s.aperture, "field": s.field, "rms": finite(s.rms)} for s in found.stages]
     if job.substitute is not None:
-        for item in lens.surfaces:
+        surfaces: list[Any] = list(lens.surfaces)
+        for item in surfaces:
             item.semi_diameter = None
         conditions = (lens.aperture, lens.fields)
         did.append(_substituted(_optimised(lens, conditions, conditions, job, f, 1.0, step)[2]))
@@ -329,8 +330,9 @@ def _substituted(names: Sequence[str]) -> str:
 
 def _set_semi_diameters(system: optical_system, aim: str) -> None:
     """Set the semi-diameters of all surfaces to those of the beam."""
+    surfaces: list[Any] = list(system.surfaces)
     with torch.no_grad():
-        for item, size in zip(system.surfaces, clear_heights(system, system.prescription(), aim=aim), strict=True):
+        for item, size in zip(surfaces, clear_heights(system, system.prescription(), aim=aim), strict=True):
             item.semi_diameter = 1.001 * float(size)
 
 
