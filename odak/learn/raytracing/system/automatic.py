@@ -11,7 +11,7 @@ from odak import _validate
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand
-from odak.learn.raytracing.system.pupils import pupil_samples
+from odak.learn.raytracing.system.pupils import pupil_samples, trace_fields
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 
 # Standard deviations of random curvatures of spheres and of aspheres in units of 1/focal length.
@@ -19,7 +19,9 @@ SPREAD = (2.5, 1.2)
 # Steepest slopes of aspheres.
 STEEPEST = 1.2
 # Lenses of aspheres grow within a stage in steps, and at most this share of their designs goes on to the next stage.
-PARTS, KEPT = 3, 0.3
+PARTS, KEPT = 2, 0.3
+# Distance of lost rays from the centroid in focal lengths.
+LOST = 0.1
 # Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
@@ -39,7 +41,7 @@ class Stage(NamedTuple):
     aperture, field : float
         Shares of the aperture and of the field.
     rms : float
-        Root mean square of the spots of the best design, over its fields.
+        Root mean square of the spots of the best design, over its fields, of the rays that arrive.
     system : optical_system
         A copy of it, with the aperture and the fields of the stage.
 
@@ -174,8 +176,8 @@ def automatic_design(
     Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. The variables of the
     least squares are coefficients of combinations whose slopes are orthonormal over the beam, as Forbes proposed,
     Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218. They are set free one after the other, and slopes above
-    1.2 within 1.15 times the radius of the beam are penalised. Rays may be lost in fast wide lenses of many aspheres,
-    which raises ValueError.
+    1.2 within 1.15 times the radius of the beam are penalised. Rays that are lost when aspheres grow count as if they
+    were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
 
     Examples
     --------
@@ -257,7 +259,8 @@ def automatic_design(
         system.fields = tuple((0.0, math.degrees(math.atan(math.tan(math.radians(angle)) * field * s))) for s in shares)
 
     def describe(weights, rings: int, free: int = terms) -> lens_design:
-        spot = Operand("spot", options={"fields": weights})
+        # Aspheres may lose some rays when they grow: these return while the others are brought together.
+        spot = Operand("spot", options={"fields": weights} | ({"lost": LOST * f} if terms else {}))
         # Turned, so that each ring has the two rays that are refracted most.
         pupil = pupil_samples("rings", rings).flip(-1) if terms else "rings"
         design = lens_design(system, [spot, *fixed], variables, solves=solves, pupil=pupil, count=rings)
@@ -302,6 +305,8 @@ def automatic_design(
         taken.append(_stage(system, 1.0, 1.0))
         if callback is not None:
             callback(taken[-1])
+    if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
+        raise ValueError("rays are lost at the full aperture and field: try another seed")
     heights: Any = design.heights  # never None, since the operands limit the thickness of edges
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)

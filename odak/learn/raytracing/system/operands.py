@@ -228,13 +228,22 @@ def _weighted(values: torch.Tensor, fields: Any, axis: int) -> torch.Tensor:
     return values * weights.reshape(-1, *(1,) * (-axis - 1))
 
 
-def _spot(view: View, fields: Any = None) -> torch.Tensor:
-    """Distances from the centroid of each field, all wavelengths; their squares sum to Σ rms², by field weights."""
+def _spot(view: View, fields: Any = None, lost: float | None = None) -> torch.Tensor:
+    """Distances from the centroid of each field, all wavelengths; their squares sum to Σ rms², by field weights.
+
+    With `lost`, rays that are lost count as if they were at this distance, which no step changes.
+    """
     traced, found = view.traced, []
     number = traced.x.shape[-3] * traced.x.shape[-1]
+    good = traced.arrived | (lost is None)
+    count = good.sum((-3, -1), keepdim=True).clamp_min(1)
     for value in (traced.x, traced.y):
-        around = (value - value.mean((-3, -1), keepdim=True)) / number**0.5
+        value = torch.where(good, value, 0.0)
+        around = torch.where(good, value - value.sum((-3, -1), keepdim=True) / count, 0.0) / number**0.5
         found.append(_weighted(around, fields, -2).flatten(-3))
+    if lost is not None:
+        share = (~good).sum((-3, -1), dtype=torch.float64) / number
+        found.append(_weighted(lost * share.sqrt(), fields, -1))
     return torch.cat(found, -1)
 
 

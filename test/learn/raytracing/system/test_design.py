@@ -243,6 +243,23 @@ def test_derivatives_are_contracted_with_all_directions_at_once(mapped):
         torch.testing.assert_close(found[k], torch.einsum("cbrk,bk->cbr", *one), rtol=1e-13, atol=1e-13)
 
 
+def test_lost_rays_count_in_spots_as_if_they_were_at_a_distance():
+    """Without that distance the residuals are NaN; the Jacobian is that of the rays that arrive."""
+    lens = optical_system([surface(10.0, thickness=5.0, material=1.5), surface(thickness=12.0)], 24.0)
+    variable = Variable("thickness", 1)
+    design = lens_design(lens, Operand("spot", options={"lost": 2.0}), variable, count=6)
+    value, jacobian = design.linearised(design.values)
+    traced = trace_fields(lens, "rings", 6, vignetting=False)
+    good = traced.arrived
+    assert 0 < int(good.sum()) < good.numel()
+    ends = torch.stack([traced.x[good], traced.y[good]], -1).detach()
+    own = float((ends - ends.mean(0)).square().sum() + 4.0 * (~good).sum()) / good.numel()
+    assert float(value.square().sum()) == pytest.approx(own, rel=1e-12)
+    ahead, behind = (design.residuals(design.values + side) for side in (1e-5, -1e-5))
+    torch.testing.assert_close(jacobian[:, 0], (ahead - behind) / 2e-5, rtol=1e-6, atol=1e-8)
+    assert bool(lens_design(lens, "spot", variable, count=6).residuals(design.values).isnan().any())
+
+
 def test_an_operand_of_glass_ends_with_the_variables_of_glass():
     """Real glasses stand in the lens afterwards; of the operands, those of glass are gone and the others remain."""
     lens = optical_system(
