@@ -752,7 +752,7 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        ``[..., 1, H, W]``, four axes for three; about 1 can just be seen. The gradient between equal colours is 0.
+        ``[..., 1, H, W]``, four axes for three; 1 is about just noticeable. The gradient between equal colours is 0.
 
     Raises
     ------

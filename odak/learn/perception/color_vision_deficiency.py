@@ -11,7 +11,7 @@ from torch import nn
 from odak import _array, _validate
 from odak.learn._tensors import in_own_precision
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
-from odak.learn.perception.util import as_pictures, check_values
+from odak.learn.perception.util import as_pictures, check_values, in_float32
 from odak.learn.tools.matrix import blur_gaussian
 
 DEFICIENCIES = ("protan", "deutan", "tritan")
@@ -156,12 +156,12 @@ class CVDLoss(nn.Module):
         image : torch.Tensor
             sRGB ``[B, 3, H, W]`` as shown, sides at least 4.
         target : torch.Tensor, optional
-            Picture that should be seen; the image itself by default.
+            Picture that the simulated image is compared with; the image itself by default.
 
         Returns
         -------
         torch.Tensor
-            The loss, without axes.
+            The loss, without axes, float32 of half precision.
 
         Raises
         ------
@@ -176,8 +176,9 @@ class CVDLoss(nn.Module):
         if target is not None and target.shape != image.shape:
             raise ValueError(f"target must have the image's shape {tuple(image.shape)}, got {tuple(target.shape)}")
         _validate.one_device(image=image, target=target)
-        seen = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)
-        return cvd_loss(image if target is None else target, seen, self.alpha, self.beta)[0]
+        image, target = in_float32(image), in_float32(image if target is None else target)
+        simulated = simulate_color_vision_deficiency(image, self.deficiency, self.severity, self.method)
+        return cvd_loss(target, simulated, self.alpha, self.beta)[0]
 
 
 def _checked_severity(severity, image):
@@ -506,4 +507,5 @@ def _checked_pair(image, simulated_image):
         )
     _validate.one_device(image=image, simulated_image=simulated_image)
     dtype = torch.promote_types(image.dtype, simulated_image.dtype)
-    return image.to(dtype), simulated_image.to(dtype)
+    # The term that keeps ratios of flat patches defined is below what half precision resolves.
+    return in_float32(image.to(dtype)), in_float32(simulated_image.to(dtype))

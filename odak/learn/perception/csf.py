@@ -117,7 +117,7 @@ def unified_pupil_diameter(
 def contrast_sensitivity(
     frequency: torch.Tensor | float, luminance: torch.Tensor | float = 100.0, size: torch.Tensor | float = 60.0
 ) -> torch.Tensor:
-    """Return the contrast sensitivity of the eye: 1 over the modulation of a grating that is seen half of the time.
+    """Return the contrast sensitivity of the eye: 1 over the modulation of a grating detected half of the time.
 
     Parameters
     ----------
@@ -159,11 +159,11 @@ class CSFLoss(nn.Module):
     """Differences of luminance weighted by the contrast sensitivity of the eye, in squared multiples of the threshold.
 
     The difference of two pictures over the target's mean luminance is a sum of gratings, each of which weighs as many
-    times as it exceeds what can just be seen: loss = 2·mean(filtered²). A grating at its threshold costs 1, ten times
+    times as it exceeds the threshold: loss = 2·mean(filtered²). A grating at its threshold costs 1, ten times
     that 100. Luminance alone counts; add another loss for colour.
 
-    The eye faces the middle of a flat picture, perpendicular, and looks everywhere alike (no fall-off towards the
-    periphery). Pictures are taken as periodic. A uniform difference counts as the lowest frequency of the picture.
+    The eye faces the middle of a flat picture, perpendicular, with the same sensitivity everywhere (no fall-off towards
+    the periphery). Pictures are taken as periodic. A uniform difference counts as the lowest frequency of the picture.
 
     Parameters
     ----------
@@ -348,7 +348,7 @@ def castle_contrast_sensitivity(
     -------
     torch.Tensor
         Sensitivity of the broadcast shape, float64 of plain numbers: one over the contrast, as ColorVideoVDP defines
-        it, that can just be seen in a patch of 1.5° radius. Differentiable in frequency and luminance.
+        it, at threshold in a patch of 1.5° radius. Differentiable in frequency and luminance.
 
     Raises
     ------

@@ -16,7 +16,7 @@ from torch import nn
 from odak import _validate
 from odak.learn._tensors import checked_device, floating
 from odak.learn.perception.color import mix
-from odak.learn.perception.util import as_pictures
+from odak.learn.perception.util import as_pictures, in_float32
 
 CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
 BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))
@@ -469,7 +469,7 @@ class display_color_hvs(nn.Module):
         Returns
         -------
         torch.Tensor
-            The loss, without axes; 0 for equal pictures.
+            The loss, without axes, float32 of half precision; 0 for equal pictures.
 
         Raises
         ------
@@ -479,7 +479,9 @@ class display_color_hvs(nn.Module):
         as_pictures("input_image", input_image, len(self.lms_tensor))
         as_pictures("ground_truth", ground_truth, len(self.lms_tensor))
         _validate.alike(input_image=input_image, ground_truth=ground_truth)
-        stages = [self.second_to_third_stage(self.primaries_to_lms(picture)) for picture in (input_image, ground_truth)]
+        # Opponent colours are differences of cone responses, in which half precision would lose digits.
+        pictures = in_float32(input_image), in_float32(ground_truth)
+        stages = [self.second_to_third_stage(self.primaries_to_lms(picture)) for picture in pictures]
         return nn.functional.mse_loss(stages[0], stages[1])
 
     def initialize_cones_normalized(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

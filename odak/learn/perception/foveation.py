@@ -143,7 +143,7 @@ def make_pooling_size_map_pixels(
     dtype: torch.dtype = torch.float32,
     device: torch.device | str | None = None,
 ) -> torch.Tensor:
-    """Return the width in pixels of the region that the eye pools around each pixel.
+    """Return the width in pixels of the pooling region around each pixel.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def make_pooling_size_map_lod(
     Returns
     -------
     torch.Tensor
-        ``[H, W]``, 0 where the eye resolves single pixels.
+        ``[H, W]``, 0 where single pixels are resolved.
 
     Examples
     --------
@@ -1099,7 +1099,7 @@ class BlurLoss(nn.Module):
 
     Notes
     -----
-    A baseline to :class:`odak.learn.perception.MetamericLoss`: it asks for blur where the eye cannot resolve details.
+    A baseline to :class:`odak.learn.perception.MetamericLoss`: smallest for blur where details are not resolved.
 
     Examples
     --------
@@ -1141,7 +1141,7 @@ class BlurLoss(nn.Module):
         return self._place.device
 
     def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:
-        """Return an image blurred as the periphery of the eye sees it, ``[B, C, H, W]``.
+        """Return an image averaged over the pooling region of each pixel, ``[B, C, H, W]``.
 
         Parameters
         ----------

@@ -24,6 +24,8 @@ PIXEL_WEIGHT = 10.0
 # Power of the frequency by which the descent weights changes of a picture, and the frequency in cycles per pixel below
 # which it weights them alike.
 STEEPNESS, SLOWEST = 0.4, 0.02
+# Weight of the squared distance from the bounds, against that of the statistics.
+OUTSIDE_WEIGHT = 0.1
 
 Pool = Callable[[torch.Tensor], torch.Tensor]
 
@@ -328,6 +330,7 @@ def descended(
     distance: Callable[[torch.Tensor], Any],
     iterations: int,
     progress: Callable[[], object] | None,
+    steepness: float = STEEPNESS,
 ) -> torch.Tensor:
     """Return a picture of the form `held(free)` that lowers a distance, by L-BFGS.
 
@@ -343,6 +346,8 @@ def descended(
         Evaluations of the distance; 0 returns the start, within its bounds.
     progress : callable or None
         Called without arguments at each evaluation.
+    steepness : float
+        Power of the frequency by which changes of the picture are weighted.
 
     Returns
     -------
@@ -359,7 +364,7 @@ def descended(
         return held(picture)
     rows, columns = picture.shape[-2:]
     along = (torch.fft.fftfreq(rows)[:, None], torch.fft.rfftfreq(columns))
-    weights = (along[0] ** 2 + along[1] ** 2 + SLOWEST**2) ** (STEEPNESS / 2)
+    weights = (along[0] ** 2 + along[1] ** 2 + SLOWEST**2) ** (steepness / 2)
     weights = weights.to(picture.device, picture.dtype)
 
     def weighted(values):
@@ -378,7 +383,7 @@ def descended(
             free = (start + weighted(change.detach())).requires_grad_()
             inside = held(free)
             # A penalty outside the bounds keeps the gradient from vanishing there.
-            value = (distance(inside) + (free - inside).square().mean()) / unit
+            value = (distance(inside) + OUTSIDE_WEIGHT * (free - inside).square().mean()) / unit
             # The weighting is symmetric, so that it is its own adjoint; L-BFGS takes contiguous gradients only.
             change.grad = weighted(torch.autograd.grad(value, free)[0]).contiguous()
             if progress is not None:

@@ -25,7 +25,7 @@ from odak.learn.perception.foveation import (
     plane_chunks,
     strip_memory,
 )
-from odak.learn.perception.joint_statistics import descended, joint_maps
+from odak.learn.perception.joint_statistics import STEEPNESS, descended, joint_maps
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, in_float32
 
@@ -37,6 +37,11 @@ RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
 METAMER_ITERATIONS = 40
 # With statistics of pairs: how many times as many evaluations are made without them first, and how many with them.
 WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
+# Before the descent the local statistics of the bands are brought to those of the picture so many times, and deviations
+# increased at most by so much at a time.
+RESCALINGS, LARGEST_GAIN = 8, 4.0
+# Steepness of the descent after that: rescaling has brought low frequencies close to their statistics already.
+FLATTER = 0.1
 # Pixels: smaller pooling regions would only take memory.
 FINEST = 1 / 64
 
@@ -136,7 +141,7 @@ class _StatisticsLoss(nn.Module):
         return maker
 
     def _metamer(self, image, where, levels, seed, iterations, progress):
-        """Return a picture with the pooled statistics of an RGB or grey one: matched noise, then gradient descent.
+        """Return a picture with the pooled statistics of an RGB or grey one: matched noise, rescaled, then descent.
 
         `levels` is the MIP level of the pooling region of each pixel; colours stay within the range that the picture
         has there.
@@ -167,14 +172,20 @@ class _StatisticsLoss(nn.Module):
                         return picture
                     return rgb_2_ycrcb(ycrcb_2_rgb(picture).clamp(least, most))
 
+                for _ in range(RESCALINGS):
+                    metamer = held(metamer)
+                    groups, *pooling = self._parts(metamer, where, pairs=False)
+                    found = statistics_maps(groups, *pooling)
+                    metamer = rescaled(groups, found, statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
-                    metamer = descended(metamer, held, partial(distance, pairs=pairs), count, progress)
+                    steepness = STEEPNESS if pairs else FLATTER
+                    metamer = descended(metamer, held, partial(distance, pairs=pairs), count, progress, steepness)
         metamer = metamer[..., : image.shape[-2], : image.shape[-1]]
         return (ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer).to(image.dtype)
 
 
 class MetamericLoss(_StatisticsLoss):
-    """Difference of two pictures seen with a fixed gaze, by their pooled statistics.
+    """Difference of two pictures for a fixed gaze, by their pooled statistics.
 
     Away from the gaze only means and standard deviations of steerable bands count, over regions that grow with
     eccentricity. Around it pixels count.
@@ -1249,21 +1260,51 @@ def matched_noise(
     """
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
     noise = torch.rand(1, *image.shape[1:], dtype=torch.float64, generator=generator).to(image)
-    pyramid = maker.construct_pyramid(noise, n_levels)
-    maps = iter(statistics)
+    groups, _ = maker.stacked_bands(noise, n_levels)
+    found = []
+    for band in (band for bands in groups for band in bands.unbind(2)):
+        mean = band.mean((2, 3), keepdim=True)
+        found += [mean, ((band - mean) ** 2).mean((2, 3), keepdim=True).sqrt().clamp_min(RMS_FLOOR)]
+    return rescaled(groups, found, statistics, maker)
 
-    def match(band):
-        band = band - band.mean((2, 3), keepdim=True)
-        rms = (band**2).mean((2, 3), keepdim=True).sqrt().clamp_min(RMS_FLOOR)
-        mean, deviation = next(maps), next(maps)
-        return band / rms * deviation + mean
 
-    matched = []
-    for level, content in enumerate(pyramid[:-1]):
-        matched.append({"h": match(content["h"])} if level == 0 else {})
-        matched[-1]["b"] = [match(band) for band in content["b"]]
-    matched.append({"l": maker.construct_pyramid(image, n_levels)[-1]["l"]})
-    return maker.reconstruct_from_pyramid(matched)
+def rescaled(
+    groups: list[torch.Tensor],
+    found: Sequence[torch.Tensor],
+    wanted: Sequence[torch.Tensor],
+    maker: SpatialSteerablePyramid,
+    largest_gain: float = math.inf,
+) -> torch.Tensor:
+    """Return the picture of a pyramid after bringing the mean and the deviation of its bands to given values.
+
+    Parameters
+    ----------
+    groups : list of torch.Tensor
+        High-pass residual and bands ``[B, C, K, H, W]`` of each level.
+    found : sequence of torch.Tensor
+        Mean and deviation of each band in turn, for each pixel or for the whole band; further maps are ignored.
+    wanted : sequence of torch.Tensor
+        As :func:`statistics_maps` returns them: mean and deviation of each band, and the last low-pass.
+    maker : SpatialSteerablePyramid
+        The pyramid that the bands come from.
+    largest_gain : float
+        Largest factor by which a deviation is increased.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, H, W]``. Bands overlap, so that its own statistics are nearer to those wanted, but not equal to them.
+    """
+    levels, place = [], 0
+    for bands in groups:
+        levels.append([])
+        for band in bands.unbind(2):
+            gain = (wanted[place + 1] / found[place + 1]).clamp_max(largest_gain)
+            levels[-1].append((band - found[place]) * gain + wanted[place])
+            place += 2
+    pyramid: list[dict[str, Any]] = [{"b": bands} for bands in levels[1:]]
+    pyramid[0]["h"] = levels[0][0]
+    return maker.reconstruct_from_pyramid([*pyramid, {"l": wanted[place]}])
 
 
 def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -321,7 +321,7 @@ def metameric_failure(
     observers: torch.Tensor,
     wavelengths: torch.Tensor | Sequence[float] = AXIS,
 ) -> MetamericFailure:
-    """Return how different a display and a light look to people, where the standard observer sees no difference.
+    """Return individual observers' colour differences of a display and a light that match for the standard one.
 
     Parameters
     ----------

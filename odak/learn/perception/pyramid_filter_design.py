@@ -98,9 +98,9 @@ def design(n_orientations: int, sizes: tuple[int, int, int, int], bilinear: bool
     -----
     Starts from the linear least-squares fit to the ideal responses of Portilla and Simoncelli (2000). Minimised
     together: the deviation from 1 of T = H₀² + L₀²(Σₖ|Bₖ|² + L²/4) and of H₀² + L₀², that of the inner sum as the next
-    level sees it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance from the
-    ideal responses. A bilinear pyramid has cos⁴(ωₓ/2)·cos⁴(ω_y/2) in place of L²/4, from halving and enlarging alone,
-    and its ideal bands are what this leaves; "l" is not used then.
+    level is computed from it, the aliasing L(ω)L(ω + π)/4 along one axis and both, the filters' sums, and the distance
+    from the ideal responses. A bilinear pyramid has cos⁴(ωₓ/2)·cos⁴(ω_y/2) in place of L²/4, from halving and enlarging
+    alone, and its ideal bands are what this leaves; "l" is not used then.
     """
     problem = _Problem(n_orientations, sizes, bilinear)
     kept = _kept().get(_key(n_orientations, sizes, bilinear))

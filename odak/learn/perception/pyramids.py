@@ -487,7 +487,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     @in_own_precision
     def _join(self, bands):
-        """Apply the adjoints of the band filters and sum, each mirrored at the borders as its filter asks."""
+        """Apply the adjoints of the band filters and sum, each mirrored with the symmetry of its filter."""
         stacked = torch.einsum("ik,kbchw->bcihw", self._mixing, torch.stack(tuple(bands))).flatten(1, 2)
         reach = self._parts.shape[-1] // 2
         padded = functional.pad(stacked, (reach,) * 4, mode="reflect")

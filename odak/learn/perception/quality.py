@@ -226,7 +226,7 @@ def multi_scale_structural_similarity(
 
 
 def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: float = 67.02) -> torch.Tensor:
-    """Return the map of differences that an observer sees when two pictures alternate at one place (FLIP).
+    """Return the map of visible differences when two pictures alternate at one place (FLIP).
 
     Parameters
     ----------
@@ -281,7 +281,7 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
 
 
 class FLIP(nn.Module):
-    """Mean difference seen when two pictures alternate at one place: 0 for equal pictures, at most about 1.
+    """Mean visible difference when two pictures alternate at one place: 0 for equal pictures, at most about 1.
 
     Parameters
     ----------

@@ -30,7 +30,7 @@ BAND, RESIDUAL = 0.5, 0.85
 
 
 def highest_frequency(eccentricity: torch.Tensor | float) -> torch.Tensor:
-    """Return the highest spatial frequency that is seen at an eccentricity, at full contrast.
+    """Return the highest spatial frequency above threshold at an eccentricity, at full contrast.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ class BudgetRing(NamedTuple):
     pixels : int
         Pixels of the display in it.
     samples : float
-        Samples that the eye can tell apart there: never more than pixels.
+        Samples that can be resolved there: never more than pixels.
 
     Examples
     --------
@@ -190,7 +190,7 @@ class VisibilityLoss(nn.Module):
     -----
     Brightness: Barten's contrast sensitivity, its frequencies scaled by (e + e₂)/e₂ with e₂ = 2.3°, the law of Geisler
     and Perry (1998) and :func:`highest_frequency`, and never more than at the gaze. Colour: differences of a* and b*
-    seen through the kernels of S-CIELAB (Zhang and Wandell 1997), scaled alike, over a just noticeable difference of
+    filtered by the kernels of S-CIELAB (Zhang and Wandell 1997), scaled alike, over a just noticeable difference of
     2.3. Masking: a difference of c thresholds on a mask of m thresholds counts as c/(1 + m²)^(s/2), the slope s = 0.6
     that of Legge and Foley (1980).
     Octaves are those of :class:`FrequencySteerablePyramid`, whose energies add up; pictures count as periodic.
@@ -321,7 +321,7 @@ class VisibilityLoss(nn.Module):
             frequency = 1 / (max(rows, columns) * pitch) if share is None else share / 2**level / (2 * pitch)
             scaled = frequency * (1 + torch.rad2deg(angle) / HALVING)
             size = math.sqrt(width * height)
-            # Below the peak the scaled curve would rise: nothing is seen better than at the gaze.
+            # Below the peak the scaled curve would rise: sensitivity is nowhere higher than at the gaze.
             at_gaze = sensitivity(torch.full_like(scaled, frequency), mean.double(), size)
             brightness = sensitivity(scaled, mean.double(), size).minimum(at_gaze)
             scaled = 0 * scaled if share is None else scaled

@@ -224,3 +224,20 @@ def test_loss_names_the_picture_that_came():
         p.CVDLoss()(picture, picture[..., :-1])
     with pytest.raises(ValueError, match=r"^lc_patch_size must be at least 1"):
         p.cvd_loss(picture, picture, lc_patch_size=0)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_losses_of_half_precision_are_those_of_single(dtype):
+    """Flat patches included: what keeps their similarity defined underflows in half precision."""
+    picture = torch.rand(1, 3, 16, 16, generator=torch.Generator().manual_seed(0))
+    picture[..., :8] = 0.5
+    picture = picture.to(dtype)
+    loss, display = p.CVDLoss("protan"), p.display_color_hvs()
+    for found, wanted in (
+        (loss(picture), loss(picture.float())),
+        (p.cvd_loss(picture, picture.flip(-1))[0], p.cvd_loss(picture.float(), picture.float().flip(-1))[0]),
+        (display(picture, picture.flip(-1)), display(picture.float(), picture.float().flip(-1))),
+    ):
+        assert found.dtype == torch.float32
+        assert torch.equal(found, wanted)
+        assert found > 0

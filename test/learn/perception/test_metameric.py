@@ -1,4 +1,4 @@
-"""The metameric losses: what they see, what they forgive, what they remember; and metamers."""
+"""Metameric losses: statistics, gradients, kept targets; and metamers."""
 
 import math
 
@@ -18,6 +18,7 @@ from odak.learn.perception import (
     rgb_2_ycrcb,
     uniform_blur,
 )
+from odak.learn.perception.foveation import UniformSampler
 from odak.learn.tools import load_image
 
 VIEW = {"alpha": 0.5, "real_image_width": 0.5, "real_viewing_distance": 0.5}
@@ -408,6 +409,36 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     assert 0 < len(steps) <= 25
     start = uniform.gen_metamer(photograph, iterations=0)
     assert float(uniform(found, photograph)) < 0.1 * float(uniform(start, photograph))
+
+
+def test_metamers_of_hard_edges_are_closer_than_noise():
+    """Bars of black and white, nearly all of whose pixels are at the bounds of their region."""
+    rows, columns = torch.meshgrid(torch.arange(96), torch.arange(160), indexing="ij")
+    bars = ((columns + rows // 3) // 5 % 2 * (columns < 64) + rows // 7 % 2 * (columns >= 96)).float()[None, None]
+    view = {"alpha": 0.2, "real_image_width": 0.6, "real_viewing_distance": 0.7}
+    metamer = MetamerMSELoss(**view).gen_metamer(bars, [0.5, 0.5])
+    error = (metamer - bars).square().mean().sqrt()
+    assert error > 0.05
+    spoilt = bars + error * torch.randn(bars.shape, generator=torch.Generator().manual_seed(1))
+    loss = MetamericLoss(**view, use_l2_foveal_loss=False)
+    assert float(loss(metamer, bars)) < 0.1 * float(loss(spoilt, bars))
+
+
+def test_rescaled_bands_have_the_statistics_asked_for(photograph):
+    """Bands that are given back their own statistics make the picture; others have means and deviations as wanted."""
+    maker = SpatialSteerablePyramid(False, 3, 5, 2, "cropped")
+    groups, low = maker.stacked_bands(photograph, 4)
+    place = (photograph.device, photograph.dtype)
+    samplers = [UniformSampler(tuple(bands.shape[-2:]), (4, 4), *place) for bands in groups]
+    own = metameric.statistics_maps(groups, samplers, [None] * len(groups), [low[-1]])
+    back = metameric.rescaled(groups, own, own, maker)
+    whole = maker.reconstruct_from_pyramid(maker.construct_pyramid(photograph, 4))
+    torch.testing.assert_close(back, whole, rtol=0, atol=1e-5)
+    # The pyramid is linear, so that doubled bands and low-pass make twice the picture, unless the gain is limited.
+    doubled = [2 * one for one in own]
+    torch.testing.assert_close(metameric.rescaled(groups, own, doubled, maker), 2 * whole, rtol=0, atol=1e-4)
+    limited = metameric.rescaled(groups, own, doubled, maker, largest_gain=1.5)
+    assert float((limited - 2 * whole).abs().max()) > 1e-3
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
