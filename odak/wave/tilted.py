@@ -105,8 +105,8 @@ def propagate_to_tilted_plane(
     large angles about both axes), the spectrum is interpolated along both axes at once, which takes some ten times
     longer. Waves that decay are left out.
 
-    For angles and lengths that are plain numbers on the CPU, the steps are sparse matrices, which the first call makes,
-    and which stay in the store of :func:`odak.wave.set_kernel_cache_size` if that has room for them: 112 bytes for each
+    For lengths that are plain numbers and angles that need no gradients, the steps are sparse matrices on the CPU,
+    which the first call makes, and which stay in the store of :func:`odak.wave.set_kernel_cache_size` if that has room for them: 112 bytes for each
     frequency (complex64) or 288 (complex128), about five times the samples of the field. With them the propagation
     takes three to five times as long as :func:`odak.wave.propagate_beam` with its default padding, six times if the
     window is also turned by more than 20° about the axis. Without them it takes ten times longer.
@@ -195,15 +195,21 @@ class _Path:
 
 def _key(field, request: Request, window: Window, angles, source_angles) -> tuple | None:
     """Return what names a path in the store of kernels, None if it is not known as numbers or the field is traced."""
-    plain = all(isinstance(value, (tuple, list)) for value in (angles, source_angles)) and all(
-        isinstance(value, (int, float)) for value in (*angles, *source_angles)
-    )
-    known = plain and request.is_plain() and window.is_plain() and not _array.is_wrapped(field)
-    if not known:
+    turns = [_numbers_of(value) for value in (angles, source_angles)]
+    if None in turns or not (request.is_plain() and window.is_plain()) or _array.is_wrapped(field):
         return None
     xp, device = _array.namespace(field), str(_array.device_of(field))
-    geometry = (request.geometry, window, tuple(angles), tuple(source_angles))
+    geometry = (request.geometry, window, *turns)
     return ("tilted", tuple(field.shape[-2:]), geometry, xp.__name__, device, str(field.dtype))
+
+
+def _numbers_of(angles) -> tuple | None:
+    """Return angles or a rotation matrix as numbers, None if they must remain arrays."""
+    if _array.is_array(angles):
+        known = "float" in str(angles.dtype) and not _array.is_traced(angles)
+        return (tuple(angles.shape), *_validate.numbers(angles)) if known else None
+    plain = isinstance(angles, (tuple, list)) and all(isinstance(value, (int, float)) for value in angles)
+    return tuple(angles) if plain else None
 
 
 def _tilted_path(field, request: Request, window: Window, angles, source_angles, kept: bool = False) -> _Path:

@@ -275,6 +275,9 @@ def test_kept_paths_are_those_that_are_not_kept(angles, random):
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
         same = propagate_to_tilted_plane(tensor, WAVELENGTH, 1e-3, DX, angles)
         np.testing.assert_allclose(same.numpy(), expected, atol=1e-10 * np.abs(expected).max())
+        matrix = torch.from_numpy(rotation(angles))
+        same = propagate_to_tilted_plane(tensor, WAVELENGTH, 1e-3, DX, matrix)
+        np.testing.assert_allclose(same.numpy(), expected, atol=1e-10 * np.abs(expected).max())
     single = propagate_to_tilted_plane(tensor.to(torch.complex64), WAVELENGTH, 1e-3, DX, angles)
     assert relative_error(single.numpy(), expected) < 1e-5
     held = tensor.clone().requires_grad_()
