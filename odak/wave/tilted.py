@@ -102,14 +102,14 @@ def propagate_to_tilted_plane(
     along the field's columns become those along the window's columns, then those along the rows. Each step is a
     non-uniform Fourier transform, to about 1e-6 (complex64) or 2e-11 (complex128) of the field's norm; a rotation about
     x or y alone needs one of them. Where a step has no inverse (waves along the plane, at high numerical apertures and
-    large angles about both axes), the spectrum is interpolated along both axes at once, which takes some ten times
-    longer. Waves that decay are left out.
+    large angles about both axes), the spectrum is interpolated along both axes at once. Waves that decay are left out.
 
-    For lengths that are plain numbers and angles that need no gradients, the steps are sparse matrices on the CPU,
-    which the first call makes, and which stay in the store of :func:`odak.wave.set_kernel_cache_size` if that has room for them: 112 bytes for each
-    frequency (complex64) or 288 (complex128), about five times the samples of the field. With them the propagation
-    takes three to five times as long as :func:`odak.wave.propagate_beam` with its default padding, six times if the
-    window is also turned by more than 20° about the axis. Without them it takes ten times longer.
+    For lengths that are plain numbers and angles that need no gradients, the steps are sparse matrices on the CPU. The
+    first call makes them, and they stay in the store of :func:`odak.wave.set_kernel_cache_size` if it has room for
+    them: 112 bytes for each frequency (complex64) or 288 (complex128), about five times the samples of the field. With
+    them the propagation takes three to five times as long as :func:`odak.wave.propagate_beam` with its default padding,
+    and six times if the window is also turned by more than 20° about the axis. Without them it takes 50 to 80 times as
+    long, and interpolation along both axes at once twice that.
 
     Along a tilted plane the phase changes by sin θ/λ cycles per metre. The samples are right whatever their pitch; to
     resolve that phase, or to propagate further, `window_dx` must be below λ/(2·sin θ).
