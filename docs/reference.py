@@ -12,6 +12,7 @@ A `*` stands for the package's names that no block mentions, so that a new publi
 """
 
 import contextlib
+import html
 import importlib
 import inspect
 import logging
@@ -132,14 +133,19 @@ def _commands_of(match):
     application = application.app if inspect.ismodule(application) else application
     lines = []
     for name, command in typer.main.get_command(application).commands.items():
-        lines += [f"## odak {name}", "", (command.help or "").strip(), "", "| option | default | meaning |", "|---|---|---|"]
+        # What stands in angle brackets is a part of a name, not an element of HTML.
+        text = html.escape((command.help or "").strip(), quote=False)
+        lines += [f"## odak {name}", "", text, "", "| option | default | meaning |", "|---|---|---|"]
         for parameter in command.params:
             names = " ".join(f"`{option}`" for option in (*parameter.opts, *parameter.secondary_opts))
             if parameter.param_type_name == "argument":
                 names = f"`{(parameter.metavar or parameter.name).upper()}`"
             default = parameter.default
             shown = "" if default is None or default is False or callable(default) else f"`{default}`"
+            if isinstance(told := getattr(parameter, "show_default", None), str):
+                shown = html.escape(told, quote=False)
             meaning = " ".join((getattr(parameter, "help", "") or "").split()).replace("|", "\\|")
+            meaning = html.escape(meaning, quote=False)
             lines.append(f"| {names} | {shown} | {meaning} |")
         lines.append("")
     return "\n".join(lines)
