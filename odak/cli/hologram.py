@@ -105,6 +105,12 @@ def check_training_range(job: Job, wavelengths: Sequence[float]) -> None:
     wavelengths : sequence of float
         In metres, those of the target.
     """
+    if isinstance(job.pixel_pitch, tuple):
+        dy, dx = (value / UNITS["um"] for value in job.pixel_pitch)
+        raise InputError(
+            "--pixel-pitch must be one length with --method network, which was trained for square pixels; got "
+            f"{dy:.4g}um,{dx:.4g}um"
+        )
     pitch, colours = job.pixel_pitch, ", ".join(f"{value * 1e9:.6g}nm" for value in wavelengths)
     size = f"{job.resolution[0]} x {job.resolution[1]} pixels"
     widest = 2 * FARTHEST * min(job.resolution) * pitch**2 / max(wavelengths)
@@ -152,7 +158,13 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
         for name, phase in list(zip(names, phases, strict=True))[:3]
     ]
     rows = [first, [difference, *patterns]] if len(patterns) == 1 else [[*first, difference], patterns]
-    return pictures.sheet(rows, job.resolution[1] * job.pixel_pitch)
+    return _sheet(job, rows)
+
+
+def _sheet(job: Job, rows: list[list[pictures.Panel]]):
+    """Return panels of images and patterns in rows, with the shape and size that they have on the modulator."""
+    dy, dx = job.pitches
+    return pictures.sheet(rows, job.resolution[1] * dx, dy / dx)
 
 
 def _verification(job: Job, target: Target) -> dict:
@@ -552,8 +564,7 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
     channels, scales, brightness = _channels(target, volume, ideal.powers, images, before, areas)
     planes = _planes(target, volume, images * scales)
     if job.planes > 1:
-        width = job.resolution[1] * job.pixel_pitch
-        stack = _focal_stack(planes, volume.images.cpu(), (images * scales).cpu(), width)
+        stack = _focal_stack(job, planes, volume.images.cpu(), (images * scales).cpu())
         files.write_png(folder / "focal_stack.png", stack)
     return {
         "images": (images * scales * volume.masks).sum(0).cpu(),
@@ -719,11 +730,11 @@ def _plane_quality(wanted, mask, image) -> dict:
     }
 
 
-def _focal_stack(planes: list[dict], wanted: torch.Tensor, images: torch.Tensor, width: float):
+def _focal_stack(job: Job, planes: list[dict], wanted: torch.Tensor, images: torch.Tensor):
     rows: list[list] = [[], []]
     for plane, target, image in zip(planes, wanted, images, strict=True):
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
         quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"
         rows[0].append(pictures.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
         rows[1].append(pictures.picture_panel(f"Reconstruction{quality}", image))
-    return pictures.sheet(rows, width)
+    return _sheet(job, rows)

@@ -49,7 +49,7 @@ class Modulator(NamedTuple):
     """Nominal data of a commercial spatial light modulator; its data sheet is authoritative."""
 
     name: str
-    pixel_pitch: float
+    pixel_pitch: float | tuple[float, float]
     resolution: tuple[int, int]
     bits: int
     source: str
@@ -82,8 +82,10 @@ class Job:
         None for the defaults, one for a single hologram, or three for the red, green and blue of the picture.
     grey : bool
         Compute one hologram of the picture's brightness.
-    pixel_pitch, distance : float
-        Pixel pitch of the modulator, and distance from it to the picture.
+    pixel_pitch : float or tuple of float
+        Pixel pitch of the modulator, one number or (rows, columns).
+    distance : float
+        Distance from it to the picture.
     resolution : tuple of int
         Rows and columns of the modulator.
     planes : int
@@ -130,7 +132,7 @@ class Job:
     output: Path = Path("output")
     wavelengths: tuple[float, ...] = ()
     grey: bool = False
-    pixel_pitch: float = 8e-6
+    pixel_pitch: float | tuple[float, float] = 8e-6
     resolution: tuple[int, int] = (1080, 1920)
     distance: float = 0.15
     planes: int = 1
@@ -155,7 +157,8 @@ class Job:
     def __post_init__(self) -> None:
         """Check every parameter; the messages name the option of the command line."""
         try:
-            for name in ("pixel_pitch", "distance", "learning_rate"):
+            _validate.several("--pixel-pitch", self.pitches, 2, positive=True)
+            for name in ("distance", "learning_rate"):
                 _validate.real(option(name), getattr(self, name), positive=True)
             _validate.integer("--iterations", self.iterations, minimum=1)
             _validate.integer("--seed", self.seed)
@@ -280,11 +283,15 @@ class Job:
     def warn_of_doubtful_lengths(self) -> None:
         """Warn of lengths that are possible but probably not intended, and state the probable intention."""
         wavelengths = self.wavelengths or (GREY_WAVELENGTH,)
-        pitch, side = self.pixel_pitch, max(self.resolution)
-        if warn_of_samples("--wavelength", max(wavelengths), "--pixel-pitch", pitch, min(wavelengths) / 2):
+        side, steps = max(self.resolution), self.pitches
+        if any(
+            warn_of_samples("--wavelength", max(wavelengths), "--pixel-pitch", pitch, min(wavelengths) / 2)
+            for pitch in steps
+        ):
             return
         reach = max(wavelengths) * self.distance
-        points = (side * pitch) ** 2 / reach if reach > 0 else math.inf
+        longest = max(n * pitch for n, pitch in zip(self.resolution, steps, strict=True))
+        points = longest**2 / reach if reach > 0 else math.inf
         if points < max(FEWEST_POINTS, side / 32):
             meant = _likely_length(self.distance, 1e-3, 1.0, "mm")
             warn(
@@ -292,12 +299,18 @@ class Job:
                 f"points across the picture; did you mean {meant}?",
                 ArgumentWarning,
             )
-        if self.distance < pitch**2 / min(wavelengths):
+        overlap = max(steps) ** 2 / min(wavelengths)
+        if self.distance < overlap:
             warn(
                 f"--distance {self.distance:g}: the light of neighbouring pixels overlaps only beyond "
-                f"{pitch**2 / min(wavelengths):.2g} metres; at shorter distances a phase pattern forms no image",
+                f"{overlap:.2g} metres; at shorter distances a phase pattern forms no image",
                 ArgumentWarning,
             )
+
+    @property
+    def pitches(self) -> tuple[float, float]:
+        """Pixel pitch along rows and columns."""
+        return self.pixel_pitch if isinstance(self.pixel_pitch, tuple) else (self.pixel_pitch, self.pixel_pitch)
 
     @property
     def iterates(self) -> bool:
@@ -354,13 +367,24 @@ def parse_length(text: str | float) -> float:
     return value * UNITS[unit] if unit != "m" else value
 
 
+def parse_pitch(text: str | float) -> float | tuple[float, float]:
+    """Return a pixel pitch in metres from one length, or from two for rows and columns, such as ``8um,6.4um``."""
+    if not isinstance(text, str):
+        return text
+    parts = text.split(",")
+    if len(parts) > 2 or len({is_length(part) for part in parts}) > 1:
+        raise ValueError(f"{text!r} is not a pixel pitch; write it as 8um, or 8um,6.4um for rows and columns")
+    pitch = tuple(parse_length(part) for part in parts)
+    return pitch[0] if pitch[0] == pitch[-1] else (pitch[0], pitch[1])
+
+
 def is_length(text: str) -> bool:
     """Return whether a text is a number with a unit of length."""
     try:
         parse_length(text)
     except ValueError:
         return False
-    return text[-1:].isalpha()
+    return text.strip()[-1:].isalpha()
 
 
 def _likely_length(value: float, least: float, most: float, unit: str) -> str:

@@ -1,7 +1,7 @@
 """Options and arguments of the commands, with their help and their completion in shells."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -13,6 +13,7 @@ from odak.cli.job import (
     PRESETS,
     SHIPPED_IMAGES,
     parse_length,
+    parse_pitch,
 )
 
 LENGTH = "LENGTH"
@@ -22,6 +23,14 @@ def length(text: str | float) -> float:
     """Parse a length; raise the exception that typer reports as a usage error."""
     try:
         return parse_length(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def pitch(text: str | float) -> float | tuple[float, float]:
+    """Parse a pixel pitch; raise the exception that typer reports as a usage error."""
+    try:
+        return parse_pitch(text)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from None
 
@@ -65,11 +74,13 @@ Wavelengths = Annotated[
 ]
 Grey = Annotated[bool, typer.Option("--grey", help="Compute one hologram of the brightness of a colour picture.")]
 PixelPitch = Annotated[
-    float,
+    # Typer calls the parser of an option, and shows its type as the metavar says.
+    Any,
     typer.Option(
-        parser=length,
-        metavar=LENGTH,
-        help="Pixel pitch of the modulator, in metres or with a unit (8um).",
+        parser=pitch,
+        metavar=f"{LENGTH}[,{LENGTH}]",
+        help="Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where that of "
+        "rows differs from that of columns (8um,6.4um).",
         show_default="8um",
     ),
 ]

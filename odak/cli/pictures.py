@@ -81,7 +81,7 @@ def difference_panel(caption: str, difference: torch.Tensor) -> Panel:
     return Panel(caption, _shrunk(image, Image.Resampling.LANCZOS), (DIFFERENCE_COLOURS, labels))
 
 
-def sheet(rows: list[list[Panel]], width_in_metres: float | None = None) -> Image.Image:
+def sheet(rows: list[list[Panel]], width_in_metres: float | None = None, aspect: float = 1.0) -> Image.Image:
     """Return captioned panels in rows.
 
     Parameters
@@ -90,15 +90,20 @@ def sheet(rows: list[list[Panel]], width_in_metres: float | None = None) -> Imag
         All pictures of one size.
     width_in_metres : float, optional
         Physical width of the pictures, for a bar of length below the first one.
+    aspect : float
+        Height of a sample over its width.
 
     Returns
     -------
     PIL.Image.Image
         RGB. Captions are set in the largest size, and broken into lines, such that none leaves its panel.
     """
-    # Small pictures are enlarged by a whole factor, such that each sample is a square.
+    # Small pictures are enlarged by a whole factor, such that all samples are of one size.
     factor = max(1, NARROWEST // rows[0][0].image.width)
-    width, height = (factor * side for side in rows[0][0].image.size)
+    width, height = (
+        round(factor * side * max(1.0, stretch))
+        for side, stretch in zip(rows[0][0].image.size, (1 / aspect, aspect), strict=True)
+    )
     panels = [panel for row in rows for panel in row]
     cell = max(width, NARROWEST)
     font, line = _typeset([panel.caption for panel in panels], cell)

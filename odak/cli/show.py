@@ -15,6 +15,7 @@ import torch
 from odak.cli.files import FINGERPRINT, REPORT, load_pattern, stored_bits, writable_folder
 from odak.cli.job import InputError, did_you_mean
 from odak.tools.paths import replacing
+from odak.wave.transfer_functions import pitches
 
 PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
 LENSES = (".json", ".zmx")
@@ -206,7 +207,7 @@ def _load(path: Path) -> np.ndarray:
 def _field_figure(
     values: np.ndarray,
     title: str,
-    pitch: float | None = None,
+    pitch: float | Sequence[float] | None = None,
     wavelength: float | None = None,
     quantities: Sequence[str] | None = None,
 ) -> tuple[Any, str]:
@@ -222,7 +223,7 @@ def _field_figure(
         title = f"{title}, its middle of {values.shape[-2]} × {values.shape[-1]} samples"
     elif step > 1:
         values = _block_means(values, step)
-        pitch = None if pitch is None else pitch * step
+        pitch = None if pitch is None else [value * step for value in pitches(pitch)]
         title = f"{title}, means over {step} × {step} samples"
     chosen: dict[str, Any] = {} if quantities is None else {"quantities": quantities}
     return field_show(values, pitch, wavelength, title=title, show=False, **chosen).fig, title

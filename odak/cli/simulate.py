@@ -18,6 +18,7 @@ from odak import _validate, wave
 from odak.cli import files, pictures, report
 from odak.cli.job import InputError, check_wavelength, did_you_mean, parse_length, warn_of_samples
 from odak.wave.methods import PROPAGATION_TYPES
+from odak.wave.transfer_functions import pitches
 
 BENCH, ELEMENTS, CONFIG = "bench", "elements", "config.json"
 MOST_SAMPLES = 16384
@@ -26,7 +27,7 @@ MOST_SAMPLES = 16384
 class Parameter(NamedTuple):
     """A parameter of the bench or of an element: its type, its default, and its meaning."""
 
-    kind: str  # length, positive length, number, name, file, method, pair of lengths, pair of counts, angle
+    kind: str  # length, positive length, pitch, number, name, file, method, pair of lengths, pair of counts, angle
     default: Any
     meaning: str
 
@@ -36,7 +37,7 @@ _OFFSET = Parameter("pair of lengths", (0.0, 0.0), "Position of the centre (rows
 BENCH_PARAMETERS = {
     "wavelength": Parameter("positive length", REQUIRED, "Wavelength of the light."),
     "resolution": Parameter("pair of counts", REQUIRED, "Rows and columns of the field."),
-    "pixel_pitch": Parameter("positive length", REQUIRED, "Distance between samples of the field."),
+    "pixel_pitch": Parameter("pitch", REQUIRED, "Distance between samples of the field."),
 }
 KINDS: dict[str, dict[str, Parameter]] = {
     "plane_wave": {
@@ -85,6 +86,13 @@ SOURCES = ("plane_wave", "gaussian_beam", "point_source")
 _TYPES: dict[str, dict] = {
     "length": {"type": ["number", "string"], "description": "metres, or a number with a unit"},
     "positive length": {"type": ["number", "string"], "description": "metres, or a number with a unit; positive"},
+    "pitch": {
+        "oneOf": [
+            {"type": ["number", "string"]},
+            {"type": "array", "items": {"type": ["number", "string"]}, "minItems": 2, "maxItems": 2},
+        ],
+        "description": "metres, or a number with a unit; positive; one, or a pair (rows, columns)",
+    },
     "number": {"type": "number"},
     "name": {"type": "string", "pattern": "^[A-Za-z0-9][A-Za-z0-9_-]*$"},
     "file": {"type": "string"},
@@ -126,7 +134,8 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
     with report.collected_warnings() as texts:
         bench, elements = checked(read_config(config), Path(config).expanduser().resolve().parent)
         check_wavelength(f"{BENCH}: wavelength", bench["wavelength"])
-        warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", bench["pixel_pitch"])
+        coarsest = max(pitches(bench["pixel_pitch"]))
+        warn_of_samples(f"{BENCH}: wavelength", bench["wavelength"], f"{BENCH}: pixel_pitch", coarsest)
         folder = files.writable_folder(output)
         given = [Path(element[name]) for element in elements for name in ("pattern", "picture") if name in element]
         mark = files.fingerprint({"command": "simulate", BENCH: bench, ELEMENTS: elements}, given)
@@ -140,7 +149,7 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
         for element in elements:
             kind = element["kind"]
             field = field + SOURCE[kind](bench, element) if kind in SOURCES else PASSAGE[kind](field, bench, element)
-            step = {"kind": kind, "power": float(np.sum(np.abs(field) ** 2) * bench["pixel_pitch"] ** 2)}
+            step = {"kind": kind, "power": float(np.sum(np.abs(field) ** 2) * math.prod(pitches(bench["pixel_pitch"])))}
             power = step["power"] if kind in SOURCES else power
             step["share_of_source"] = step["power"] / power if power > 0 else None
             if kind == "record":
@@ -301,6 +310,7 @@ def _wanted(kind: str) -> str:
     texts = {
         "length": "a length such as 0.15 (metres) or '15cm'",
         "positive length": "a positive length such as 8e-6 (metres) or '8um'",
+        "pitch": "a positive length such as 8e-6 (metres) or '8um', or a pair [rows, columns] of them",
         "number": "a finite number",
         "name": "a name of letters, digits, '-' and '_'",
         "file": "the path of a picture that exists",
@@ -321,14 +331,17 @@ def _value(kind: str, value: Any, folder: Path) -> Any:
         if not math.isfinite(number) or (kind == "positive length" and number <= 0):
             raise ValueError
         return number
-    if kind.startswith("pair"):
+    if kind == "pitch" and not isinstance(value, list):
+        return _value("positive length", value, folder)
+    if kind == "pitch" or kind.startswith("pair"):
         if not isinstance(value, list) or len(value) != 2:
             raise ValueError
         if kind == "pair of counts":
             if not all(type(count) is int and 1 <= count <= MOST_SAMPLES for count in value):
                 raise ValueError
             return value
-        pair = [_value("number" if kind == "pair of angles" else "length", part, folder) for part in value]
+        single = {"pair of angles": "number", "pitch": "positive length"}.get(kind, "length")
+        pair = [_value(single, part, folder) for part in value]
         if kind == "pair of angles" and max(map(abs, pair)) >= 90:
             raise ValueError
         return pair
@@ -352,8 +365,8 @@ def _value(kind: str, value: Any, folder: Path) -> Any:
 def _grid(bench: dict, offset: Any = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the samples in metres, ``[rows, 1]`` and ``[1, columns]``, relative to an offset."""
     rows, columns = (
-        (np.arange(count) - count // 2) * bench["pixel_pitch"] - shift
-        for count, shift in zip(bench["resolution"], offset, strict=True)
+        (np.arange(count) - count // 2) * pitch - shift
+        for count, pitch, shift in zip(bench["resolution"], pitches(bench["pixel_pitch"]), offset, strict=True)
     )
     return rows[:, None], columns[None, :]
 
@@ -474,6 +487,6 @@ def _write(folder: Path, name: str, field: np.ndarray, bench: dict) -> dict:
         pictures.picture_panel(f"{name}: intensity, white is {largest:.4g}", shade),
         pictures.phase_panel(f"{name}: phase", torch.as_tensor(np.angle(field))),
     ]
-    width = bench["resolution"][1] * bench["pixel_pitch"]
-    files.write_png(folder / f"{name}.png", pictures.sheet([panels], width))
+    dy, dx = pitches(bench["pixel_pitch"])
+    files.write_png(folder / f"{name}.png", pictures.sheet([panels], bench["resolution"][1] * dx, dy / dx))
     return {"name": name, "peak": largest, "peak_position": position, "centroid": centroid}

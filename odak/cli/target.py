@@ -66,7 +66,8 @@ def load_target(job: Job) -> Target:
         picture = to_grey(picture)
     wavelengths = job.wavelengths or (COLOUR_WAVELENGTHS if len(picture) == 3 else (GREY_WAVELENGTH,))
     picture = picture.expand(len(wavelengths), -1, -1)
-    intensity, window = fit(picture, job.resolution)
+    size = fitting_size(picture.shape[-2:], job.resolution, job.pitches)
+    intensity, window = fit(picture, job.resolution, size)
     if min(part.stop - part.start for part in window) < WINDOW:
         rows, columns = (part.stop - part.start for part in window)
         raise InputError(
@@ -81,10 +82,10 @@ def load_target(job: Job) -> Target:
 def fit(
     picture: torch.Tensor,
     resolution: tuple[int, int],
+    size: tuple[int, int],
     mode: str = "bicubic",
-    size: tuple[int, int] | None = None,
 ) -> tuple[torch.Tensor, tuple[slice, slice]]:
-    """Resize a picture to the largest size that fits the frame with its aspect ratio kept, black around it.
+    """Resize a picture, and place it in the middle of a black frame.
 
     Parameters
     ----------
@@ -92,17 +93,16 @@ def fit(
         ``[channels, rows, columns]``, 0 … 1.
     resolution : tuple of int
         Rows and columns of the frame.
+    size : tuple of int
+        Rows and columns to resize to, from :func:`fitting_size`.
     mode : str
         "bicubic", or "nearest-exact" for values that must not be mixed.
-    size : tuple of int, optional
-        Rows and columns to resize to instead.
 
     Returns
     -------
     tuple
         Frame ``[channels, *resolution]``, and the rows and columns (slices) of the picture in it.
     """
-    size = fitting_size(picture.shape[-2:], resolution) if size is None else size
     if size != tuple(picture.shape[-2:]) and mode == "bicubic":
         picture = torch.nn.functional.interpolate(picture[None], size, mode=mode, antialias=True)[0].clamp(0, 1)
     elif size != tuple(picture.shape[-2:]):
@@ -113,10 +113,23 @@ def fit(
     return frame, (rows, columns)
 
 
-def fitting_size(shape: Sequence[int], resolution: tuple[int, int]) -> tuple[int, int]:
-    """Return the largest rows and columns within a frame that have the aspect ratio of a picture."""
-    ratio = min(frame / side for frame, side in zip(resolution, shape, strict=True))
-    rows, columns = (min(frame, max(1, round(n * ratio))) for frame, n in zip(resolution, shape, strict=True))
+def fitting_size(shape: Sequence[int], resolution: tuple[int, int], pitches: tuple[float, float]) -> tuple[int, int]:
+    """Return the largest rows and columns within a frame that show a picture of square samples undistorted.
+
+    Parameters
+    ----------
+    shape : sequence of int
+        Rows and columns of the picture.
+    resolution : tuple of int
+        Rows and columns of the frame.
+    pitches : tuple of float
+        Pixel pitch of the frame along rows and columns.
+    """
+    dy, dx = pitches
+    # In pixels of the frame, whose rows are farther apart than its columns where dy is above dx.
+    sides = (shape[0] * (dx / dy), shape[1])
+    ratio = min(frame / side for frame, side in zip(resolution, sides, strict=True))
+    rows, columns = (min(frame, max(1, round(n * ratio))) for frame, n in zip(resolution, sides, strict=True))
     return rows, columns
 
 
@@ -246,11 +259,12 @@ def _fitted_depth(job: Job, target: Target) -> torch.Tensor:
     if bool((depth == depth.flatten()[0]).all()):
         raise InputError(f"--depth-map must have at least two depths, but {str(path)!r} has one; leave --planes out")
     rows, columns = (part.stop - part.start for part in target.window)
-    if abs(depth.shape[-2] * columns / (depth.shape[-1] * rows) - 1) > _ASPECT_TOLERANCE:
+    dy, dx = job.pitches
+    if abs(depth.shape[-2] * columns * dx / (depth.shape[-1] * rows * dy) - 1) > _ASPECT_TOLERANCE:
         raise InputError(
             f"--depth-map must have the picture's shape, got {depth.shape[-2]} x {depth.shape[-1]} for a picture of "
             f"{rows} x {columns}"
         )
     # Depths are not averaged across an edge: no surface lies at the mean of a near and a far depth.
-    fitted, _ = fit(depth - 1, job.resolution, mode="nearest-exact", size=(rows, columns))
+    fitted, _ = fit(depth - 1, job.resolution, (rows, columns), mode="nearest-exact")
     return fitted[0] + 1

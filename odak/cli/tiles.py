@@ -272,7 +272,7 @@ def load_target(job: Job) -> Target:
     source = open_picture(path)
     grey = job.grey or len(job.wavelengths) == 1 or source.shape[2] < 3
     wavelengths = job.wavelengths or ((GREY_WAVELENGTH,) if grey else COLOUR_WAVELENGTHS)
-    size = fitting_size(source.shape[:2], job.resolution)
+    size = fitting_size(source.shape[:2], job.resolution, job.pitches)
     corner = tuple((frame - side) // 2 for frame, side in zip(job.resolution, size, strict=True))
     fitted = _Fitted(source, str(path), size, 1 if grey else 3)
     name = f"picture-{files.digest_of(path)}-{size}-{grey}"

@@ -64,7 +64,7 @@ def slanted_edge_mtf(
         ``[rows, columns]``, linear in intensity, with one edge between a dark and a bright side that crosses all
         rows or all columns, ideally at about 5° to them; noise is allowed.
     pixel_pitch : float
-        Distance between pixels; frequencies are in cycles per its unit.
+        Distance between pixels, which are square; frequencies are in cycles per its unit.
     oversampling : int
         Bins per pixel.
     window : str
@@ -110,7 +110,7 @@ def slanted_edge_mtf(
     image = _validate.image("image", image)
     if image.ndim != 2 or "complex" in str(image.dtype):
         raise ValueError(f"image must be real, [rows, columns]; got {image.dtype} {tuple(image.shape)}")
-    _validate.real("pixel_pitch", pixel_pitch, positive=True)
+    _validate.number("pixel_pitch", pixel_pitch, positive=True)
     factor = _validate.integer("oversampling", oversampling, minimum=2)
     window = _validate.one_of("window", window, _WINDOWS)
     degree = _validate.integer("edge_degree", edge_degree, minimum=1)

@@ -321,7 +321,7 @@ class FieldRays(NamedTuple):
 
 
 def rays_from_field(
-    field: Array, dx: float, wavelength: float, z: float = 0.0, threshold: float = THRESHOLD
+    field: Array, dx: float | Sequence[float], wavelength: float, z: float = 0.0, threshold: float = THRESHOLD
 ) -> FieldRays:
     """Return the rays of a field: direction cosines (u, v) = λ/2π·∇φ.
 
@@ -329,8 +329,8 @@ def rays_from_field(
     ----------
     field : array
         Complex field ``[..., rows, columns]``; sample ``n // 2`` of each axis is at x = y = 0.
-    dx : float
-        Pixel pitch, in the unit of the rays.
+    dx : float or sequence of float
+        Pixel pitch, in the unit of the rays, one number or (rows, columns).
     wavelength : float
         Wavelength in the medium, in the unit of `dx`.
     z : float
@@ -366,21 +366,23 @@ def rays_from_field(
     ((8, 8, 2, 3), 6.0)
     """
     field = _array.to_complex(_validate.image("field", field))
-    for name, value in (("dx", dx), ("wavelength", wavelength)):
-        _validate.real(name, value, positive=True)
+    pitches = _validate.several("dx", dx if isinstance(dx, (tuple, list)) else (dx, dx), 2, positive=True)
+    _validate.real("wavelength", wavelength, positive=True)
     _validate.real("z", z)
     _validate.real("threshold", threshold)
     xp = _array.namespace(field)
     real, imag = xp.real(field), xp.imag(field)
     power = real * real + imag * imag
     lit = power > threshold * xp.max(power, axis=(-2, -1), keepdims=True)
-    scale = wavelength / (2 * math.pi * dx)
     (v, known_v), (u, known_u) = (_slope(real, imag, lit, axis) for axis in (-2, -1))
-    u, v = scale * u, scale * v
+    v, u = (wavelength / (2 * math.pi * pitch) * slope for pitch, slope in zip(pitches, (v, u), strict=True))
     rest = 1 - u * u - v * v
     exists = known_u & known_v & (rest > 0)
     direction = [xp.where(exists, value, math.nan) for value in (u, v, safe_sqrt(rest))]
-    lines = [(xp.arange(n, dtype=real.dtype, device=_array.device_of(field)) - n // 2) * dx for n in field.shape[-2:]]
+    lines = [
+        (xp.arange(n, dtype=real.dtype, device=_array.device_of(field)) - n // 2) * pitch
+        for n, pitch in zip(field.shape[-2:], pitches, strict=True)
+    ]
     zero = xp.zeros_like(real)
     point = [zero + lines[1][None, :], zero + lines[0][:, None], zero + z]
     ray = xp.stack([xp.stack(point, axis=-1), xp.stack(direction, axis=-1)], axis=-2)

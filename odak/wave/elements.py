@@ -1070,8 +1070,8 @@ def zernike_basis(
         Pairs (n, m) of radial degree and azimuthal frequency.
     radius : float or array, optional
         Radius of the disc in the unit of `dx`; by default half the diagonal. The polynomials are 0 beyond it.
-    dx : float or array, default: 1.0
-        Pixel pitch, or two of them (rows, columns). The default gives `radius` in pixels.
+    dx : float or sequence of float, default: 1.0
+        Pixel pitch, one number or (rows, columns). The default gives `radius` in pixels.
     offset : sequence of float, default: (0.0, 0.0)
         Position of the disc's centre (rows, columns) from sample n // 2, in the unit of `dx`.
     xp : module, optional

@@ -510,8 +510,8 @@ def linear_method(propagation_type: str, shape, dx, wavelength, distance, relaye
         Name, alias or "auto"; not "custom".
     shape : tuple of int
         Rows and columns of the field.
-    dx : float
-        Its pitch in metres.
+    dx : float or tuple of float
+        Its pitch in metres, one number or (rows, columns).
     wavelength : float or list of float
         Wavelengths in metres.
     distance : float or list of float

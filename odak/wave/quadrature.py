@@ -25,7 +25,8 @@ _SHORTEST = 64
 _LARGEST_TURN = 5.5
 # Frequencies per sample and lag that are tried, from cheap to accurate.
 _DENSITIES = (1.25, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
-_REFERENCE_TURN = 0.8
+# Of the reference: its weights fit 1/(iω) to 4e-9.
+_REFERENCE_TURN, _REFERENCE_TAPS = 0.6, 16
 _LONGEST_REFERENCE = 1 << 18
 _MOST_NODES = 600
 _SLAB = 1 << 22
@@ -33,6 +34,7 @@ _SLAB = 1 << 22
 _MOST_FREQUENCIES = 12288
 # Estimates are means over few transverse frequencies: twice their value bounds the error.
 SAFETY = 2.0
+_MOST_LIGHT = 2048
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def _even_fast(least: float) -> int:
 
 
 @functools.lru_cache(maxsize=256)
-def end_corrections(low: float, high: float) -> tuple[complex, ...]:
+def end_corrections(low: float, high: float, taps: int = _TAPS) -> tuple[complex, ...]:
     """Return what to add to the weights at the end of Σ exp(−iωk), k = 0, 1, …, so that it is 1/(iω).
 
     The fit is by least squares over `low` ≤ ω ≤ `high`, ω being the phase from one term to the next.
@@ -161,7 +163,7 @@ def end_corrections(low: float, high: float) -> tuple[complex, ...]:
     turns = np.linspace(low, high, 801)
     turns = turns[np.abs(turns) > 1e-6]
     wanted = 1 / (1j * turns) - 1 / (1 - np.exp(-1j * turns))
-    terms = np.exp(-1j * turns[:, None] * np.arange(_TAPS))
+    terms = np.exp(-1j * turns[:, None] * np.arange(taps))
     found = np.linalg.lstsq(terms, wanted, rcond=1e-10)[0]
     return tuple(complex(value) for value in found)
 
@@ -217,8 +219,8 @@ def reference_response(axis: Axis, transverse) -> np.ndarray:
     lengths = np.where(limited, np.ceil(np.log2(np.where(limited, reach, 0) + axis.samples)), -1)
     for exponent in np.unique(lengths[limited]):
         chosen = lengths == exponent
-        count = _even_fast(max(2**exponent * 2 * math.pi / _REFERENCE_TURN, _SHORTEST))
-        rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN))
+        count = _even_fast(max(2**exponent * 2 * math.pi / _REFERENCE_TURN, 8 * _SHORTEST))
+        rule = Rule(count, end_corrections(-_REFERENCE_TURN, _REFERENCE_TURN, _REFERENCE_TAPS))
         found[chosen] = response(axis, transverse[chosen], rule)
     rest = transverse[~limited]
     if len(rest) and _tail_nodes(axis) <= _MOST_NODES:
@@ -264,21 +266,29 @@ def field_error(field: np.ndarray, axes: tuple[Axis, Axis], rules: tuple[Rule | 
     The difference to the reference is applied along one axis at a time, for each frequency of the other.
     """
     rows, columns = field.shape[-2:]
-    spectrum = np.fft.fft2(field.astype(np.complex128), s=(2 * rows, 2 * columns))
     total = 0.0
     for which in (0, 1):
         axis, other = axes[which], axes[1 - which]
-        transverse = np.arange(other.samples + 1) / (2 * other.samples * other.pitch)
+        count = _frequencies_without_wrap(other)
+        spectrum = np.fft.fft2(field.astype(np.complex128), s=(count, 2 * columns) if which else (2 * rows, count))
+        transverse = np.arange(count // 2 + 1) / (count * other.pitch)
         travels = transverse < 0.999 / axis.wavelength
-        difference = np.zeros((other.samples + 1, axis.samples), dtype=np.complex128)
+        difference = np.zeros((len(transverse), axis.samples), dtype=np.complex128)
         difference[travels] = response(axis, transverse[travels], rules[which])
         difference[travels] -= reference_response(axis, transverse[travels])
         lags = np.concatenate([difference, np.zeros_like(difference[:, :1]), difference[:, :0:-1]], axis=1)
-        mirror = np.minimum(np.arange(2 * other.samples), 2 * other.samples - np.arange(2 * other.samples))
+        mirror = np.minimum(np.arange(count), count - np.arange(count))
         transfer = np.fft.fft(lags, axis=1)[mirror]
         error = np.fft.ifft2(spectrum * (transfer.T if which == 0 else transfer))[..., :rows, :columns]
         total += float(np.sum(np.abs(error) ** 2))
     return math.sqrt(total)
+
+
+def _frequencies_without_wrap(axis: Axis) -> int:
+    """Return the number of frequencies with which no light comes back into the window, at most 2048 beyond twice it."""
+    reach = float(axis.displacement(axis.transverse))
+    reach = reach if math.isfinite(reach) else 8.0 * float(min(axis.displacement(), _MOST_LIGHT))
+    return _even_fast(max(2 * axis.samples, min(2 * (axis.samples + reach), _MOST_LIGHT)))
 
 
 def predicted_white_error(axes: tuple[Axis, Axis], rules: tuple[Rule | None, Rule | None]) -> float:

@@ -108,6 +108,56 @@ def test_pixels_are_squares_and_pictures_their_areas(method, picture, grey_file,
     assert report["channels"][0]["psnr_area_db"] == pytest.approx(report["psnr_db"], abs=0.01)
 
 
+@pytest.mark.parametrize(("method", "fill"), [("sgd", None), ("gs", None), ("multi-color", None), ("sgd", 0.64)])
+def test_rows_and_columns_have_pitches_of_their_own(method, fill, tmp_path):
+    """A square picture covers 64 rows of 8 µm and 80 columns of 6.4 µm, and is shown undistorted."""
+    y, x = np.mgrid[0:80, 0:80]
+    Image.fromarray(np.round(255 * (0.5 + 0.4 * np.sin(x / 9) * np.cos(y / 7))).astype(np.uint8)).save(
+        tmp_path / "square.png"
+    )
+    geometry = ["--pixel-pitch", "8um,6.4um", *SMALL, *([] if fill is None else ["--fill-factor", fill])]
+    run(tmp_path / "square.png", "-o", tmp_path / "out", "--method", method, *geometry, "--quiet")
+    report = read_report(tmp_path / "out")
+    assert report["parameters"]["pixel_pitch"] == [8e-6, 6.4e-6]
+    phase = pixels(tmp_path / "out" / report["pattern"]["files"][0]) * (2 * np.pi / 256)
+    image = pixels(tmp_path / "out" / "reconstruction.png")[:, 8:88] / 255
+    wanted = Image.open(tmp_path / "square.png").resize((80, 64), Image.Resampling.BICUBIC)
+    if fill is None:
+        intensity = angular_spectrum_intensity(phase, 532e-9, (8e-6, 6.4e-6), 3e-3)
+        assert report["efficiency"] == pytest.approx(intensity.mean(), rel=1e-4)
+    else:
+        # Ten by eight samples of 0.8 µm in a pixel, eight by 6.4 of them lit, behind a stop for one order.
+        intensity = drawn_areas(phase, (10, 8), fill)
+        assert report["efficiency"] == pytest.approx(intensity.mean(), rel=0.01)
+    intensity = intensity[:, 8:88]
+    assert report["psnr_db"] == pytest.approx(psnr_of(intensity, np.asarray(wanted) / 255), abs=0.05)
+    scaled = np.clip(report["channels"][0]["scale"] * intensity, 0, 1)
+    assert np.abs(image - scaled).max() < (0.01 if fill is None else 0.03)
+    # The sheet of panels has samples of the pixels' shape.
+    with Image.open(tmp_path / "out" / "comparison.png") as sheet:
+        columns = np.flatnonzero((np.asarray(sheet.convert("RGB")) == 200).all(-1).sum(0) > 100)
+        rows = np.flatnonzero((np.asarray(sheet.convert("RGB")) == 200).all(-1).sum(1) > 100)
+    assert (rows[1] - rows[0]) / (columns[1] - columns[0]) == pytest.approx(64 * 8 / (96 * 6.4), abs=0.01)
+
+
+def drawn_areas(phase, samples, fill):
+    """Return the mean intensity over each pixel, drawn with so many samples of 0.8 µm, 3 mm behind a stop.
+
+    The mean amplitude of a pixel is 1.
+    """
+    line = [
+        np.tile(np.clip((np.sqrt(fill) * n + 1) / 2 - abs(np.arange(n) - (n - 1) / 2), 0, 1), count)
+        for n, count in zip(samples, phase.shape, strict=True)
+    ]
+    drawn = np.kron(np.exp(1j * phase), np.ones(samples)) * line[0][:, None] * line[1]
+    fy, fx = (np.fft.fftfreq(2 * n, 0.8e-6) for n in drawn.shape)
+    kernel = np.exp(2j * np.pi * 3e-3 * np.sqrt(1 / 532e-9**2 - fx**2 - fy[:, None] ** 2))
+    for frequency, count in ((fy[:, None], samples[0]), (fx, samples[1])):
+        kernel = kernel * (abs(frequency) < 0.999 / (2 * count * 0.8e-6))
+    shown = np.fft.ifft2(np.fft.fft2(drawn, kernel.shape) * kernel)[: len(drawn), : len(drawn[0])]
+    return (np.abs(shown / fill) ** 2).reshape(len(phase), samples[0], -1, samples[1]).mean((1, 3))
+
+
 def test_areas_are_part_of_every_report(grey_file, tmp_path):
     run(grey_file, "--output", tmp_path, *SMALL, "--iterations", 60, "--quiet")
     report = read_report(tmp_path)
@@ -442,6 +492,9 @@ BAD = {
     "propagation type": (["--propagation-type", "magic"], "'Bandlimited Angular Spectrum'"),
     "far field": (["--propagation-type", "Fraunhofer"], "--propagation-type"),
     "pitch": (["--pixel-pitch", "0"], "--pixel-pitch"),
+    "three pitches": (["--pixel-pitch", "8um,8um,8um"], "write it as 8um, or 8um,6.4um for rows and columns"),
+    "one unit for two pitches": (["--pixel-pitch", "8,6.4um"], "'8,6.4um' is not a pixel pitch"),
+    "second pitch": (["--pixel-pitch", "8um,-1um"], "--pixel-pitch must be positive"),
     "distance": (["--distance", "inf"], "--distance"),
     "learning rate": (["--learning-rate", "-0.1"], "--learning-rate"),
     "iterations": (["--iterations", "0"], "--iterations"),
@@ -467,6 +520,7 @@ BAD = {
                 [],
                 "--distance must be from 1.42mm to 15mm, which the weights of --method network",
             ),
+            ("pixels", ["--pixel-pitch", "8um,6um"], "--pixel-pitch must be one length with --method network"),
             ("pitch", ["--pixel-pitch", "30um"], "--pixel-pitch must be from 2.77um to 12.9um"),
             ("one wavelength", ["-w", "10um", "--pixel-pitch", "20um"], "--pixel-pitch must be from 43.5um to 286um"),
             ("size", ["--resolution", "64", "96", "-d", "9mm"], "--distance must be from 1.42mm to 7.7mm"),

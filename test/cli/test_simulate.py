@@ -226,3 +226,33 @@ def test_files_that_cannot_be_read(tmp_path, capsys):
     assert main(["simulate", str(tmp_path / "none.toml")]) == 2 == main(["simulate"])
     said = capsys.readouterr().err.splitlines()
     assert "is not valid JSON: line 1" in said[0] and ".toml or .json" in said[1] and "CONFIG is missing" in said[-1]
+
+
+def test_rows_and_columns_have_pitches_of_their_own(tmp_path):
+    """A round beam on samples of 8 µm by 4 µm stays round, converges behind a lens, and keeps its power."""
+    waist, distance = 0.2e-3, 0.1
+    head = HEAD.replace('"8um"', '["8um", 4e-6]')
+    source = f'kind = "gaussian_beam"\nwaist = {waist}\npower = 3.0\noffset = [8e-5, -4e-5]'
+    report = simulate(
+        tmp_path,
+        head
+        + "".join(
+            f"[[elements]]\n{part}\n"
+            for part in (
+                source,
+                'kind = "lens"\nfocal_length = "20cm"\noffset = [8e-5, -4e-5]',
+                f'kind = "propagate"\ndistance = {distance}',
+                'kind = "record"\nname = "focus"',
+            )
+        ),
+    )
+    intensity = np.abs(np.load(tmp_path / "out" / "focus.npy")) ** 2
+    places = axis()[:, None] - 8e-5, axis() / 2 + 4e-5
+    # After a lens and a distance z the radius of a waist w is w·sqrt((1 − z/f)² + (z·λ/(πw²))²).
+    wanted = waist / 2 * np.hypot(1 - distance / 0.2, distance * WAVELENGTH / (np.pi * waist**2))
+    for place in places:
+        assert np.sqrt((intensity * place**2).sum() / intensity.sum()) == pytest.approx(wanted, rel=1e-3)
+    assert [step["power"] for step in report["steps"]] == pytest.approx([3.0] * 4, rel=1e-4)
+    assert report["steps"][-1]["centroid"] == pytest.approx([8e-5, -4e-5], rel=1e-3)
+    for wrong in ('["8um"]', '["8um", 0]'):
+        simulate(tmp_path, head.replace('["8um", 4e-6]', wrong) + f"[[elements]]\n{PLANE}\n", "wrong.toml", expect=2)

@@ -30,15 +30,16 @@ def pixels(path):
 def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None):
     """Propagate a phase pattern with NumPy only: exact transfer function, extrapolated to zero wrap-around.
 
-    What wraps around falls with the square of the padding, and so does the error of a stop whose edge, weighted by a
-    half, lies on a frequency of both grids.
+    `pitch` is a number, or a pair (rows, columns). What wraps around falls with the square of the padding, and so does
+    the error of a stop whose edge, weighted by a half, lies on a frequency of both grids.
     """
 
     def propagated(padding):
         rows, columns = phase.shape
         field = np.zeros((padding * rows, padding * columns), complex)
         field[:rows, :columns] = np.exp(1j * phase)
-        fy, fx = np.meshgrid(*(np.fft.fftfreq(n, pitch) for n in field.shape), indexing="ij")
+        frequencies = (np.fft.fftfreq(n, step) for n, step in zip(field.shape, np.ones(2) * pitch, strict=True))
+        fy, fx = np.meshgrid(*frequencies, indexing="ij")
         kernel = np.exp(2j * np.pi * distance * np.sqrt(1 / wavelength**2 - fx**2 - fy**2))
         kernel = kernel if aperture is None else kernel * aperture(fy, fx)
         return np.fft.ifft2(np.fft.fft2(field) * kernel)[:rows, :columns]

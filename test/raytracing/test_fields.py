@@ -31,9 +31,9 @@ def spherical(focus, dx=2e-6, count=64):
 @given(angles, angles, st.integers(1, 9), st.integers(1, 9))
 def test_a_plane_wave_goes_where_it_was_sent(along_x, along_y, rows, columns):
     u, v = math.sin(math.radians(along_x)), math.sin(math.radians(along_y))
-    x, y = (np.arange(columns) - columns // 2) * 1e-6, (np.arange(rows) - rows // 2) * 1e-6
+    x, y = (np.arange(columns) - columns // 2) * 1e-6, (np.arange(rows) - rows // 2) * 8e-7
     wave = 3 * np.exp(2j * np.pi / WAVELENGTH * (u * x[None, :] + v * y[:, None]))
-    found = rays_from_field(wave, 1e-6, WAVELENGTH, z=2.0)
+    found = rays_from_field(wave, (8e-7, 1e-6), WAVELENGTH, z=2.0)
     assert found.ray.shape == (rows, columns, 2, 3)
     np.testing.assert_allclose(found.ray[..., 0, 0], np.broadcast_to(x, (rows, columns)))
     np.testing.assert_allclose(found.ray[..., 0, 1], np.broadcast_to(y[:, None], (rows, columns)))

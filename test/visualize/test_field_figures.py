@@ -70,6 +70,17 @@ def test_axes_tell_places_from_the_axis(field):
         assert picture.fig.layout.yaxis.title.text == f"y ({unit})"
 
 
+def test_rows_and_columns_have_distances_of_their_own():
+    picture = field_show(
+        np.ones((20, 30), complex), (8e-6, 4e-6), 532e-9, quantities=["amplitude", "spectrum"], show=False
+    )
+    amplitude, spectrum = picture.fig.data
+    assert (amplitude.y0, amplitude.dy, amplitude.x0, amplitude.dx) == pytest.approx((-80, 8, -60, 4))
+    # Sines of the angles go up to λ/(2·pitch).
+    assert np.sin(np.deg2rad([spectrum.y[0], spectrum.x[0]])) == pytest.approx([-532e-9 / 16e-6, -532e-9 / 8e-6])
+    assert picture.settings["title"] == "20 × 30 samples of 8 µm × 4 µm, wavelength 532 nm"
+
+
 @pytest.mark.parametrize("n", [4, 5, 6, 7])
 def test_the_middle_sample_is_the_axis_for_odd_and_even_sizes(n):
     picture = detectorshow(show_phase=False)

@@ -97,6 +97,38 @@ def test_predicted_error_bounds_the_actual_one(dx, padding, share, random):
             assert white / 5 < actual < white
 
 
+def plane_waves(field, distance, pitches):
+    """Return a field by Gauss-Legendre quadrature over its band, in which all waves travel."""
+    lags, kernel, bands = [np.arange(n) for n in field.shape], 1.0, [0.5 / pitch for pitch in pitches]
+    least = math.sqrt(1 / WAVELENGTH**2 - bands[0] ** 2 - bands[1] ** 2)
+    sums, squared, weights = [], 0.0, 1.0
+    for axis, (n, band, pitch) in enumerate(zip(field.shape, bands, pitches, strict=True)):
+        nodes, weight = np.polynomial.legendre.leggauss(int(3 * (abs(distance) * band / least / pitch + n)) + 60)
+        frequency = np.expand_dims(nodes * band, 1 - axis)
+        squared, weights = squared + frequency**2, weights * np.expand_dims(weight / 2, 1 - axis)
+        sums.append(np.exp(2j * np.pi * pitch * np.outer(lags[axis], nodes * band)))
+    cycles = np.remainder(distance / WAVELENGTH, 1) - distance * squared / (
+        np.sqrt(1 / WAVELENGTH**2 - squared) + 1 / WAVELENGTH
+    )
+    kernel = sums[0] @ (np.exp(2j * np.pi * cycles) * weights) @ sums[1].T
+    rows, columns = (np.abs(lag[:, None] - lag) for lag in lags)
+    return np.einsum("iakb,ab->ik", kernel[rows[:, :, None, None], columns], field)
+
+
+@pytest.mark.parametrize("pitches", [(8e-6, 8e-6), (1e-6, 4e-7)])
+@pytest.mark.parametrize("shape", [(1, 24), (24, 1), (2, 16)])
+def test_predicted_error_of_few_rows(shape, pitches, random):
+    """The light of few rows leaves their window: the prediction must not take it for light that comes back."""
+    for share in (-0.3, 1.0, 3.0):
+        distance = share * max(shape) * max(pitches) ** 2 / WAVELENGTH
+        for kind, field in kinds_of_field(shape, random).items():
+            exact = plane_waves(field, distance, pitches)
+            found = odak.wave.propagate_beam(field, None, distance, pitches, WAVELENGTH, "auto")
+            actual = np.linalg.norm(found - exact) / np.linalg.norm(exact) + 3e-12
+            report = odak.wave.sampling_report(shape, pitches, WAVELENGTH, distance, field=field)
+            assert actual < report.predicted_error + 3e-12 < 10 * actual, (kind, share)
+
+
 def test_waves_along_the_plane_are_reported():
     # Between half a wavelength and 0.71 of it the corners of the band hold waves that leave any grid.
     shape, dx, distance = (32, 32), 0.3e-6, 2e-5

@@ -18,6 +18,7 @@ from odak.instruments.mapping import plane_points
 from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
+from odak.wave.transfer_functions import checked_pitch, pitches
 
 __all__ = ["DisplayFit", "display_camera", "display_hologram", "display_model", "fit_display"]
 
@@ -57,16 +58,16 @@ class display_model(torch.nn.Module):
     ----------
     shape : sequence of int
         Rows and columns of the modulator.
-    pitch : float
-        Distance between pixels of the modulator in metres.
+    pitch : float or sequence of float
+        Distance between pixels of the modulator in metres, one number or (rows, columns).
     wavelength : float
         Vacuum wavelength in metres.
     distance : float
         Distance from the modulator to the camera in metres, at stage position 0.
     camera_shape : sequence of int
         Rows and columns of the camera.
-    camera_pitch : float
-        Distance between pixels of the camera in metres.
+    camera_pitch : float or sequence of float
+        Distance between pixels of the camera in metres, one number or (rows, columns).
     phases : array, optional
         Phase of each level in radians, ``[levels]``; by default 256 levels evenly over 2π.
     amplitude : array, optional
@@ -78,7 +79,8 @@ class display_model(torch.nn.Module):
     samples_per_pixel : int
         Samples of the field along each side of a pixel. Gaps are drawn with two or more.
     iris : float, optional
-        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch); none by default.
+        Radius of a round iris in the Fourier plane of a relay, in units of 1/(2·pitch), the larger pitch where they
+        differ; none by default.
     zernike_order : int
         Highest radial order of the Zernike polynomials of the aberration.
     source_order : int
@@ -143,11 +145,11 @@ class display_model(torch.nn.Module):
     def __init__(
         self,
         shape: Sequence[int],
-        pitch: float,
+        pitch: float | Sequence[float],
         wavelength: float,
         distance: float,
         camera_shape: Sequence[int],
-        camera_pitch: float,
+        camera_pitch: float | Sequence[float],
         *,
         phases: Any = None,
         amplitude: Any = None,
@@ -166,16 +168,17 @@ class display_model(torch.nn.Module):
         if dtype not in (torch.float32, torch.float64):
             raise ValueError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
         self.shape, self.camera_shape = _validate.size("shape", shape), _validate.size("camera_shape", camera_shape)
-        self.pitch = float(_validate.real("pitch", pitch, positive=True))
+        self.pitch, self.camera_pitch = pitch, camera_pitch
+        self._pitches, self._camera_pitches = _both("pitch", pitch), _both("camera_pitch", camera_pitch)
         self.wavelength = float(_validate.real("wavelength", wavelength, positive=True))
         self.nominal_distance = float(_validate.real("distance", distance, positive=True))
-        self.camera_pitch = float(_validate.real("camera_pitch", camera_pitch, positive=True))
         self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
         self._dtype = dtype
         # Unit of the distance: the depth of focus of the whole panel.
-        self._depth = self.wavelength * (self.nominal_distance / (max(self.shape) * self.pitch)) ** 2
+        longest = max(n * pitch for n, pitch in zip(self.shape, self._pitches, strict=True))
+        self._depth = self.wavelength * (self.nominal_distance / longest) ** 2
         if registration is None:
-            registration = Registration(np.diag([camera_pitch, camera_pitch, 1.0]), 0.0, self.camera_shape)
+            registration = Registration(np.diag([*self._camera_pitches[::-1], 1.0]), 0.0, self.camera_shape)
         elif not isinstance(registration, Registration):
             raise TypeError(f"registration must be a Registration, got {type(registration).__name__}")
         elif tuple(registration.shape) != self.camera_shape:
@@ -212,7 +215,7 @@ class display_model(torch.nn.Module):
     def from_calibration(
         cls,
         calibration: Calibration,
-        camera_pitch: float,
+        camera_pitch: float | Sequence[float],
         *,
         wavelength: float | None = None,
         **options: Any,
@@ -223,8 +226,8 @@ class display_model(torch.nn.Module):
         ----------
         calibration : odak.instruments.Calibration
             From :func:`odak.instruments.calibrate_table` or :func:`odak.instruments.load_calibration`.
-        camera_pitch : float
-            Distance between pixels of the camera in metres.
+        camera_pitch : float or sequence of float
+            Distance between pixels of the camera in metres, one number or (rows, columns).
         wavelength : float, optional
             Another wavelength than that of the calibration; phases and aberration change as its inverse.
         **options
@@ -328,8 +331,10 @@ class display_model(torch.nn.Module):
         s = self.samples_per_pixel
         phase = _finely(self._checked(phase), s)
         at = torch.arange(-2 * s, 2 * s + 1, dtype=phase.dtype, device=phase.device) / s
-        width = self.fringing.clamp_min(0.05)
-        phase = smooth(phase, torch.exp(-0.5 * (at / width) ** 2))
+        # A fringing field has the same width along both axes, in units of the smaller pitch.
+        widths = (self.fringing.clamp_min(0.05) * min(self._pitches) / pitch for pitch in self._pitches)
+        down, across = (torch.exp(-0.5 * (at / width) ** 2) for width in widths)
+        phase = smooth(phase, down if self._pitches[0] == self._pitches[1] else torch.outer(down, across))
         light = torch.complex(torch.cos(phase), torch.sin(phase))
         if s > 1:
             side = self.fill.clamp(1e-3, 1).sqrt() * s / 2
@@ -439,8 +444,8 @@ class display_model(torch.nn.Module):
             raise ValueError(f"phases must contain the phase of each level, got an array {list(levels.shape)}")
         at = np.linspace(0, len(levels) - 1, _validate.integer("nodes", nodes, minimum=4))
         spline = CubicSpline(at, np.eye(nodes)[:, 1:])(np.arange(len(levels)))
-        y, x = ((torch.arange(n, dtype=torch.float64) - n // 2) * self.pitch for n in (rows, columns))
-        half = math.hypot(rows, columns) * self.pitch / 2
+        y, x = (torch.as_tensor(places) for places in self._places())
+        half = math.hypot(*(n * pitch for n, pitch in zip(self.shape, self._pitches, strict=True))) / 2
         y, x = y[:, None] / half, x[None] / half
         order = _validate.integer("zernike_order", zernike_order, minimum=2)
         self.modes = [(n, m) for n in range(2, order + 1) for m in range(-n, n + 1, 2) if (n, m) != (2, 0)]
@@ -470,24 +475,24 @@ class display_model(torch.nn.Module):
         rows, columns = self.camera_shape
         corners = np.array([[0, 0], [columns, 0], [0, rows], [columns, rows]], float)
         seen = np.abs(registration.plane_points(corners)).max(0)[::-1]
-        sine = min(s, iris or s) * self.wavelength / (2 * self.pitch)
-        spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(sine, 0.9)))
-        widths = [max(n * self.pitch / 2 + spread + far, 2 * spread) for n, far in zip(self.shape, seen, strict=True)]
-        sizes = [
-            _fast(s * (max(math.ceil(width / self.pitch), n) + 16)) for width, n in zip(widths, self.shape, strict=True)
-        ]
+        unit, sizes = 1 / (2 * max(self._pitches)), []
+        for n, pitch, far in zip(self.shape, self._pitches, seen, strict=True):
+            sine = min(s / (2 * pitch), (iris or math.inf) * unit) * self.wavelength
+            spread = 1.2 * self.nominal_distance * math.tan(math.asin(min(sine, 0.9)))
+            width = max(n * pitch / 2 + spread + far, 2 * spread)
+            sizes.append(_fast(s * (max(math.ceil(width / pitch), n) + 16)))
         self._sizes, self._finer = sizes, max(1, -(-FINER // s))
-        step = self.pitch / s
-        fy, fx = (torch.fft.fftfreq(n, step, dtype=torch.float64) for n in sizes)
+        steps = [pitch / s for pitch in self._pitches]
+        fy, fx = (torch.fft.fftfreq(n, step, dtype=torch.float64) for n, step in zip(sizes, steps, strict=True))
         squared = fy[:, None] ** 2 + fx**2
         axial = torch.sqrt((1 / self.wavelength**2 - squared).clamp_min(0))
         # The axis passes through the middle of pixel n // 2; the panel starts at the first sample of the grid.
         centre = [(n // 2) * s + (s - 1) / 2 for n in self.shape]
-        shift = fy[:, None] * step * centre[0] + fx * step * centre[1]
+        shift = fy[:, None] * steps[0] * centre[0] + fx * steps[1] * centre[1]
         self._axial, self._shift = axial, shift
         self.register_buffer("_slope", (2 * math.pi * (axial - 1 / self.wavelength)).to(self._dtype), persistent=False)
-        self.register_buffer("_radius", (squared.sqrt() * 2 * self.pitch).to(self._dtype), persistent=False)
-        self._soft = 2 * self.pitch / (max(sizes) * step)
+        self.register_buffer("_radius", (squared.sqrt() / unit).to(self._dtype), persistent=False)
+        self._soft = 1 / (unit * max(n * step for n, step in zip(sizes, steps, strict=True)))
         fine = [self._finer * n for n in sizes]
         frequencies = (
             torch.fft.fftfreq(fine[0], 1.0, dtype=torch.float64),
@@ -496,9 +501,10 @@ class display_model(torch.nn.Module):
         # Cubic B-splines pass through the samples of what this filter makes of them.
         inverse = [6 / (4 + 2 * torch.cos(2 * math.pi * f)) for f in frequencies]
         self.register_buffer("_prefilter", (inverse[0][:, None] * inverse[1]).to(self._dtype), persistent=False)
-        fine_step = step / self._finer
-        for name, f in zip(("_fine_y", "_fine_x"), frequencies, strict=True):
-            self.register_buffer(name, (f / fine_step * self.camera_pitch).to(self._dtype), persistent=False)
+        for name, f, step, seen_pitch in zip(
+            ("_fine_y", "_fine_x"), frequencies, steps, self._camera_pitches, strict=True
+        ):
+            self.register_buffer(name, (f * (self._finer * seen_pitch / step)).to(self._dtype), persistent=False)
         v, u = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in self.camera_shape), indexing="ij")
         self.register_buffer("_pixels", torch.stack([u, v], -1).reshape(-1, 2).to(self._dtype), persistent=False)
         start = torch.as_tensor(registration.homography / registration.homography[2, 2])
@@ -538,7 +544,8 @@ class display_model(torch.nn.Module):
         homography, distortion = self._mapping()
         places = self._pixels if pixels is None else self._pixels[pixels]
         points = plane_points(places, self.camera_shape, homography, distortion)
-        return _spline_values(coefficients, points[:, 1], points[:, 0], self.pitch / self.samples_per_pixel / q)
+        dy, dx = (pitch / self.samples_per_pixel / q for pitch in self._pitches)
+        return _spline_values(coefficients, points[:, 1] / dy, points[:, 0] / dx)
 
     def _mapping(self) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the homography from camera pixels to metres and the distortion.
@@ -549,10 +556,14 @@ class display_model(torch.nn.Module):
         units = self._homography.new_tensor(
             [[1 / rim, 1 / rim, 1.0], [1 / rim, 1 / rim, 1.0], [1 / rim**2, 1 / rim**2, 0]]
         )
-        units[:2] *= self.camera_pitch
+        units[:2] *= units.new_tensor(self._camera_pitches[::-1])[:, None]
         entries = torch.cat([self.alignment[:8].double(), self.alignment.new_zeros(1).double()]).reshape(3, 3)
         homography = self._homography + units * entries
         return homography.to(self._dtype), self._start.distortion + self.alignment[8] / rim
+
+    def _places(self) -> list[np.ndarray]:
+        """Return the places of the modulator's rows and columns in metres."""
+        return [(np.arange(n) - n // 2) * pitch for n, pitch in zip(self.shape, self._pitches, strict=True)]
 
     def _checked(self, phase: torch.Tensor) -> torch.Tensor:
         """Return a phase in the precision of the model, after checking that it is one of its modulator."""
@@ -571,6 +582,12 @@ class display_model(torch.nn.Module):
         if tuple(values.shape[-2:]) == self.shape:
             return values[0, 0]
         return torch.nn.functional.interpolate(values, self.shape, mode="bicubic", align_corners=False)[0, 0]
+
+
+def _both(name: str, pitch) -> tuple[float, float]:
+    """Return a pitch, one number or a pair (rows, columns), as a pair."""
+    rows, columns = pitches(checked_pitch(name, pitch), name)
+    return float(rows), float(columns)
 
 
 @dataclass(frozen=True)
@@ -836,7 +853,7 @@ def display_camera(
     (16, 16)
     """
     rows, columns = model.shape
-    y, x = ((np.arange(n) - n // 2) * model.pitch for n in (rows, columns))
+    y, x = model._places()
     points = np.stack(np.meshgrid(x, y), axis=-1)
     places = model.registration().camera_pixels(points)
     scale = math.exp(-float(model.brightness.detach()))
@@ -1072,11 +1089,11 @@ def _widened(spectrum: torch.Tensor, shape: Sequence[int]) -> torch.Tensor:
     return spectrum
 
 
-def _spline_values(coefficients: torch.Tensor, y: torch.Tensor, x: torch.Tensor, step: float) -> torch.Tensor:
-    """Return the values ``[..., points]`` of a periodic cubic spline whose first coefficient lies at the origin."""
+def _spline_values(coefficients: torch.Tensor, y: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+    """Return the values ``[..., points]`` of a periodic cubic spline whose coefficient [i, j] lies at y = i, x = j."""
     rows, columns = coefficients.shape[-2:]
     weights, indices = [], []
-    for at, count in ((y / step, rows), (x / step, columns)):
+    for at, count in ((y, rows), (x, columns)):
         first = torch.floor(at.detach())
         t = at - first
         weights.append(torch.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3]) / 6)

@@ -21,7 +21,7 @@ def eyebox_hologram(
     targets: torch.Tensor,
     wavelength: float,
     distance: float,
-    pixel_pitch: float,
+    pixel_pitch: float | Sequence[float],
     pupil_positions: torch.Tensor | Sequence,
     pupil_diameter: float | torch.Tensor = 2e-3,
     focus: float | torch.Tensor | None = None,
@@ -56,7 +56,7 @@ def eyebox_hologram(
         Wavelength in metres.
     distance : float
         Distance from the modulator, or its image by an eyepiece, to the pupil in metres.
-    pixel_pitch : float
+    pixel_pitch : float or sequence of float
         Pixel pitch of the modulator, or of that image, in metres.
     pupil_positions : torch.Tensor or sequence
         Middles of the pupil (y, x) in metres, ``[K, 2]``.

@@ -411,7 +411,7 @@ def get_light_kernels(
     distances : sequence of float
         D distances in metres.
     pixel_pitches : sequence of float
-        P pixel pitches in metres.
+        P pitches of square pixels in metres.
     resolution : sequence of int
         Rows m and columns n.
     resolution_factor : int
@@ -465,7 +465,10 @@ def get_light_kernels(
 def _lengths(name, values, positive, device) -> torch.Tensor:
     """Return lengths, float64 ``[n]``, with the graph of those that are tensors."""
     alone = isinstance(values, Real) or getattr(values, "ndim", 1) == 0
-    lengths = _validate.several(name, [values] if alone else values, positive=positive)
+    lengths = [
+        _validate.number(name, length, positive=positive) if isinstance(length, (tuple, list)) else length
+        for length in _validate.several(name, [values] if alone else values, positive=positive)
+    ]
     if not lengths:
         raise ValueError(f"{name} must contain at least one length, got none")
     return torch.stack([tensor(name, length, torch.float64, device).reshape(()) for length in lengths])

@@ -17,6 +17,7 @@ from odak.tools.paths import validate_path
 from odak.visualize._arrays import image, to_numpy
 from odak.visualize.plotly import figure_style, figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
+from odak.wave.transfer_functions import checked_pitch, pitches
 
 __all__ = ["detectorshow", "field_show", "plot2dshow"]
 
@@ -120,9 +121,11 @@ def spectrum(field, dx=None, wavelength=None, limit=MAXIMUM_SIDE) -> Panel:
     """
     if dx is None or wavelength is None:
         raise ValueError("the angular spectrum needs dx and wavelength, in metres")
-    dx, wavelength = _number("dx", dx), _number("wavelength", wavelength)
+    wavelength = _number("wavelength", wavelength)
     power = _power(np.fft.fftshift(np.fft.fft2(field)))
-    sines = [np.fft.fftshift(np.fft.fftfreq(n, dx)) * wavelength for n in field.shape]
+    sines = [
+        np.fft.fftshift(np.fft.fftfreq(n, step)) * wavelength for n, step in zip(field.shape, _pitches(dx), strict=True)
+    ]
     inside = [np.flatnonzero(np.abs(sine) < 1) for sine in sines]
     power = power[np.ix_(*inside)]
     factor = reduction(power.shape, limit)
@@ -161,18 +164,25 @@ def length(value: float) -> str:
 def _in_space(compute, field, dx, limit) -> Panel:
     factor = reduction(field.shape, limit)
     unit, size = None, 1.0
+    steps = (1.0, 1.0)
     if dx is not None:
-        dx = _number("dx", dx)
-        unit, size = unit_of(dx * max(field.shape))
-    step = (dx or 1.0) / size
+        steps = _pitches(dx)
+        unit, size = unit_of(max(n * step for n, step in zip(field.shape, steps, strict=True)))
+    dy, dx = (step / size for step in steps)
     # The sample n // 2 lies on the optical axis; without a pitch samples are counted from 0.
-    start = [((factor - 1) / 2 - (n // 2 if dx else 0)) * step for n in field.shape]
-    axes = {"y0": start[0], "dy": factor * step, "x0": start[1], "dx": factor * step}
+    first = [(factor - 1) / 2 - (n // 2 if unit else 0) for n in field.shape]
+    axes = {"y0": first[0] * dy, "dy": factor * dy, "x0": first[1] * dx, "dx": factor * dx}
     return Panel(compute(field, factor), axes, (f"x ({unit})", f"y ({unit})") if unit else ("", ""), factor)
 
 
 def _power(field) -> np.ndarray:
     return field.real**2 + field.imag**2
+
+
+def _pitches(dx) -> tuple[float, float]:
+    """Return the distances between rows and between columns."""
+    dy, dx = pitches(dx)
+    return _number("dx", dy), _number("dx", dx)
 
 
 def _number(name, value) -> float:
@@ -326,7 +336,7 @@ class plot2dshow(_Images):
         row: int = 1,
         col: int = 1,
         showscale: bool = False,
-        dx: float | None = None,
+        dx: float | Sequence[float] | None = None,
         label: str = "",
         origin: str = "upper",
     ) -> None:
@@ -348,8 +358,8 @@ class plot2dshow(_Images):
             Column of the image, from 1.
         showscale : bool
             Draw the colour bar.
-        dx : float, optional
-            Distance between samples in metres; the axes then show positions, with the
+        dx : float or sequence of float, optional
+            Distance between samples in metres, one number or (rows, columns); the axes then show positions, with the
             sample n // 2 at 0.
         label : str
             Title of the colour bar, with the unit.
@@ -509,7 +519,7 @@ class detectorshow(_Images):
         row: int = 1,
         col: int = 1,
         showscale: bool = False,
-        dx: float | None = None,
+        dx: float | Sequence[float] | None = None,
         wavelength: float | None = None,
         origin: str = "upper",
     ) -> None:
@@ -526,8 +536,8 @@ class detectorshow(_Images):
             Column of the field, from 1.
         showscale : bool
             Draw colour bars.
-        dx : float, optional
-            Distance between samples in metres; the axes then show positions, with the
+        dx : float or sequence of float, optional
+            Distance between samples in metres, one number or (rows, columns); the axes then show positions, with the
             sample n // 2 at 0; by default they count samples.
         wavelength : float, optional
             Wavelength in metres, for the angular spectrum.
@@ -598,7 +608,7 @@ SLIDER_SPACE = 90
 
 def field_show(
     field: Array,
-    dx: float | None = None,
+    dx: float | Sequence[float] | None = None,
     wavelength: float | None = None,
     *,
     quantities: Sequence[str] | None = None,
@@ -617,8 +627,8 @@ def field_show(
     ----------
     field : array or torch.Tensor
         ``[..., rows, columns]``, complex or real; the leading axes are a stack of fields.
-    dx : float, optional
-        Distance between samples in metres; by default the axes count samples.
+    dx : float or sequence of float, optional
+        Distance between samples in metres, one number or (rows, columns); by default the axes count samples.
     wavelength : float, optional
         Wavelength in metres, for the title and the angular spectrum.
     quantities : sequence of str, optional
@@ -659,9 +669,10 @@ def field_show(
     values = to_numpy("field", field)
     if values.ndim < 2 or 0 in values.shape:
         raise ValueError(f"field must be [..., rows, columns], not empty; got {list(values.shape)}")
-    for name, value in (("dx", dx), ("wavelength", wavelength)):
-        if value is not None:
-            _validate.real(name, value, positive=True)
+    if dx is not None:
+        checked_pitch("dx", dx)
+    if wavelength is not None:
+        _validate.real("wavelength", wavelength, positive=True)
     show = None if show is None else _validate.flag("show", show)
     size, labels = _validate.whole("size", size, minimum=1), figures.texts("labels", labels)
     if quantities is None:
@@ -707,7 +718,10 @@ def field_show(
 
 
 def _description(rows, columns, dx, wavelength) -> str:
-    text = f"{rows} × {columns} samples" + (f" of {length(float(dx))}" if dx is not None else "")
+    text = f"{rows} × {columns} samples"
+    if dx is not None:
+        sizes = dict.fromkeys(map(length, _pitches(dx)))
+        text += f" of {' × '.join(sizes)}"
     return text + (f", wavelength {length(float(wavelength))}" if wavelength is not None else "")
 
 

@@ -113,6 +113,55 @@ def test_a_tuned_laser_is_a_model_of_scaled_phases():
     assert np.corrcoef(seen.ravel(), light[np.ix_(*at)].ravel())[0, 1] > 0.98
 
 
+def rms(values):
+    return np.sqrt((values**2).mean())
+
+
+def test_rows_and_columns_have_pitches_of_their_own():
+    """A camera of 5 µm × 7 µm pixels in front of a panel of 8 µm × 6.4 µm, by sums over plane waves."""
+    shape, pitch, wavelength, distance, camera, camera_pitch = (
+        (20, 26),
+        (8e-6, 6.4e-6),
+        532e-9,
+        1.5e-3,
+        (22, 18),
+        (5e-6, 7e-6),
+    )
+    model = display_model(shape, pitch, wavelength, distance, camera, camera_pitch, dtype=torch.float64)
+    with torch.no_grad():
+        model.fringing.fill_(0.05)
+    phase = torch.as_tensor(np.random.default_rng(0).uniform(0, 2 * np.pi, shape))
+    fy, fx = (np.fft.fftfreq(8 * n, step) for n, step in zip(shape, pitch, strict=True))
+    middles = [n // 2 * step for n, step in zip(shape, pitch, strict=True)]
+    spectrum = np.fft.fft2(np.exp(1j * phase.numpy()), (len(fy), len(fx)))
+    axial = np.sqrt(1 / wavelength**2 - fy[:, None] ** 2 - fx**2)
+    spectrum = spectrum * np.exp(2j * np.pi * (distance * axial + fy[:, None] * middles[0] + fx * middles[1]))
+
+    def light(y, x):
+        """Return the intensity at rows y and columns x in metres."""
+        down, across = np.exp(2j * np.pi * np.outer(y, fy)), np.exp(2j * np.pi * np.outer(fx, x))
+        return np.abs(down @ spectrum @ across / spectrum.size) ** 2
+
+    at = [(np.arange(n) - n // 2) * step for n, step in zip(shape, pitch, strict=True)]
+    with torch.no_grad():
+        # The grid of the model cuts the fringes of sharp pixels off, as that of square ones does.
+        assert rms(model.image(phase).numpy() - light(*at)) < 0.05 * light(*at).mean()
+        seen = model(torch.as_tensor(model.levels(phase))).numpy()
+        phase = model.table()[model.levels(phase)]
+    spectrum = np.fft.fft2(np.exp(1j * phase.numpy()), (len(fy), len(fx)))
+    spectrum = spectrum * np.exp(2j * np.pi * (distance * axial + fy[:, None] * middles[0] + fx * middles[1]))
+    # The corner of the camera's first pixel lies on the axis; eight points along each side of a pixel give its mean.
+    corner = model.registration().plane_points(np.array([[0.0, 0.0], [camera[1] - 1, camera[0] - 1]]))
+    parts = (np.arange(8) - 3.5) / 8
+    places = [
+        (np.linspace(corner[0, axis], corner[1, axis], count)[:, None] + parts * step).ravel()
+        for axis, count, step in ((1, camera[0], camera_pitch[0]), (0, camera[1], camera_pitch[1]))
+    ]
+    assert places[0][8] - places[0][0] == pytest.approx(5e-6) and places[1][8] - places[1][0] == pytest.approx(7e-6)
+    means = light(*places).reshape(camera[0], 8, camera[1], 8).mean((1, 3))
+    assert rms(seen - means) < 0.08 * means.mean()
+
+
 def test_gradients():
     model = display_model(
         *([8, 9], 8e-6, 532e-9, 5e-4, [7, 8], 6e-6),
