@@ -291,6 +291,11 @@ def several(name: str, value, count: int | None = None, *, positive: bool = Fals
     return tuple(real(name, v, positive=positive) for v in values)
 
 
+def pair(name: str, value, *, positive: bool = False) -> tuple:
+    """Return one real number twice, or the two of a tuple or list (rows, columns) as a tuple."""
+    return several(name, value if isinstance(value, (tuple, list)) else (value, value), 2, positive=positive)
+
+
 def function(name: str, value):
     """Return a function after checking that it can be called."""
     if not callable(value):

@@ -366,7 +366,7 @@ def rays_from_field(
     ((8, 8, 2, 3), 6.0)
     """
     field = _array.to_complex(_validate.image("field", field))
-    pitches = _validate.several("dx", dx if isinstance(dx, (tuple, list)) else (dx, dx), 2, positive=True)
+    pitches = _validate.pair("dx", dx, positive=True)
     _validate.real("wavelength", wavelength, positive=True)
     _validate.real("z", z)
     _validate.real("threshold", threshold)

@@ -18,7 +18,6 @@ from odak.instruments.mapping import plane_points
 from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
-from odak.wave.transfer_functions import checked_pitch, pitches
 
 __all__ = ["DisplayFit", "display_camera", "display_hologram", "display_model", "fit_display"]
 
@@ -169,7 +168,10 @@ class display_model(torch.nn.Module):
             raise ValueError(f"dtype must be torch.float32 or torch.float64, got {dtype}")
         self.shape, self.camera_shape = _validate.size("shape", shape), _validate.size("camera_shape", camera_shape)
         self.pitch, self.camera_pitch = pitch, camera_pitch
-        self._pitches, self._camera_pitches = _both("pitch", pitch), _both("camera_pitch", camera_pitch)
+        self._pitches, self._camera_pitches = (
+            tuple(map(float, _validate.pair(name, value, positive=True)))
+            for name, value in (("pitch", pitch), ("camera_pitch", camera_pitch))
+        )
         self.wavelength = float(_validate.real("wavelength", wavelength, positive=True))
         self.nominal_distance = float(_validate.real("distance", distance, positive=True))
         self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
@@ -582,12 +584,6 @@ class display_model(torch.nn.Module):
         if tuple(values.shape[-2:]) == self.shape:
             return values[0, 0]
         return torch.nn.functional.interpolate(values, self.shape, mode="bicubic", align_corners=False)[0, 0]
-
-
-def _both(name: str, pitch) -> tuple[float, float]:
-    """Return a pitch, one number or a pair (rows, columns), as a pair."""
-    rows, columns = pitches(checked_pitch(name, pitch), name)
-    return float(rows), float(columns)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from odak.tools.paths import validate_path
 from odak.visualize._arrays import image, to_numpy
 from odak.visualize.plotly import figure_style, figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
-from odak.wave.transfer_functions import checked_pitch, pitches
 
 __all__ = ["detectorshow", "field_show", "plot2dshow"]
 
@@ -181,7 +180,7 @@ def _power(field) -> np.ndarray:
 
 def _pitches(dx) -> tuple[float, float]:
     """Return the distances between rows and between columns."""
-    dy, dx = pitches(dx)
+    dy, dx = _validate.pair("dx", dx, positive=True)
     return _number("dx", dy), _number("dx", dx)
 
 
@@ -670,7 +669,7 @@ def field_show(
     if values.ndim < 2 or 0 in values.shape:
         raise ValueError(f"field must be [..., rows, columns], not empty; got {list(values.shape)}")
     if dx is not None:
-        checked_pitch("dx", dx)
+        _pitches(dx)
     if wavelength is not None:
         _validate.real("wavelength", wavelength, positive=True)
     show = None if show is None else _validate.flag("show", show)
