@@ -172,13 +172,14 @@ class _StatisticsLoss(nn.Module):
                         return picture
                     return rgb_2_ycrcb(ycrcb_2_rgb(picture).clamp(least, most))
 
-                for _ in range(RESCALINGS):
+                # Not with statistics of pairs, which then end farther from the edges of the picture.
+                for _ in range(0 if self.joint else RESCALINGS):
                     metamer = held(metamer)
                     groups, *pooling = self._parts(metamer, where, pairs=False)
                     found = statistics_maps(groups, *pooling)
                     metamer = rescaled(groups, found, statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
-                    steepness = STEEPNESS if pairs else FLATTER
+                    steepness = STEEPNESS if self.joint else FLATTER
                     metamer = descended(metamer, held, partial(distance, pairs=pairs), count, progress, steepness)
         metamer = metamer[..., : image.shape[-2], : image.shape[-1]]
         return (ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer).to(image.dtype)
