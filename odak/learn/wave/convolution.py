@@ -326,10 +326,14 @@ def _each_part(work: Callable, count: int, length: int, field) -> None:
     """Call `work` with slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each, on several threads.
 
     A transform that torch shares out waits for all threads, beside other processes for milliseconds each time. Here
-    threads take one part after another and wait once, when none is left.
+    threads take one part after another and wait once, when none is left. Where there are fewer than two parts, handing
+    them out would take longer than it saves.
     """
-    lines, threads = max(1, _BLOCK_BYTES // (length * field.element_size())), torch.get_num_threads()
-    step = max(1, min(lines, -(-count // threads)))
+    size, threads = length * field.element_size(), torch.get_num_threads()
+    if count * size <= 2 * _BLOCK_BYTES:
+        work(slice(0, count))
+        return
+    step = max(1, min(_BLOCK_BYTES // size, -(-count // threads)))
     for _ in each(work, ((slice(start, min(start + step, count)),) for start in range(0, count, step))):
         pass
 
