@@ -1296,7 +1296,8 @@ def rescaled(
     torch.Tensor
         ``[B, C, H, W]``. Bands overlap, so that its own statistics are nearer to those wanted, but not equal to them.
     """
-    levels, place = [], 0
+    levels: list[list[torch.Tensor]] = []
+    place = 0
     for bands in groups:
         levels.append([])
         for band in bands.unbind(2):

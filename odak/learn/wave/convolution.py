@@ -92,7 +92,7 @@ def _filtered(field, kernel, adjoint, batch, workspace):
     if size >= BLOCKED_FROM:
         return _convolve_in_blocks(field, kernel, adjoint, batch, workspace)
     count = math.prod(batch)
-    if kernel.numel() > size or count == 1 or count * size * field.element_size() <= _BLOCK_BYTES:
+    if kernel.numel() > size or count == 1 or count * size * field.element_size() <= 2 * _BLOCK_BYTES:
         return _convolve_whole(field, kernel, adjoint, batch)
     return _convolve_by_fields(field, kernel.reshape(kernel.shape[-2:]), adjoint, batch)
 

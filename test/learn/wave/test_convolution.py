@@ -37,7 +37,7 @@ def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance)
 
 @pytest.mark.parametrize("kernel", [(24, 31), (1, 1, 24, 31)])
 @pytest.mark.parametrize("shape", [(5, 12, 15), (2, 3, 12, 15)])
-@pytest.mark.parametrize("at_once", [1, 2, 4])
+@pytest.mark.parametrize("at_once", [1, 2])
 def test_batches_in_parts_equal_whole_ones(shape, kernel, at_once, monkeypatch):
     field, factor = pair(*shape, kernel=kernel)
     expected = convolve_plainly(field, factor)
