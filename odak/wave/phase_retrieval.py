@@ -12,7 +12,7 @@ from odak._array import Array
 from odak.wave.fields import calculate_amplitude, calculate_phase, generate_complex_field, uniform
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
-from odak.wave.propagation import propagate_beam
+from odak.wave.propagation import propagate_beam, propagate_within_window
 from odak.wave.transfer_functions import pitches
 
 _WINDOW = (True, False, True)
@@ -51,9 +51,9 @@ def gerchberg_saxton(
     slm_range : float
         Phase range of the modulator in radians; phases beyond it take its nearer end.
     propagation_type : str
-        Propagation type, see :func:`odak.wave.propagate_beam`. Fields are padded to twice their size, on
-        which the light of the named transfer functions wraps around from the critical distance N·dx²/λ on: the image
-        returned is then up to 1.3 dB better than the hologram's own. "auto" is free of it.
+        Propagation type, see :func:`odak.wave.propagate_beam`. Fields are padded to twice their size,
+        in the iterations, where light of the named transfer functions wraps around beyond the critical distance
+        N·dx²/λ. The image returned is computed without that.
     initial_phase : numpy.ndarray, optional
         Phase ``[rows, columns]`` to start the hologram from; uniform between 0 and π by default.
     seed : int or generator, optional
@@ -100,8 +100,9 @@ def retrieve(
     """
     field = _validate.image("field", field)
     options = {"initial_phase": initial_phase, "seed": seed, "callback": callback, "fill": fill}
-    hologram, light = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
-    return hologram, light(hologram, distance=distance)
+    hologram = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
+    # On the padded grid of the iterations light may wrap around; the image that is returned is free of it.
+    return hologram, propagate_within_window(hologram, distance, dx, wavelength, propagation_type, pixel_fill=fill)
 
 
 def _alternate(
@@ -117,7 +118,7 @@ def _alternate(
     callback=None,
     fill=None,
 ):
-    """Return the hologram of pairs of a field and its distance, and the function that propagates it.
+    """Return the hologram of pairs of a field and its distance.
 
     The corrections of all planes are propagated back to the one hologram and averaged. `update(target, amplitude)`
     gives the next image amplitude, the target by default. `fill` is the share of a pixel's area that emits.
@@ -143,7 +144,7 @@ def _alternate(
         phase = _limit(calculate_phase(corrected), slm_range)
         if callback is not None and callback(turn, phase) is True:
             break
-    return generate_complex_field(1.0, phase), light
+    return generate_complex_field(1.0, phase)
 
 
 def _correction(image, target, update):
@@ -264,7 +265,7 @@ def gerchberg_saxton_3d(
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     planes = [(fields[index, ...], distance) for index, distance in enumerate(distances)]
     options = {"initial_phase": initial_phase, "seed": seed, "update": update, "fill": pixel_fill}
-    return _alternate(planes, range(count), dx, wavelength, slm_range, propagation_type, **options)[0]
+    return _alternate(planes, range(count), dx, wavelength, slm_range, propagation_type, **options)
 
 
 def _double_constraint(coefficients):

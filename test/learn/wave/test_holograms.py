@@ -140,7 +140,8 @@ def test_gerchberg_saxton_constrains_the_hologram(target):
     assert error(image, target) < 0.5 * error(
         wave.gerchberg_saxton(target, 1, DISTANCE, DX, WAVELENGTH, seed=0)[1], target
     )
-    torch.testing.assert_close(image, wave.propagate_beam(hologram, None, DISTANCE, DX, WAVELENGTH, "TR Fresnel"))
+    # The phase of Fresnel's kernel is up to 0.07 rad off in the corners of this band, 0.008 on average.
+    assert physics.relative_error(image, physics.unwrapped_propagation(hologram, DISTANCE, DX, WAVELENGTH)) < 0.02
     turns = []
     wave.gerchberg_saxton(
         target, 9, DISTANCE, DX, WAVELENGTH, callback=lambda turn, phase: turns.append(turn) or turn == 2
@@ -148,14 +149,14 @@ def test_gerchberg_saxton_constrains_the_hologram(target):
     assert turns == [0, 1, 2]
 
 
-def field_of_squares(hologram, distance, band=0.5):
+def field_of_squares(hologram, distance, band=0.5, padding=2):
     """Return the field in the middles of pixels drawn with 15 × 15 samples, 9 × 9 of them lit: a fill of 9/25.
 
-    It is propagated on twice the window, as the functions under test do, within `band`/pitch along each axis. The sum
-    of nine samples differs from the integral over a pixel by up to 0.2 % along each axis.
+    It is propagated on a window `padding` times as large, within `band`/pitch along each axis. The sum of nine samples
+    differs from the integral over a pixel by up to 0.2 % along each axis.
     """
     lit = np.kron(np.asarray(hologram), np.pad(np.ones((9, 9)), 3) / 81)
-    shape = [2 * n for n in lit.shape]
+    shape = [padding * n for n in lit.shape]
     fy, fx = np.fft.fftfreq(shape[0], DX / 15)[:, None], np.fft.fftfreq(shape[1], DX / 15)
     kernel = np.exp(2j * np.pi * distance * np.sqrt(1 / WAVELENGTH**2 - fx**2 - fy**2))
     for frequency in (fy, fx):
@@ -183,7 +184,7 @@ def test_alternating_projections_and_the_planes_optimizer_account_for_the_size_o
     place = (20, distance, DX, WAVELENGTH, 2 * np.pi)
     blind, _ = wave.gerchberg_saxton(soft.sqrt(), *place, **options)
     hologram, image = wave.gerchberg_saxton(soft.sqrt(), *place, **options, pixel_fill=9 / 25)
-    shown = field_of_squares(hologram, distance)
+    shown = field_of_squares(hologram, distance, padding=6)
     assert physics.relative_error(image, shown) < 2e-3
     assert scaled_error(shown, soft) < 0.9 * scaled_error(field_of_squares(blind, distance), soft)
     joint = wave.gerchberg_saxton_3d(soft.sqrt()[None], 20, [distance], *place[2:], **options, pixel_fill=9 / 25)

@@ -51,6 +51,16 @@ def test_gradient_descent(share, method):
     assert abs(claimed - decibels(judged([hologram], distance, COLOURS[1]), target)) < 0.3
 
 
+@pytest.mark.parametrize("method", ["Bandlimited Angular Spectrum", "Transfer Function Fresnel", "auto"])
+def test_alternating_projections(method):
+    """Two critical distances away the light that wraps around on a padded grid is worth a decibel."""
+    target, distance = picture(*SIZE), 2 * CRITICAL
+    field = wave.generate_complex_field(target.sqrt(), torch.zeros(SIZE))
+    hologram, image = wave.gerchberg_saxton(field, 20, distance, PITCH, COLOURS[1], 2 * math.pi, method, seed=0)
+    claimed = decibels(wave.intensity(image), target)
+    assert abs(claimed - decibels(judged([hologram], distance, COLOURS[1]), target)) < 0.1
+
+
 @pytest.mark.parametrize("start", STARTS)
 def test_starts_by_name(start):
     target, distance = picture(*SIZE), CRITICAL
