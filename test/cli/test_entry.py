@@ -25,7 +25,7 @@ def test_as_a_module_in_a_process_of_its_own_whose_help_needs_no_torch():
 def test_help_states_units_and_defaults():
     text = " ".join(CliRunner().invoke(app, ["hologram", "--help"]).stdout.split())
     for part in (
-        "(8um). [default: (8um)]",
+        "(8um,6.4um). [default: (8um)]",
         "[default: 1080, 1920]",
         "638nm",
         "[default: (sgd; multiplane for more than one plane)]",
