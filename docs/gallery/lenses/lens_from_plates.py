@@ -20,8 +20,8 @@ found = automatic_design(
     back=20.0,
     track=80.0,
     starts=6,
-    iterations=8,
-    polish=1,
+    iterations=12,
+    polish=2,
 )
 lens = found.system
 full = (lens.aperture, ((0.0, 0.0), (0.0, 10.0), (0.0, 14.0)))
