@@ -357,9 +357,9 @@ def gerchberg_saxton(
     slm_range : float
         Phase range of the modulator in radians; phases beyond it take its nearer end.
     propagation_type : str
-        Propagation type, see :func:`odak.learn.wave.propagate_beam`. Fields are padded to twice their size,
-        in the iterations, where light of the named transfer functions wraps around beyond the critical distance
-        N·dx²/λ. The image returned is computed without that.
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`. During the iterations fields are
+        padded to twice their size, on which the light of the named transfer functions wraps around beyond the critical
+        distance N·dx²/λ. The image returned is computed without this wrap-around.
     initial_phase : torch.Tensor, optional
         Phase to start the hologram from; uniform between 0 and π by default.
     seed : int or torch.Generator, optional
