@@ -79,8 +79,8 @@ def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
 
 def _older_positions(count: int, pitch, xp, device=None):
     """Return linspace(−n·dx/2, n·dx/2, n) along one axis."""
-    half = count * _validate.real("dx", pitch, positive=True) / 2
-    return xp.linspace(-half, half, count, dtype=xp.float64, device=device)
+    width = count * _validate.real("dx", pitch, positive=True)
+    return xp.linspace(-0.5, 0.5, count, dtype=xp.float64, device=device) * width
 
 
 def quadratic_phase_function(

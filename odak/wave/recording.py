@@ -72,7 +72,7 @@ def reference_wave(
     [0.0, 0.0, 0.0]
     """
     shape = _validate.size("shape", shape)
-    steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
+    steps = [_validate.number("dx", pitch, positive=True) for pitch in pitches(dx)]
     _validate.number("wavelength", wavelength, positive=True)
     _validate.number("amplitude", amplitude)
     given: Any = (angles,) if _array.is_array(angles) else _validate.several("angles", angles, 2)
@@ -81,11 +81,11 @@ def reference_wave(
         raise ValueError(f"angles must be two, those along rows and columns; got {tuple(tilts.shape)}")
     for tilt in given:
         _validate.real("angles", tilt)
-    xp, device, dtype = _array.placement(wavelength, *given, amplitude, xp=xp, device=device, dtype=dtype)
+    xp, device, dtype = _array.placement(wavelength, *given, amplitude, *steps, xp=xp, device=device, dtype=dtype)
     wavelength, amplitude = (_array.converted(value, xp, device, xp.float64) for value in (wavelength, amplitude))
     cycles = 0.0
     for axis, (n, step) in enumerate(zip(shape, steps, strict=True)):
-        tilt = _array.converted(tilts[axis], xp, device, xp.float64)
+        tilt, step = (_array.converted(value, xp, device, xp.float64) for value in (tilts[axis], step))
         along = xp.sin(tilt * (math.pi / 180)) * step / wavelength
         if _array.is_readable(along) and (periods := abs(_validate.numbers(along)[0])) > 0.5:
             warn(

@@ -1178,8 +1178,14 @@ def adapt_chromatically(
     """
     matrix = np.array(CONES[_validate.one_of("cones", cones, CONES)])
     source, target = _white(source_white, "source_white"), _white(target_white, "target_white")
+    image = as_pictures("image", image)
+    if isinstance(source, torch.Tensor) or isinstance(target, torch.Tensor):
+        cones_of = torch.as_tensor(matrix, device=image.device)
+        source, target = (torch.as_tensor(white, device=image.device) for white in (source, target))
+        gains = (cones_of @ target) / (cones_of @ source)
+        return mix(torch.linalg.solve(cones_of, gains[:, None] * cones_of), image)
     gains = (matrix @ target) / (matrix @ source)
-    return mix(rows(np.linalg.solve(matrix, gains[:, None] * matrix)), as_pictures("image", image))
+    return mix(rows(np.linalg.solve(matrix, gains[:, None] * matrix)), image)
 
 
 def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
@@ -1474,14 +1480,21 @@ def _filmic(value):
 
 
 def _white(white, name="white"):
-    levels = _validate.numbers(_validate.real(name, white, positive=True))
+    """Return the levels of a white in float64, those of a tensor as a tensor, which keeps its gradient."""
+    white = _validate.real(name, white, positive=True)
+    if isinstance(white, torch.Tensor) and white.numel() == 3:
+        return white.reshape(3).double()
+    levels = _validate.numbers(white)
     if len(levels) != 3:
         raise ValueError(f"{name} must be three numbers X, Y, Z, got {white!r}")
     return np.array(levels, dtype=float)
 
 
 def _column(white, like):
-    return constant(tuple(white.tolist()), like.dtype, like.device)[:, None, None]
+    levels = (
+        white.to(like) if isinstance(white, torch.Tensor) else constant(tuple(white.tolist()), like.dtype, like.device)
+    )
+    return levels[:, None, None]
 
 
 def cube_root(relative):

@@ -7,6 +7,7 @@ docstrings name.
 """
 
 import math
+from typing import Any
 
 import torch
 
@@ -162,7 +163,7 @@ def hlg_decode(signal: torch.Tensor) -> torch.Tensor:
     return torch.where(signal > 0.5, bright, signal**2 / 3)
 
 
-def hlg_system_gamma(peak_luminance: float) -> float:
+def hlg_system_gamma(peak_luminance: float) -> Any:
     """Return the system gamma of an HLG display (ITU-R BT.2100-2, notes to table 5).
 
     Parameters
@@ -172,8 +173,9 @@ def hlg_system_gamma(peak_luminance: float) -> float:
 
     Returns
     -------
-    float
-        1.2 + 0.42·log₁₀(L/1000) for 400 … 2000 cd/m², 1.2·1.111^log₂(L/1000) elsewhere.
+    float or torch.Tensor
+        1.2 + 0.42·log₁₀(L/1000) for 400 … 2000 cd/m², 1.2·1.111^log₂(L/1000) elsewhere; of a tensor a tensor, which
+        keeps its gradient.
 
     Raises
     ------
@@ -186,10 +188,11 @@ def hlg_system_gamma(peak_luminance: float) -> float:
     >>> hlg_system_gamma(1000.0)
     1.2
     """
-    peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
-    if 400 <= peak_luminance <= 2000:
-        return 1.2 + 0.42 * math.log10(peak_luminance / 1000)
-    return 1.2 * 1.111 ** math.log2(peak_luminance / 1000)
+    peak = _single("peak_luminance", peak_luminance, positive=True)
+    decades = (torch.log10 if isinstance(peak, torch.Tensor) else math.log10)(peak / 1000)
+    if 400 <= peak <= 2000:
+        return 1.2 + 0.42 * decades
+    return 1.2 * 1.111 ** (decades / math.log10(2))
 
 
 def hlg_to_luminance(
@@ -225,9 +228,9 @@ def hlg_to_luminance(
     >>> round(hlg_to_luminance(torch.ones(1, 3, 1, 1)).max().item())
     1000
     """
-    gamma, lift = _hlg_display(peak_luminance, black_luminance)
+    peak, gamma, lift = _hlg_display(peak_luminance, black_luminance)
     light = hlg_decode((1 - lift) * _rgb("signal", signal) + lift)
-    return peak_luminance * _luminance(light).clamp_min(_DARKEST) ** (gamma - 1) * light
+    return peak * _luminance(light).clamp_min(_DARKEST) ** (gamma - 1) * light
 
 
 def luminance_to_hlg(
@@ -263,8 +266,8 @@ def luminance_to_hlg(
     >>> round(luminance_to_hlg(torch.full((1, 3, 1, 1), 1000.0)).max().item(), 4)
     1.0
     """
-    gamma, lift = _hlg_display(peak_luminance, black_luminance)
-    emitted = _rgb("luminance", luminance).clamp_min(0) / peak_luminance
+    peak, gamma, lift = _hlg_display(peak_luminance, black_luminance)
+    emitted = _rgb("luminance", luminance).clamp_min(0) / peak
     light = _luminance(emitted).clamp_min(_DARKEST**gamma) ** (1 / gamma - 1) * emitted
     return (hlg_encode(light) - lift) / (1 - lift)
 
@@ -366,11 +369,18 @@ def _with_bounded_gradient(function, value, floor, derivative):
 
 
 def _hlg_display(peak, black):
-    gamma = hlg_system_gamma(peak)
-    black = float(_validate.number("black_luminance", black))
+    gamma, peak = hlg_system_gamma(peak), _single("peak_luminance", peak, positive=True)
+    black = _single("black_luminance", black)
     if not 0 <= black < peak:
         raise ValueError(f"black_luminance must be at least 0 and less than the peak {peak}, got {black}")
-    return gamma, math.sqrt(3 * (black / peak) ** (1 / gamma))
+    # The power of zero would have no finite gradient.
+    return peak, gamma, (3 * (black / peak) ** (1 / gamma)) ** 0.5 if black > 0 else 0.0
+
+
+def _single(name, value, *, positive=False):
+    """Return a checked number as a float, or that of a tensor without axes, which keeps its gradient."""
+    value = _validate.number(name, value, positive=positive)
+    return value.double().reshape(()) if isinstance(value, torch.Tensor) else float(value)
 
 
 def _luminance(rgb):

@@ -385,6 +385,6 @@ def metameric_failure(
     white = to_xyz @ (standard @ reference)
     seen = (shown / wanted * (standard @ reference)) @ to_xyz.T / white[1]
     white = white / white[1]
-    lab = xyz_to_lab(torch.cat([seen, white[None]])[:, :, None, None], white.detach())
+    lab = xyz_to_lab(torch.cat([seen, white[None]])[:, :, None, None], white)
     differences = ciede2000(lab[:-1], lab[-1:].expand_as(lab[:-1]))
     return MetamericFailure(differences.reshape(-1), weights)

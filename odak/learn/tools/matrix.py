@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import torch
 
-from odak import _validate
+from odak import _array, _validate
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
 from odak.tools import matrix
@@ -229,16 +229,18 @@ def blur_gaussian(
 def _gaussian_lines(lengths, nsigma, mu, scale, device):
     """Return the two factors of a Gaussian in float64: its density, its largest sample 1, or its sum 1."""
     sigmas, centres = (
-        _validate.numbers(_validate.real(name, value)) for name, value in (("nsigma", nsigma), ("mu", mu))
+        torch.as_tensor(_validate.real(name, value), dtype=torch.float64).reshape(-1)
+        for name, value in (("nsigma", nsigma), ("mu", mu))
     )
-    if len(sigmas) != 2 or min(sigmas) < 0:
+    if len(sigmas) != 2 or (_array.is_readable(sigmas) and bool((sigmas < 0).any())):
         raise ValueError(f"nsigma must be two numbers of at least 0, got {nsigma!r}")
     if len(centres) != 2:
         raise ValueError(f"mu must be two numbers, got {mu!r}")
     lines = []
-    for length, sigma, centre in zip(lengths, sigmas, centres, strict=True):
+    for length, sigma, centre in zip(
+        lengths, sigmas.where(sigmas != 0, _SMALLEST_SIGMA).to(device), centres.to(device), strict=True
+    ):
         edge = length / 2 if length > 1 else 0.0
-        sigma = sigma or _SMALLEST_SIGMA
         axis = torch.linspace(-edge, edge, length, dtype=torch.float64, device=device)
         exponent = -(((axis - centre) / sigma) ** 2) / 2
         if scale == "density":

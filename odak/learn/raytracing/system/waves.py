@@ -443,7 +443,36 @@ def airy_pattern(radius: torch.Tensor, wavelength: float, numerical_aperture: fl
     v = wide * (2 * math.pi * numerical_aperture / wavelength)
     centre = v.abs() < 1e-8
     safe = torch.where(centre, 1.0, v)
-    return torch.where(centre, 1.0, (2 * torch.special.bessel_j1(safe) / safe).square()).to(radius.dtype)
+    return torch.where(centre, 1.0, (2 * _Bessel.apply(1, safe) / safe).square()).to(radius.dtype)
+
+
+class _Bessel(torch.autograd.Function):
+    """The Bessel functions J₀ and J₁ with their derivatives, which those of torch.special do not have."""
+
+    generate_vmap_rule = True
+
+    @staticmethod
+    def forward(order, x):
+        return torch.special.bessel_j1(x) if order else torch.special.bessel_j0(x)
+
+    @staticmethod
+    def setup_context(ctx, inputs, output):
+        ctx.order, x = inputs
+        ctx.save_for_backward(x)
+        ctx.save_for_forward(x)
+
+    @staticmethod
+    def backward(ctx, gradient):
+        return None, gradient * _Bessel._slope(ctx)
+
+    @staticmethod
+    def jvp(ctx, _, tangent):
+        return tangent * _Bessel._slope(ctx)
+
+    @staticmethod
+    def _slope(ctx):
+        (x,) = ctx.saved_tensors
+        return _Bessel.apply(0, x) - _Bessel.apply(1, x) / x if ctx.order else -_Bessel.apply(1, x)
 
 
 def propagated_point_spread_function(
