@@ -2,6 +2,13 @@
 
 # Earlier path of a module: the module that holds its names now, or several that share them. One line each, sorted.
 MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
+    "odak.learn.wave.hardware": "odak.learn.wave.volume",
+    "odak.wave.vector": "odak.wave.fields",
+    "odak.tools.conversions": "odak.tools.matrix",
+    "odak.learn.tools.camera": "odak.learn.tools.transformation",
+    "odak.learn.tools.vector": "odak.learn.tools.transformation",
+    "odak.tools.vector": "odak.tools.transformation",
+    "odak.wave.convolution": "odak.wave.transfer_functions",
     "odak.catalog.detectors": "odak.catalog.optics",
     "odak.catalog.diffusers": "odak.catalog.optics",
     "odak.catalog.lenses": "odak.catalog.optics",
@@ -33,7 +40,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.wave.spots": "odak.wave.phase_retrieval",
     "odak.learn.wave.tilted": "odak.wave.tilted",
     "odak.learn.wave.util": ("odak.learn.wave.fields", "odak.wave.fields"),
-    "odak.learn.wave.vector": "odak.wave.vector",
+    "odak.learn.wave.vector": "odak.wave.fields",
     "odak.learn.wave.windows": "odak.wave.windows",
     "odak.learn.wave.classical": (
         "odak.learn.wave.propagation",

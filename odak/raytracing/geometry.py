@@ -6,7 +6,7 @@ A missing value is NaN in the result; it is computed from a placeholder, so that
 import math
 
 from odak._array import namespace
-from odak.tools.vector import cross, dot, on_same_side
+from odak.tools.transformation import cross, dot, on_same_side
 
 
 def safe_sqrt(value):

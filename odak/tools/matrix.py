@@ -1,16 +1,21 @@
-"""Padding, cropping, quantisation, convolution, blur, band limits and nonuniform transforms of arrays."""
+"""Padding, cropping, quantisation, convolution, blur and nonuniform transforms of arrays; conversion to torch."""
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, ArrayT
 
+if TYPE_CHECKING:
+    import torch
+
 __all__ = [
     "blur_gaussian",
+    "convert_to_numpy",
+    "convert_to_torch",
     "convolve2d",
     "correlation_2d",
     "create_empty_list",
@@ -712,3 +717,64 @@ def _waves(shape, fx, fy, sign):
     for start in range(0, fx.size, step):
         part = slice(start, start + step)
         yield part, np.exp(sign * 1j * fx[part, None] * k), np.exp(sign * 1j * fy[part, None] * l)
+
+
+def convert_to_torch(a: np.ndarray, grad: bool = True) -> "torch.Tensor":
+    """Copy an array into a tensor.
+
+    Parameters
+    ----------
+    a : numpy.ndarray
+        Array.
+    grad : bool
+        Whether autograd follows the tensor.
+
+    Returns
+    -------
+    torch.Tensor
+        Tensor of the same dtype that shares no memory with `a`.
+
+    Raises
+    ------
+    TypeError
+        If a gradient is asked for and the array holds integers.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from odak.tools import convert_to_torch
+    >>> convert_to_torch(np.asarray([1.0, 2.0])).requires_grad
+    True
+    """
+    import torch
+
+    grad = _validate.flag("grad", grad)
+    tensor = a.detach().clone() if isinstance(a, torch.Tensor) else torch.from_numpy(np.array(_validate.array("a", a)))
+    if grad and not (tensor.is_floating_point() or tensor.is_complex()):
+        raise TypeError(f"a must have a floating-point dtype to have a gradient, got {tensor.dtype}; pass grad=False")
+    return tensor.requires_grad_(grad)
+
+
+def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
+    """Return a tensor as an array on the CPU, detached.
+
+    Parameters
+    ----------
+    a : torch.Tensor
+        Tensor on any device.
+
+    Returns
+    -------
+    numpy.ndarray
+        Array of the same dtype; it shares its memory with a tensor on the CPU.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.tools import convert_to_numpy
+    >>> convert_to_numpy(torch.ones(2, requires_grad=True)).tolist()
+    [1.0, 1.0]
+    """
+    if not _array.is_torch(a):
+        raise TypeError(f"a must be a tensor, got {type(a).__name__}")
+    return a.detach().cpu().resolve_conj().resolve_neg().numpy()

@@ -3,7 +3,7 @@
 import numpy as np
 
 from odak._array import is_torch
-from odak.tools.conversions import convert_to_numpy
+from odak.tools.matrix import convert_to_numpy
 
 
 def to_numpy(name: str, value) -> np.ndarray:

@@ -42,9 +42,12 @@ from .fields import calculate_intensity as calculate_intensity
 from .fields import calculate_phase as calculate_phase
 from .fields import compose_double_phase as compose_double_phase
 from .fields import decompose_double_phase as decompose_double_phase
+from .fields import electric_field_per_plane_wave as electric_field_per_plane_wave
 from .fields import generate_complex_field as generate_complex_field
 from .fields import normalize_phase as normalize_phase
 from .fields import produce_phase_only_slm_pattern as produce_phase_only_slm_pattern
+from .fields import propagate_field as propagate_field
+from .fields import propagate_plane_waves as propagate_plane_waves
 from .fields import rayleigh_resolution as rayleigh_resolution
 from .fields import rotationspeed as rotationspeed
 from .fields import set_amplitude as set_amplitude
@@ -98,8 +101,5 @@ from .sampling import sampling_report as sampling_report
 from .tilted import propagate_to_tilted_plane as propagate_to_tilted_plane
 from .transfer_functions import clear_kernel_cache as clear_kernel_cache
 from .transfer_functions import set_kernel_cache_size as set_kernel_cache_size
-from .vector import electric_field_per_plane_wave as electric_field_per_plane_wave
-from .vector import propagate_field as propagate_field
-from .vector import propagate_plane_waves as propagate_plane_waves
 from .viewing import eye_image as eye_image
 from .windows import propagate_to_window as propagate_to_window

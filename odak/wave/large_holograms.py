@@ -12,9 +12,8 @@ from tqdm import tqdm
 
 from odak import _array, _validate
 from odak.tools.paths import validate_path
-from odak.wave.convolution import whole_lines
 from odak.wave.propagation import propagate_beam
-from odak.wave.transfer_functions import pitches
+from odak.wave.transfer_functions import pitches, whole_lines
 
 METHODS = ("gradient descent", "Gerchberg-Saxton")
 _DECAYS = (0.9, 0.999)

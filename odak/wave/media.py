@@ -11,8 +11,7 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import Array, cast, is_array, is_torch, namespace, phasor_of_cycles
 from odak._warnings import ConvergenceWarning, SamplingWarning, warn
-from odak.wave.convolution import convolve
-from odak.wave.transfer_functions import Grid, angular_spectrum, pitches
+from odak.wave.transfer_functions import Grid, angular_spectrum, convolve, pitches
 
 METHODS = ("split-step", "wave propagation")
 

@@ -11,11 +11,10 @@ from odak import _array, _validate
 from odak._array import phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
-from odak.wave.convolution import convolve
 from odak.wave.fourier import chirp, convolve_with_chirp
 from odak.wave.linear_kernels import axes_of, linear_kernel
 from odak.wave.sampling import PARAXIAL_TOLERANCE, Criteria, criteria, linear_error, recommend
-from odak.wave.transfer_functions import Grid, Request, pitches
+from odak.wave.transfer_functions import Grid, Request, convolve, pitches
 
 _log = logging.getLogger("odak")
 _AXES = (-2, -1)

@@ -16,7 +16,6 @@ from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
-from odak.wave.convolution import convolve, upsample
 from odak.wave.linear_kernels import TOLERANCE
 from odak.wave.methods import (
     METHODS,
@@ -34,10 +33,12 @@ from odak.wave.sampling import sampling_report
 from odak.wave.transfer_functions import (
     Request,
     check_geometry,
+    convolve,
     make_grid,
     pitches,
     rayleigh_sommerfeld_response,
     sample_counts,
+    upsample,
 )
 
 

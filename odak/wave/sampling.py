@@ -10,7 +10,6 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array
 from odak.wave import transfer_functions as tf
-from odak.wave.convolution import convolve_plainly
 from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel
 from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rule_for
 
@@ -268,4 +267,4 @@ def _propagated(field, axes, distance, name, tolerance):
     request = tf.Request((axes[0].pitch, axes[1].pitch), axes[0].wavelength, distance)
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
-    return convolve_plainly(field.astype(np.complex128), kernel)
+    return tf.convolve_plainly(field.astype(np.complex128), kernel)

@@ -1,4 +1,4 @@
-"""Transfer functions of free space, the grid on which they are sampled, and their cache.
+"""Transfer functions of free space, the filtering of fields by them, their sampling grid and their cache.
 
 A transfer function takes a :class:`Grid` and returns ``[..., rows, columns]`` in the order of the discrete Fourier
 transform (zero frequency at index 0), for NumPy, PyTorch or any other array-API library. Phases are counted in cycles,
@@ -7,6 +7,7 @@ to a tenth of a radian only.
 """
 
 import functools
+import importlib
 import math
 import os
 import threading
@@ -21,9 +22,12 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import make_complex, numpy_namespace, phasor_of_cycles
-from odak.wave.convolution import BLOCKED_FROM, lines_per_chunk, whole_lines
+from odak.tools.matrix import zero_pad
 
 _SLAB = 1 << 17
+# From this many samples on, a spectrum is computed in blocks that leave out the lines that are zero or cut off, and its
+# kernel is laid out column by column. Smaller ones stay in the cache, where one call for both axes is quicker.
+BLOCKED_FROM = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -623,6 +627,100 @@ def separable_impulse_response(grid: Grid):
     h_y, h_x = (xp.reshape(xp.astype(factor, grid.dtype), (-1,)) for factor in (h_y, h_x))
     kernel = xp.fft.fftshift(impulse_response_fresnel(grid), axes=(-2, -1))
     return kernel, xp.fft.fftshift(response, axes=(-2, -1)), xp.fft.fftshift(h_x), xp.fft.fftshift(h_y)
+
+
+def convolve(field, kernel):
+    """Return the field filtered by `kernel`, on the field's own window.
+
+    The field ``[..., m, n]`` is continued by zeros to the kernel's size ``[..., M, N]`` (M ≥ m, N ≥ n), transformed,
+    multiplied by the kernel (FFT order), transformed back and cut to ``[..., m, n]`` again. Cyclic convolution is
+    independent of the position of the window, which starts at index 0, so that nothing is shifted; rows that are zero
+    are not transformed going in, rows that are cut are not transformed coming out.
+
+    Parameters
+    ----------
+    field : array
+        Complex ``[..., m, n]``.
+    kernel : array
+        Complex ``[..., M, N]``; leading axes broadcast.
+
+    Returns
+    -------
+    array
+        Complex ``[..., m, n]``, in the field's dtype.
+    """
+    if _array.is_torch(field):
+        return _torch_operator()(field, kernel)
+    return (convolve_in_chunks if _array.is_chunked(field) else convolve_plainly)(field, kernel)
+
+
+@functools.cache
+def _torch_operator() -> Callable:
+    """Return the operator for tensors, which has an adjoint of its own; it is loaded with the first tensor."""
+    return importlib.import_module("odak.learn.wave.convolution").convolve
+
+
+def convolve_plainly(field, kernel):
+    """Return :func:`convolve` by the array library's own transforms."""
+    spectrum = spectrum_of(field, kernel.shape[-2:]) * kernel
+    return window_of(spectrum, field.shape[-2:], field.dtype)
+
+
+def convolve_in_chunks(field, kernel):
+    """Return :func:`convolve` of Dask arrays in chunks of any shape, in chunks of whole rows; nothing is computed yet.
+
+    The transform along an axis needs whole lines of that axis: the field is laid out in chunks of whole rows, then of
+    whole columns, where it meets the kernel, and of whole rows again.
+    """
+    from dask.array import fft
+
+    size, (rows, columns) = kernel.shape[-2:], field.shape[-2:]
+    spectrum = fft.fft(whole_lines(field, -1, size[1]), n=size[1], axis=-1)
+    spectrum = fft.fft(whole_lines(spectrum, -2, size[0]), n=size[0], axis=-2)
+    spectrum = spectrum * kernel.rechunk({-1: spectrum.chunks[-1], -2: -1})
+    window = fft.ifft(spectrum, axis=-2)[..., :rows, :]
+    window = fft.ifft(whole_lines(window, -1, size[1]), axis=-1)
+    return window[..., :columns].astype(field.dtype)
+
+
+def whole_lines(field, axis: int, length: int, dtype=None):
+    """Return a Dask array in chunks of whole lines along `axis`: as many as fill a chunk at this length and dtype."""
+    other = -3 - axis
+    lines = lines_per_chunk(length, field.dtype if dtype is None else dtype)
+    # Fields of a batch are in chunks of their own.
+    layout = dict.fromkeys(range(field.ndim - 2), 1)
+    return field.rechunk({**layout, axis: -1, other: min(lines, field.shape[other])})
+
+
+def lines_per_chunk(length: int, dtype) -> int:
+    """Return how many lines of `length` samples fill a chunk of Dask's setting "array.chunk-size"."""
+    from dask import config
+    from dask.utils import parse_bytes
+
+    return max(1, parse_bytes(config.get("array.chunk-size")) // (length * np.dtype(dtype).itemsize))
+
+
+def spectrum_of(field, size: tuple[int, int]):
+    """Return the transform of a field continued by zeros to `size`, in FFT order."""
+    xp = _array.namespace(field)
+    return xp.fft.fft(xp.fft.fft(field, n=size[1], axis=-1), n=size[0], axis=-2)
+
+
+def window_of(spectrum, shape: tuple[int, int], dtype):
+    """Return the first rows and columns of the field that has this spectrum."""
+    xp = _array.namespace(spectrum)
+    field = xp.fft.ifft(xp.fft.ifft(spectrum, axis=-2)[..., : shape[0], :], axis=-1)
+    return xp.astype(field[..., : shape[1]], dtype, copy=False)
+
+
+def upsample(field):
+    """Return the band-limited interpolation of a field on twice as many samples (half the pitch), same centre."""
+    xp = _array.namespace(field)
+    axes = (-2, -1)
+    rows, columns = field.shape[-2:]
+    spectrum = xp.fft.fftshift(xp.fft.fftn(xp.fft.ifftshift(field, axes=axes), axes=axes), axes=axes)
+    spectrum = xp.fft.ifftshift(zero_pad(spectrum, [2 * rows, 2 * columns]), axes=axes)
+    return xp.astype(4 * xp.fft.fftshift(xp.fft.ifftn(spectrum, axes=axes), axes=axes), field.dtype, copy=False)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 import odak
-from odak.wave import vector
+from odak.wave import fields
 
 
 def test_points_are_summed_over_their_paths(random, monkeypatch):
@@ -15,7 +15,7 @@ def test_points_are_summed_over_their_paths(random, monkeypatch):
             d = np.linalg.norm(targets[q] - sources[p])
             expected[q] += abs(field[p]) * np.exp(1j * (-k * d + np.angle(field[p]))) / d**2
     np.testing.assert_allclose(odak.wave.propagate_field(sources, targets, field, k, direction=-1), expected)
-    monkeypatch.setattr(vector, "_CHUNK_BYTES", 16 * 7 * 2)
+    monkeypatch.setattr(fields, "_CHUNK_BYTES", 16 * 7 * 2)
     np.testing.assert_allclose(odak.wave.propagate_field(sources, targets, field, k, direction=-1), expected)
 
 

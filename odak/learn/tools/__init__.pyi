@@ -1,4 +1,3 @@
-from .camera import PerspectiveCamera as PerspectiveCamera
 from .device import get_device as get_device
 from .file import load_image as load_image
 from .file import resize as resize
@@ -47,6 +46,9 @@ from .sample import grid_sample as grid_sample
 from .sample import random_sample_point_cloud as random_sample_point_cloud
 from .sample import sphere_sample as sphere_sample
 from .sample import sphere_sample_uniform as sphere_sample_uniform
+from .transformation import PerspectiveCamera as PerspectiveCamera
+from .transformation import cross_product as cross_product
+from .transformation import distance_between_two_points as distance_between_two_points
 from .transformation import get_rotation_matrix as get_rotation_matrix
 from .transformation import load_voxelized_PLY as load_voxelized_PLY
 from .transformation import point_cloud_to_voxel as point_cloud_to_voxel
@@ -55,7 +57,5 @@ from .transformation import rotate_points as rotate_points
 from .transformation import rotmatx as rotmatx
 from .transformation import rotmaty as rotmaty
 from .transformation import rotmatz as rotmatz
+from .transformation import same_side as same_side
 from .transformation import tilt_towards as tilt_towards
-from .vector import cross_product as cross_product
-from .vector import distance_between_two_points as distance_between_two_points
-from .vector import same_side as same_side

@@ -1,4 +1,4 @@
-"""Rotations of points as differentiable tensors, angles in degrees, and voxels of point clouds."""
+"""Rotations, distances, voxels and projection of points as differentiable tensors; angles in degrees."""
 
 from collections.abc import Sequence
 
@@ -6,13 +6,16 @@ import torch
 
 from odak import _validate
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, floating, in_own_precision, tensors_of
+from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, tensors_of
 from odak.tools import transformation
 from odak.tools.asset import read_PLY
 from odak.tools.paths import validate_path
 from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
 
 __all__ = [
+    "PerspectiveCamera",
+    "cross_product",
+    "distance_between_two_points",
     "get_rotation_matrix",
     "load_voxelized_PLY",
     "point_cloud_to_voxel",
@@ -21,6 +24,7 @@ __all__ = [
     "rotmatx",
     "rotmaty",
     "rotmatz",
+    "same_side",
     "tilt_towards",
 ]
 
@@ -270,3 +274,81 @@ def load_voxelized_PLY(
         raise ValueError(f"{ply_filename!r} must contain more than a single point")
     locations, grid = point_cloud_to_voxel(centres / largest, voxel_size)
     return locations.reshape(-1, 3), grid.reshape(-1)
+
+
+cross_product = torch_face(transformation.cross_product, tensors=("vector1", "vector2"))
+same_side = torch_face(transformation.same_side, tensors=("p1", "p2", "a", "b"))
+distance_between_two_points = torch_face(transformation.distance_between_two_points, tensors=("point1", "point2"))
+
+
+class PerspectiveCamera:
+    """A pinhole camera whose axes and place are given as x' = x·R + T for points as rows.
+
+    Parameters
+    ----------
+    R : torch.Tensor
+        Rotation ``[3, 3]`` or ``[1, 3, 3]``, for row vectors.
+    T : torch.Tensor
+        Shift ``[3]`` or ``[1, 3]``, after the rotation.
+    focal_length : torch.Tensor
+        Focal length along x and y, in pixels.
+    principal_point : torch.Tensor
+        Intersection of the optical axis with the picture, in pixels.
+    device : torch.device or str
+        Device of the tensors. Numbers and sequences become float32 tensors.
+
+    Raises
+    ------
+    ValueError
+        If the shape of `R` or `T` is wrong.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.tools import PerspectiveCamera
+    >>> camera = PerspectiveCamera(torch.eye(3), torch.tensor([0.0, 0.0, 5.0]), [100.0, 100.0], [32.0, 32.0])
+    >>> camera.transform_world_to_camera_space(torch.zeros(1, 3))
+    tensor([[0., 0., 5.]])
+    """
+
+    def __init__(
+        self,
+        R: torch.Tensor,
+        T: torch.Tensor,
+        focal_length: Sequence[float] | torch.Tensor,
+        principal_point: Sequence[float] | torch.Tensor,
+        device: torch.device | str = "cpu",
+    ):
+        self.device = torch.device("cpu") if device is None else checked_device("device", device)
+        self.R, self.T = self._tensor("R", R), self._tensor("T", T)
+        self.focal_length = self._tensor("focal_length", focal_length)
+        self.principal_point = self._tensor("principal_point", principal_point)
+        for name, value, shape in (("R", self.R, (3, 3)), ("T", self.T, (3,))):
+            if tuple(value.shape) not in (shape, (1, *shape)):
+                raise ValueError(f"{name} must be {list(shape)} or {[1, *shape]}, got {list(value.shape)}")
+
+    def transform_world_to_camera_space(self, points: torch.Tensor) -> torch.Tensor:
+        """Return points in the axes of the camera.
+
+        Parameters
+        ----------
+        points : torch.Tensor
+            ``[n, 3]``.
+
+        Returns
+        -------
+        torch.Tensor
+            points·R + T, ``[n, 3]``, in the widest precision of the three. Differentiable.
+        """
+        points = floating("points", points).to(self.device)
+        if points.ndim == 0 or points.shape[-1] != 3:
+            raise ValueError(f"points must be [n, 3], got {list(points.shape)}")
+        dtype = torch.promote_types(torch.promote_types(points.dtype, self.R.dtype), self.T.dtype)
+        return points.to(dtype) @ self.R.to(dtype).reshape(3, 3) + self.T.reshape(1, 3)
+
+    def get_camera_center(self) -> torch.Tensor:
+        """Return the camera's place in the world, −T·Rᵀ, ``[1, 3]``."""
+        return -self.T.reshape(1, 3) @ self.R.reshape(3, 3).T
+
+    def _tensor(self, name: str, value) -> torch.Tensor:
+        return tensor(name, value, None if isinstance(value, torch.Tensor) else torch.float32, self.device)

@@ -15,6 +15,9 @@ from odak.wave.fields import calculate_intensity as calculate_intensity
 from odak.wave.fields import calculate_phase as calculate_phase
 from odak.wave.fields import compose_double_phase as compose_double_phase
 from odak.wave.fields import decompose_double_phase as decompose_double_phase
+from odak.wave.fields import electric_field_per_plane_wave as electric_field_per_plane_wave
+from odak.wave.fields import propagate_field as propagate_field
+from odak.wave.fields import propagate_plane_waves as propagate_plane_waves
 from odak.wave.fields import rayleigh_resolution as rayleigh_resolution
 from odak.wave.imaging import incoherent_focal_stack_rgbd as incoherent_focal_stack_rgbd
 from odak.wave.imaging import modulation_transfer_function as modulation_transfer_function
@@ -50,9 +53,6 @@ from odak.wave.recording import phase_shifting_field as phase_shifting_field
 from odak.wave.recording import recorded_intensity as recorded_intensity
 from odak.wave.recording import unwrap_phase as unwrap_phase
 from odak.wave.tilted import propagate_to_tilted_plane as propagate_to_tilted_plane
-from odak.wave.vector import electric_field_per_plane_wave as electric_field_per_plane_wave
-from odak.wave.vector import propagate_field as propagate_field
-from odak.wave.vector import propagate_plane_waves as propagate_plane_waves
 from odak.wave.viewing import eye_image as eye_image
 from odak.wave.windows import propagate_to_window as propagate_to_window
 
@@ -115,7 +115,6 @@ from .gaussians import load_splats as load_splats
 from .gaussians import save_splats as save_splats
 from .gaussians import spherical_harmonics as spherical_harmonics
 from .gaussians import view_colours as view_colours
-from .hardware import holographic_display as holographic_display
 from .holograms import double_phase_hologram as double_phase_hologram
 from .holograms import gerchberg_saxton as gerchberg_saxton
 from .holograms import point_wise as point_wise
@@ -149,3 +148,4 @@ from .propagators import propagator as propagator
 from .slm import spatial_light_modulator as spatial_light_modulator
 from .slm import temporal_average as temporal_average
 from .slm import temporal_modulator as temporal_modulator
+from .volume import holographic_display as holographic_display

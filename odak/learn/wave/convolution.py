@@ -15,7 +15,7 @@ import torch
 
 from odak import _array, _torch_private
 from odak.learn._threads import each
-from odak.wave.convolution import BLOCKED_FROM, convolve_plainly
+from odak.wave.transfer_functions import BLOCKED_FROM, convolve_plainly
 
 # What a thread takes at once: it stays in the cache, and its transforms take a millisecond, beside which handing it out
 # is quick. Less would be slower where a spectrum meets several kernels: columns are copied in pieces of its width.
@@ -54,7 +54,7 @@ def allocate_like(workspace: Workspace | None, name: str, shape: Sequence[int], 
 
 
 def convolve(field: torch.Tensor, kernel: torch.Tensor, workspace: Workspace | None = None) -> torch.Tensor:
-    """Return the field filtered by `kernel` on its own window; see :func:`odak.wave.convolution.convolve`.
+    """Return the field filtered by `kernel` on its own window; see :func:`odak.wave.transfer_functions.convolve`.
 
     Differentiable any number of times in `field` and, when it requires grad, in `kernel`. One field through several
     kernels (planes, colours) is transformed once, and so is the sum of what comes back to it. The result may be written

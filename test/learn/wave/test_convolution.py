@@ -9,7 +9,7 @@ import torch
 
 from odak.learn.wave import convolution, propagate_beam
 from odak.learn.wave.convolution import Workspace
-from odak.wave.convolution import convolve_plainly
+from odak.wave.transfer_functions import convolve_plainly
 
 
 @pytest.fixture

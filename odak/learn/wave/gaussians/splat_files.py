@@ -13,7 +13,7 @@ import torch
 
 from odak import _validate
 from odak.learn._tensors import floating, rows_of, shaped
-from odak.learn.tools.camera import PerspectiveCamera
+from odak.learn.tools.transformation import PerspectiveCamera
 from odak.tools.asset import read_elements
 from odak.tools.paths import replacing, validate_path
 
