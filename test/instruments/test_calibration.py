@@ -96,7 +96,7 @@ def test_phase_response_of_small_and_large_ranges(span):
     assert np.abs(found - table.truth.phases).max() < 0.02
 
 
-@pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.3)])
+@pytest.mark.parametrize(("fringing", "bound"), [(0.2, 0.03), (0.4, 0.1)])
 def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, bound):
     """The bounds are 0.5 % and 5 % of the largest phase; more than a tenth of a radian comes with a warning."""
     table = instruments.SimulatedTable(
@@ -233,6 +233,45 @@ def test_pixels_that_do_not_reach_the_axis_are_reported():
         instruments.measure_illumination(
             *instruments_of(table), 532e-9, 2e-3, table.truth.phases, known, cells=3, order=1, patterns=40
         )
+
+
+def illumination_found(seed, **faults):
+    table = instruments.SimulatedTable(seed, **faults)
+    truth = table.truth
+    known = instruments.Registration(truth.homography, truth.distortion, table.camera.shape)
+    there = (*instruments_of(table), table.wavelength, truth.distance, truth.phases, known)
+    found = instruments.measure_illumination(*there, wavefront=truth.wavefront)
+    return rms(found - truth.amplitude / truth.amplitude.max())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "faults", [{"fill_factor": 0.9, "samples_per_pixel": 2}, {"fringing": 0.3, "samples_per_pixel": 2}, {}]
+)
+def test_illumination_does_not_depend_on_gaps_fringing_fields_and_the_wavelength(faults):
+    """At 450 nm pixels at the edges do not reach the axis."""
+    assert illumination_found(fresh_seed(13), **(faults or {"wavelength": 450e-9})) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [14, 15])
+def test_dust_is_reported(seed):
+    with pytest.warns(AccuracyWarning, match="darker than the polynomial") as told:
+        error = illumination_found(fresh_seed(seed), dust=3)
+    share = next(str(w.message) for w in told).split("about ")[1].split("%")[0]
+    assert 0.02 < error < 0.05 and abs(100 * error - float(share)) < 1.5
+
+
+@pytest.mark.slow
+def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
+    """With the response of the whole panel alone, the image is 0.2 pixels beside its place."""
+    table = instruments.SimulatedTable(fresh_seed(16), regional=0.05)
+    found = instruments.calibrate_table(*instruments_of(table), 532e-9, 20e-3, regions=(3, 3))
+    assert distance_in_pixels(found.registration, table).max() < 0.1
+    error = calibrating.without(found.wavefront - table.truth.wavefront, low_modes(table.modulator))
+    assert rms(error) < 2 * np.pi / 100
+    assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
+    assert found.regional_phases.shape == (3, 3, 256)
 
 
 def test_a_camera_that_sees_few_spots_is_reported():
