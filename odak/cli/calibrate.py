@@ -222,7 +222,7 @@ def _regions(table: Table, known: Calibration) -> Found:
 
 
 def _registration(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases)
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response)
     mapping = instruments.register_camera(*there, wavefront=known.wavefront, middle=not known.wavefront.any())
     half = 0.375 * np.array(table.modulator.shape[::-1]) * table.modulator.pitch
     axes = [np.linspace(-h, h, 6) for h in half]
@@ -247,7 +247,7 @@ def _registration(table: Table, known: Calibration) -> Found:
 
 
 def _wavefront(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
     wavefront = instruments.measure_wavefront(*there, amplitude=known.amplitude)
     waves = wavefront / (2 * np.pi)
     return Found(
@@ -258,14 +258,14 @@ def _wavefront(table: Table, known: Calibration) -> Found:
 
 
 def _distance(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
     distance = instruments.measure_distance(*there, wavefront=known.wavefront)
     found = dataclasses.replace(known, distance=distance)
     return Found(found, {"distance": (distance, "m")}, _spot(table, known, found))
 
 
 def _illumination(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance, known.phases, known.registration)
+    there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
     amplitude = instruments.measure_illumination(*there, wavefront=known.wavefront)
     return Found(
         dataclasses.replace(known, amplitude=amplitude),

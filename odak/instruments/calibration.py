@@ -16,7 +16,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 from scipy.ndimage import map_coordinates, uniform_filter
 from scipy.optimize import least_squares
 
@@ -147,13 +147,18 @@ class Calibration:
             Registration(np.diag([camera.pitch, camera.pitch, 1.0]), 0.0, shape),
         )
 
+    @property
+    def response(self) -> np.ndarray:
+        """Phase of each level in regions of the modulator, where it was measured, or else that of all."""
+        return self.phases if self.regional_phases is None else self.regional_phases
+
     def levels(self, phase: np.ndarray) -> np.ndarray:
         """Return the levels that show a phase in radians ``[rows, columns]`` with the aberration corrected.
 
-        Where the response of regions is known, each pixel takes that between the middles of the nearest four.
+        Where the response of regions is known, each pixel takes that of a cubic spline through their middles, which
+        continues to the edges of the modulator.
         """
-        wanted = np.asarray(phase) - self.wavefront
-        return nearest_levels(wanted, self.phases if self.regional_phases is None else self.regional_phases)
+        return nearest_levels(np.asarray(phase) - self.wavefront, self.response)
 
 
 def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
@@ -165,7 +170,7 @@ def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
         Phase in radians.
     phases : numpy.ndarray
         Phase of each level in radians ``[levels]``, or of the levels of regions ``[region rows, region columns,
-        levels]``, between whose middles it is interpolated linearly.
+        levels]``, between whose middles it is interpolated by a cubic spline.
     """
     if phases.ndim == 3:
         return _regional_levels(phase, phases)
@@ -184,22 +189,24 @@ def nearest_levels(phase: np.ndarray, phases: np.ndarray) -> np.ndarray:
 
 
 def _regional_levels(phase: np.ndarray, tables: np.ndarray) -> np.ndarray:
-    """Return the levels whose phases are nearest at each pixel, the tables of regions interpolated linearly."""
+    """Return the levels whose phases are nearest at each pixel, the tables of regions interpolated by splines."""
     found = np.empty(phase.shape, dtype=np.int64)
-    places = [
-        np.clip((np.arange(n) + 0.5) * parts / n - 0.5, 0, parts - 1)
-        for n, parts in zip(phase.shape, tables.shape[:2], strict=True)
-    ]
-    columns = np.minimum(places[1].astype(int), max(tables.shape[1] - 2, 0))
-    share = (places[1] - columns)[:, None]
-    beside = np.minimum(columns + 1, tables.shape[1] - 1)
-    for row, place in enumerate(places[0]):
-        first = min(int(place), max(tables.shape[0] - 2, 0))
-        between = tables[first] + (place - first) * (tables[min(first + 1, len(tables) - 1)] - tables[first])
-        table = (1 - share) * between[columns] + share * between[beside]
-        apart = np.mod(table - phase[row][:, None], 2 * np.pi)
+    down, across = (_between_regions(n, parts) for n, parts in zip(phase.shape, tables.shape[:2], strict=True))
+    for row, shares in enumerate(down):
+        apart = np.mod(across @ np.tensordot(shares, tables, axes=1) - phase[row][:, None], 2 * np.pi)
         found[row] = np.minimum(apart, 2 * np.pi - apart).argmin(-1)
     return found
+
+
+def _between_regions(pixels: int, parts: int) -> np.ndarray:
+    """Return the weights ``[pixels, parts]`` of values in the middles of regions along an axis, for a cubic spline.
+
+    Up to four regions it is the polynomial through all of them, which continues to the edges of the modulator.
+    """
+    if parts == 1:
+        return np.ones((pixels, 1))
+    places = (np.arange(pixels) + 0.5) * parts / pixels - 0.5
+    return make_interp_spline(np.arange(parts), np.eye(parts), k=min(parts - 1, 3))(places)
 
 
 def calibrate_table(
