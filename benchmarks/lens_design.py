@@ -1,6 +1,6 @@
 """Benchmarks of automatic designs from flat plates, with limits verified by independent rays, and one against optiland.
 
-The reference traces its own rays in NumPy; it shares only the list of surfaces with the library.
+The judge is :func:`independent_trace.judged`.
 """
 
 import importlib.util
@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from independent_trace import judged
 
 from odak.catalog import model_glass
 from odak.learn.raytracing.system import (
@@ -23,6 +24,7 @@ from odak.learn.raytracing.system import (
     lens_design,
     optical_system,
     surface,
+    system_to_dict,
 )
 
 LOW, HIGH = model_glass(1.5445, 55.99), model_glass(1.6613, 20.37)
@@ -57,112 +59,9 @@ START = {
 }
 
 
-def judged(system, angles, rings: int = 10) -> dict:
-    """Return focal length, f-number, spots, distortion, least edge and count of lost rays, traced in NumPy.
-
-    Parameters
-    ----------
-    system : optical_system
-        Spheres and even aspheres, an object at infinity.
-    angles : sequence of float
-        Field angles in degrees.
-    rings : int
-        Rings of rays, each of them turned against the next.
-    """
-    rows = [
-        (float(s.curvature), float(s.conic), s.coefficients.tolist(), float(s.thickness), s.limit, s.material)
-        for s in system.surfaces
-    ]
-    indices = system.prescription().index.detach().numpy()
-    middle = system.reference
-    # A ray at a millionth of the aperture gives the first order, the pupil is found from the stop backwards.
-    tiny = 1e-6
-    y, u, n = tiny, 0.0, 1.0
-    for i, (c, _, a, t, *_) in enumerate(rows):
-        c = c + (2 * a[0] if a else 0.0)
-        m = indices[middle, i + 1]
-        u, n = (n * u - (m - n) * c * y) / m, m
-        y = y + t * u
-    focal = -tiny / u
-    y, u = 0.0, tiny
-    for i in range(system.stop - 1, -1, -1):
-        c, _, a, t, *_ = rows[i]
-        y = y - t * u
-        n, m = indices[middle, i + 1], indices[middle, i]
-        u = (n * u + (n - m) * (c + (2 * a[0] if a else 0.0)) * y) / m
-    pupil = 0.0 if system.stop == 0 or u == 0 else -y / u
-    points = [(0.0, 0.0)] + [
-        (k / rings * math.cos(p + 0.37 * k), k / rings * math.sin(p + 0.37 * k))
-        for k in range(1, rings + 1)
-        for p in np.arange(6 * k) * math.pi / (3 * k)
-    ]
-    points = np.array(points) * system.aperture / 2
-    sizes, bent, lost, edges = [], [], 0, [math.inf] * len(rows)
-    reach = np.zeros(len(rows))
-    scale = math.nan
-    # The image height of a tiny field is what distortion is counted from.
-    for angle in (1e-3, *angles):
-        found, chief = [], 0.0
-        for w in range(len(indices)):
-            tangent = math.tan(math.radians(angle))
-            direction = np.array([0.0, tangent, 1.0]) / math.hypot(tangent, 1.0)
-            p = np.stack([points[:, 0], points[:, 1] - pupil * tangent, 0 * points[:, 0]], -1)
-            d = np.tile(direction, (len(p), 1))
-            for i, (c, k, a, t, *_) in enumerate(rows):
-                p = p + ((0.0 - p[:, 2]) / d[:, 2])[:, None] * d
-                for _ in range(60):
-                    r2 = p[:, 0] ** 2 + p[:, 1] ** 2
-                    height, slope = _sag(r2, c, k, a)
-                    gap = height - p[:, 2]
-                    p = p + (gap / (d[:, 2] - 2 * slope * (p[:, 0] * d[:, 0] + p[:, 1] * d[:, 1])))[:, None] * d
-                reach[i] = max(reach[i], np.sqrt(np.nanmax(p[:, 0] ** 2 + p[:, 1] ** 2)))
-                r2 = p[:, 0] ** 2 + p[:, 1] ** 2
-                _, slope = _sag(r2, c, k, a)
-                normal = np.stack([-2 * slope * p[:, 0], -2 * slope * p[:, 1], np.ones(len(p))], -1)
-                normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-                mu = indices[w, i] / indices[w, i + 1]
-                cosine = (d * normal).sum(-1)
-                with np.errstate(invalid="ignore"):
-                    root = np.sqrt(1 - mu**2 * (1 - cosine**2))
-                d = mu * d + (root - mu * cosine)[:, None] * normal
-                p = p - np.array([0.0, 0.0, t])
-            p = p - (p[:, 2] / d[:, 2])[:, None] * d
-            lost += int((~np.isfinite(p).all(-1)).sum())
-            found.append(p[:, :2])
-            chief = p[0, 1] if w == middle else chief
-        both = np.concatenate(found)
-        if math.isnan(scale):
-            scale = chief / math.tan(math.radians(angle))
-            continue
-        sizes.append(float(np.sqrt(((both - both.mean(0)) ** 2).sum(-1).mean())))
-        bent.append(abs(chief / (scale * math.tan(math.radians(angle))) - 1) if angle else 0.0)
-    for i in range(len(rows) - 1):
-        if i == system.stop and i == 0:
-            continue
-        for share in np.linspace(0, 1, 21):
-            r2 = np.array([(share * max(reach[i], reach[i + 1])) ** 2])
-            here, there = (float(_sag(r2, *rows[j][:3])[0][0]) for j in (i, i + 1))
-            edges[i] = min(edges[i], rows[i][3] + there - here)
-    return {
-        "focal_length": focal,
-        "f_number": focal / system.aperture,
-        "rms": max(sizes),
-        "mean_rms": float(np.mean(sizes)),
-        "sum_of_squares": float(np.square(sizes).sum()),
-        "distortion": max(bent),
-        "edge": min(edges),
-        "lost": lost,
-    }
-
-
-def _sag(r2, c, k, a):
-    """Return the height of an even asphere and its derivative by r²."""
-    with np.errstate(invalid="ignore"):
-        root = np.sqrt(1 - (1 + k) * c * c * r2)
-    height, slope = c * r2 / (1 + root), c / (2 * root)
-    for j, value in enumerate(a):
-        height, slope = height + value * r2 ** (j + 1), slope + (j + 1) * value * r2**j
-    return height, slope
+def _plain(system) -> tuple:
+    """Return a system as plain numbers: its file and its indices."""
+    return system_to_dict(system), system.prescription().index.detach().numpy()
 
 
 def automatic(device: str) -> Iterator[dict]:
@@ -172,7 +71,7 @@ def automatic(device: str) -> Iterator[dict]:
         start = time.perf_counter()
         system = automatic_design(**asked, seed=0).system
         taken = time.perf_counter() - start
-        found = judged(system, np.linspace(0, asked["half_field"], 9))
+        found = judged(*_plain(system), np.linspace(0, asked["half_field"], 9))
         assert abs(found["focal_length"] / asked["focal_length"] - 1) < 1e-3, found
         assert abs(found["f_number"] / asked["f_number"] - 1) < 1e-3, found
         assert found["rms"] <= limits["rms"] and found["distortion"] <= limits["distortion"], found
@@ -217,7 +116,7 @@ def beside_optiland(device: str) -> Iterator[dict]:
     begun, used = time.perf_counter(), time.process_time()
     lens_design(system, ["spot"], variables, solves=solves, count=3).optimise(60)
     ours, cpu = time.perf_counter() - begun, time.process_time() - used
-    merit = judged(system, START["fields"])["sum_of_squares"]
+    merit = judged(*_plain(system), START["fields"])["sum_of_squares"]
     python = os.environ.get("OPTILAND_PYTHON", sys.executable if importlib.util.find_spec("optiland") else None)
     if python is None:
         yield {"task": f"poor start: sum of squares {merit:.1e}", "ours_s": ours, "floor_s": ours} | {
@@ -231,7 +130,7 @@ def beside_optiland(device: str) -> Iterator[dict]:
     found = subprocess.run([python, str(script)], input=given, capture_output=True, text=True, check=True)
     theirs = json.loads(found.stdout.splitlines()[-1])
     other = start_system(START | {"radius": theirs["radius"], "thickness": theirs["thickness"]})
-    reached = judged(other, START["fields"])["sum_of_squares"]
+    reached = judged(*_plain(other), START["fields"])["sum_of_squares"]
     assert merit < reached, (merit, reached)
     yield {
         "task": f"poor start: sum of squares {merit:.1e}, theirs {reached:.1e}",

@@ -7,7 +7,7 @@ import torch
 from odak import _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription
+from odak.learn.raytracing.system.surfaces import Prescription, shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
@@ -90,7 +90,8 @@ def spot_diagram(
     traced = trace_fields(system, pupil, count, prescription=prescription, **options)
     kept = traced.arrived
     x, y = torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0)
-    number = kept.sum((-3, -1))
+    share = shares(system.wavelength_weights, x.shape[-3], x)[:, None, None]
+    number = (kept * share).sum((-3, -1))
     if reference == "chief":
         chief = trace_fields(
             system,
@@ -100,10 +101,10 @@ def spot_diagram(
         )
         cx, cy = (value[..., system.reference, :, 0].to(x.dtype) for value in (chief.x, chief.y))
     else:
-        cx, cy = (value.sum((-3, -1)) / number for value in (x, y))
+        cx, cy = ((share * value).sum((-3, -1)) / number for value in (x, y))
     around = [torch.where(kept, value - c[..., None, :, None], 0.0) for value, c in ((x, cx), (y, cy))]
     squared = around[0].square() + around[1].square()
-    mean = squared.sum((-3, -1)) / number
+    mean = (share * squared).sum((-3, -1)) / number
     # NaN where no ray arrived: 0/0 above, which the safe root would hide.
     rms = torch.where(number > 0, safe_sqrt(mean), torch.nan)
     largest = torch.where(number > 0, safe_sqrt(squared.amax((-3, -1))), torch.nan)
@@ -294,12 +295,14 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
         value, slope = (torch.where(kept, v, 0.0) for v in (value, cosine / traced.w))
         gap = shifts.to(value) - torch.where(kept, traced.z, 0.0)[..., None]
         parts.append(value[..., None] + gap * slope[..., None])
-    number = kept.sum((-3, -1))[..., None]
+    share = shares(system.wavelength_weights, kept.shape[-3], parts[0])[:, None, None, None]
+    number = (kept[..., None] * share).sum((-4, -2))
     total = 0.0
     for place in parts:
         held = torch.where(kept[..., None], place, 0.0)
-        mean = held.sum((-4, -2)) / number
-        total = total + torch.where(kept[..., None], held - mean[..., None, :, None, :], 0.0).square().sum((-4, -2))
+        mean = (share * held).sum((-4, -2)) / number
+        around = torch.where(kept[..., None], held - mean[..., None, :, None, :], 0.0)
+        total = total + (share * around.square()).sum((-4, -2))
     return torch.where(number > 0, safe_sqrt(total / number), torch.nan)
 
 

@@ -12,8 +12,8 @@ from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
 from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
 from odak.learn.raytracing.system.polarisation import polarized_trace
-from odak.learn.raytracing.system.pupils import launch, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.pupils import field_points, launch, pupil_factors, trace_fields
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.learn.raytracing.system.waves import point_spread_function
 
@@ -172,7 +172,8 @@ def _response(system, response) -> torch.Tensor:
         if number == 3:
             order = torch.tensor(system.wavelengths).argsort(descending=True)
             return torch.eye(3, dtype=torch.float64, device=device)[order]
-        return torch.full((1, number), 1 / number, dtype=torch.float64, device=device)
+        like = torch.empty(0, dtype=torch.float64, device=device)
+        return shares(system.wavelength_weights, number, like)[None] / number
     given = response if isinstance(response, torch.Tensor) else _validate.array("response", response)
     found = torch.as_tensor(_validate.real("response", given), dtype=torch.float64, device=device)
     if found.ndim != 2 or found.shape[1] != number or bool((found < 0).any()) or bool((found.sum(-1) <= 0).any()):
@@ -283,7 +284,9 @@ def _power(system, count: int, options, losses: bool) -> torch.Tensor:
     else:
         through = trace(system, rays, prescription=options["prescription"]).arrived.to(torch.float64)
     weights = _ring_weights(count).to(through)
-    return ((rays.w**4) * through * weights).sum(-1)[None] / weights.sum()
+    power = ((rays.w**4) * through * weights).sum(-1)[None] / weights.sum()
+    factors = pupil_factors(system, field_points(system, options.get("fields")).to(power))
+    return power if factors is None else power * (1 - factors[:, 2:]).prod(-1)
 
 
 def _splat(offsets: torch.Tensor, shares: torch.Tensor, kernel: int) -> torch.Tensor:

@@ -61,7 +61,11 @@ _SYSTEM = {
     "name",
     "source",
     "telecentric",
+    "vignetting_factors",
+    "field_weights",
+    "wavelength_weights",
 }
+_FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
 
 
 def sample_systems() -> tuple[str, ...]:
@@ -171,6 +175,11 @@ def system_to_dict(system: optical_system) -> dict:
         "object_distance": finite,
         **({} if system.image is None else {"image": _shape(system.image)}),
         **({"telecentric": True} if system.telecentric else {}),
+        **{
+            key: _plain(getattr(system, key))
+            for key in ("vignetting_factors", "field_weights", "wavelength_weights")
+            if getattr(system, key) is not None
+        },
         "surfaces": surfaces,
     }
 
@@ -445,6 +454,7 @@ TYPES: dict[str, Sequence[int]] = {
     "XPOLYNOM": (),
     "SZERNSAG": range(9),
     "FZERNSAG": range(9),
+    "IRREGULA": range(1, 9),
     "COORDBRK": range(1, 7),
     "DGRATING": (1, 2),
     "BINARY_1": range(9),
@@ -456,9 +466,10 @@ TYPES: dict[str, Sequence[int]] = {
 }
 # Keys that are understood, of the whole system and of surfaces.
 _GENERAL = (
-    "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL WWGT PWAV FTYP XFLN YFLN XFLD YFLD ENPD FNUM OBNA FLOA AUTH IWDP STUD LANG"
+    "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL WWGT PWAV FTYP XFLN YFLN XFLD YFLD ENPD FNUM OBNA FLOA AUTH IWDP STUD "
+    "LANG FWGN FWGT"
 )
-_GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL))
+_GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL)) | set(_FACTORS)
 _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
@@ -529,8 +540,8 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ValueError
         If the file is malformed, or holds what would change the paths of rays and is not understood: a surface type
         that is not among STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE, TOROIDAL, BICONICX, TILTSURF, XPOLYNOM,
-        SZERNSAG, FZERNSAG, COORDBRK, DGRATING, BINARY_1, BINARY_2, PARAXIAL and GRINSUR1 to GRINSUR3, a glass that
-        neither the catalogue knows (the message names the nearest known ones) nor the file describes.
+        SZERNSAG, FZERNSAG, IRREGULA, COORDBRK, DGRATING, BINARY_1, BINARY_2, PARAXIAL and GRINSUR1 to GRINSUR3, a
+        glass that neither the catalogue knows (the message names the nearest known ones) nor the file describes.
 
     Notes
     -----
@@ -538,7 +549,9 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     glass is looked up in the catalogues that the file names (GCAT) before all others. An unknown one is a model glass
     where the file states its index and Abbe number, or where its name is their six-digit code; a former glass, such as
     SK5, is replaced by its successor N-SK5. The report names each of these. Image heights as fields become object
-    angles or heights: paraxially, or by tracing chief rays. Vignetting factors and weights are not used.
+    angles or heights: paraxially, or by tracing chief rays. Vignetting factors (VDX, VDY, VCX, VCY) and weights of
+    fields and wavelengths become those of :class:`optical_system`; factors of a field with an angle (VAN) are not used,
+    and named.
 
     Examples
     --------
@@ -560,9 +573,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ignored: list[str] = []
     try:
         for line in general:
-            # Vignetting factors of zero have no effect.
-            factors = line.key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN")
-            if line.key not in _GENERAL_KEYS and (not factors or any(_numbers(line))):
+            if line.key not in _GENERAL_KEYS and not (line.key == "VANN" and not any(_numbers(line))):
                 ignored.append(_named(line))
         head = {line.key: line for line in reversed(general)}
         if "MODE" in head and head["MODE"].words[:1] != ("SEQ",):
@@ -572,7 +583,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
             raise ValueError(f"UNIT must be one of {', '.join(LENGTHS)}, got {unit!r}")
         words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
         makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
-        waves, reference = _wavelengths(general, head, notes)
+        waves, weights, reference = _wavelengths(general, head, notes)
         context = _Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
         built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
         image = _image(len(surfaces) - 1, surfaces, context)
@@ -580,7 +591,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         _check_object(surfaces[0], math.isinf(distance), context)
         _note_settings(head, surfaces, notes)
         names: dict[str, Any] = {"unit": "mm", "name": " ".join(head["NAME"].words) if "NAME" in head else path.stem}
-        names |= {"source": path.name, "wavelengths": waves, "reference": reference}
+        names |= {"source": path.name, "wavelengths": waves, "reference": reference, "wavelength_weights": weights}
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
 
@@ -592,7 +603,12 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         if _count(head, 1) and not telecentric:
             notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
         found = system(size, form, telecentric=telecentric)
-        found = system(size, form, telecentric=telecentric, fields=_field_points(head, found, context))
+        points = _field_points(head, found, context)
+        own = {
+            "vignetting_factors": _factors(head, len(points), notes),
+            "field_weights": _field_weights(head, len(points)),
+        }
+        found = system(size, form, telecentric=telecentric, fields=points, **own)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
     return found, ZmxReport(tuple(ignored), tuple(notes))
@@ -676,6 +692,8 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
     gradient, medium = None, _glass(number, surfaces, context)
     if kind.startswith("GRINSUR"):
         gradient, medium = _graded(number, kind, p, scale)
+    # Only irregular surfaces have a position of their own.
+    own = p if kind == "IRREGULA" else {}
     with _named_errors(f"surface {number}"):
         return surface(
             shape=shape,
@@ -685,6 +703,8 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
             gradient=gradient,
             semi_diameter=limit,
             aperture=apertures or None,
+            shift=(own.get(1, 0.0) * scale, own.get(2, 0.0) * scale),
+            tilt=_about_fixed_axes(own.get(3, 0.0), own.get(4, 0.0)),
             stop=any(line.key == "STOP" for line in lines),
         )
 
@@ -719,6 +739,8 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         step = 2 if kind == "XASPHERE" else 1
         given = [value * scale / norm ** (step * i) for i, value in enumerate(extra, start=1)]
         return (EvenAsphere if step == 2 else OddAsphere)(curvature, conic, given or [0.0]), None
+    if kind == "IRREGULA":
+        return _irregular(number, curvature, conic, p, _of(lines, "DIAM", 0.0) * scale, scale), None
     if kind == "TILTSURF":
         return PolynomialFreeform(0.0, 0.0, [p.get(1, 0.0), p.get(2, 0.0)], 1.0), None
     if kind == "TOROIDAL":
@@ -742,6 +764,31 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         )
     modes = _fringe_modes(len(heights)) if kind == "FZERNSAG" else None
     return ZernikeFreeform(curvature, conic, _zernike_terms(heights, modes, given, norm), norm), None
+
+
+def _about_fixed_axes(about_x: float, about_y: float) -> tuple[float, float, float]:
+    """Return the tilt of a :class:`surface` that equals rotations in degrees about x, then about the new y axis."""
+    if not (about_x and about_y):
+        return about_x, about_y, 0.0
+    (sa, ca), (sb, cb) = ((math.sin(v), math.cos(v)) for v in map(math.radians, (about_x, about_y)))
+    found = math.asin(sa * cb), math.atan2(sb, ca * cb), math.atan2(sa * sb, ca)
+    return tuple(map(math.degrees, found))  # type: ignore[return-value]
+
+
+def _irregular(number: int, curvature: float, conic: float, p: dict, reach: float, scale: float) -> Shape:
+    """Return a conic plus Zs·ρ⁴ + Za·ρ_y² + Zc·ρ²·ρ_y, ρ being the distance from the axis over the semi-diameter.
+
+    Ansys Zemax OpticStudio 2024 R2 help, "Irregular".
+    """
+    s, a, c = (p.get(i, 0.0) * scale for i in (5, 6, 7))
+    if not (s or a or c):
+        return Conic(curvature, conic)
+    if not reach:
+        raise ValueError(f"surface {number}: IRREGULA needs a semi-diameter (DIAM), at which its terms are given")
+    if p.get(8, 0.0) and (a or c):
+        raise ValueError(f"surface {number}: IRREGULA turned by an angle (PARM 8) is not supported: {p[8]:g}")
+    terms = [0.0, 0.0, 0.0, 0.0, a, 0.0, c, 0.0, c, s, 0.0, 2 * s, 0.0, s]
+    return PolynomialFreeform(curvature, conic, terms, reach)
 
 
 def _fringe_modes(count: int) -> list[tuple[int, int]]:
@@ -936,8 +983,8 @@ def _image(number: int, surfaces, context: _Context) -> surface | None:
     return None if flat and found.limit is None else found
 
 
-def _wavelengths(general, head, notes: list) -> tuple[list[float], int]:
-    """Return the wavelengths in millimetres and the number of the primary one."""
+def _wavelengths(general, head, notes: list) -> tuple[list[float], list[float] | None, int]:
+    """Return the wavelengths in millimetres, their weights where they differ, and the number of the primary one."""
     lines = [line for line in general if line.key == "WAVM"]
     waves = [line.value(1) for line in lines]
     waves = waves or [value for line in general if line.key == "WAVL" for value in _numbers(line)]
@@ -947,14 +994,30 @@ def _wavelengths(general, head, notes: list) -> tuple[list[float], int]:
         number = max([1, *(i + 1 for i, value in enumerate(waves) if value != 0.55)]) if waves else 0
         if waves:
             notes.append(f"FTYP does not say how many wavelengths: the first {number} are taken")
-    weights = [line.value(2) for line in lines[:number] if len(line.words) > 2]
-    if len(set(weights)) > 1:
-        notes.append(
-            f"weights of the wavelengths, {', '.join(f'{w:g}' for w in weights)}, are not used: all count alike"
-        )
+    weights = [line.value(2) if len(line.words) > 2 else 1.0 for line in lines[:number]]
+    if not lines:
+        weights = [value for line in general if line.key == "WWGT" for value in _numbers(line)][:number]
+    weights = weights if len(weights) == len(waves[:number]) and len(set(weights)) > 1 else None
     waves = [value * 1e-3 for value in waves[:number]] or [587.5618e-6]
     reference = head["PWAV"].whole() - 1 if "PWAV" in head else len(waves) // 2
-    return waves, min(max(reference, 0), len(waves) - 1)
+    return waves, weights, min(max(reference, 0), len(waves) - 1)
+
+
+def _factors(head, count: int, notes: list) -> list[list[float]] | None:
+    """Return the vignetting factors of each field, None where all are zero; those with an angle are noted."""
+    columns = [(_numbers(head.get(key)) + [0.0] * count)[:count] for key in (*_FACTORS, "VANN")]
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    turned = [str(i) for i, row in enumerate(rows, start=1) if row[4] and any(row[:4])]
+    if turned:
+        notes.append(f"vignetting factors of fields {', '.join(turned)} have an angle (VANN): not used")
+    rows = [[0.0] * 4 if row[4] else row[:4] for row in rows]
+    return rows if any(map(any, rows)) else None
+
+
+def _field_weights(head, count: int) -> list[float] | None:
+    """Return the weights of the fields where they differ."""
+    weights = _numbers(head.get("FWGN", head.get("FWGT")))[:count]
+    return weights if len(weights) == count and len(set(weights)) > 1 else None
 
 
 def _field_points(head, system, context: _Context) -> list[tuple[float, float]]:
@@ -1137,7 +1200,15 @@ def _zmx_text(system) -> str:
         f"{key} " + " ".join(repr(field[axis] * factor) for field in system.fields)
         for axis, key in enumerate(("XFLN", "YFLN"))
     ]
-    lines += [f"WAVM {i} {value * MICROMETRES[system.unit]!r} 1" for i, value in enumerate(system.wavelengths, start=1)]
+    count = len(system.fields)
+    lines += ["FWGN " + " ".join(map(repr, system.field_weights or [1.0] * count))]
+    columns = zip(*(system.vignetting_factors or [(0.0,) * 4] * count), strict=True)
+    lines += [f"{key} " + " ".join(map(repr, column)) for key, column in zip(_FACTORS, columns, strict=True)]
+    weights = system.wavelength_weights or [1] * len(system.wavelengths)
+    lines += [
+        f"WAVM {i} {value * MICROMETRES[system.unit]!r} {weight!r}"
+        for i, (value, weight) in enumerate(zip(system.wavelengths, weights, strict=True), start=1)
+    ]
     lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
     for number, item in enumerate(system.surfaces, start=1):

@@ -13,7 +13,7 @@ from odak.learn.raytracing.system.analysis import Wavefront, distortion, lateral
 from odak.learn.raytracing.system.huygens import huygens_point_spread_function, modulation_at
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.pupils import launch, pupil_of
-from odak.learn.raytracing.system.surfaces import Prescription, is_break
+from odak.learn.raytracing.system.surfaces import Prescription, is_break, shares
 from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
 
 
@@ -228,29 +228,40 @@ def _weighted(values: torch.Tensor, fields: Any, axis: int) -> torch.Tensor:
     return values * weights.reshape(-1, *(1,) * (-axis - 1))
 
 
+def _shares(view: View, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the weights of wavelengths and of fields relative to their means, for values ``[..., W, F, P]``."""
+    system = view.system
+    wavelengths = shares(system.wavelength_weights, values.shape[-3], values)
+    return wavelengths[:, None, None], shares(system.field_weights, values.shape[-2], values)[:, None]
+
+
 def _spot(view: View, fields: Any = None, lost: float | None = None) -> torch.Tensor:
     """Distances from the centroid of each field, all wavelengths; their squares sum to Σ rms², by field weights.
 
-    With `lost`, rays that are lost count as if they were at this distance, which no step changes.
+    The system's own weights of fields and wavelengths, relative to their means, multiply the squares; `fields` the
+    distances. With `lost`, rays that are lost count as if they were at this distance, which no step changes.
     """
     traced, found = view.traced, []
     number = traced.x.shape[-3] * traced.x.shape[-1]
     good = traced.arrived | (lost is None)
-    count = good.sum((-3, -1), keepdim=True).clamp_min(1)
+    share, own = _shares(view, traced.x)
+    count = (share * good).sum((-3, -1), keepdim=True).clamp_min(1e-300)
     for value in (traced.x, traced.y):
         value = torch.where(good, value, 0.0)
-        around = torch.where(good, value - value.sum((-3, -1), keepdim=True) / count, 0.0) / number**0.5
+        centre = (share * value).sum((-3, -1), keepdim=True) / count
+        around = torch.where(good, value - centre, 0.0) * (share * own).sqrt() / number**0.5
         found.append(_weighted(around, fields, -2).flatten(-3))
     if lost is not None:
-        share = (~good).sum((-3, -1), dtype=torch.float64) / number
-        found.append(_weighted(lost * share.sqrt(), fields, -1))
+        gone = (share * own * ~good).sum((-3, -1)) / number
+        found.append(_weighted(lost * gone.sqrt(), fields, -1))
     return torch.cat(found, -1)
 
 
 def _wavefront(view: View, fields: Any = None) -> torch.Tensor:
     """Path differences from their mean in wavelengths; their squares sum to Σ rms² of all fields and wavelengths."""
     path = view.wavefront.path
-    around = (path - path.mean(-1, keepdim=True)) / path.shape[-1] ** 0.5
+    share, own = _shares(view, path)
+    around = (path - path.mean(-1, keepdim=True)) * (share * own).sqrt() / path.shape[-1] ** 0.5
     return _weighted(around, fields, -2).flatten(-3)
 
 

@@ -105,7 +105,7 @@ def launch(
     count : int
         Count of :func:`pupil_samples`.
     fields : sequence of pairs or torch.Tensor, optional
-        Field points (x, y), or ``[F, 2]``, in place of the system's.
+        Field points (x, y), or ``[F, 2]``, in place of the system's. Vignetting factors are those of the system's own.
     prescription : Prescription, optional
         Numbers in place of the system's own, a batch of systems perhaps.
     aim : str
@@ -136,8 +136,32 @@ def launch(
     checked_prescription(prescription)
     points = pupil_of(pupil, count, system)
     chosen = field_points(system, fields).to(points.device)[:, None]
+    factors = pupil_factors(system, chosen[:, 0])
+    if factors is not None:
+        points = factors[:, None, :2] + (1 - factors[:, None, 2:]) * points
     rays = through_pupil(system, points, chosen, prescription, aim)
     return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
+
+
+def pupil_factors(system, fields: torch.Tensor) -> torch.Tensor | None:
+    """Return the vignetting factors ``[F, 4]`` of field points ``[F, 2]``, zeros of others than the system's own.
+
+    None for a system without factors.
+    """
+    if system.vignetting_factors is None:
+        return None
+    if len(system.vignetting_factors) != len(system.fields):
+        raise ValueError(
+            f"vignetting_factors of the system must be given for each of its {len(system.fields)} fields, got "
+            f"{len(system.vignetting_factors)}"
+        )
+    own, factors = (
+        torch.tensor(value, dtype=fields.dtype, device=fields.device)
+        for value in (system.fields, system.vignetting_factors)
+    )
+    same = (fields[:, None] == own).all(-1)
+    # The first of equal field points.
+    return torch.where(same.any(1)[:, None], factors[same.to(torch.uint8).argmax(1)], 0.0)
 
 
 def field_points(system, fields=None) -> torch.Tensor:

@@ -788,6 +788,14 @@ class optical_system(torch.nn.Module):
     telecentric : bool
         Take the entrance pupil to be at infinity, so that chief rays of a near object are parallel to the axis; the
         aperture must be given as "NA" or "stop". False by default.
+    vignetting_factors : sequence of sequence of float, optional
+        For each field point (VDX, VDY, VCX, VCY): its rays go through the pupil points (VDX + (1 − VCX)·x,
+        VDY + (1 − VCY)·y) in place of (x, y). None by default.
+    field_weights : sequence of float, optional
+        For each field point its weight in the merit function of :class:`lens_design`; all alike by default.
+    wavelength_weights : sequence of float, optional
+        For each wavelength its weight in spots, in merit functions and in the monochrome picture of
+        :func:`image_simulation`; all alike by default.
 
     Raises
     ------
@@ -799,6 +807,11 @@ class optical_system(torch.nn.Module):
     Space in front is air. Without a stop among the surfaces, the first one is it. Indices are those of the catalogue,
     relative to air. Where the stop lies in the rear focal plane of what is in front of it, a near object is seen
     telecentrically: the entrance pupil is at infinity, and the aperture must be given as "NA" or "stop".
+
+    Vignetting factors are those of OpticStudio (its help, Conventions and Definitions): a decentre and a compression of
+    the pupil by which rays of a field fill what apertures leave of it. They hold wherever rays are launched from one of
+    the system's own field points, and move the chief ray, which goes through the centre of the vignetted pupil. Other
+    field points have the whole pupil.
 
     Examples
     --------
@@ -825,6 +838,9 @@ class optical_system(torch.nn.Module):
         name: str = "",
         source: str = "",
         telecentric: bool = False,
+        vignetting_factors: Iterable | None = None,
+        field_weights: Iterable | None = None,
+        wavelength_weights: Iterable | None = None,
     ):
         super().__init__()
         surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
@@ -876,6 +892,9 @@ class optical_system(torch.nn.Module):
                 f"{self.object_distance:g} and the aperture_type {self.aperture_type!r}"
             )
         self.image = _image(image)
+        self.vignetting_factors = _factors(vignetting_factors, len(self.fields))
+        self.field_weights = _weights("field_weights", field_weights, len(self.fields))
+        self.wavelength_weights = _weights("wavelength_weights", wavelength_weights, count)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 
     @property
@@ -1036,6 +1055,46 @@ def _fields(values) -> tuple[tuple[float, float], ...]:
     if not points or any(len(point) != 2 for point in points):
         raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
     return tuple((float(_validate.real("fields", x)), float(_validate.real("fields", y))) for x, y in points)
+
+
+def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
+    if values is None:
+        return None
+    if isinstance(values, str) or not isinstance(values, Iterable):
+        raise TypeError(f"vignetting_factors must be a sequence of four numbers for each field, got {values!r:.80}")
+    found = tuple(tuple(float(v) for v in _validate.several("vignetting_factors", row, 4)) for row in values)
+    if len(found) != count:
+        raise ValueError(f"vignetting_factors must be given for each of {count} fields, got {len(found)}")
+    if any(row[2] >= 1 or row[3] >= 1 for row in found):
+        raise ValueError(f"vignetting_factors must have VCX and VCY below 1, which close the pupil, got {found}")
+    return found
+
+
+def _weights(name: str, values, count: int) -> tuple[float, ...] | None:
+    if values is None:
+        return None
+    found = tuple(float(_validate.number(name, v, least=0)) for v in _validate.several(name, values, count))
+    if not any(found):
+        raise ValueError(f"{name} must have one above 0, got {found}")
+    return found
+
+
+def shares(weights, count: int, like: torch.Tensor) -> torch.Tensor:
+    """Return weights over their mean, ``[count]``; ones where there are none, or of another number.
+
+    Parameters
+    ----------
+    weights : sequence of float or None
+        Of fields or of wavelengths.
+    count : int
+        Number of fields or wavelengths that were traced.
+    like : torch.Tensor
+        Tensor of the dtype and the device.
+    """
+    if weights is None or len(weights) != count:
+        return like.new_ones(count)
+    found = torch.tensor(weights, dtype=like.dtype, device=like.device)
+    return found / found.mean()
 
 
 def _optional(values):

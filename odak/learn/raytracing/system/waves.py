@@ -18,6 +18,7 @@ from odak.learn.raytracing.system.pupils import (
     at_stop,
     field_points,
     places_of,
+    pupil_factors,
     pupil_samples,
     solve_pairs,
     through_places,
@@ -87,6 +88,10 @@ class RayMap:
         self.numbers, self.reference = numbers.at(place), numbers.at(system.reference)
         self.pupil = entrance_pupil(system, prescription=self.reference)
         self.field = field.reshape(1, 1, 2)
+        # Decentre and size of the vignetted pupil, in whose unit disc the places are.
+        factors = pupil_factors(system, self.field[0])
+        self.shift: Any = 0.0 if factors is None else factors[0, :2]
+        self.size: Any = 1.0 if factors is None else 1 - factors[0, 2:]
         self.origin: Any = None
         self.axes: Any = None
         self.chief: Any = 0.0
@@ -116,7 +121,7 @@ class RayMap:
         return type(found)(*(value[..., 0, 0, :] for value in found._replace(path=total)))
 
     def _rays(self, places: torch.Tensor):
-        coordinates = places_of(self.pupil, places[..., None, None, :, :])
+        coordinates = places_of(self.pupil, (self.shift + self.size * places)[..., None, None, :, :])
         return through_places(self.system, self.field, self.pupil, *coordinates)
 
     def __call__(self, places: torch.Tensor, vignetting: bool = False) -> PlaneRays:
@@ -150,11 +155,11 @@ class RayMap:
 
     def _aimed(self, points: torch.Tensor) -> torch.Tensor:
         """Return places of rays that meet the stop at given points; those not found are left out of the pupil."""
-        found = aimed(self.system, self.reference, self.pupil, points, self.field)
+        found = aimed(self.system, self.reference, self.pupil, self.shift + self.size * points, self.field)
         centers = places_of(self.pupil, torch.zeros(1, 2, dtype=points.dtype, device=points.device))
         reach = self.pupil.reach[..., None, None, None]
         parts = [((a - b) / reach)[..., 0, 0, :] for a, b in zip(found, centers, strict=True)]
-        return torch.stack(parts, -1).nan_to_num(posinf=0.0, neginf=0.0)
+        return ((torch.stack(parts, -1) - self.shift) / self.size).nan_to_num(posinf=0.0, neginf=0.0)
 
     def in_stop(self, places: torch.Tensor, aim: str) -> torch.Tensor:
         """Return the coordinates by which the pupil ends at 1: of the paraxial pupil, or of the stop itself."""
@@ -162,7 +167,7 @@ class RayMap:
             return places
         radius = self.pupil.stop_radius[..., None, None, None]
         x, y, _ = at_stop(self.system, self.reference, self._rays(places))
-        return (torch.stack([x, y], -1) / radius[..., None])[..., 0, 0, :, :]
+        return ((torch.stack([x, y], -1) / radius[..., None])[..., 0, 0, :, :] - self.shift) / self.size
 
     def derivatives(self, places: torch.Tensor):
         """Return the derivatives of (x, y) by the two pupil coordinates, and the mean place they were taken about."""

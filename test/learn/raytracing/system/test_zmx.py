@@ -157,12 +157,21 @@ def test_image_heights_become_field_angles(tmp_path, kind, real):
 
 
 def test_what_is_not_used_is_named(tmp_path):
-    text = FILE.replace("FTYP 0 0 2", "FTYP 0 1 2").replace("WAVM 1 0.4861327 1", "WAVM 1 0.4861327 0.5")
-    text = text.replace("PWAV 2", "VCYN 0 0.2 0\nVDXN 0 0 0\nPWAV 2")
+    text = FILE.replace("FTYP 0 0 2", "FTYP 0 1 2")
+    text = text.replace("PWAV 2", "VANN 0 0.2 0\nVDXN 0 0 0\nPWAV 2")
     _, report = read_zmx(written(tmp_path, text))
     assert any("telecentric flag" in note for note in report.notes)
-    assert any("weights of the wavelengths, 0.5, 1, 1" in note for note in report.notes)
-    assert any("VCYN 0 0.2 0" in line for line in report.ignored) and not any("VDXN" in i for i in report.ignored)
+    assert any("VANN 0 0.2 0" in line for line in report.ignored) and not any("VDXN" in i for i in report.ignored)
+
+
+def test_weights_and_vignetting_factors_are_read(tmp_path):
+    text = FILE.replace("WAVM 1 0.4861327 1", "WAVM 1 0.4861327 0.5")
+    text = text.replace("PWAV 2", "VCYN 0 0.2 0\nVDYN 0 -0.1 0\nFWGN 1 4 1\nPWAV 2")
+    system, report = read_zmx(written(tmp_path, text))
+    assert system.wavelength_weights == (0.5, 1.0, 1.0)
+    assert not any(key in line for line in report.ignored for key in ("VCYN", "VDYN", "FWGN", "WAVM"))
+    assert system.vignetting_factors[1] == (0.0, -0.1, 0.0, 0.2)
+    assert system.field_weights == (1.0, 4.0)
 
 
 FORMS = {

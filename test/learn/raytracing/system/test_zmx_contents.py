@@ -7,7 +7,16 @@ import pytest
 import torch
 
 from odak.catalog import refractive_index
-from odak.learn.raytracing.system import first_order, read_zmx, trace_fields
+from odak.learn.raytracing.system import (
+    coordinate_break,
+    first_order,
+    launch,
+    optical_system,
+    read_zmx,
+    surface,
+    trace,
+    trace_fields,
+)
 
 HEAD = """VERS 140124 258 36214
 MODE SEQ
@@ -103,6 +112,10 @@ SHAPES = {
         ["CURV 0.2", "PARM 2 0.3", *numbers("XDAT", [16, 0.4, *fringe_sag()[0], 0, 0, 0, 0, 0, 0.02])],
         conic(0.2, 0.0) + fringe_sag()[1],
     ),
+    "IRREGULA": (
+        ["CURV 0.2", "CONI -0.5", "DIAM 0.4 1 0 0 1", *numbers("PARM", [0.01, -0.02, 3.0, 2.0, 0.02, 0.03, -0.01])],
+        conic(0.2, -0.5) + 0.02 * (S / 0.16) ** 2 + 0.03 * V**2 / 0.16 - 0.01 * S * V / 0.064,
+    ),
     "SZERNSAG": (
         ["CURV 0.2", "PARM 1 0.1", "PARM 3 -0.7", *numbers("XDAT", [5, 0.4, 0, 0, 0.01, 0.02, 0.03])],
         conic(0.2, 0.0)
@@ -121,6 +134,37 @@ def test_heights_of_surfaces_are_those_of_their_definitions(tmp_path, kind):
     system, report = read(tmp_path, unit="CM", **a_surface(kind, *lines))
     torch.testing.assert_close(system.surfaces[0].shape.sag(X, Y).height, 10 * expected, atol=1e-12, rtol=0)
     assert not [line for line in report.ignored if "PARM" in line or "XDAT" in line]
+
+
+def test_irregular_surfaces_stand_as_between_two_coordinate_breaks(tmp_path):
+    """One decentred by (0.2, -0.1) and tilted by (3, 2) degrees; without a deviation it is the sphere itself."""
+    rows = ["CURV 0.01", *numbers("PARM", [0.2, -0.1, 3.0, 2.0])]
+    found, _ = read(tmp_path, **a_surface("IRREGULA", *rows))
+    front, back = found.surfaces
+    turn = {"shift": (0.2, -0.1), "tilt": (3.0, 2.0, 0.0)}
+    undo = {"shift": (-0.2, 0.1), "tilt": (-3.0, -2.0, 0.0), "order": "tilt"}
+    item = surface(curvature=0.01, material="N-BK7")
+    row = [
+        coordinate_break(**turn),
+        item,
+        coordinate_break(**undo, thickness=4.0),
+        surface(curvature=-0.01, thickness=90.0),
+    ]
+    system = optical_system(row, 10.0, wavelengths=587.5618e-6)
+    rays = launch(found, "rings", 3)
+    for name in "xyuv":
+        one, other = (getattr(trace(lens, rays), name) for lens in (found, system))
+        torch.testing.assert_close(one, other, atol=1e-12, rtol=0)
+    assert bool(front.is_off_axis) and not back.is_off_axis
+
+
+@pytest.mark.parametrize(
+    ("rows", "message"),
+    [(["PARM 6 0.1"], "needs a semi-diameter"), (["DIAM 5", "PARM 6 0.1", "PARM 8 30"], "turned by an angle")],
+)
+def test_irregular_surfaces_that_are_not_understood_are_refused(tmp_path, rows, message):
+    with pytest.raises(ValueError, match=message):
+        read(tmp_path, **a_surface("IRREGULA", "CURV 0.01", *rows))
 
 
 def test_a_binary_phase_polynomial_is_in_radians(tmp_path):
