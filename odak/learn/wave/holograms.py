@@ -160,8 +160,9 @@ def stochastic_gradient_descent(
     pixel_pitch : float or sequence of float
         Pixel pitch in metres, one number or a pair (rows, columns).
     propagation_type : str
-        Propagation type, see :func:`odak.learn.wave.propagate_beam`. Methods with a transfer function are computed
-        without wrap-around, so that the two angular spectra are the same, and equal to "auto".
+        Propagation type, see :func:`odak.learn.wave.propagate_beam`. Light is propagated without wrap-around, where all
+        exact methods are the same, equal to "auto", and so are those after Fresnel. "Fraunhofer" and its inverse remain
+        as they are.
     n_iteration : int
         Number of iterations.
     loss_function : callable, optional

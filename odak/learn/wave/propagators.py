@@ -132,8 +132,9 @@ class propagator(display_volume):
     image_location_offset : float
         Distance of the volume's centre, where a single plane lies, in metres.
     propagation_type : str
-        A propagation type, see :func:`odak.learn.wave.propagate_beam`, or "auto"; not "custom". Those without a
-        transfer function on the grid of the modulator keep no kernels. With "Incoherent Angular Spectrum" the
+        A propagation type, see :func:`odak.learn.wave.propagate_beam`, or "auto"; not "custom". Light
+        is propagated without wrap-around, where all exact methods are the same, and so are those after Fresnel. The
+        Fraunhofer methods and "Incoherent Angular Spectrum" keep no kernels. With "Incoherent Angular Spectrum" the
         intensity of the modulator is what spreads, and the fields returned are its roots.
     propagator_type : str
         "forward", or "back and forth": to a relay and back, so that a plane is distance − `image_location_offset` away.
@@ -150,7 +151,9 @@ class propagator(display_volume):
     distances : torch.Tensor or sequence of float, optional
         Distances of the planes in metres, instead of the even division of the volume. Differentiable.
     aperture_samples : sequence of int
-        Points across source and target apertures of the impulse-response methods.
+        Points across source and target apertures of the impulse-response methods. Averages over the source are those of
+        square pixels without gaps, up to the edge of the band. Averages over the target are of the field, not of the
+        intensity that a camera sees: an AccuracyWarning says how much of the light they lose.
     method : str
         What the channel powers mean: "conventional" or "multi-color", "full complex" before it or not.
     device : torch.device, optional

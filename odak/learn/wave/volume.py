@@ -1,5 +1,6 @@
 """Transfer functions from a modulator to the planes of a volume, the base class of displays, and one without relay."""
 
+import math
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -8,6 +9,7 @@ from typing import Any
 import torch
 
 from odak import _array, _validate
+from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import checked_device, floating, tensor
 from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import intensity, unit_phasor
@@ -33,7 +35,7 @@ class LightPath:
         Name of a method that has a transfer function.
     relayed : bool
         The net distance is the difference of a way to a relay and back. Its kernel is then never sampled as an impulse
-        response, which net distances of millimetres do not allow.
+        response, which net distances of millimetres do not allow; those of linear convolution never are.
     scale : int
         Samples per pitch along each axis (impulse-response methods).
     samples : tuple of int
@@ -73,7 +75,7 @@ class LightPath:
         """
         sampled_response = method_named(self.propagation_type).scalable
         name, pitch, scale = self.propagation_type, self.pitch, self.scale
-        if sampled_response and self.relayed:
+        if sampled_response and (self.relayed or self.linear):
             name, pitch, scale = "Transfer Function Fresnel", divided_pitch(self.pitch, self.scale), 1
         request = Request(pitch, wavelength, distance, scale=scale, samples=self.samples)
         grid = request.grid(shape, _array.namespace(torch.empty(0)), device, dtype)
@@ -168,7 +170,9 @@ class display_volume(torch.nn.Module):
     samples_per_pixel : int
         Samples per pixel that the modulator's model gives.
     aperture_samples : sequence of int
-        Points across source and target apertures of the impulse-response methods.
+        Points across source and target apertures of the impulse-response methods. Averages over the source are those of
+        square pixels without gaps, up to the edge of the band. Averages over the target are of the field, not of the
+        intensity that a camera sees: an AccuracyWarning says how much of the light they lose.
     padding : int
         Factor from the field's size to that of the grid on which it is propagated.
     linear : bool
@@ -232,11 +236,12 @@ class display_volume(torch.nn.Module):
             pitch,
             _validate.numbers(self.wavelengths),
             _validate.numbers(self._net_distances()),
-            relayed=relay is not None,
         )
         factor = _validate.integer("resolution_factor", resolution_factor, minimum=1)
         self.resolution_factor = factor if method_named(self.propagation_type).scalable else 1
         self.aperture_samples = sample_counts(aperture_samples, "aperture_samples")
+        if method_named(self.propagation_type).scalable:
+            _warn_of_averaged_fields(self.propagation_type, self.aperture_samples, self.resolution_factor)
         self._path = LightPath(
             pitch,
             self.propagation_type,
@@ -556,6 +561,21 @@ class display_volume(torch.nn.Module):
         if tuple(n * self.resolution_factor for n in shape) == self.field_shape:
             return spread(field, self.resolution_factor)
         raise ValueError(f"{name} must be [..., {self.field_shape[0]}, {self.field_shape[1]}], got {shape}")
+
+
+def _warn_of_averaged_fields(name: str, samples: tuple[int, int, int, int], scale: int) -> None:
+    """Issue an AccuracyWarning where a display averages fields over each sample of the image, as no camera does."""
+    # At half a cycle per pixel, the edge of the band.
+    edge = 1.0
+    for count in samples[2:]:
+        edge *= sum(math.cos(math.pi * ((k + 0.5) / count - 0.5) / scale) for k in range(count)) / count
+    if edge < 0.99:
+        warn(
+            f"{name} averages the field, not its intensity, over each sample of the image: waves at the edge of the "
+            f"band have {edge:.0%} of their amplitude, and the image has less speckle than a camera sees. "
+            f"aperture_samples=({samples[0]}, {samples[1]}, 1, 1) gives the light at the middle of each sample",
+            AccuracyWarning,
+        )
 
 
 @dataclass

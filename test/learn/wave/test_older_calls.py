@@ -158,10 +158,14 @@ def test_one_target_channel_stands_for_all_colours():
     assert torch.equal(optimized(single), optimized(single.repeat(1, 3, 1, 1)))
 
 
-METHODS = [
-    "Rayleigh-Sommerfeld", "Bandextended Angular Spectrum", "Adaptive Sampling Angular Spectrum", "Fraunhofer",
-    "Fraunhofer Inverse",
-]  # fmt: skip
+# Without wrap-around all exact methods are one; the others are as propagate_beam has them.
+METHODS = {
+    "Rayleigh-Sommerfeld": "auto",
+    "Bandextended Angular Spectrum": "auto",
+    "Adaptive Sampling Angular Spectrum": "auto",
+    "Fraunhofer": "Fraunhofer",
+    "Fraunhofer Inverse": "Fraunhofer Inverse",
+}
 
 
 @pytest.mark.filterwarnings("ignore::odak.SamplingWarning")
@@ -176,15 +180,16 @@ def test_a_display_by_any_method_is_a_propagation(method, powers):
     fields = display.reconstruct(phases, get_complex=True)
     for frame, plane, colour in ((0, 1, 0), (2, 0, 2), (1, 1, 1)):
         field, distance = wave.unit_phasor(phases[frame]), display.distances[plane].item()
-        expected = wave.propagate_beam(field, None, distance, PITCH, COLOURS[colour], method)
+        expected = wave.propagate_beam(field, None, distance, PITCH, COLOURS[colour], METHODS[method])
         own, bound = display.channel_power[frame, colour] * expected, 1e-4 * expected.abs().max().item()
         torch.testing.assert_close(fields[frame, plane, colour], own, rtol=1e-4, atol=bound)
         torch.testing.assert_close(display(field, colour, plane), expected, rtol=1e-4, atol=bound)
-    with pytest.raises(ValueError, match="has no transfer function"):
-        display.get_kernels()
+    if METHODS[method] == method:
+        with pytest.raises(ValueError, match="has no transfer function"):
+            display.get_kernels()
 
 
-@pytest.mark.filterwarnings("ignore::odak.SamplingWarning")
+@pytest.mark.filterwarnings("ignore::odak.SamplingWarning", "ignore:.*propagates intensities:odak.AccuracyWarning")
 def test_incoherent_displays_spread_intensity():
     display = wave.propagator(
         SIZE, COLOURS, PITCH, number_of_frames=3, propagator_type="forward", image_location_offset=1e-4,

@@ -72,6 +72,7 @@ def test_relay_leaves_the_net_distance(phases):
         assert physics.relative_error(there_and_back(field, 0, plane), expected) < 2e-3
 
 
+@pytest.mark.filterwarnings("ignore:.*averages the field:odak.AccuracyWarning")
 def test_a_relay_of_fresnel_impulse_responses_leaves_the_net_distance(phases):
     offset = 5e-3
     options = {"propagation_type": "Impulse Response Fresnel", "image_location_offset": offset}
@@ -87,7 +88,7 @@ def test_a_relay_of_fresnel_impulse_responses_leaves_the_net_distance(phases):
         straight.reconstruct(phases, get_complex=True),
         there_and_back.reconstruct(phases, get_complex=True),
     )
-    assert physics.relative_error(found, expected.numpy()) < 0.1
+    assert physics.relative_error(found, expected.numpy()) < 1e-5
 
 
 @pytest.mark.parametrize("shape", [(24, 32), (32, 20)])
@@ -203,6 +204,7 @@ def test_phase_scale_is_seen_by_each_colour(phases):
     torch.testing.assert_close(images[0], other.reconstruct(phases)[0])
 
 
+@pytest.mark.filterwarnings("ignore:.*averages the field:odak.AccuracyWarning")
 @pytest.mark.parametrize("method", ["Impulse Response Fresnel", "Seperable Impulse Response Fresnel"])
 def test_samples_between_pixels(method, phases):
     show = display(propagation_type=method, resolution_factor=2, aperture_samples=[4, 4, 2, 2])

@@ -7,9 +7,10 @@ import physics
 import pytest
 import torch
 
-from odak import ConvergenceWarning
+from odak import AccuracyWarning, ConvergenceWarning, SamplingWarning
 from odak.learn import wave
 from odak.learn.wave.holograms import STARTS
+from odak.wave.methods import PROPAGATION_TYPES
 
 PITCH, SIZE = 8e-6, (64, 80)
 COLOURS = [639e-9, 515e-9, 473e-9]
@@ -27,6 +28,73 @@ def decibels(image, target):
     image, target = np.asarray(image, dtype=np.float64), np.asarray(target, dtype=np.float64)
     scale = (image * target).sum() / (image**2).sum()
     return -10 * math.log10(((scale * image - target) ** 2).mean())
+
+
+def excess(image, field, target, distance, **options):
+    """Return by how many decibels what is claimed is above what an independent propagation of the hologram gives."""
+    return decibels(image, target) - decibels(judged([field], distance, COLOURS[1], **options), target)
+
+
+# All that can propagate a hologram of one colour to an image of the same pitch; "auto" for the names of exact methods.
+KINDS = [name for name in PROPAGATION_TYPES if name != "custom" and not name.startswith(("Fraunhofer", "Incoherent"))]
+
+
+# The kernels of alternating projections are sampled ones, which say where they are out of range.
+@pytest.mark.filterwarnings("ignore:.*outside its range:odak.SamplingWarning")
+@pytest.mark.parametrize("share", [pytest.param(0.4, marks=pytest.mark.slow), 3.0])
+@pytest.mark.parametrize("method", KINDS)
+def test_no_propagation_type_claims_more_than_exact_propagation(method, share):
+    """For each optimizer and encoding, nearer and further than the critical distance."""
+    size, colour = (24, 32), COLOURS[1]
+    target, distance = picture(*size), share * size[0] * PITCH**2 / colour
+    hologram, image = wave.stochastic_gradient_descent(
+        target, colour, distance, PITCH, method, n_iteration=40, scale=True, initial_phase="quadratic", progress=False
+    )
+    assert decibels(wave.intensity(image), target) > 15
+    assert abs(excess(wave.intensity(image), hologram, target, distance)) < 0.1
+    field = wave.generate_complex_field(target.sqrt(), torch.zeros(size))
+    hologram, image = wave.gerchberg_saxton(field, 5, distance, PITCH, colour, 2 * math.pi, method, seed=0)
+    assert abs(excess(wave.intensity(image), hologram, target, distance)) < 0.1
+    hologram, image = wave.double_phase_hologram(target, colour, distance, PITCH, method)
+    assert abs(excess(wave.intensity(image), hologram, target, distance, cutoff=0.25 / PITCH)) < 0.1
+    display = wave.propagator(
+        size, [colour], PITCH, distances=[distance], propagation_type=method, propagator_type="forward",
+        aperture_samples=(1, 1, 1, 1),
+    )  # fmt: skip
+    made = wave.multi_color_hologram_optimizer(
+        [colour], size, target[None, None], display, 1, 1, learning_rate=0.2, optimize_peak_amplitude=True,
+        progress=False, seed=0,
+    )  # fmt: skip
+    phase, images = made.optimize(15, {"eyebox": 0, "light": 0})[1:3]
+    assert abs(excess(images[0, 0, 0], torch.polar(torch.ones(size), phase[0]), target, distance)) < 0.1
+
+
+def test_averages_over_pixels_are_those_of_real_pixels_and_averages_over_the_image_are_a_warning():
+    # Near enough for the paraxial phase.
+    distance, colour = CRITICAL / 4, COLOURS[1]
+    options = {"distances": [distance], "propagation_type": "IR Fresnel", "propagator_type": "forward"}
+    with pytest.warns(AccuracyWarning, match="averages the field, .* have 42% of their amplitude"):
+        wave.propagator(SIZE, [colour], PITCH, **options)
+    display = wave.propagator(SIZE, [colour], PITCH, aperture_samples=(40, 40, 1, 1), **options)
+    phase = 2 * math.pi * torch.rand(SIZE, generator=torch.Generator().manual_seed(3))
+    shown = display.reconstruct(phase, get_complex=True)[0, 0, 0].numpy()
+    # The field of square pixels, up to the edge of the band.
+    pad = [(7 * n // 2, 8 * n - n - 7 * n // 2) for n in SIZE]
+    spectrum = np.fft.fft2(np.pad(np.exp(1j * phase.numpy()), pad))
+    for axis, n in enumerate(spectrum.shape):
+        spectrum = spectrum * np.expand_dims(np.sinc(np.fft.fftfreq(n)), 1 - axis)
+    expected = physics.unwrapped_propagation(np.fft.ifft2(spectrum), distance, PITCH, colour, padding=2)
+    expected = expected[pad[0][0] : pad[0][0] + SIZE[0], pad[1][0] : pad[1][0] + SIZE[1]]
+    assert physics.relative_error(shown, expected) < 3e-3
+
+
+@pytest.mark.parametrize("method", ["Fraunhofer", "Incoherent Angular Spectrum"])
+def test_methods_of_other_light_say_so(method):
+    """They show an image on samples of another pitch, or of intensities, which a phase does not shape."""
+    with pytest.warns((AccuracyWarning, SamplingWarning), match="far field is not reached|propagates intensities"):
+        wave.stochastic_gradient_descent(
+            picture(*SIZE), COLOURS[1], CRITICAL, PITCH, method, n_iteration=1, scale=True, progress=False
+        )
 
 
 def judged(fields, distance, wavelength, cutoff=np.inf):
