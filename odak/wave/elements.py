@@ -443,7 +443,7 @@ def circular_aperture(
     distance, centre = _radius(xp, y, x)
     # Half the width of a pixel along the radius.
     half = (xp.abs(x) * steps[1] + xp.abs(y) * steps[0]) / (2 * xp.where(centre, xp.ones_like(distance), distance))
-    half = xp.where(centre, xp.full_like(half, min(steps) / 2), half)
+    half = xp.where(centre, xp.ones_like(half) * (min(steps) / 2), half)
 
     def inside(rim):
         return xp.clip((rim - distance) / (2 * half) + 0.5, 0.0, 1.0)

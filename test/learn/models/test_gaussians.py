@@ -84,7 +84,21 @@ def test_gradients():
     # The sum of many is computed by another algorithm.
     points = torch.stack([x.detach().flatten(), y.detach().flatten()], dim=-1).requires_grad_()
     rows, alphas = torch.randn(5, 6, dtype=torch.float64), torch.randn(5, dtype=torch.float64) * 3
-    torch.autograd.gradcheck(gaussians.sum_of_soft_gaussians, (points, rows.requires_grad_(), alphas.requires_grad_()))
+    inputs = (points, rows.requires_grad_(), alphas.requires_grad_())
+    torch.autograd.gradcheck(gaussians.sum_of_soft_gaussians, inputs)
+    torch.autograd.gradgradcheck(gaussians.sum_of_soft_gaussians, inputs, fast_mode=True)
+
+
+def test_a_penalty_on_the_gradient_in_the_coordinates_is_differentiated():
+    model = gaussians_2d(5).double()
+    x, y = (value[..., None].clone().requires_grad_() for value in grid(3, 4))
+    (slope,) = torch.autograd.grad(model(x, y).sum(), x, create_graph=True)
+    assert slope.requires_grad
+    step = 1e-6
+    with torch.enable_grad():
+        sides = [torch.autograd.grad(model(x + side * step, y).sum(), x)[0] for side in (1, -1)]
+    (curvature,) = torch.autograd.grad(slope.sum(), x)
+    torch.testing.assert_close(curvature, (sides[0] - sides[1]) / (2 * step), rtol=1e-5, atol=1e-7)
 
 
 @settings(max_examples=20)

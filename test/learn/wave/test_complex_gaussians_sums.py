@@ -91,6 +91,21 @@ def test_gradients_of_the_composite(number, tile):
     torch.autograd.gradcheck(picture, inputs, fast_mode=number > 6)
 
 
+@pytest.mark.parametrize("draw", ["sum", "composite"])
+def test_a_gradient_refuses_to_be_differentiated(draw):
+    """It must not be a constant, with which a penalty on gradients would have no effect."""
+    means, conics, opacities, weights = gaussians(5, 9, 12, channels=1)
+    means.requires_grad_()
+    if draw == "sum":
+        picture = sum_of_gaussians(means, conics, weights, 9, 12)
+    else:
+        picture = composite_gaussians(means, conics, opacities, weights, torch.arange(5) % 2, Tiling(9, 12, 5, 5, 2))
+    (slope,) = torch.autograd.grad(picture.real.sum(), means, create_graph=True, retain_graph=True)
+    torch.testing.assert_close(slope.detach(), torch.autograd.grad(picture.real.sum(), means)[0])
+    with pytest.raises(RuntimeError, match="first derivatives only"):
+        slope.square().sum().backward()
+
+
 def test_gradients_of_the_composite_are_those_of_the_formula():
     means, conics, opacities, weights = gaussians(400, 20, 31)
     opacities = opacities.where(torch.arange(400) % 5 != 0, 1.0)

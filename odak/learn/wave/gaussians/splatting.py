@@ -1,11 +1,11 @@
 """Sums and composites of elliptical Gaussians on a pixel grid, tile by tile, with their gradients."""
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass, replace
 
 import torch
-from torch.autograd.function import once_differentiable
 
 BLOCK = 32
 # Larger parts leave the cache of a CPU core; on a GPU they keep it busy.
@@ -346,6 +346,38 @@ def _as_channels(picture, channels):
     return torch.complex(picture[..., :channels, :, :], picture[..., channels:, :, :])
 
 
+class _Final(torch.autograd.Function):
+    """Gradients that refuse to be differentiated."""
+
+    @staticmethod
+    def forward(ctx, anchor, *gradients):
+        return gradients
+
+    @staticmethod
+    def backward(ctx, *_):
+        raise RuntimeError("pictures of Gaussians have first derivatives only; their gradients have none")
+
+
+def _once_differentiable(backward):
+    """Return a backward pass whose gradients refuse to be differentiated.
+
+    torch's own decorator returns constants instead where the gradient that arrives is constant, so that a penalty on
+    gradients would be lost without a message.
+    """
+
+    @functools.wraps(backward)
+    def once(ctx, gradient):
+        with torch.no_grad():
+            found = backward(ctx, gradient)
+        if not torch.is_grad_enabled():
+            return found
+        anchor = torch.zeros((), requires_grad=True)
+        final = iter(_Final.apply(anchor, *(one for one in found if one is not None)))
+        return tuple(None if one is None else next(final) for one in found)
+
+    return once
+
+
 class _Sum(torch.autograd.Function):
     """The sum without occlusion."""
 
@@ -362,7 +394,7 @@ class _Sum(torch.autograd.Function):
         return tiled.tiling.join(tiles)[0]
 
     @staticmethod
-    @once_differentiable
+    @_once_differentiable
     def backward(ctx, gradient):
         tiled = ctx.tiled
         conics, weights = ctx.saved_tensors
@@ -412,7 +444,7 @@ class _Composite(torch.autograd.Function):
         return tiling.join(tiles)
 
     @staticmethod
-    @once_differentiable
+    @_once_differentiable
     def backward(ctx, gradient):
         tiled = ctx.tiled
         conics, opacities, weights = ctx.saved_tensors
