@@ -352,7 +352,7 @@ def hologram(
     Raises
     ------
     InputError
-        If the picture will not do.
+        If the picture cannot be used.
     """
     from odak.cli.hologram import run as compute
     from odak.cli.report import collected_warnings

@@ -355,7 +355,7 @@ def _from_system(job: DesignJob, step: Callable[[], Any]):
         _scale(system, wanted / f, job)
         did.append(f"scaled by {wanted / f:.6g} from a focal length of {f:.6g} {system.unit}")
         f = wanted
-    # Bounds of edges and the judgement of spots are those of the whole beam.
+    # Bounds of edges and the evaluation of spots use the whole beam.
     for item in system.surfaces:
         item.semi_diameter = None
     if system.at_infinity:
@@ -482,7 +482,7 @@ def _optimised(system, own, goal, job: DesignJob, f: float, metre: float, step):
     history, chosen = list(result.history), ()
     if "glass" in design.places:
         chosen = design.substitute_glasses(job.makers(), iterations=iterations)
-        # The glasses are fixed now, and with them what the merit is made of.
+        # The glasses are fixed now, and with them the terms of the merit.
         design, _ = _problem(system, replace(job, substitute=None), abs(f), f, metre)
         history = list(design.optimise(iterations, tolerance=1e-6, rounds=2, callback=told).history)
     return history, names, chosen

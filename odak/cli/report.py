@@ -185,7 +185,7 @@ def collected_warnings(show: Callable[[str], None] | None = None) -> Iterator[li
     Parameters
     ----------
     show : callable, optional
-        Called with each text; by default warnings are passed to whoever showed them before.
+        Called with each text; by default warnings are passed to the function that displayed them before.
     """
     texts: list[str] = []
     with warnings.catch_warnings():

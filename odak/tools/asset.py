@@ -170,7 +170,7 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "outpu
 
 
 LONGEST_HEADER = 1 << 16
-# What plyfile and NumPy let through from a broken file.
+# Exceptions that plyfile and NumPy raise on broken files.
 _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
 _BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2}
 _BYTES |= {"int": 4, "uint": 4, "float": 4, "int32": 4, "uint32": 4, "float32": 4, "double": 8, "float64": 8}
@@ -270,7 +270,7 @@ def _check_promise(start: bytes, size: int) -> None:
         if words[:1] == [b"element"] and len(words) > 2:
             elements.append([int(words[2]), 0])
         elif words[:1] == [b"property"] and len(words) > 2 and elements:
-            # A list is at least its length; a number in a text at least a digit and what parts it from the next.
+            # A list holds at least its length, and a number in ASCII takes at least a digit and a separator.
             kind = words[2 if words[1] == b"list" else 1].decode("ascii")
             elements[-1][1] += 1 if text else _BYTES.get(kind, 1)
     if not ended:

@@ -16,13 +16,13 @@ from odak.tools.paths import extension_of, replacing, validate_path
 
 # Where Pillow begins to warn.
 MOST_PIXELS = 89_478_485
-# Pixels that the header of any file may declare, and more for each byte. Only blank pages and malicious files exceed
-# it.
+# Number of pixels that the header of any file may declare, and further pixels for each byte of the file. Only blank
+# pages and malicious files exceed this.
 FREE_PIXELS, PIXELS_PER_BYTE = 16 << 20, 10_000
 
 _FORMATS = {".png": "PNG", ".jpg": "JPEG", ".jpeg": "JPEG", ".bmp": "BMP", ".tiff": "TIFF", ".tif": "TIFF"}
 _READABLE = (*_FORMATS, ".gif", ".webp", ".pbm", ".pgm", ".ppm", ".sr", ".ras")
-# Named one by one, so that no file starts a decoder that runs programs (EPS) or reads other files.
+# Formats are listed one by one, so that no file selects a decoder that runs programs (EPS) or reads other files.
 _DECODERS = ("PNG", "JPEG", "BMP", "TIFF", "GIF", "WEBP", "PPM", "SUN")
 _ENCODER_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}}
 
@@ -160,7 +160,7 @@ def read_levels(fn: str | os.PathLike, torch_style: bool = False) -> np.ndarray:
     except Image.DecompressionBombError as error:
         raise ValueError(f"Failed to load image {path!r}: more than 89 megapixels are refused ({error})") from error
     except Exception as error:
-        # On broken files Pillow's decoders raise what they stumble on: OSError, SyntaxError, struct.error, KeyError …
+        # On broken files Pillow's decoders raise errors of many types: OSError, SyntaxError, struct.error, KeyError, …
         raise ValueError(f"Failed to load image {path!r}: {error or type(error).__name__}") from error
     return np.ascontiguousarray(np.moveaxis(levels, -1, 0)) if torch_style and levels.ndim == 3 else levels
 
@@ -274,7 +274,7 @@ _BITS_PER_SAMPLE = 258
 
 
 def _is_deep(image: Any) -> bool:
-    """Return whether a picture just opened has channels of more than 8 bits that Pillow would cut.
+    """Return whether a picture just opened has channels of more than 8 bits that Pillow would truncate.
 
     Parameters
     ----------
@@ -414,7 +414,7 @@ def resize_image(img: np.ndarray, target_size: tuple[int, int]) -> np.ndarray:
 
 
 def _taps(source, target):
-    """Return which samples each new one is made of, and their weights, both ``[target, taps]``."""
+    """Return the indices and weights of the samples that each new one is a mean of, both ``[target, taps]``."""
     step = source / target
     first = np.arange(target)[:, None]
     if step < 1:

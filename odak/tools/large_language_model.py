@@ -6,7 +6,7 @@ import urllib.request
 
 from odak import _validate
 
-# More than any answer; a server that sends without end must not fill the memory.
+# Longer than any answer: a server that never stops sending must not fill the memory.
 _LARGEST_ANSWER = 16 * 2**20
 
 

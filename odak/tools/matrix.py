@@ -442,7 +442,7 @@ def smooth_pad(
 
 
 def _fade(n: int, start: int, total: int, factor: float | None) -> list[float]:
-    """Return the window along one axis: up before the content, 1 over it, down after it."""
+    """Return the window along one axis: rising before the content, 1 over it, falling after it."""
     after = total - n - start
     if factor is None:
         rise = [(1 - math.cos(math.pi * t / max(start - 1, 1))) / 2 for t in range(start)]

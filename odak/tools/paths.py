@@ -219,7 +219,7 @@ def replacing(path: str | os.PathLike) -> Iterator[BinaryIO]:
 
 
 class _File(io.FileIO):
-    """A file that remembers why it could not be written: writers on top of it tend to hide that."""
+    """A file object that keeps the error of a failed write, which libraries that write to it may hide."""
 
     failure: OSError | None = None
 
@@ -289,6 +289,6 @@ def temporary_name(path: str) -> Iterator[str]:
         yield temporary
         os.replace(temporary, target)
     finally:
-        # Asked first: on a disk that is read-only, removing what is not there is another error.
+        # Tested first: on a read-only disk the removal of a file that does not exist raises another error.
         if os.path.lexists(temporary):
             os.unlink(temporary)

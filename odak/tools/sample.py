@@ -485,7 +485,7 @@ def batch_of_rays(entry: Array, exit: Array) -> Array:
     Raises
     ------
     ValueError
-        If a shape is wrong, the counts differ, or a ray has no length.
+        If a shape is wrong, the counts differ, or the start and the end of a ray coincide.
 
     Examples
     --------

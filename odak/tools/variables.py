@@ -44,7 +44,7 @@ def validate_positive_parameter(value: Any, name: str = "value", allow_zero: boo
     Parameters
     ----------
     value : float or array
-        What to check; infinity passes, not-a-number does not.
+        Value to check; infinity is accepted, NaN is not.
     name : str
         Name for the message.
     allow_zero : bool

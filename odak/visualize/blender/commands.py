@@ -29,7 +29,7 @@ class Session:
     Attributes
     ----------
     scene : scene
-        What is drawn into, in metres: one unit of Blender as Blender has it.
+        The scene, in metres, which are the unit of Blender.
     depth : bool
         Whether depth is rendered in place of colours.
     """
@@ -193,7 +193,7 @@ def cylinder_between(
     objname : str
         Name of the object.
     color : sequence of float
-        Red, green, blue; a fourth number counts for nothing.
+        Red, green, blue; a fourth number is ignored.
 
     Returns
     -------
@@ -219,7 +219,7 @@ def render(fn: str, exit: bool = False) -> str:
     fn : str
         Name that ends in ".png". Depth is grey: black the nearest, white the farthest and whatever lies behind.
     exit : bool
-        Let the scene go afterwards.
+        Release the scene afterwards.
 
     Returns
     -------
@@ -303,7 +303,7 @@ def assign_color(fn: str, obj: Item, color: Sequence[float] = ORIGIN, label: str
     Parameters
     ----------
     fn : str
-        Counts for nothing.
+        Ignored.
     obj : Item
         The object.
     color : sequence of float
@@ -324,7 +324,7 @@ def assign_texture(fn: str, obj: Item, label: str) -> None:
     fn : str
         Name of the image file.
     obj : Item
-        The object. One without places of its own in a picture shows it along the two axes along which it is longest.
+        The object. Without texture coordinates, the picture is mapped onto the two axes along which it is longest.
     label : str
         Name of the material.
     """
@@ -367,7 +367,8 @@ def intersect_a_ray(p0: Sequence[float], p1: Sequence[float], ob: Item):
     Returns
     -------
     tuple
-        Whether it is met, where first (``[3]``, False if it is not) and how far from the start (0 if it is not).
+        Whether the ray intersects the object, the first intersection (``[3]``, False if there is none) and its
+        distance from the start (0 if there is none).
     """
     import torch
 
@@ -436,7 +437,7 @@ def init(headless: bool = False, blend_fn: str = "") -> Session:
     Parameters
     ----------
     headless : bool
-        Counts for nothing: no window opens.
+        Ignored: no window opens.
     blend_fn : str
         A ".blend" file to continue; no script in it is run. Empty for an empty scene.
 
@@ -500,7 +501,7 @@ def send_msg(cmds: Iterable[str]) -> bool:
     ----------
     cmds : iterable of str
         Calls such as ``"prepare(device='CPU')"``, with literals as arguments; see
-        :func:`odak.visualize.blender.validate_and_queue_command`. A text is taken apart, never run.
+        :func:`odak.visualize.blender.validate_and_queue_command`. A text is parsed, never executed.
 
     Returns
     -------
@@ -637,7 +638,7 @@ class whisper2blender(threading.Thread):
     Parameters
     ----------
     port, host, path_max : int, str, int
-        Count for nothing.
+        Ignored.
     """
 
     def __init__(self, port: int = 8082, host: str = "127.0.0.1", path_max: int = LONGEST):

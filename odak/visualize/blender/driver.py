@@ -19,7 +19,7 @@ import warnings
 import zipfile
 
 HERE = os.path.dirname(os.path.abspath(__file__))
-# Files beside this one must not stand in for modules of Blender that have the same names.
+# Files of this folder must not be imported in place of modules of Blender that have the same names.
 sys.path[:] = [path for path in sys.path if os.path.abspath(path or os.getcwd()) != HERE]
 
 if __name__ == "__main__":
@@ -51,7 +51,7 @@ def main(arguments):
 
 
 def say(words):
-    """Write a line for whoever started this."""
+    """Print a line for the process that started this one."""
     sys.stdout.write(f"{words}\n")
     sys.stdout.flush()
 

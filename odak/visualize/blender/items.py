@@ -33,13 +33,13 @@ class Material:
     color : tuple of float
         Linear light: red, green, blue.
     strength : float
-        Of an emission: how often its colour it emits.
+        Emitted radiance of an emission, as a multiple of its colour.
     index : float
         Refractive index of a glass.
     roughness : float
         0 polished, 1 frosted.
     name : str
-        What it is called.
+        Name of the material.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class Item:
     faces : numpy.ndarray
         int32 ``[f, 3]``.
     material : Material
-        What it is made of.
+        Material of the object.
     normals, colors, uv : numpy.ndarray or None
         At the vertices: unit normals ``[v, 3]``, linear colours ``[v, 3]`` that take the place of the material's, and
         places in the picture ``[v, 2]``; float32.
@@ -86,7 +86,7 @@ class Item:
     shadow : bool
         True if it casts shadows.
     location, rotation, scale : list of float
-        Where it stands: degrees about X, then Y, then Z, after scaling along its own axes.
+        Position; degrees about X, then Y, then Z, after scaling along its own axes.
     """
 
     name: str
@@ -210,9 +210,9 @@ class Light:
     kind : str
         "point", "area" or "sun".
     location : list of float
-        Where it stands; a sun has only a direction.
+        Position; a sun has a direction only.
     axes : list of list of float
-        As those of a camera: it shines forwards.
+        Unit vectors to the right, upwards and backwards, as of a camera; the light is emitted forwards.
     power : float
         Watts; of a sun watts per square metre.
     size : float
@@ -289,7 +289,7 @@ def glass(
     unit : str
         Unit of `wavelength`: "m", "mm", "um" or "nm".
     color : str or sequence of float
-        What it lets through, as in :func:`diffuse`.
+        Colour of the transmitted light, as in :func:`diffuse`.
     roughness : float
         0 polished, 1 frosted.
 
@@ -329,7 +329,7 @@ def metal(color: str | Sequence[float] = "white", roughness: float = 0.0) -> Mat
     Parameters
     ----------
     color : str or sequence of float
-        What it reflects, as in :func:`diffuse`.
+        Colour of the reflected light, as in :func:`diffuse`.
     roughness : float
         0 polished, 1 matt.
 

@@ -14,8 +14,8 @@ from odak.visualize.blender.meshes import Mesh, Profile, lens_mesh, profile_mesh
 
 ORIGIN = (0.0, 0.0, 0.0)
 COLORS = ("#2166ac", "#1b7837", "#b2182b", "#762a83", "#b35806", "#016665")
-# Cemented faces are drawn this share of the glass behind them apart: a renderer cannot tell which of two faces in one
-# place comes first. A parallel gap leaves directions as they are.
+# Gap drawn between cemented faces, as a fraction of the thickness of the glass behind them: a renderer cannot determine
+# which of two coincident faces comes first. A gap between parallel faces does not change the directions of rays.
 GAP = 1e-4
 
 
@@ -51,9 +51,9 @@ class Lenses:
             Radii of curvature of its front and back, positive with the centre behind the vertex (towards +z), infinite
             for a plane. Or a lens of ``odak.catalog``, whose shape, glass and place are taken.
         thickness : float
-            From vertex to vertex.
+            Distance between the vertices.
         diameter : float
-            Of its edge.
+            Diameter of the edge.
         material : str, float or Material
             A material of ``odak.catalog`` by name or by itself, taken at the scene's wavelength, an index, or what
             :func:`glass` returns.
@@ -262,7 +262,7 @@ def _traced(system, pupil, count: int, places) -> tuple[np.ndarray, list[int]]:
 
 
 def _element(faces: list[Profile], places, cemented: bool, segments: int) -> Mesh:
-    """Return one lens of a system; light may run through it towards −z."""
+    """Return one lens of a system; rays may propagate through it towards −z."""
     start, stop = float(places[0]), float(places[1])
     start += GAP * (stop - start) if cemented else 0.0
     if start > stop:

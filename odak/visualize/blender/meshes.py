@@ -17,9 +17,10 @@ class Mesh(NamedTuple):
     faces : numpy.ndarray
         int32 ``[f, 3]``, counter-clockwise seen from outside.
     normals : numpy.ndarray or None
-        Of unit length at the vertices, ``[v, 3]``; None where the renderer is to work them out.
+        Of unit length at the vertices, ``[v, 3]``; None where the renderer computes them.
     uv : numpy.ndarray or None
-        Where each vertex lies in a picture, ``[v, 2]``: (0, 0) its lower left corner, (1, 1) its upper right one.
+        Texture coordinates of each vertex, ``[v, 2]``: (0, 0) is the lower left corner of a picture, (1, 1) the upper
+        right one.
     """
 
     vertices: np.ndarray

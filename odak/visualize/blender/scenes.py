@@ -71,9 +71,9 @@ class Views:
         Parameters
         ----------
         location : sequence of float, optional
-            Where it stands. By default obliquely in front of `target`, far enough away to see all objects.
+            Position. By default obliquely in front of `target`, far enough away to see all objects.
         target : sequence of float, optional
-            What it looks at; by default the middle of all objects.
+            Point that it looks at; by default the middle of all objects.
         up : sequence of float, optional
             Which way is up in the picture; by default y, or z for a look along y.
         fov : float
@@ -114,9 +114,9 @@ class Views:
         Parameters
         ----------
         location : sequence of float
-            Where it stands. From a sun light comes in this direction, from infinitely far away.
+            Position. The light of a sun comes from this direction, from infinity.
         target : sequence of float
-            What it shines at.
+            Point that it illuminates.
         kind : str
             "point", "area" (a square that shines forwards) or "sun".
         power : float, optional

@@ -280,7 +280,7 @@ class Shapes:
         smooth : bool
             Let it look curved across the edges of its faces.
         location, rotation, scale : sequence of float
-            Where it stands: degrees about X, then Y, then Z, after scaling.
+            Position; degrees about X, then Y, then Z, after scaling.
         name : str, optional
             Name of the object.
 

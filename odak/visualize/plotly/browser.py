@@ -100,7 +100,7 @@ def draw(figure, kind: str, width: float, height: float, scale: float = 1.0) -> 
     Parameters
     ----------
     figure : plotly.graph_objects.Figure
-        What to draw.
+        Figure to draw.
     kind : str
         "png", "jpeg", "webp", "svg" or "pdf".
     width, height : float
@@ -127,8 +127,8 @@ def _kaleido():
 class _SharedBrowser:
     """One browser for all figures, driven from an event loop in a thread of its own.
 
-    Kaleido's own server waits without end if its browser does not start; here every wait has a limit and an error
-    reaches the caller.
+    Kaleido's own server waits indefinitely if its browser does not start; here every wait has a limit, and errors are
+    raised in the caller's thread.
     """
 
     def __init__(self):
@@ -157,7 +157,7 @@ class _SharedBrowser:
                 return
             tool, loop, thread = self._tool, self._loop, self._thread
             self._loop = self._thread = self._tool = None
-            with _without_goodbyes():
+            with _exit_errors_suppressed():
                 try:
                     asyncio.run_coroutine_threadsafe(tool.close(), loop).result(CLOSE_TIMEOUT)
                 except Exception as error:
@@ -202,7 +202,7 @@ async def _open(kaleido, path: str):
 
 
 @contextmanager
-def _without_goodbyes():
+def _exit_errors_suppressed():
     """Suppress the error that choreographer reports when its browser ends."""
     reader = logging.getLogger("choreographer.channels.pipe")
     before, reader.disabled = reader.disabled, True

@@ -389,7 +389,7 @@ class plot2dshow(_Images):
         """Apply the settings to the figure; done before it is shown or saved."""
         for update, name in ((self.fig.update_xaxes, "xaxis"), (self.fig.update_yaxes, "yaxis")):
             update(self.settings[name])
-            # Numbers where a unit stands.
+            # Tick labels on the axes whose title gives a unit.
             update({"showticklabels": True}, selector=lambda axis: bool(axis.title.text))
         frame = self.settings["yaxis"].get("linewidth", 0)
         self.fig.update_annotations(font=self.settings["font"])
