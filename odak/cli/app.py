@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from odak.cli import options
-from odak.cli.job import InputError, Job, find_preset
+from odak.cli.job import GREY_WAVELENGTH, InputError, Job, find_preset
 
 if TYPE_CHECKING:
     from odak.cli import files
@@ -278,6 +278,45 @@ def metamer(
             f"{report['noise_loss']:.3g}, largest pooling region {report['largest_pooling']:.3g} px"
         )
         typer.echo(f"metamer.png, pooling_map.png, comparison.png, report.json in {output}")
+
+
+@app.command(
+    help="Compute a hologram that shows an eye its picture at several places of the pupil.\n\n"
+    "Several pictures, one for each place in reading order, give parallax. Writes a pattern for each frame, views.png "
+    "with what an eye sees from each place, by exact propagation of the saved patterns, and report.json."
+)
+def eyebox(
+    images: options.EyeboxImages = None,
+    output: options.Output = Path("eyebox"),
+    wavelength: options.OneWavelength = GREY_WAVELENGTH,
+    pixel_pitch: options.PixelPitch = 8e-6,
+    distance: options.PupilDistance = 0.1,
+    resolution: options.Resolution = (512, 512),
+    places: options.Places = (1, 3),
+    spacing: options.Spacing = 2e-3,
+    pupil: options.Pupil = 2e-3,
+    frames: options.EyeboxFrames = 2,
+    iterations: options.Iterations = 60,
+    learning_rate: options.LearningRate = 0.2,
+    seed: options.Seed = 0,
+    bits: options.Bits = 8,
+    device: options.Device = "auto",
+    quiet: options.Quiet = False,
+    again: options.Again = False,
+) -> None:
+    """Compute a hologram for an eyebox; the parameters are those of :class:`odak.cli.eyebox.EyeboxJob`."""
+    values = dict(locals())
+    notices = _notices(values.pop("again"), quiet)
+    values["images"] = tuple(images or ["photo"])
+    with _messages():
+        from odak.cli.eyebox import EyeboxJob, run
+
+        report = run(EyeboxJob(**values), notices)
+    if not quiet:
+        for view in report["views"]:
+            y, x = (f"{1e3 * value:.3g}" for value in view["place"])
+            typer.echo(f"pupil at {y}, {x} mm: PSNR {view['psnr_db']:.2f} dB, {view['share']:.1%} of the light")
+        typer.echo(f"{', '.join(report['files'])}, views.png, report.json in {output}")
 
 
 @app.command(

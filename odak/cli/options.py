@@ -268,6 +268,59 @@ TrustedNetwork = Annotated[
 ]
 
 # --- Metamers
+EyeboxImages = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[IMAGE]...",
+        help="Picture file, or name of a picture that comes with odak: "
+        + ", ".join(sorted(SHIPPED_IMAGES))
+        + "; one for all places of the pupil, or one for each.",
+        show_default="photo",
+    ),
+]
+OneWavelength = Annotated[
+    float,
+    typer.Option(
+        "--wavelength",
+        "-w",
+        parser=length,
+        metavar=LENGTH,
+        help="Wavelength, in metres or with a unit.",
+        show_default=f"{GREY_WAVELENGTH * 1e9:g}nm",
+    ),
+]
+PupilDistance = Annotated[
+    float,
+    typer.Option(
+        "--distance",
+        "-d",
+        parser=length,
+        metavar=LENGTH,
+        help="Distance from the modulator, or its image by an eyepiece, to the pupil, in metres or with a unit.",
+        show_default="10cm",
+    ),
+]
+Places = Annotated[
+    tuple[int, int],
+    typer.Option(metavar="ROWS COLUMNS", help="Number of places of the pupil, one above and beside another."),
+]
+Spacing = Annotated[
+    float,
+    typer.Option(
+        parser=length,
+        metavar=LENGTH,
+        help="Distance of neighbouring places of the pupil; at most half a pupil for "
+        "pictures without gaps between them.",
+        show_default="2mm",
+    ),
+]
+Pupil = Annotated[float, typer.Option(parser=length, metavar=LENGTH, help="Diameter of the pupil.", show_default="2mm")]
+EyeboxFrames = Annotated[
+    int,
+    typer.Option(
+        "--frames", metavar="COUNT", help="Number of patterns shown one after another, which the eye averages."
+    ),
+]
 MetamerImage = Annotated[
     str,
     typer.Argument(

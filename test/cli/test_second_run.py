@@ -20,9 +20,15 @@ kind = "record"
 name = "a"
 """
 TINY = ["--levels", "3", "--iterations", "0", "--device", "cpu"]
+DARK = ["--resolution", "16", "16", "--iterations", "1", "--frames", "1", "--device", "cpu"]
 ONE_STEP = ["--iterations", "1", "--starts", "1"]
 COMMANDS = {
     "simulate": (["bench.toml"], ["other.toml"], ["a.npy", "a.png", "report.json"]),
+    "eyebox": (
+        ["noise.png", *DARK],
+        ["noise.png", *DARK, "--seed", "1"],
+        ["hologram_frame1.png", "views.png", "report.json"],
+    ),
     "metamer": (
         ["noise.png", *TINY],
         ["noise.png", *TINY, "--seed", "1"],

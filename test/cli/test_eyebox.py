@@ -1,0 +1,81 @@
+"""`odak eyebox` from pictures to patterns whose views an independent propagation judges."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from PIL import Image
+from typer.testing import CliRunner
+
+from odak.cli import app, main
+
+N, PITCH, DISTANCE, WAVELENGTH = 33, 8e-6, 0.03, 532e-9
+SMALL = ["--resolution", str(N), str(N), "--distance", "3cm", "--pupil", "1mm", "--spacing", "0.9mm", "--device", "cpu"]
+
+
+def run(*arguments):
+    result = CliRunner().invoke(app, ["eyebox", *map(str, arguments), *SMALL])
+    assert result.exit_code == 0, result.output + repr(result.exception)
+    return result
+
+
+def decibels(light, target):
+    return -10 * math.log10(((light - target) ** 2).mean())
+
+
+@pytest.fixture
+def views(tmp_path):
+    """Write two pictures, a bar to each side."""
+    paths = []
+    for name, columns in (("left", slice(4, 14)), ("right", slice(18, 28))):
+        values = np.zeros((N, N), np.uint8)
+        values[6:26, columns] = 255
+        paths.append(tmp_path / f"{name}.png")
+        Image.fromarray(values).save(paths[-1])
+    return paths
+
+
+def seen(phase, x):
+    """Return the light on the retina, in place: Fresnel's integral to the pupil and back, summed over all samples."""
+    here = (np.arange(N) - N // 2) * PITCH
+    fine = np.arange(-0.55e-3, 0.55e-3, 8e-6)
+    aside = fine + x
+
+    def lines(pupil):
+        return np.exp(1j * np.pi / (WAVELENGTH * DISTANCE) * (pupil[:, None] - here) ** 2)
+
+    inside = fine[:, None] ** 2 + fine**2 < 0.5e-3**2
+    there = lines(fine) @ np.exp(1j * phase) @ lines(aside).T
+    return abs(lines(fine).conj().T @ (there * inside) @ lines(aside).conj()) ** 2
+
+
+def test_each_place_sees_its_picture(views, tmp_path):
+    out = tmp_path / "out"
+    result = run(*views, "--output", out, "--places", 1, 2, "--frames", 3, "--iterations", 60)
+    report = json.loads((out / "report.json").read_text())
+    names = [f"hologram_frame{k}.png" for k in (1, 2, 3)]
+    assert sorted(path.name for path in out.iterdir()) == [*names, "report.json", "views.png"]
+    assert "pupil at 0, -0.45 mm: PSNR" in result.stdout
+    phases = [np.asarray(Image.open(out / name)) * (2 * np.pi / 256) for name in names]
+    lights = np.stack([np.mean([seen(phase, x) for phase in phases], 0) for x in (-0.45e-3, 0.45e-3)])
+    targets = np.stack([np.asarray(Image.open(path)) / 255 for path in views])
+    lights *= (lights * targets).sum() / (lights**2).sum()
+    for view, light, target in zip(report["views"], lights, targets, strict=True):
+        assert abs(view["psnr_db"] - decibels(light, target)) < 0.3
+        assert decibels(light, target) > decibels(light, targets[::-1].sum(0) - target) + 3
+
+
+def test_a_picture_for_all_places_and_what_was_meant(tmp_path, capsys, views):
+    quiet = run(views[0], "--output", tmp_path / "a", "--places", 2, 1, "--iterations", 1, "--quiet")
+    assert quiet.output == ""
+    report = json.loads((tmp_path / "a" / "report.json").read_text())
+    assert [view["place"] for view in report["views"]] == [pytest.approx([y, 0]) for y in (-4.5e-4, 4.5e-4)]
+    for arguments, named in (
+        (["--places", "3", "3"], "reach beyond the light of the pixels, 2 x 2 mm at --distance 0.03"),
+        ([str(views[0])] * 2, "IMAGE must be given once, or 3 times for --places 1 3, got 2 pictures"),
+        (["--bits", "17"], "--bits must be from 1 to 16, got 17"),
+    ):
+        assert main(["eyebox", *SMALL, *arguments, "-o", str(tmp_path / "b")]) == 2
+        assert named in capsys.readouterr().err
+        assert not (tmp_path / "b").exists()
