@@ -304,12 +304,12 @@ def eyebox(
     quiet: options.Quiet = False,
     again: options.Again = False,
 ) -> None:
-    """Compute a hologram for an eyebox; the parameters are those of :class:`odak.cli.eyebox.EyeboxJob`."""
+    """Compute a hologram for an eyebox; the parameters are those of :class:`odak.cli.eyebox_views.EyeboxJob`."""
     values = dict(locals())
     notices = _notices(values.pop("again"), quiet)
     values["images"] = tuple(images or ["photo"])
     with _messages():
-        from odak.cli.eyebox import EyeboxJob, run
+        from odak.cli.eyebox_views import EyeboxJob, run
 
         report = run(EyeboxJob(**values), notices)
     if not quiet:
