@@ -105,6 +105,7 @@ def hologram(
     propagation_type: options.PropagationType = Job.propagation_type,
     iterations: options.Iterations = Job.iterations,
     learning_rate: options.LearningRate = Job.learning_rate,
+    optimizer: options.Optimizer = Job.optimizer,
     scale: options.Scale = Job.scale,
     initial_phase: options.InitialPhase = Job.initial_phase,
     seed: options.Seed = Job.seed,

@@ -15,7 +15,17 @@ import torch
 from tqdm import tqdm
 
 from odak.cli import files, pictures, report
-from odak.cli.job import COMPUTED_PHASES, NOISE, UNITS, VOLUME_METHODS, InputError, Job, pattern_name
+from odak.cli.job import (
+    COMPUTED_PHASES,
+    LEARNING_RATE,
+    NOISE,
+    SOLVERS,
+    UNITS,
+    VOLUME_METHODS,
+    InputError,
+    Job,
+    pattern_name,
+)
 from odak.cli.target import Target, Volume, load_target, load_volume
 from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
@@ -390,7 +400,8 @@ def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Cal
         job.pixel_pitch,
         job.propagation_type,
         job.iterations,
-        learning_rate=job.learning_rate,
+        learning_rate=job.learning_rate or LEARNING_RATE,
+        optimizer=job.optimizer or SOLVERS[0],
         initial_phase=_phases_of_frames(job, intensity, wavelength),
         scale=job.scale,
         frames=job.frames or 1,
@@ -605,7 +616,7 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
         device=device,
         pixel_fill=job.fill_factor,
     )
-    start = torch.zeros(count, *job.resolution, device=device)
+    start, rate = torch.zeros(count, *job.resolution, device=device), job.learning_rate or LEARNING_RATE
     with _progress(job, f"{job.planes} planes" if job.planes > 1 else f"{count} frames") as clock:
         optimizer = wave.multi_color_hologram_optimizer(
             list(target.wavelengths),
@@ -614,8 +625,8 @@ def _optimise(job: Job, target: Target, volume: Volume, device) -> tuple[Frames,
             display,
             count,
             job.planes,
-            learning_rate=job.learning_rate,
-            min_learning_rate=job.learning_rate / 2,
+            learning_rate=rate,
+            min_learning_rate=rate / 2,
             method=method,
             loss_function=volume.loss,
             # All sources at full power where they share the frames.

@@ -17,6 +17,8 @@ RANDOM_PHASES = (*NOISE, "uniform")
 VOLUME_METHODS = ("multiplane", "multi-color")
 METHODS = ("sgd", "gs", "double-phase", "network", *VOLUME_METHODS)
 # Starts of gradient descent that are computed from the picture.
+SOLVERS = ("lbfgs", "adam")
+LEARNING_RATE = 0.2
 COMPUTED_PHASES = {"double-phase": "double phase", "gs": "gs"}
 INITIAL_PHASES = ("flat", "slight", "quadratic", "normal", "uniform", *COMPUTED_PHASES)
 DEFAULT_INITIAL_PHASE = {
@@ -103,8 +105,10 @@ class Job:
         Propagation type, see :func:`odak.learn.wave.propagate_beam`.
     iterations : int
         Number of iterations, for the methods that iterate.
-    learning_rate : float
-        Step size in radians of gradient descent.
+    learning_rate : float, optional
+        Step size in radians of gradient descent by Adam, 0.2 by default. None with L-BFGS, which has none.
+    optimizer : str, optional
+        One of `SOLVERS`, of the method "sgd": "lbfgs" by default, "adam" where a learning rate is given or in tiles.
     scale : bool
         Let gradient descent choose the picture's brightness.
     initial_phase : str, optional
@@ -142,7 +146,8 @@ class Job:
     method: str | None = None
     propagation_type: str = "Bandlimited Angular Spectrum"
     iterations: int = 200
-    learning_rate: float = 0.2
+    learning_rate: float | None = None
+    optimizer: str | None = None
     scale: bool = True
     initial_phase: str | None = None
     seed: int = 0
@@ -158,8 +163,9 @@ class Job:
         """Check every parameter; the messages name the option of the command line."""
         try:
             _validate.several("--pixel-pitch", self.pitches, 2, positive=True)
-            for name in ("distance", "learning_rate"):
-                _validate.real(option(name), getattr(self, name), positive=True)
+            _validate.real("--distance", self.distance, positive=True)
+            if self.learning_rate is not None:
+                _validate.real("--learning-rate", self.learning_rate, positive=True)
             _validate.integer("--iterations", self.iterations, minimum=1)
             _validate.integer("--seed", self.seed)
             for side in self.resolution:
@@ -170,6 +176,7 @@ class Job:
             if self.tiles:
                 self._check_tiles()
             self._set_initial_phase()
+            self._set_optimizer()
         except (TypeError, ValueError) as error:
             raise InputError(str(error)) from None
         if self.fill_factor is not None and not 0 < self.fill_factor <= 1:
@@ -223,6 +230,7 @@ class Job:
             "--frames": self.frames not in (None, 1),
             "--initial-phase": self.initial_phase not in (None, TILES_PHASE),
             "--no-scale": not self.scale,
+            "--optimizer lbfgs": self.optimizer == "lbfgs",
             "--grating": self.grating,
             "--fill-factor": self.fill_factor is not None,
             "--device": self.device not in ("auto", "cpu"),
@@ -245,6 +253,21 @@ class Job:
         self._set("initial_phase", _validate.one_of("--initial-phase", chosen, INITIAL_PHASES))
         if chosen in COMPUTED_PHASES and self.method != "sgd":
             raise InputError(f"--initial-phase {chosen} needs --method sgd, got {self.method!r}")
+
+    def _set_optimizer(self) -> None:
+        if self.method == "sgd":
+            usual = "adam" if self.tiles or self.learning_rate is not None else "lbfgs"
+            self._set("optimizer", _validate.one_of("--optimizer", self.optimizer or usual, SOLVERS))
+            if self.optimizer == "lbfgs":
+                if self.learning_rate is not None:
+                    raise InputError(
+                        "--learning-rate has no effect with --optimizer lbfgs, which finds its steps by a line search"
+                    )
+                return
+        elif self.optimizer is not None:
+            raise InputError(f"--optimizer needs --method sgd, got {self.method!r}")
+        if self.learning_rate is None:
+            self._set("learning_rate", LEARNING_RATE)
 
     def _check_wavelengths(self) -> None:
         count = len(self.wavelengths)

@@ -9,9 +9,11 @@ from odak.cli.job import (
     COLOUR_WAVELENGTHS,
     GREY_WAVELENGTH,
     INITIAL_PHASES,
+    LEARNING_RATE,
     METHODS,
     PRESETS,
     SHIPPED_IMAGES,
+    SOLVERS,
     parse_length,
     parse_pitch,
 )
@@ -171,7 +173,21 @@ Iterations = Annotated[
     int, typer.Option(metavar="COUNT", help="Number of iterations (all methods except double-phase and network).")
 ]
 LearningRate = Annotated[
-    float, typer.Option(metavar="RADIANS", help="Step size in radians (sgd, multiplane, multi-color).")
+    float | None,
+    typer.Option(
+        metavar="RADIANS",
+        help="Step size in radians of Adam (sgd, multiplane, multi-color).",
+        show_default=str(LEARNING_RATE),
+    ),
+]
+Optimizer = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(SOLVERS),
+        autocompletion=_complete(SOLVERS),
+        help="Solver of the method sgd. L-BFGS reaches the quality of Adam in half as many iterations or fewer.",
+        show_default="lbfgs; adam with --learning-rate or --tiles",
+    ),
 ]
 Scale = Annotated[
     bool,
@@ -187,8 +203,8 @@ InitialPhase = Annotated[
         autocompletion=_complete(INITIAL_PHASES),
         help="Initial phase of the hologram, or of the picture with the method double-phase: zero (flat), normal noise "
         "of 0.3 rad (slight), a lens whose focal length is twice the distance (quadratic), normal noise of 1 rad "
-        "(normal), uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or 20 iterations "
-        "of Gerchberg-Saxton (gs).",
+        "(normal), uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or ten "
+        "accelerated iterations of Gerchberg-Saxton (gs).",
         show_default="gs with sgd, flat with the method double-phase, uniform with the method gs, none with the method "
         "network, otherwise slight",
     ),

@@ -211,6 +211,7 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "propagation_type": "Bandlimited Angular Spectrum",
         "iterations": 5,
         "learning_rate": 0.05,
+        "optimizer": "adam",
         "scale": True,
         "initial_phase": "normal",
         "seed": 7,
@@ -226,6 +227,17 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
     assert report["device"] == "cpu"
     assert 0 < report["seconds_per_iteration"] < report["seconds_total"]
     assert {"psnr_db", "ssim", "efficiency", "efficiency_lit", "scale"} <= set(report["definitions"])
+
+
+def test_lbfgs_is_the_default_and_better_than_adam(grey_file, tmp_path):
+    quality = {}
+    for name, options in {"usual": (), "adam": ("--optimizer", "adam"), "rate": ("--learning-rate", "0.2")}.items():
+        run(grey_file, "--output", tmp_path / name, *SMALL, "--iterations", "15", *options, "--quiet")
+        report = read_report(tmp_path / name)
+        quality[name] = report["psnr_db"]
+        solver = {"usual": ("lbfgs", None)}.get(name, ("adam", 0.2))
+        assert (report["parameters"]["optimizer"], report["parameters"]["learning_rate"]) == solver
+    assert quality["adam"] == quality["rate"] < quality["usual"] - 1
 
 
 def test_more_iterations_show_the_picture_better(grey_file, tmp_path):
@@ -512,6 +524,12 @@ BAD = {
         "--iterations has no effect with",
     ),
     "step size of gs": (["--method", "gs", "--learning-rate", "0.1"], "--learning-rate has no effect with --method gs"),
+    "step size of a line search": (
+        ["--optimizer", "lbfgs", "--learning-rate", "0.1"],
+        "has no effect with --optimizer",
+    ),
+    "solver": (["--optimizer", "sgd"], "--optimizer must be"),
+    "solver of gs": (["--method", "gs", "--optimizer", "adam"], "--optimizer needs --method sgd"),
     **{
         f"{name} of the network": (["--method", "network", *arguments], text)
         for name, arguments, text in (

@@ -179,6 +179,7 @@ def test_worker_processes_give_the_same_pattern(grey_file, tmp_path):
         (["--cluster", "tcp://127.0.0.1:1"], "--cluster must be local"),
         (["--propagation-type", "Adaptive Sampling Angular Spectrum"], "--propagation-type must be one of"),
         (["--resolution", "8", "8"], "--resolution"),
+        (["--optimizer", "lbfgs"], "--optimizer lbfgs cannot be used with --tiles"),
     ],
 )
 def test_what_tiles_cannot_do_is_said_in_a_line(arguments, message, grey_file, tmp_path, capsys):

@@ -98,9 +98,14 @@ def is_emulated(device) -> bool:
 
 
 def _line() -> str:
-    """Return the innermost line of the package on the stack."""
+    """Return "module:function: line" of the innermost line of the package on the stack."""
     own = [frame for frame in traceback.extract_stack() if frame.filename.startswith(PACKAGE)]
-    return f"{own[-1].filename[len(PACKAGE) + 1 :]}: {own[-1].name}: {own[-1].line}" if own else "outside"
+    if not own:
+        return "outside"
+    # A generator or a lambda is part of the function around it.
+    function = next((frame.name for frame in reversed(own) if not frame.name.startswith("<")), "<module>")
+    module = Path(own[-1].filename).relative_to(PACKAGE).with_suffix("").as_posix()
+    return f"{module}:{function}: {own[-1].line}"
 
 
 class Lift(torch.autograd.Function):

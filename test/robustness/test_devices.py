@@ -10,6 +10,7 @@ import pytest
 import torch
 from api_sweep import contract, samples, walk
 from emulated_device import DEVICE, Emulated, EmulatedDevice, on_device
+from host_reads import is_permitted
 from torch.utils._pytree import tree_leaves
 
 import odak.learn.wave
@@ -83,6 +84,12 @@ def test_on_a_device(path):
     if (there or "device" in given) and not hasattr(function, "__self__"):
         results = [leaf for leaf in tree_leaves(result) if isinstance(leaf, torch.Tensor) and leaf.ndim]
         assert all(isinstance(leaf, Emulated) for leaf in results)
+    unexplained = [
+        line
+        for line in emulated_device.reads
+        if line.startswith("learn/") and not is_permitted(line.removeprefix("learn/").split(": ")[0])
+    ]
+    assert not unexplained
     often = {line: count for line, count in emulated_device.reads.items() if count > MOST_READS}
     assert not often
 

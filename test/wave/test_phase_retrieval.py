@@ -45,6 +45,22 @@ def test_phase_stays_inside_the_modulators_range(target):
     assert phase.max() <= np.pi + 1e-9
 
 
+def test_acceleration_saves_half_of_the_iterations():
+    axis = np.arange(64) - 32
+    smooth = 0.5 + 0.3 * np.sin(9 * axis[:, None] / 64) * np.cos(7 * axis / 64)
+    weak_lens = np.pi / 4 / 64 * (axis[:, None] ** 2 + axis**2)
+    settings = {"propagation_type": "Bandlimited Angular Spectrum", "initial_phase": weak_lens}
+
+    def deviation(count, **options):
+        hologram, _ = odak.wave.gerchberg_saxton(smooth, count, *GEOMETRY, 2 * np.pi, **settings, **options)
+        np.testing.assert_allclose(np.abs(hologram), 1, atol=1e-12)
+        image = np.abs(physics.unwrapped_propagation(hologram, *GEOMETRY))
+        return np.linalg.norm(image - smooth) / np.linalg.norm(smooth)
+
+    assert deviation(30, accelerated=True) < deviation(60)
+    assert deviation(1, accelerated=True) == deviation(1)
+
+
 def test_start_can_be_given(target):
     flat = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]
     same = odak.wave.gerchberg_saxton(target, 1, *GEOMETRY, propagation_type="AS", initial_phase=np.zeros((64, 64)))[0]

@@ -329,7 +329,7 @@ def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
             f"depth must be [rows, columns] or have a map for each picture of target {list(target.shape)}, "
             f"got {list(depth.shape)}"
         )
-    low, high = depth.min().item(), depth.max().item()
+    low, high = torch.stack(depth.aminmax()).tolist()
     if not 0 <= low <= high <= 1:
         raise ValueError(f"depth must be from 0 to 1, got {low:g} to {high:g}")
     if not distances or not (min(distances) > 0 or max(distances) < 0):

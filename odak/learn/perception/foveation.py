@@ -804,7 +804,8 @@ def _new_level(size, rows, coarse, across, dtype):
 
 
 def _strips(weights, levels, step):
-    counts = [[bool(part.any()) for part in level.split(step)] for level in weights]
+    # In one reading of all strips.
+    counts = torch.stack([part.flatten(1).any(1) for part in weights.split(step, 1)], 1).tolist()
     shares = weights[:, :, None]
     strips = []
     for index in range(len(counts[0])):

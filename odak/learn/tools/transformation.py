@@ -218,9 +218,10 @@ def point_cloud_to_voxel(
     extent = (high - low) / size
     cells = (extent - 1e-6 * extent.clamp(min=1)).ceil().clamp(min=1).long()
     index = torch.minimum(((points - low) / size).floor().long(), cells - 1)
-    grid = torch.zeros(cells.tolist(), device=points.device)
+    counts = cells.tolist()
+    grid = torch.zeros(counts, device=points.device)
     grid[index[:, 0], index[:, 1], index[:, 2]] = 1
-    steps = (torch.arange(n, dtype=points.dtype, device=points.device) + 0.5 for n in cells.tolist())
+    steps = (torch.arange(n, dtype=points.dtype, device=points.device) + 0.5 for n in counts)
     locations = low + torch.stack(torch.meshgrid(*steps, indexing="ij"), dim=-1) * size
     return locations, grid
 

@@ -900,11 +900,11 @@ class _Data:
 @torch.no_grad()
 def _match_brightness(model: display_model, data: _Data, chosen: list[torch.Tensor]) -> None:
     """Set the overall scale of a model to that of the captures."""
-    above = below = 0.0
+    sums = []
     for k, pixels in enumerate(chosen):
         seen, weight = model(data.levels[k], data.positions[k], pixels), data.deviations[k, pixels] ** -2
-        above += float((seen * data.counts[k, pixels] * weight).sum())
-        below += float((seen.square() * weight).sum())
+        sums.append(torch.stack([(seen * data.counts[k, pixels] * weight).sum(), (seen.square() * weight).sum()]))
+    above, below = torch.stack(sums).double().sum(0).tolist()
     if above > 0 and below > 0:
         model.brightness.add_(math.log(above / below))
 
@@ -928,8 +928,8 @@ def _fit_physical(model, data, chosen, iterations, chunk) -> tuple[list[float], 
     def cost(vector: torch.Tensor) -> tuple[float, list[torch.Tensor]]:
         with torch.no_grad():
             found = [residuals(vector.to(model._dtype), k).double() for k in range(len(chosen))]
-        squares = sum(float(part.square().sum()) for part in found)
-        return squares + float((precision * (vector - begin).square()).sum()), found
+        squares = torch.stack([part.square().sum() for part in found]).sum()
+        return float(squares + (precision * (vector - begin).square()).sum()), found
 
     def slopes(vector: torch.Tensor) -> list[torch.Tensor]:
         narrow = vector.to(model._dtype)
@@ -999,15 +999,17 @@ def _refine(model, data, passes, learning_rate, random) -> list[float]:
     parameters, history = maps + network, []
     best, kept = math.inf, [part.detach().clone() for part in parameters]
     for _ in range(passes):
-        before, total = [part.detach().clone() for part in parameters], 0.0
+        before, losses = [part.detach().clone() for part in parameters], []
         for k in torch.randperm(len(data.levels), generator=random).tolist():
             loss = data.residual(model, k).square().mean()
             gradients = torch.autograd.grad(loss, parameters)
             for part, gradient in zip(parameters, gradients, strict=True):
                 part.grad = gradient
             optimizer.step()
-            total += loss.item() / len(data.levels)
+            losses.append(loss.detach())
         schedule.step()
+        # In one reading for all captures.
+        total = math.fsum(torch.stack(losses).tolist()) / len(losses)
         history.append(total)
         if total < best:
             best, kept = total, before

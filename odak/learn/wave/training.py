@@ -357,52 +357,92 @@ class Adam:
 
 
 class LBFGS:
-    """L-BFGS with a strong-Wolfe line search, one iteration a step; it chooses its own step length.
+    """L-BFGS with a backtracking line search, one iteration a step (Nocedal and Wright, 2006, algorithms 7.5 and 3.1).
 
-    torch's solver forgets a step whose y·s is below 1e-10. The mean over a million pixels makes it that small, so the
-    solver is given the sum, and the caller the mean again.
+    ``torch.optim.LBFGS`` loads the compiler, as :class:`Adam` says. One iteration at a time it evaluates the loss
+    twice, keeps 200 arrays, and forgets a step whose y·s is below 1e-10, which the mean over a million pixels makes it.
 
     Parameters
     ----------
     parameters : sequence of torch.Tensor
-        Leaf tensors that require grad.
+        Leaf tensors that require grad, in radians.
     """
+
+    # More brought 0.1 dB in 120 iterations and take a pass over memory each.
+    _PAIRS = 10
+    # Mean change of the first step, in radians, and how often a step may be shortened.
+    _FIRST, _TRIALS = 0.1, 25
 
     def __init__(self, parameters: Sequence[torch.Tensor]):
         self.parameters = list(parameters)
-        self.pixels = sum(parameter.numel() for parameter in self.parameters)
-        self.solver = torch.optim.LBFGS(
-            self.parameters,
-            lr=1,
-            max_iter=1,
-            # By default one evaluation per iteration: a first trial that overshoots would be given up for no step at
-            # all, again and again.
-            max_eval=25,
-            tolerance_grad=0,
-            tolerance_change=0,
-            line_search_fn="strong_wolfe",
-        )
+        # Changes of the parameters and of the gradient, and the product of the two.
+        self.pairs: list[tuple[torch.Tensor, torch.Tensor, torch.Tensor]] = []
+        # At the present place; a step ends with the evaluation that the next one begins with.
+        self.loss: torch.Tensor | None = None
+        self.slope: torch.Tensor | None = None
 
+    @torch.no_grad()
     def step(self, gradient: Callable[[], torch.Tensor], learning_rate: float) -> torch.Tensor:
         """Take one step and return the loss before it; the learning rate does not matter."""
+        if self.loss is None or self.slope is None:
+            self.loss, self.slope = self._evaluate(gradient)
+        loss, slope = self.loss, self.slope
+        start, direction = torch.cat([parameter.reshape(-1) for parameter in self.parameters]), self._direction(slope)
+        descent, size = float(direction @ slope), 1.0
+        # Of the loss: differences below are rounding.
+        rounding = torch.finfo(loss.dtype).eps * abs(float(loss))
+        for _ in range(self._TRIALS):
+            change = size * direction
+            self._put(start + change)
+            found, there = self._evaluate(gradient)
+            rise = float(found - loss)
+            if rise <= 1e-4 * size * descent + rounding:
+                break
+            # To the minimum of the parabola through what is known, within limits that hold for NaN too.
+            share = -descent * size / (2 * (rise - descent * size))
+            size *= 0.1 if share < 0.1 else share if share < 0.5 else 0.5
+        else:
+            self._put(start)
+            self.pairs.clear()
+            return loss
+        bend = there - slope
+        if float(curvature := change @ bend) > 0:
+            self.pairs = [*self.pairs[1 - self._PAIRS :], (change, bend, curvature)]
+        self.loss, self.slope = found, there
+        return loss
 
-        def summed():
-            loss = gradient()
-            for parameter in self.parameters:
-                parameter.grad.mul_(self.pixels)
-            return self.pixels * loss
+    def _evaluate(self, gradient):
+        loss = gradient()
+        slopes = [
+            parameter.new_zeros(parameter.shape) if parameter.grad is None else parameter.grad
+            for parameter in self.parameters
+        ]
+        return loss, torch.cat([slope.reshape(-1) for slope in slopes])
 
-        return self.solver.step(summed).detach() / self.pixels
+    def _put(self, place):
+        sizes = [parameter.numel() for parameter in self.parameters]
+        for parameter, part in zip(self.parameters, place.split(sizes), strict=True):
+            parameter.copy_(part.view_as(parameter))
+
+    def _direction(self, slope):
+        """Return the direction of the next step, by the two loops over the pairs."""
+        direction, weights = -slope, []
+        for change, bend, curvature in reversed(self.pairs):
+            weights.append((change @ direction) / curvature)
+            direction.addcmul_(bend, weights[-1], value=-1)
+        if not self.pairs:
+            return direction * (self._FIRST / direction.abs().mean().clamp_min(torch.finfo(slope.dtype).tiny))
+        _, bend, curvature = self.pairs[-1]
+        direction *= curvature / (bend @ bend)
+        for (change, bend, curvature), weight in zip(self.pairs, reversed(weights), strict=True):
+            direction.addcmul_(change, weight - (bend @ direction) / curvature)
+        return direction
 
     def state(self) -> dict:
         """Return what the next step depends on besides the parameters."""
-        return self.solver.state_dict()
+        return {"pairs": self.pairs, "loss": self.loss, "slope": self.slope}
 
     def load(self, state: dict) -> None:
-        """Take over a state that :meth:`state` returned, but not how many evaluations a step may take."""
-        settings = [
-            {key: value for key, value in group.items() if key != "params"} for group in self.solver.param_groups
-        ]
-        self.solver.load_state_dict(state)
-        for group, own in zip(self.solver.param_groups, settings, strict=True):
-            group.update(own)
+        """Take over a state that :meth:`state` returned."""
+        self.pairs = [tuple(pair) for pair in state["pairs"]]
+        self.loss, self.slope = state["loss"], state["slope"]

@@ -735,8 +735,9 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
     if bool(lost.all()):
         raise ValueError("field must have rays that reach the image, got one whose rays are all lost")
     sign = _sign(rays, places)
-    extent = [float(torch.where(lost, 0.0, value).abs().max()) for value in (met.y, met.x)]
-    steep = max(float(torch.where(lost, 0.0, value).abs().max()) for value in (met.u, met.v))
+    largest = torch.stack([torch.where(lost, 0.0, value).abs().max() for value in (met.y, met.x, met.u, met.v)])
+    *extent, u, v = largest.tolist()
+    steep = max(u, v)
     if pitch is None:
         pitch = max(2 * MARGIN * size / count for size, count in zip(extent, shape, strict=True))
     pitch = float(_validate.number("pitch", pitch, positive=True))

@@ -1,0 +1,191 @@
+"""Code of odak.learn that reads numbers from a device, which waits for all work queued there: reasons, and a search."""
+
+import ast
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import odak
+
+FOLDER = Path(odak.__file__).parent / "learn"
+# "module: functions" that may read numbers, by the reason why they must. Messages of errors, texts (`__repr__`) and
+# random numbers, which are drawn on the CPU, need none.
+REASONS = {
+    "files, figures and reports are made by the processor": """
+        perception/quality: _pooled eccentricity_report
+        raytracing/mesh: save_heights_as_PLY
+        raytracing/system/automatic: _stage automatic_design
+        raytracing/system/design: report
+        raytracing/system/drawing: *
+        raytracing/system/lens_files: *
+        raytracing/triangles: read_PLY write_PLY
+        tools/file: *
+        tools/function: __array__
+        tools/models: fit
+        wave/gaussians/spatial: _points
+        wave/gaussians/splat_files: save_splats
+        wave/training: _show _take_up fingerprint go
+        tools/checkpoints: set_randomness
+        wave/display_models: capture count display_camera fit_display of registration
+    """,
+    "an argument is refused, or its kind decides on the way, once per call": """
+        models/hologram_networks: _planes
+        perception/color_vision_deficiency: _checked_severity
+        perception/csf: _check_range
+        perception/display_color: spectrum_to_xyz
+        perception/metameric: _metamer
+        perception/observers: individual_cone_fundamentals metameric_failure
+        perception/quality: _require_positive
+        perception/util: slice_rgbd_targets
+        perception/visibility: highest_frequency
+        raytracing/system/design: __init__ _now
+        raytracing/system/image_simulation: _chief _response point_spread_map
+        raytracing/system/optimise: perturbed
+        raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
+        raytracing/system/polarisation: _jones_vector
+        raytracing/system/pupils: _far
+        raytracing/system/surfaces: _any _fields _image _optional is_off_axis number_or_infinity vary
+        raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
+        raytracing/triangle_search: components
+        raytracing/triangles: _checked_faces _checked_vertices
+        wave/eyebox: _of_each eyebox_hologram
+        wave/gaussians/scene: chosen
+        wave/gaussians/spatial: prune
+        wave/holograms: _checked_target _starting_phase
+        wave/loss: _checked_geometry _checked_picture
+        wave/optimizers/multi_color: _start_from
+        wave/optimizers/multiplane: _values
+        wave/optimizers/terms: checked_targets eyebox_mask
+        wave/propagators: checked_powers is_diagonal
+        wave/training: check_brightness
+    """,
+    "the size of the result, or the memory that it takes, depends on the numbers": """
+        models/gaussians: _compact_runs initialize_from_image
+        perception/foveation: __init__ _strips level_weights
+        perception/quality: _split
+        perception/visibility: foveated_budget
+        raytracing/boundary: intersect_w_triangle_batch
+        raytracing/detector: _axes
+        raytracing/mesh: _faces init_heights
+        raytracing/surfaces: _intersect_parametric
+        raytracing/system/eye: _pupil _radial_transfer
+        raytracing/system/waves: _grid
+        tools/transformation: load_voxelized_PLY point_cloud_to_voxel
+        wave/display_models: _cycles
+        wave/gaussians/splatting: _groups _rounds choose_tiling
+        wave/loss: geometric_targets
+    """,
+    "what was kept from an earlier call is compared with what is needed": """
+        perception/visibility: _sensitivities
+    """,
+    "numbers of NumPy or constants, which are on the CPU": """
+        perception/color: _column rows tone_map
+        perception/display_color: _checked _interpolated read_spectra
+        perception/pyramid_filter_design: keep
+        perception/pyramids: _quadrature_taps _unsteered
+        perception/quality: <module>
+    """,
+    "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
+        raytracing/boundary: _picked
+        raytracing/system/fused: _intersect _newton _on_sheet _run blocks work
+        raytracing/triangle_search: embree_scene nearest_faces_by_embree
+        wave/propagators: holograms
+    """,
+    "a search ends when it has converged: one reading for an iteration of many operations": """
+        raytracing/surfaces: _search plain
+        raytracing/system/automatic: _nearer
+        raytracing/system/curved_rays: _adjoint
+        raytracing/system/design: restarts
+        raytracing/system/eye: accommodation_response
+        raytracing/system/optimise: least_squares
+        raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
+        raytracing/system/sequence: axis_signs
+        wave/display_models: _match_brightness _numbers _refine cost
+    """,
+}
+# Those whose syntax does not show it, such as `float(loss)`.
+AT_RUN_TIME = {
+    "raytracing/system/design:_now",
+    "raytracing/system/eye:_pupil",
+    "raytracing/system/surfaces:_image",
+    "tools/transformation:load_voxelized_PLY",
+    "wave/training:_show",
+    "wave/training:go",
+}
+_METHODS = {"item", "tolist", "cpu", "numpy"}
+_CASTS = {"float", "int", "bool", "complex"}
+# Methods whose result is an array: a cast or a condition of it reads a number.
+_OF_ARRAYS = {
+    "abs", "all", "amax", "amin", "any", "argmax", "argmin", "count_nonzero", "detach", "diff", "double", "isfinite",
+    "max", "mean", "min", "norm", "prod", "sqrt", "square", "std", "sum",
+}  # fmt: skip
+_MODULES_OF_NUMBERS = {"math", "np", "numpy", "random"}
+_FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
+_CONDITIONS = (ast.If, ast.While, ast.IfExp, ast.Assert)
+_TEXTS = {"__repr__", "__str__", "extra_repr"}
+
+
+def permitted() -> list[str]:
+    """Return the patterns "module:function" of :data:`REASONS`."""
+    lines = [line.split(":") for text in REASONS.values() for line in text.split("\n") if line.strip()]
+    return [f"{module.strip()}:{function}" for module, functions in lines for function in functions.split()]
+
+
+def is_permitted(place: str) -> bool:
+    """Say whether a function "module:function" may read numbers."""
+    return any(fnmatchcase(place, pattern) for pattern in permitted())
+
+
+def host_reads(folder: Path = FOLDER) -> set[str]:
+    """Return "module:function" of the functions that visibly read numbers, by the syntax of a folder's modules.
+
+    A cast or a condition is counted where it holds a call of torch or a method of arrays: what a bare name holds is not
+    known before the code runs.
+    """
+    found = set()
+    for path in folder.rglob("*.py"):
+        module = path.relative_to(folder).with_suffix("").as_posix()
+        pending: list[tuple[ast.AST, str]] = [(ast.parse(path.read_text(encoding="utf-8")), "<module>")]
+        while pending:
+            node, function = pending.pop()
+            if isinstance(node, ast.Raise) or (isinstance(node, _FUNCTIONS) and node.name in _TEXTS):
+                continue
+            if isinstance(node, _FUNCTIONS):
+                function = node.name
+            elif isinstance(node, ast.Call):
+                if _is_read(node):
+                    found.add(f"{module}:{function}")
+            elif isinstance(node, _CONDITIONS) and any(map(_is_reduction, _terms(node.test))):
+                found.add(f"{module}:{function}")
+            pending.extend((child, function) for child in ast.iter_child_nodes(node))
+    return found
+
+
+def _is_read(call: ast.Call) -> bool:
+    if isinstance(call.func, ast.Attribute):
+        return call.func.attr in _METHODS and not call.args and not _is_random(call.func.value)
+    cast = isinstance(call.func, ast.Name) and call.func.id in _CASTS and bool(call.args)
+    return cast and not _is_random(call.args[0]) and any(map(_is_array, ast.walk(call.args[0])))
+
+
+def _terms(test):
+    """Yield the parts of a condition that are joined by `and`, `or` and `not`."""
+    parts = test.values if isinstance(test, ast.BoolOp) else [test.operand] if isinstance(test, ast.UnaryOp) else []
+    for part in parts:
+        yield from _terms(part)
+    if not parts:
+        yield test
+
+
+def _is_reduction(node) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in ("any", "all")
+
+
+def _is_array(node) -> bool:
+    if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
+        return False
+    owner = node.func.value.id if isinstance(node.func.value, ast.Name) else ""
+    return owner == "torch" or (node.func.attr in _OF_ARRAYS and owner not in _MODULES_OF_NUMBERS)
+
+
+def _is_random(node) -> bool:
+    return isinstance(node, ast.Call) and ast.unparse(node.func).startswith("torch.rand")
