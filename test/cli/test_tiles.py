@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -157,6 +159,38 @@ def test_a_run_is_continued_for_the_same_picture_only(grey_file, tmp_path):
     assert "contains the state of a run with another picture" in said.stderr and "--again" in said.stderr
     said = run(grey_file, "-o", tmp_path / "b", *options, 4, "--distance", "4e-3", "--again")
     assert read_report(tmp_path / "b")["parameters"]["distance"] == 4e-3
+
+
+# A run that ends without any warning, in the middle of writing the state of its third iteration.
+KILLED = """
+import os, sys
+from odak.cli import main
+
+replace = os.replace
+
+def replace_or_die(source, target):
+    if os.path.basename(target) == "iteration_000003":
+        os._exit(9)
+    replace(source, target)
+
+os.replace = replace_or_die
+main(sys.argv[1:])
+"""
+
+
+@pytest.mark.slow
+def test_a_killed_run_goes_on_to_the_same_pattern(grey_file, tmp_path):
+    options = [*GEOMETRY, "--iterations", "4"]
+    arguments = ["hologram", str(grey_file), "-o", str(tmp_path / "a"), *options, "--quiet"]
+    assert subprocess.run([sys.executable, "-c", KILLED, *arguments]).returncode == 9
+    state = tmp_path / "a" / "state_532nm"
+    assert (state / "iteration_000003.part").exists() and not (tmp_path / "a" / "report.json").exists()
+    resumed = run(grey_file, "-o", tmp_path / "a", *options)
+    # The progress bar starts where the run was killed.
+    assert "| 2/4 [" in resumed.output and "| 1/4 [" not in resumed.output
+    run(grey_file, "-o", tmp_path / "b", *options, "--quiet")
+    assert np.array_equal(*(pixels(tmp_path / name / "hologram_532nm.png") for name in "ab"))
+    assert read_report(tmp_path / "a")["channels"] == read_report(tmp_path / "b")["channels"]
 
 
 @pytest.mark.slow
