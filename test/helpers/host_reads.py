@@ -100,6 +100,7 @@ REASONS = {
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
         raytracing/system/sequence: axis_signs
         wave/display_models: _match_brightness _numbers _refine cost
+        wave/training: step
     """,
 }
 # Those whose syntax does not show it, such as `float(loss)`.
@@ -110,6 +111,7 @@ AT_RUN_TIME = {
     "tools/transformation:load_voxelized_PLY",
     "wave/training:_show",
     "wave/training:go",
+    "wave/training:step",
 }
 _METHODS = {"item", "tolist", "cpu", "numpy"}
 _CASTS = {"float", "int", "bool", "complex"}
