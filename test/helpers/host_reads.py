@@ -88,6 +88,7 @@ REASONS = {
         raytracing/boundary: _picked
         raytracing/system/fused: _intersect _newton _on_sheet _run blocks work
         raytracing/triangle_search: embree_scene nearest_faces_by_embree
+        tools/matrix: _gaussian_lines
         wave/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
