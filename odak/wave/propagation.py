@@ -670,7 +670,7 @@ def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wave
 
 
 def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
-    """Propagate by the first Rayleigh–Sommerfeld integral as a direct double sum, in double precision.
+    """Propagate by the first Rayleigh–Sommerfeld integral as a direct double sum, formed in double precision.
 
     Parameters
     ----------
@@ -709,17 +709,21 @@ def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, 
     check_geometry(k, distance, dx, wavelength)
     xp = _array.namespace(field)
     rows, columns = field.shape[-2:]
-    device = _array.device_of(field)
-    dy, dx = pitches(dx)
-    y = xp.arange(rows, dtype=xp.float64, device=device) * dy
-    x = xp.arange(columns, dtype=xp.float64, device=device) * dx
-    squared_y, squared_x = (y[:, None] - y[None, :]) ** 2, (x[:, None] - x[None, :]) ** 2
-    squared = squared_y[:, None, :, None] + squared_x[None, :, None, :]
-    distance = _array.cast(distance, squared)
-    kernel = rayleigh_sommerfeld_response(distance, squared, _array.cast(wavelength, squared)) * (dy * dx)
-    kernel = xp.reshape(kernel, (rows * columns, rows * columns))
+    y, x = (xp.arange(n, dtype=xp.float64, device=_array.device_of(field)) for n in (rows, columns))
+
+    def of_each_field(value):
+        return _array.cast(value, y)[..., None, None, None, None]
+
+    # Axes of the kernels: rows and columns of the target, then of the source.
+    dy, dx = map(of_each_field, pitches(dx))
+    down, across = y[:, None, None, None] - y[:, None], x[:, None, None] - x
+    response = rayleigh_sommerfeld_response(
+        of_each_field(distance), (down * dy) ** 2 + (across * dx) ** 2, of_each_field(wavelength)
+    )
+    kernel = xp.reshape(response * (dy * dx), (*response.shape[:-4], rows * columns, rows * columns))
     source = xp.reshape(xp.astype(field, xp.complex128), (*field.shape[:-2], rows * columns, 1))
-    return xp.reshape(xp.matmul(kernel, source), field.shape)
+    result = xp.matmul(kernel, source)
+    return xp.astype(xp.reshape(result, (*result.shape[:-2], rows, columns)), _array.complex_dtype(field))
 
 
 def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:

@@ -287,6 +287,20 @@ def test_rayleigh_sommerfeld_is_the_first_integral(distance, random):
         assert relative_error(function(field, None, distance, 2e-7, 532e-9), expected) < 1e-9
 
 
+def test_each_field_of_the_direct_sum_has_its_own_numbers(random):
+    """As many fields as columns: numbers of fields must not meet the columns."""
+    field = random.normal(size=(4, 3, 4)) + 1j * random.normal(size=(4, 3, 4))
+    given = np.array([[1e-4, 2e-4, 3e-4, -4e-4], [1e-6, 2e-6, 3e-6, 4e-6], [4e-7, 5e-7, 6e-7, 7e-7]])
+    for varied in range(3):
+        numbers = [given[i] if i == varied else given[i, 0] for i in range(3)]
+        result = odak.wave.rayleigh_sommerfeld_sum(field, None, *numbers)
+        for i, one in enumerate(field):
+            own = [number if number.ndim == 0 else number[i] for number in map(np.asarray, numbers)]
+            expected = direct_sum(one, *(float(own[j]) for j in (1, 0, 2)))
+            assert relative_error(result[i], expected) < 1e-9
+    assert odak.wave.rayleigh_sommerfeld_sum(field.astype(np.complex64), None, *given[:, 0]).dtype == np.complex64
+
+
 def test_the_first_integral_agrees_with_plane_waves_near_the_field():
     dx, wavelength, n = 1e-7, 532e-9, 256
     y, x = coordinates((n, n), dx)

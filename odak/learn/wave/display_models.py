@@ -525,6 +525,13 @@ class display_model(torch.nn.Module):
             self._kernels[position] = torch.polar(torch.ones_like(phase), phase).to(kind).to(self._slope.device)
         return self._kernels[position]
 
+    def _apply(self, fn, recurse=True):
+        """Follow ``.double()``, ``.to(…)`` and the like."""
+        super()._apply(fn, recurse)
+        self._dtype = self.fringing.dtype
+        self._kernels.clear()
+        return self
+
     def _spectrum(self, light: torch.Tensor, position: float) -> torch.Tensor:
         """Return the spectrum of the light in the plane of the camera, the axis at its first sample."""
         turn = self._depth * self.distance * self._slope

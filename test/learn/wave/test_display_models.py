@@ -191,6 +191,14 @@ def test_gradients():
     assert torch.autograd.gradcheck(model.image, (phase,), fast_mode=True)
 
 
+def test_a_model_changes_its_precision_like_other_modules():
+    there = ([12, 14], 8e-6, 532e-9, 1e-3, [8, 8], 8e-6)
+    levels = torch.as_tensor(np.random.default_rng(1).integers(0, 256, (12, 14)))
+    model, expected = display_model(*there), display_model(*there, dtype=torch.float64)(levels)
+    assert model(levels).dtype == torch.float32
+    torch.testing.assert_close(model.double()(levels), expected, rtol=1e-6, atol=1e-6 * float(expected.detach().max()))
+
+
 def test_levels_are_nearest_where_the_response_varies():
     random = np.random.default_rng(1)
     model = display_model([12, 14], 8e-6, 532e-9, 1e-3, [8, 8], 8e-6, phases=np.cumsum(random.uniform(0, 0.06, 256)))
