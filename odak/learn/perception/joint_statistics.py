@@ -1,6 +1,8 @@
 """Statistics of pairs of steerable bands, across channels, orientations, scales and places; textures made from them."""
 
+import contextlib
 import itertools
+import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -25,7 +27,7 @@ PIXEL_WEIGHT = 10.0
 # which it weights them alike.
 STEEPNESS, SLOWEST = 0.4, 0.02
 # Weight of the squared distance from the bounds, against that of the statistics.
-OUTSIDE_WEIGHT = 0.1
+OUTSIDE_WEIGHT = 1e-4
 
 Pool = Callable[[torch.Tensor], torch.Tensor]
 
@@ -324,6 +326,10 @@ def _coloured(noise, sample):
     return (root.to(noise) @ noise.flatten(2)).unflatten(2, noise.shape[-2:]) + _mean(sample)
 
 
+class _Spent(Exception):
+    """All evaluations have been made."""
+
+
 def descended(
     picture: torch.Tensor,
     held: Callable[[torch.Tensor], torch.Tensor],
@@ -347,7 +353,7 @@ def descended(
     progress : callable or None
         Called without arguments at each evaluation.
     steepness : float
-        Power of the frequency by which changes of the picture are weighted.
+        Power of the frequency by which changes of the picture are weighted; 0 for none.
 
     Returns
     -------
@@ -357,8 +363,8 @@ def descended(
     Notes
     -----
     The variables are the change of the picture with its spectrum divided by a power of the frequency. Bands of low
-    frequencies have few samples, each of which counts the more in the mean over a level: without the division the
-    descent is steep along them and flat along the others, and takes more than twice as many evaluations.
+    frequencies have few samples, each of which counts the more in the mean over a level: without the division a descent
+    from noise is steep along them and flat along the others, and takes more than twice as many evaluations.
     """
     if not iterations:
         return held(picture)
@@ -368,27 +374,39 @@ def descended(
     weights = weights.to(picture.device, picture.dtype)
 
     def weighted(values):
+        if not steepness:
+            return values
         return torch.fft.irfft2(torch.fft.rfft2(values) * weights, (rows, columns))
 
     with torch.enable_grad():
         start = held(picture).detach()
         change = torch.zeros_like(start, memory_format=torch.contiguous_format).requires_grad_()
         unit = distance(start).detach().clamp_min(torch.finfo(start.dtype).tiny)
+        best, least, left = change.detach().clone(), math.inf, iterations
         optimizer = torch.optim.LBFGS(
             [change], max_iter=iterations, max_eval=iterations, tolerance_grad=0, tolerance_change=0,
             history_size=10, line_search_fn="strong_wolfe",
         )  # fmt: skip
 
         def evaluate():
+            nonlocal best, least, left
+            if not left:
+                raise _Spent
+            left -= 1
             free = (start + weighted(change.detach())).requires_grad_()
             inside = held(free)
             # A penalty outside the bounds keeps the gradient from vanishing there.
             value = (distance(inside) + OUTSIDE_WEIGHT * (free - inside).square().mean()) / unit
             # The weighting is symmetric, so that it is its own adjoint; L-BFGS takes contiguous gradients only.
             change.grad = weighted(torch.autograd.grad(value, free)[0]).contiguous()
+            value = value.detach()
+            if float(value) < least:
+                best, least = change.detach().clone(), float(value)
             if progress is not None:
                 progress()
             return value
 
-        optimizer.step(evaluate)
-    return held(start + weighted(change.detach()))
+        # The line search does not count evaluations.
+        with contextlib.suppress(_Spent):
+            optimizer.step(evaluate)
+    return held(start + weighted(best))

@@ -25,7 +25,7 @@ from odak.learn.perception.foveation import (
     plane_chunks,
     strip_memory,
 )
-from odak.learn.perception.joint_statistics import STEEPNESS, descended, joint_maps
+from odak.learn.perception.joint_statistics import descended, joint_maps
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
 from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, in_float32
 
@@ -37,11 +37,22 @@ RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
 METAMER_ITERATIONS = 40
 # With statistics of pairs: how many times as many evaluations are made without them first, and how many with them.
 WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
+# Displacements by which a metamer starts: their deviation as a share of the pooling size, and at most as a share of the
+# distance over which they vary; this distance as a share of a pixel of the last low-pass.
+DISPLACEMENT, LARGEST_SLOPE, GRAIN = 0.2, 0.5, 0.25
 # Before the descent the local statistics of the bands are brought to those of the picture so many times, and deviations
 # increased at most by so much at a time.
-RESCALINGS, LARGEST_GAIN = 8, 4.0
-# Steepness of the descent after that: rescaling has brought low frequencies close to their statistics already.
-FLATTER = 0.1
+RESCALINGS, LARGEST_GAIN = 4, 4.0
+# Bounds of a local gamut: channels of Y′CrCb and their factors, each alone and two at a time. Differences of colour
+# vary several times less than brightness.
+CHROMA = 4.0
+SLABS = tuple(((channel, 1.0 if channel == 0 else CHROMA),) for channel in range(3)) + tuple(
+    ((one, 1.0 if one == 0 else CHROMA), (two, sign * CHROMA))
+    for one, two in ((0, 1), (0, 2), (1, 2))
+    for sign in (1, -1)
+)
+# Clipping to one bound can break another: so many times at the end, after which less than 0.001 is outside.
+CLIPPINGS = 5
 # Pixels: smaller pooling regions would only take memory.
 FINEST = 1 / 64
 
@@ -141,7 +152,7 @@ class _StatisticsLoss(nn.Module):
         return maker
 
     def _metamer(self, image, where, levels, seed, iterations, progress):
-        """Return a picture with the pooled statistics of an RGB or grey one: matched noise, rescaled, then descent.
+        """Return a picture with the pooled statistics of an RGB or grey one: displaced, rescaled, then descent.
 
         `levels` is the MIP level of the pooling region of each pixel; colours stay within the range that the picture
         has there.
@@ -154,9 +165,9 @@ class _StatisticsLoss(nn.Module):
         with torch.inference_mode(False), torch.no_grad():
             padded, statistics, kept = self._target_statistics(image.detach().clone(), "RGB", where)
             maker = self._maker(image.shape[1])
-            metamer = matched_noise(padded, statistics, maker, self.n_pyramid_levels, seed)
             if iterations:
-                low, high = local_range(padded, levels(padded.shape[-2:]))
+                pooling = levels(padded.shape[-2:])
+                gamut = LocalGamut(padded, pooling, min(0.0, float(image.min())), max(1.0, float(image.max())))
 
                 def distance(picture, pairs):
                     if kept is not None and is_blocked(picture):
@@ -164,23 +175,18 @@ class _StatisticsLoss(nn.Module):
                     found = statistics_maps(*self._parts(picture, where, pairs))
                     return mean_distance(found, statistics[: len(found)])
 
-                least, most = min(0.0, float(image.min())), max(1.0, float(image.max()))
-
-                def held(picture):
-                    picture = picture.maximum(low).minimum(high)
-                    if picture.shape[1] != 3:
-                        return picture
-                    return rgb_2_ycrcb(ycrcb_2_rgb(picture).clamp(least, most))
-
-                # Not with statistics of pairs, which then end farther from the edges of the picture.
-                for _ in range(0 if self.joint else RESCALINGS):
-                    metamer = held(metamer)
-                    groups, *pooling = self._parts(metamer, where, pairs=False)
-                    found = statistics_maps(groups, *pooling)
-                    metamer = rescaled(groups, found, statistics, maker, LARGEST_GAIN)
+                metamer = displaced(padded, pooling, 1 << (self.n_pyramid_levels - 1), seed)
+                for _ in range(RESCALINGS):
+                    metamer = gamut.clipped(metamer)
+                    groups, *rest = self._parts(metamer, where, pairs=False)
+                    metamer = rescaled(groups, statistics_maps(groups, *rest), statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
-                    steepness = STEEPNESS if self.joint else FLATTER
-                    metamer = descended(metamer, held, partial(distance, pairs=pairs), count, progress, steepness)
+                    compared = partial(distance, pairs=pairs)
+                    metamer = descended(metamer, gamut.clipped, compared, count, progress, steepness=0.0)
+                for _ in range(CLIPPINGS):
+                    metamer = gamut.clipped(metamer)
+            else:
+                metamer = matched_noise(padded, statistics, maker, self.n_pyramid_levels, seed)
         metamer = metamer[..., : image.shape[-2], : image.shape[-1]]
         return (ycrcb_2_rgb(metamer) if image.shape[1] == 3 else metamer).to(image.dtype)
 
@@ -628,7 +634,7 @@ class MetamericLossUniform(_StatisticsLoss):
         image : torch.Tensor
             RGB or grey ``[B, C, H, W]``, about 0 … 1.
         seed : int
-            Seed of the noise that it starts from.
+            Seed of the displacements that it starts from, or of the noise.
         iterations : int
             Evaluations of the distance between the statistics, which L-BFGS makes smaller; 0 for matched noise. With
             `joint` the statistics of single bands are matched first: :func:`metamer_stages`.
@@ -638,8 +644,8 @@ class MetamericLossUniform(_StatisticsLoss):
         Returns
         -------
         torch.Tensor
-            ``[B, C, H, W]``. With iterations its colours (Y′CrCb) lie within the range that the picture's have in each
-            region, clipped to RGB of 0 … 1; matched noise is not clipped.
+            ``[B, C, H, W]``. With iterations its colours lie within the local gamut of the picture
+            (:class:`LocalGamut`) and within RGB of 0 … 1; matched noise is not clipped.
 
         Raises
         ------
@@ -869,9 +875,8 @@ class MetamerMSELoss(nn.Module):
         Returns
         -------
         torch.Tensor
-            ``[B, C, H, W]``. Where single pixels are resolved it is the picture; elsewhere its
-            colours (Y′CrCb) lie within the range that the picture's have in the pooling region, clipped to RGB of
-            0 … 1.
+            ``[B, C, H, W]``. Where single pixels are resolved it is the picture; elsewhere its colours lie within the
+            local gamut of the picture (:class:`LocalGamut`) and within RGB of 0 … 1.
 
         Raises
         ------
@@ -880,8 +885,10 @@ class MetamerMSELoss(nn.Module):
 
         Notes
         -----
-        The start is that of Walton et al., ACM Trans. Graph. 40, 48 (2021), section 4: noise whose bands are given
+        It starts from the picture with its pixels displaced at random (:func:`displaced`), whose bands are then given
         local means and deviations. Bands overlap, so that the sum does not have them; L-BFGS then lowers the distance.
+        From noise, as Walton et al. start, ACM Trans. Graph. 40, 48 (2021), section 4, pictures of hard edges end two
+        to five times as far. Without iterations it is such noise.
 
         Examples
         --------
@@ -1269,6 +1276,54 @@ def matched_noise(
     return rescaled(groups, found, statistics, maker)
 
 
+def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 0) -> torch.Tensor:
+    """Return a picture whose pixels come from random places nearby, the farther away the larger the pooling regions.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        ``[B, C, H, W]``, sides multiples of `cell`.
+    levels : torch.Tensor
+        MIP level of the pooling region of each pixel ``[H, W]``: its size is 2ˡ. At level 0 pixels stay.
+    cell : int
+        Pixels of the picture in one of the last low-pass, which is compared value by value: displacements vary over a
+        quarter of this length, and have a mean of zero over it.
+    seed : int
+        Of the displacements, which are one and the same for every picture of a batch.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[B, C, H, W]``.
+
+    Notes
+    -----
+    The displacements are normally distributed, with independent components along rows and columns. Their deviation is
+    0.16 times the pooling size less one pixel, and at most 0.4 times the length over which they vary, so that they
+    hardly fold the picture. Displaced edges stay edges: compare Koenderink et al., J. Vis. 17(2):7 (2017),
+    https://doi.org/10.1167/17.2.7.
+    """
+    generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+    rows, columns = image.shape[-2:]
+    grain = max(1, round(GRAIN * cell))
+    # Two more samples on each side than the picture needs: bicubic enlargement reads that far.
+    coarse = (1, 2, -(-rows // grain) + 4, -(-columns // grain) + 4)
+    noise = torch.randn(coarse, dtype=torch.float64, generator=generator).to(image)
+    smooth = functional.interpolate(noise, scale_factor=grain, mode="bicubic", align_corners=False)
+    smooth = smooth[..., 2 * grain : 2 * grain + rows, 2 * grain : 2 * grain + columns]
+    means = functional.avg_pool2d(smooth, cell)
+    smooth = smooth - functional.interpolate(means, (rows, columns), mode="bilinear", align_corners=False)
+    strength = (DISPLACEMENT * (2**levels - 1)).clamp(max=LARGEST_SLOPE * grain).to(image)
+    across, down = (strength * smooth)[0].unbind(0)
+    places = [
+        2 * (torch.arange(side, dtype=image.dtype, device=image.device) + 0.5) / side - 1 for side in (columns, rows)
+    ]
+    grid = torch.stack([places[0] + 2 * across / columns, places[1][:, None] + 2 * down / rows], -1)
+    return functional.grid_sample(
+        image, grid.expand(len(image), -1, -1, -1), mode="bicubic", padding_mode="reflection", align_corners=False
+    )
+
+
 def rescaled(
     groups: list[torch.Tensor],
     found: Sequence[torch.Tensor],
@@ -1340,6 +1395,51 @@ def local_range(picture: torch.Tensor, levels: torch.Tensor) -> tuple[torch.Tens
             total = total + extreme * weight
         bounds.append(sign * total)
     return bounds[0], bounds[1]
+
+
+class LocalGamut:
+    """Convex bounds of the colours that a picture has around each pixel.
+
+    The bounds are on each of Y′, Cr and Cb, and on the sum and the difference of each two of them, colour differences
+    counting `CHROMA` times, over the region of :func:`local_range`; and on R, G and B, the same for all pixels. Bounds
+    on single channels would admit colours that the picture has nowhere, such as a highlight in the hue of its
+    surroundings' most saturated pixel.
+
+    Parameters
+    ----------
+    picture : torch.Tensor
+        Grey or Y′CrCb ``[B, C, H, W]``.
+    levels : torch.Tensor
+        Of a MIP chain ``[H, W]``, in float64, as for :func:`local_range`.
+    least, most : float
+        Bounds of R, G and B; not used for a grey picture, whose local bounds are narrower.
+    """
+
+    def __init__(self, picture: torch.Tensor, levels: torch.Tensor, least: float, most: float) -> None:
+        self.least, self.most = least, most
+        self._coloured = picture.shape[1] == 3
+        self._low, self._high = local_range(self._along(picture), levels)
+
+    def clipped(self, colours: torch.Tensor) -> torch.Tensor:
+        """Return colours brought within each bound in turn, which can leave them slightly outside of others."""
+        if not self._coloured:
+            return colours.maximum(self._low).minimum(self._high)
+        planes, bounds = list(colours.unbind(1)), zip(self._low.unbind(1), self._high.unbind(1), strict=True)
+        for terms, (low, high) in zip(SLABS, bounds, strict=True):
+            along = _combined(planes, terms)
+            change = (along.maximum(low).minimum(high) - along) / sum(factor**2 for _, factor in terms)
+            for channel, factor in terms:
+                planes[channel] = planes[channel] + factor * change
+        return rgb_2_ycrcb(ycrcb_2_rgb(torch.stack(planes, 1)).clamp(self.least, self.most))
+
+    def _along(self, colours):
+        if not self._coloured:
+            return colours
+        return torch.stack([_combined(colours.unbind(1), terms) for terms in SLABS], 1)
+
+
+def _combined(planes, terms):
+    return torch.stack([factor * planes[channel] for channel, factor in terms]).sum(0)
 
 
 def mean_distance(one: list[torch.Tensor], two: list[torch.Tensor]) -> torch.Tensor:
