@@ -245,7 +245,8 @@ def certificates(
 @app.command(
     help="Make a picture that looks the same as another to an eye with a fixed gaze.\n\n"
     "Away from the gaze its details are displaced; its local statistics are those of the picture. Writes metamer.png, "
-    "pooling_map.png (the width of the pooling regions of the eye, on a logarithmic scale), comparison.png and report.json."
+    "pooling_map.png (the width of the pooling regions of the eye, on a logarithmic scale), comparison.png and "
+    "report.json."
 )
 def metamer(
     image: options.MetamerImage = "photo",

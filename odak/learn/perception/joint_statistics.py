@@ -27,7 +27,7 @@ PIXEL_WEIGHT = 10.0
 # which it weights them alike.
 STEEPNESS, SLOWEST = 0.4, 0.02
 # Weight of the squared distance from the bounds, against that of the statistics.
-OUTSIDE_WEIGHT = 1e-4
+OUTSIDE_WEIGHT = 0.1
 
 Pool = Callable[[torch.Tensor], torch.Tensor]
 
@@ -337,6 +337,7 @@ def descended(
     iterations: int,
     progress: Callable[[], object] | None,
     steepness: float = STEEPNESS,
+    outside_weight: float = OUTSIDE_WEIGHT,
 ) -> torch.Tensor:
     """Return a picture of the form `held(free)` that lowers a distance, by L-BFGS.
 
@@ -354,6 +355,8 @@ def descended(
         Called without arguments at each evaluation.
     steepness : float
         Power of the frequency by which changes of the picture are weighted; 0 for none.
+    outside_weight : float
+        Weight of the squared distance from the bounds, against that of the statistics.
 
     Returns
     -------
@@ -396,7 +399,7 @@ def descended(
             free = (start + weighted(change.detach())).requires_grad_()
             inside = held(free)
             # A penalty outside the bounds keeps the gradient from vanishing there.
-            value = (distance(inside) + OUTSIDE_WEIGHT * (free - inside).square().mean()) / unit
+            value = (distance(inside) + outside_weight * (free - inside).square().mean()) / unit
             # The weighting is symmetric, so that it is its own adjoint; L-BFGS takes contiguous gradients only.
             change.grad = weighted(torch.autograd.grad(value, free)[0]).contiguous()
             value = value.detach()

@@ -43,6 +43,8 @@ DISPLACEMENT, LARGEST_SLOPE, GRAIN = 0.2, 0.5, 0.25
 # Before the descent the local statistics of the bands are brought to those of the picture so many times, and deviations
 # increased at most by so much at a time.
 RESCALINGS, LARGEST_GAIN = 4, 4.0
+# Weight of the squared distance from the bounds. Nearly all pixels of hard edges are at their bounds.
+OUTSIDE_WEIGHT = 1e-4
 # Bounds of a local gamut: channels of Y′CrCb and their factors, each alone and two at a time. Differences of colour
 # vary several times less than brightness.
 CHROMA = 4.0
@@ -182,7 +184,7 @@ class _StatisticsLoss(nn.Module):
                     metamer = rescaled(groups, statistics_maps(groups, *rest), statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
                     compared = partial(distance, pairs=pairs)
-                    metamer = descended(metamer, gamut.clipped, compared, count, progress, steepness=0.0)
+                    metamer = descended(metamer, gamut.clipped, compared, count, progress, 0.0, OUTSIDE_WEIGHT)
                 for _ in range(CLIPPINGS):
                     metamer = gamut.clipped(metamer)
             else:
