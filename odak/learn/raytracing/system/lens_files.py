@@ -263,7 +263,14 @@ def _from_fields(where: str, base: type, entry):
 
 def _medium(item: Any) -> dict:
     medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
+    if str(medium).startswith("model "):
+        medium = " ".join(("model", *_model_numbers(item.material)))
     return {"thickness": float(item.thickness.detach()), "material": medium}
+
+
+def _model_numbers(glass: Material) -> list[str]:
+    """Return every digit of a model glass's index and Abbe number, and its deviation of partial dispersion if any."""
+    return [repr(glass.nd), repr(glass.vd), *glass.name.split()[3:]]
 
 
 def system_from_dict(entry: dict) -> optical_system:
@@ -321,6 +328,11 @@ def _built(where: str, entry, keys) -> surface:
             entry["coating"] = Coating(**entry["coating"])
     radius = entry.pop("radius")
     with _named_errors(where):
+        if isinstance(entry.get("material"), str) and entry["material"].startswith("model "):
+            words = entry["material"].split()[1:]
+            if len(words) not in (2, 3):
+                raise ValueError(f"material must be 'model' and two or three numbers, got {entry['material']!r:.80}")
+            entry["material"] = model_glass(*map(float, words))
         return surface(math.inf if radius is None else radius, **entry)
 
 
@@ -1305,7 +1317,7 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
     if item.material != AIR:
         name = "MIRROR" if item.material == MIRROR else item.material.name.rpartition(":")[2]
         if name.startswith("model "):
-            words = name.split()[1:]
+            words = _model_numbers(item.material)
             lines += [f"  GLAS ___BLANK 1 0 {' '.join(words)}{'' if len(words) > 2 else ' 0'} 0 0 0 0 0"]
         else:
             name = name.replace(" ", "_")

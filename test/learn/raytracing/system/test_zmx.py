@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 
+from odak.catalog import model_glass
 from odak.learn.raytracing.system import (
     coordinate_break,
     first_order,
@@ -172,6 +173,20 @@ def test_weights_and_vignetting_factors_are_read(tmp_path):
     assert not any(key in line for line in report.ignored for key in ("VCYN", "VDYN", "FWGN", "WAVM"))
     assert system.vignetting_factors[1] == (0.0, -0.1, 0.0, 0.2)
     assert system.field_weights == (1.0, 4.0)
+
+
+def test_model_glasses_keep_every_digit_in_both_files(tmp_path):
+    glass = model_glass(1.54451234567, 55.987654321, 0.0123)
+    lens = optical_system([surface(50.0, thickness=4.0, material=glass), surface(thickness=90.0)], 10.0)
+    save_system(lens, tmp_path / "lens.json")
+    write_zmx(lens, tmp_path / "lens.zmx")
+    for again in (load_system(tmp_path / "lens.json"), read_zmx(tmp_path / "lens.zmx")[0]):
+        assert again.surfaces[0].material.coefficients == glass.coefficients
+    text = (tmp_path / "lens.json").read_text()
+    for wrong, message in (("model 1.5", "two or three numbers"), ("model a b", "could not convert")):
+        (tmp_path / "wrong.json").write_text(text.replace("model 1.54451234567 55.987654321 0.0123", wrong))
+        with pytest.raises(ValueError, match=message):
+            load_system(tmp_path / "wrong.json")
 
 
 FORMS = {
