@@ -51,7 +51,8 @@ def propagate_through_medium(
         Index of the homogeneous medium of "split-step", by default the mean of each slice's real part.
     levels : int
         Number of indices of "wave propagation" between which each slice's plane waves are interpolated. A slice with
-        no more than this number of different indices is computed with exactly these.
+        no more than this number of different indices is computed with exactly these. L of them take (L + 1)/2 times
+        the transforms of "split-step"; see the notes for the error.
     absorber : float
         Width in metres of an absorbing layer along the borders of the window, 0 for none: without it, a field that
         reaches a border comes back at the opposite one. An axis of one sample has no borders.
@@ -74,6 +75,12 @@ def propagate_through_medium(
 
     Notes
     -----
+    With "wave propagation" the delay of the axial wave is exact for each sample, and only the difference of oblique
+    waves is interpolated: between neighbouring indices Δn apart its phase differs by k·dz·Δn·(1/cos θ − 1), whose
+    square over eight bounds the error of a slice. A beam of ±30° through 4 µm of smooth random indices from 1.33 to
+    1.59, in slices of 0.1 µm, deviates by 1.7 %, 0.25 %, 0.15 % and 0.025 % of its norm with 2, 3, 4 and 8 levels, a
+    paraxial one by 8e-4, 1.4e-4, 6e-5 and 1e-5; with "split-step" by 4 % and 0.5 %.
+
     Waves that are reflected are left out. M. D. Feit and J. A. Fleck, Appl. Opt. 17, 3990 (1978), with the exact
     square root in place of its paraxial expansion; K.-H. Brenner and W. Singer, Appl. Opt. 32, 4984 (1993), and, for
     the interpolation between indices, S. Schmidt et al., Opt. Express 24, 30188 (2016).

@@ -233,3 +233,29 @@ def test_plane_waves_of_few_indices_are_those_of_each(random, levels):
     np.testing.assert_allclose(through.detach().numpy(), wave, atol=1e-12)
     (slope,) = torch.autograd.grad(through.abs().sum(), learned)
     assert bool(slope.isfinite().all())
+
+
+def test_few_levels_of_index_cost_little_and_their_error_is_bounded():
+    """Against the plane waves of each of the indices that are there; axial waves are exact with any levels."""
+    place = (np.arange(32) - 16) * 0.5e-6
+    beam = np.exp(-(place[:, None] ** 2 + place**2) / (1e-6) ** 2).astype(complex)
+    steps = np.random.default_rng(0).integers(0, 12, (8, 32, 32))
+    index, lengths = 1.33 + 0.26 * steps / 11, (0.5e-6, 0.2e-6, 532e-9, "wave propagation")
+    exact = propagate_through_medium(beam, index, *lengths, levels=12)
+    error = {
+        levels: np.linalg.norm(propagate_through_medium(beam, index, *lengths, levels=levels) - exact)
+        / np.linalg.norm(exact)
+        for levels in (2, 4, 8)
+    }
+    split = propagate_through_medium(beam, index, *lengths[:3])
+    # The largest phase between two neighbouring indices, of waves at the edge of the band, squared over eight.
+    sine = 532e-9 * np.hypot(1e6, 1e6) / 1.33
+    phase = K / 532e-9 * 0.2e-6 * 0.26 * (1 / np.sqrt(1 - sine**2) - 1)
+    for levels, found in error.items():
+        assert found < len(index) * (phase / (levels - 1)) ** 2 / 8
+    assert error[8] < error[4] / 3 < error[2] / 15
+    assert error[2] < 0.5 * np.linalg.norm(split - exact) / np.linalg.norm(exact)
+    flat = np.ones((32, 32), dtype=complex)
+    sides = np.broadcast_to(1.33 + 0.26 * (np.arange(12) / 11)[:, None, None], (12, 32, 32))
+    carried = propagate_through_medium(flat, sides, *lengths, levels=2)
+    assert np.allclose(carried, np.exp(1j * K * 0.2e-6 / 532e-9 * sides[:, 0, 0].sum()), atol=1e-10)
