@@ -662,8 +662,11 @@ def _torch_operator() -> Callable:
 
 def convolve_plainly(field, kernel):
     """Return :func:`convolve` by the array library's own transforms."""
-    spectrum = spectrum_of(field, kernel.shape[-2:]) * kernel
-    return window_of(spectrum, field.shape[-2:], field.dtype)
+    fft, (rows, columns) = _array.namespace(field).fft, field.shape[-2:]
+    # Only rows that are not zero are transformed going in, and only those kept coming out.
+    spectrum = fft.fft(fft.fft(field, n=kernel.shape[-1], axis=-1), n=kernel.shape[-2], axis=-2) * kernel
+    window = fft.ifft(fft.ifft(spectrum, axis=-2)[..., :rows, :], axis=-1)[..., :columns]
+    return _array.namespace(window).astype(window, field.dtype, copy=False)
 
 
 def convolve_in_chunks(field, kernel):
@@ -698,19 +701,6 @@ def lines_per_chunk(length: int, dtype) -> int:
     from dask.utils import parse_bytes
 
     return max(1, parse_bytes(config.get("array.chunk-size")) // (length * np.dtype(dtype).itemsize))
-
-
-def spectrum_of(field, size: tuple[int, int]):
-    """Return the transform of a field continued by zeros to `size`, in FFT order."""
-    xp = _array.namespace(field)
-    return xp.fft.fft(xp.fft.fft(field, n=size[1], axis=-1), n=size[0], axis=-2)
-
-
-def window_of(spectrum, shape: tuple[int, int], dtype):
-    """Return the first rows and columns of the field that has this spectrum."""
-    xp = _array.namespace(spectrum)
-    field = xp.fft.ifft(xp.fft.ifft(spectrum, axis=-2)[..., : shape[0], :], axis=-1)
-    return xp.astype(field[..., : shape[1]], dtype, copy=False)
 
 
 def upsample(field):
