@@ -398,7 +398,7 @@ def make_certificates(folder: str | os.PathLike, days: int = 365) -> Path:
             .sign(issuer_key, hashes.SHA256())
         )
 
-    # The authority's key signs one certificate and is forgotten.
+    # The authority's key signs one certificate and is not stored.
     authority_key, key = (ec.generate_private_key(ec.SECP256R1()) for _ in range(2))
     authority = signed("odak cluster authority", authority_key.public_key(), "odak cluster authority", authority_key,
                        authority=True)  # fmt: skip
