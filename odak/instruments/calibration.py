@@ -56,6 +56,8 @@ UNITS = {
     "residual": "pixel",
     "distortion": "1/(half diagonal)²",
 }
+# Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
+SPREAD_OF_RESPONSE = 0.01
 # Columns of level 0 beside the border of the two halves, and rows and columns of pixels that are evaluated at most.
 GUARD, LARGEST_WINDOW = 3, 201
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
@@ -66,6 +68,8 @@ SMALLEST_LENSLET = 1.6
 ASIDE = 0.3
 # Mean share of the light that is missing in dark parts, above which a root mean square of about 1 % is missing.
 DUSTY = 1.5e-4
+# Share of the light that specks of dust absorb, and uncertainty of the illumination that is reported.
+DEPTH, EVEN = 0.7, 0.02
 QUARTERS = np.arange(4) * (np.pi / 2)
 # Change of the wavefront in the last step, in radians, above which the measurement has not converged.
 UNSETTLED = 2 * np.pi / 20
@@ -238,25 +242,41 @@ def calibrate_table(
         at each of two exposures.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the first registration, and used in the
-        other steps; a response that varies over the modulator acts as an aberration and shifts the image. None by
-        default.
+        other steps; a response that varies over the modulator acts as an aberration and shifts the image. The phases
+        are then the mean over the modulator. None by default.
 
     Returns
     -------
     Calibration
         The results; its wavefront has no tilt and no defocus, which are in the registration and the distance.
 
+    Warns
+    -----
+    AccuracyWarning
+        Without `regions`, if the captures of the phase response deviate by more than 1 % from those of levels with one
+        phase at all pixels; and as the functions of the steps.
+
     Examples
     --------
+    >>> import warnings
     >>> from odak.instruments import SimulatedTable, calibrate_table
     >>> table = SimulatedTable(seed=1, shape=(48, 48), distance=6e-3, camera_shape=(110, 110), aberration=0.1)
-    >>> found = calibrate_table(table.modulator, table.camera, table.laser.wavelength, 6e-3)
+    >>> with warnings.catch_warnings():
+    ...     warnings.simplefilter("ignore")  # the illumination of so few pixels is found within 3 % only
+    ...     found = calibrate_table(table.modulator, table.camera, table.laser.wavelength, 6e-3)
     >>> bool(abs(found.distance / table.truth.distance - 1) < 0.01)
     True
     >>> bool(abs(found.phases - table.truth.phases).max() < 0.02)
     True
     """
-    phases = measure_phase_response(modulator, camera, wavelength, distance)
+    phases, spread = _phase_response(modulator, camera, wavelength, distance, 25, 4)
+    if regions is None and spread > SPREAD_OF_RESPONSE:
+        warn(
+            f"the calibration is uncertain: captures deviate by {spread:.1%} from those of levels with one phase at "
+            "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
+            "and distance deviate by some tenths of a pixel and of a percent: use regions=(3, 3)",
+            AccuracyWarning,
+        )
     there = (modulator, camera, wavelength)
     wavefront: np.ndarray | float = 0.0
     response, regional = phases, None
@@ -264,6 +284,10 @@ def calibrate_table(
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
         if turn == 0 and regions is not None:
             response = regional = measure_regional_response(*there, distance, registration, regions=regions)
+            down, across = (
+                _between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regional.shape[:2], strict=True)
+            )
+            phases = np.einsum("i,j,ijl->l", down, across, regional)
         wavefront = measure_wavefront(*there, distance, response, registration, iterations=5, captures=min(1 + turn, 2))
     distance = measure_distance(*there, distance, response, registration, wavefront=wavefront)
     wavefront = without(np.asarray(wavefront), _modes(modulator, 2)[[0, 1, _DEFOCUS]])
@@ -337,6 +361,13 @@ def measure_phase_response(
     >>> bool(np.abs(phases - table.truth.phases).max() < 0.02)
     True
     """
+    return _phase_response(modulator, camera, wavelength, distance, samples, captures)[0]
+
+
+def _phase_response(
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, samples: int, captures: int
+) -> tuple[np.ndarray, float]:
+    """Return the phase of each level, and the deviation of the captures from those of one phase at all pixels."""
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
     lens_phase(modulator, wavelength, distance)  # checks the lengths
@@ -357,19 +388,23 @@ def measure_phase_response(
     _read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
     modulator.show(np.where(left, deflected, (top + 1) // 2))
     set_exposure(camera)
-    phases = []
+    found = []
     for fixed in (left, ~left):
         frames = []
         for level in levels:
             modulator.show(np.where(fixed, deflected, level))
             frames.append(_averaged(camera, captures)[::step, ::step].ravel())
-        phases.append(_phases_of_interference(np.stack(frames)))
+        found.append(_phases_of_interference(np.stack(frames)))
     camera.region = None
-    return CubicSpline(levels, np.mean(phases, axis=0))(np.arange(top + 1))
+    phases, others = zip(*found, strict=True)
+    return CubicSpline(levels, np.mean(phases, axis=0))(np.arange(top + 1)), max(others)
 
 
-def _phases_of_interference(frames: np.ndarray) -> np.ndarray:
-    """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ."""
+def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
+    """Return the phase of each of the frames ``[n, pixels]``, whose pixels are a + b·cos φ + c·sin φ.
+
+    The second result is the size of what deviates from such sums, as a share of the smaller of their two components.
+    """
     frames = frames - frames.mean(0)
     values, vectors = np.linalg.eigh(frames @ frames.T)
     values = np.clip(values, 0, None) ** 0.5
@@ -397,7 +432,7 @@ def _phases_of_interference(frames: np.ndarray) -> np.ndarray:
             AccuracyWarning,
         )
     phases = phases - phases[0]
-    return phases if phases[-1] >= 0 else -phases
+    return phases if phases[-1] >= 0 else -phases, other
 
 
 def measure_regional_response(
@@ -511,7 +546,7 @@ def measure_regional_response(
             frame = _averaged(camera, captures)
             frames.append([frame[place] for place in places])
         for row, seen in enumerate(zip(*frames, strict=True)):
-            phases[row, column] = CubicSpline(levels, _phases_of_interference(np.stack(seen)))(np.arange(top + 1))
+            phases[row, column] = CubicSpline(levels, _phases_of_interference(np.stack(seen))[0])(np.arange(top + 1))
     return phases
 
 
@@ -977,8 +1012,10 @@ def measure_illumination(
     Warns
     -----
     AccuracyWarning
-        If pixels at the edges are farther from all points than a pixel reaches, λ·distance/(2·pitch), or if parts of
-        the modulator that send light to all points are darker than the polynomial, for example because of dust.
+        If pixels at the edges are farther from all points than a pixel reaches, λ·distance/(2·pitch); if parts of the
+        modulator that send light to all points are darker than the polynomial, for example because of dust; or if the
+        deviations of the captures from the model give an uncertainty of more than 0.02. The message contains it: the
+        root mean square over the pixels, which the error exceeds in about one of twenty cases.
 
     Examples
     --------
@@ -986,7 +1023,7 @@ def measure_illumination(
     >>> table = SimulatedTable(seed=1, shape=(32, 32), distance=4e-3, camera_shape=(48, 48), aberration=0.05)
     >>> known = Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
     >>> there = (table.modulator, table.camera, 532e-9, table.truth.distance)
-    >>> found = measure_illumination(*there, table.truth.phases, known, wavefront=table.truth.wavefront)
+    >>> found = measure_illumination(*there, table.truth.phases, known, wavefront=table.truth.wavefront, patterns=400)
     >>> bool(abs(found - table.truth.amplitude / table.truth.amplitude.max()).mean() < 0.06)
     True
     """
@@ -1004,12 +1041,6 @@ def measure_illumination(
         if ((places >= 3) & (places <= bounds - 3)).all():
             break
         aside /= 2
-    if half > farthest + aside:
-        warn(
-            f"the illumination is uncertain at the edges of the modulator: pixels farther than {farthest + aside:.3g} "
-            "m from the axis along rows or columns send little light to it; use a larger distance",
-            AccuracyWarning,
-        )
     draw = np.random.default_rng(0)
     each = -(-_validate.integer("patterns", patterns, minimum=40) // len(corners))
     parts = [
@@ -1042,7 +1073,9 @@ def measure_illumination(
     start[0] = math.log(
         sum(part.seen.mean() for part in parts) / sum((np.abs(fields(part, start)) ** 2).mean() for part in parts)
     )
-    fitted = least_squares(misfit, start, x_scale=np.append(np.ones(len(start) - 3), [1.0, 10.0, 1.0])).x
+    part_pixels = parts[0].seen.shape[1]
+    fit = least_squares(misfit, start, x_scale=np.append(np.ones(len(start) - 3), [1.0, 10.0, 1.0]))
+    fitted = fit.x
     # Deviations of the amplitude and of the phase of each cell from the polynomial, by one step of Gauss and Newton.
     slopes = []
     for part in parts:
@@ -1055,15 +1088,36 @@ def measure_illumination(
     sigma = np.sqrt(np.diag(inverse)[: cells * cells] * left.var())
     whole = np.min([part.sizes for part in parts], axis=0) == np.bincount(cell.ravel())
     dark = np.where(whole & (deviation < -4 * sigma), -deviation, 0)
-    if dark.mean() > DUSTY:
-        warn(
-            f"the illumination is uncertain: parts of the modulator are darker than the polynomial by up to "
-            f"{dark.max():.0%}, for example because of dust, which the result does not contain",
-            AccuracyWarning,
+    y, x = (np.broadcast_to(axis / half, modulator.shape) for axis in _axes(modulator))
+    terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
+    surface = terms @ fitted[3:-3]
+    largest = np.unravel_index(surface.argmax(), surface.shape)
+    amplitude = np.exp(surface - surface[largest])
+    # Errors of a pattern are correlated among the pixels of the camera: their sums over patterns give the covariance.
+    scores = (fit.jac * fit.fun[:, None]).reshape(-1, part_pixels, len(fitted)).sum(1)
+    inner = np.linalg.pinv(fit.jac.T @ fit.jac)
+    covariance = (inner @ (scores.T @ scores) @ inner)[3:-3, 3:-3]
+    relative = terms - terms[largest]
+    variance = np.einsum("rci,ij,rcj->rc", relative, covariance, relative)
+    # The root mean square of errors of some ten coefficients exceeds 1.5 times its expectation in one of twenty cases.
+    uncertainty = 1.5 * math.sqrt((amplitude**2 * variance).mean())
+    reason = ""
+    if half > farthest + aside:
+        reason = (
+            f"pixels at the edges, farther than {farthest + aside:.3g} m from the axis along rows or columns, send "
+            "little light to it; use a larger distance"
         )
-    y, x = (axis / half for axis in _axes(modulator))
-    surface = np.sum([c * x**i * y**j for c, (i, j) in zip(fitted[3:-3], powers, strict=True)], axis=0)
-    return np.exp(surface - np.max(surface))
+    elif dark.mean() > DUSTY:
+        reason = (
+            f"parts of the modulator are darker than the polynomial by up to {dark.max():.0%}, for example because of "
+            "dust, which the result does not contain"
+        )
+    elif uncertainty > EVEN:
+        reason = "the captures deviate from those of the model"
+    if reason:
+        total = math.hypot(uncertainty, math.sqrt(DEPTH * dark.mean()))
+        warn(f"the illumination is uncertain by {total:.2g} (root mean square): {reason}", AccuracyWarning)
+    return amplitude
 
 
 class _Speckles(NamedTuple):

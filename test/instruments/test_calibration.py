@@ -110,6 +110,16 @@ def test_fringing_fields_do_not_falsify_the_phase_response_in_silence(fringing, 
     assert error < 0.1 or any(issubclass(w.category, AccuracyWarning) for w in told)
 
 
+@pytest.mark.parametrize("seed", [17, 18, 19])
+def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
+    """The filter of the tests makes the warning an error, which ends the calibration."""
+    table = instruments.SimulatedTable(
+        fresh_seed(seed), shape=(96, 96), camera_shape=(80, 80), distance=8e-3, regional=0.05
+    )
+    with pytest.raises(AccuracyWarning, match=r"use regions=\(3, 3\)"):
+        instruments.calibrate_table(*instruments_of(table), 532e-9, 8e-3)
+
+
 def test_a_modulator_that_does_not_modulate_is_reported():
     table = instruments.SimulatedTable(4, shape=(32, 32), camera_shape=(40, 40), distance=3e-3)
     table.truth = dataclasses.replace(table.truth, phases=np.zeros(256))
@@ -229,7 +239,7 @@ def test_an_aberration_beyond_the_lenslets_is_reported():
 def test_pixels_that_do_not_reach_the_axis_are_reported():
     table = instruments.SimulatedTable(2, shape=(24, 24), distance=2e-3, camera_shape=(48, 48), misalignment=False)
     known = instruments.Registration(table.truth.homography, 0.0, table.camera.shape)
-    with pytest.warns(AccuracyWarning, match="the illumination is uncertain at the edges"):
+    with pytest.warns(AccuracyWarning, match="the illumination is uncertain by .*: pixels at the edges"):
         instruments.measure_illumination(
             *instruments_of(table), 532e-9, 2e-3, table.truth.phases, known, cells=3, order=1, patterns=40
         )
@@ -272,6 +282,8 @@ def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
     assert rms(error) < 2 * np.pi / 100
     assert rms(found.amplitude - table.truth.amplitude / table.truth.amplitude.max()) < 0.02
     assert found.regional_phases.shape == (3, 3, 256)
+    assert np.abs(found.phases - table.truth.phases * table.truth.response.mean()).max() < 0.05
+    assert found.distance == pytest.approx(table.truth.distance, rel=1e-3)
 
 
 def test_a_camera_that_sees_few_spots_is_reported():
