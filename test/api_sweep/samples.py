@@ -23,20 +23,29 @@ from api_sweep.build import Build
 MISSING = object()
 
 
+@functools.cache
 def parameters_of(function: Callable) -> list[inspect.Parameter]:
     """Return the parameters that a user names."""
     parameters = inspect.signature(function).parameters.values()
     return [p for p in parameters if p.kind not in (p.VAR_KEYWORD, p.VAR_POSITIONAL) and p.name != "self"]
 
 
-def arguments(path: str, function: Callable, folder: Path) -> dict[str, Any]:
-    """Return valid arguments for the call `path`, made anew; LookupError where one is not known."""
-    found = {}
-    for parameter in parameters_of(function):
-        value = sample(path, parameter, folder, function)
+def arguments(path: str, function: Callable, folder: Callable[[], Path]) -> dict[str, Any]:
+    """Return valid arguments for the call `path`, made anew, files in what `folder` returns.
+
+    LookupError where one is not known.
+    """
+    folder = functools.cache(folder)
+    return {name: _made(value, folder) for name, value in _values(path, function).items()}
+
+
+@functools.cache
+def _values(path: str, function: Callable) -> dict[str, Any]:
+    """Return the valid values from which the arguments of each call are made."""
+    found = {parameter.name: _value(path, parameter, function) for parameter in parameters_of(function)}
+    for name, value in found.items():
         if value is MISSING:
-            raise LookupError(f"test/api_sweep/examples has no valid {parameter.name!r} for {path}")
-        found[parameter.name] = value
+            raise LookupError(f"test/api_sweep/examples has no valid {name!r} for {path}")
     return found
 
 
@@ -74,15 +83,14 @@ def example(function: Callable) -> dict[str, Any]:
     return found
 
 
-def sample(path: str, parameter: inspect.Parameter, folder: Path, function: Callable) -> Any:
+def _value(path: str, parameter: inspect.Parameter, function: Callable) -> Any:
     """Return a valid value for one argument, or MISSING: from the tables, its default, or what the example shows."""
     for table in (examples.BY_CALL.get(path, {}), *_by_prefix(examples.BY_NAME, path, {})):
         if parameter.name in table:
-            return _made(table[parameter.name], folder)
+            return table[parameter.name]
     # Examples run under a profiler, which takes long: only where nothing else gives the value.
     required = parameter.default is parameter.empty
-    value = example(function).get(parameter.name, MISSING) if required else parameter.default
-    return _made(value, folder)
+    return example(function).get(parameter.name, MISSING) if required else parameter.default
 
 
 def is_positive(path: str, name: str) -> bool:
@@ -121,7 +129,7 @@ def _by_prefix(table, path, nothing) -> Iterator:
 
 def _made(value, folder):
     if isinstance(value, Build):
-        return value.function(folder)
+        return value.function(folder())
     if isinstance(value, torch.Tensor):
         return value.detach().clone().requires_grad_(value.requires_grad)
     if isinstance(value, torch.Generator):

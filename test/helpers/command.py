@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+from physics import filtered, free_space_transfer
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -35,13 +36,11 @@ def angular_spectrum_intensity(phase, wavelength, pitch, distance, aperture=None
     """
 
     def propagated(padding):
-        rows, columns = phase.shape
-        field = np.zeros((padding * rows, padding * columns), complex)
-        field[:rows, :columns] = np.exp(1j * phase)
-        frequencies = (np.fft.fftfreq(n, step) for n, step in zip(field.shape, np.ones(2) * pitch, strict=True))
-        fy, fx = np.meshgrid(*frequencies, indexing="ij")
-        kernel = np.exp(2j * np.pi * distance * np.sqrt(1 / wavelength**2 - fx**2 - fy**2))
-        kernel = kernel if aperture is None else kernel * aperture(fy, fx)
-        return np.fft.ifft2(np.fft.fft2(field) * kernel)[:rows, :columns]
+        shape = tuple(padding * n for n in phase.shape)
+        transfer = free_space_transfer(shape, distance, pitch, wavelength)
+        if aperture is not None:
+            frequencies = (np.fft.fftfreq(n, step) for n, step in zip(shape, np.ones(2) * pitch, strict=True))
+            transfer = transfer * aperture(*np.meshgrid(*frequencies, indexing="ij"))
+        return filtered(np.exp(1j * phase), transfer)
 
     return np.abs((4 * propagated(16) - propagated(8)) / 3) ** 2

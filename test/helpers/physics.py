@@ -1,5 +1,7 @@
 """Closed forms with which the tests compare the library, with their sources."""
 
+import functools
+
 import numpy as np
 
 
@@ -73,10 +75,33 @@ def unwrapped_propagation(field, distance, dx, wavelength, cutoff=np.inf, paddin
     """
     field = np.asarray(field, dtype=np.complex128)
     shape = tuple(padding * n for n in field.shape[-2:])
-    down, across = np.broadcast_to(dx, 2)
-    fy, fx = np.fft.fftfreq(shape[0], down)[:, None], np.fft.fftfreq(shape[1], across)
-    squared = fy**2 + fx**2
+    return filtered(field, free_space_transfer(shape, distance, dx, wavelength, cutoff))
+
+
+def free_space_transfer(shape, distance, dx, wavelength, cutoff=np.inf):
+    """Return exp(2πiz·(1/λ² − f²)^½) within a round stop, in FFT order."""
+    return _free_space_transfer(shape, float(distance), *map(float, np.broadcast_to(dx, 2)), float(wavelength), cutoff)
+
+
+# Several fields are propagated over one distance in turn, with one padding or two.
+@functools.lru_cache(maxsize=2)
+def _free_space_transfer(shape, distance, down, across, wavelength, cutoff):
+    # It is even: a quadrant is computed.
+    fy, fx = (np.fft.fftfreq(n, step)[: n // 2 + 1] for n, step in zip(shape, (down, across), strict=True))
+    squared = fy[:, None] ** 2 + fx**2
     axial = np.sqrt((1 / wavelength**2 - squared).astype(np.complex128))
-    transfer = np.exp(2j * np.pi * distance * np.where(distance < 0, axial.conj(), axial)) * (squared <= cutoff**2)
-    spread = np.fft.ifft2(np.fft.fft2(field, shape) * transfer)
-    return spread[..., : field.shape[-2], : field.shape[-1]]
+    quadrant = np.exp(2j * np.pi * distance * np.where(distance < 0, axial.conj(), axial)) * (squared <= cutoff**2)
+    rows, columns = ((n - 1) // 2 for n in shape)
+    half = np.concatenate((quadrant, quadrant[:, columns:0:-1]), axis=1)
+    return np.concatenate((half, half[rows:0:-1]))
+
+
+def filtered(field, transfer):
+    """Return a field, continued by zeros, times a transfer function in FFT order, on its own window.
+
+    Rows that are zero going in or cut off coming out are not transformed.
+    """
+    rows, columns = field.shape[-2:]
+    spectrum = np.fft.fft(np.fft.fft(field, transfer.shape[-1], axis=-1), transfer.shape[-2], axis=-2)
+    window = np.fft.ifft(spectrum * transfer, axis=-2)[..., :rows, :]
+    return np.fft.ifft(window, axis=-1)[..., :columns]

@@ -41,11 +41,11 @@ class Call:
     def function(self):
         if not inspect.isclass(self.owner):
             return self.declared
-        made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder()))
+        made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder))
         return getattr(made, self.declared.__name__)
 
     def arguments(self):
-        return samples.arguments(self.path, self.declared, self.folder())
+        return samples.arguments(self.path, self.declared, self.folder)
 
     def folder(self):
         return contract.fresh_folder(self.root)

@@ -47,7 +47,7 @@ def one_folder(tmp_path, monkeypatch):
 
 def arguments(path, declared, folder):
     """Return the valid arguments of a call, on the device."""
-    found = {name: on_device(value) for name, value in samples.arguments(path, declared, folder).items()}
+    found = {name: on_device(value) for name, value in samples.arguments(path, declared, lambda: folder).items()}
     for value in found.values():
         if isinstance(value, torch.nn.Module):
             value.to(DEVICE)

@@ -1,5 +1,6 @@
 """Pixel pitches of every public call: one number, an equal pair, and different pitches of rows and columns."""
 
+import functools
 import inspect
 
 import pytest
@@ -41,22 +42,23 @@ class Call:
     """A public call with its valid arguments."""
 
     def __init__(self, path, folder):
-        self.path, self.folder, self.owner_path = path, folder, path.rpartition(".")[0]
+        self.path, self.owner_path = path, path.rpartition(".")[0]
+        self.fresh = functools.partial(contract.fresh_folder, folder)
         self.owner = CALLABLES.get(self.owner_path)
 
     def __call__(self, **changed):
-        arguments = samples.arguments(self.path, CALLABLES[self.path], contract.fresh_folder(self.folder))
+        arguments = samples.arguments(self.path, CALLABLES[self.path], self.fresh)
         return contract.call(self.function(), arguments | changed)
 
     def function(self):
         if not inspect.isclass(self.owner):
             return CALLABLES[self.path]
-        own = samples.arguments(self.owner_path, self.owner, contract.fresh_folder(self.folder))
+        own = samples.arguments(self.owner_path, self.owner, self.fresh)
         return getattr(contract.call(self.owner, own), CALLABLES[self.path].__name__)
 
     def pitch(self, name):
         """Return the pitch of the example as one number."""
-        valid = samples.arguments(self.path, CALLABLES[self.path], contract.fresh_folder(self.folder))[name]
+        valid = samples.arguments(self.path, CALLABLES[self.path], self.fresh)[name]
         return GIVEN if valid is None else float(valid[0] if isinstance(valid, (list, tuple)) else valid)
 
 

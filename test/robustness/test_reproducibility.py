@@ -125,8 +125,8 @@ def built(make, seed):
 
 def metamer(seed):
     torch.manual_seed(seed)
-    loss = perception.MetamerMSELoss(n_pyramid_levels=3)
-    return loss.gen_metamer(pattern(1, 3, 64, 64), [0.5, 0.5])
+    loss = perception.MetamerMSELoss(n_pyramid_levels=2)
+    return loss.gen_metamer(pattern(1, 3, 32, 32), [0.5, 0.5])
 
 
 def tolerances(seed):

@@ -295,6 +295,8 @@ BY_CALL = {
         "rotation": [1.0, 2.0],
         "aberrations": {(2, 0): 0.3},
     },
+    # A pitch at which a metre, which the sweep tries, is within the range of the methods: others take seconds.
+    "odak.wave.sampling_report": {"dx": 2e-4, "distance": 0.5},
     "odak.wave.reference_wave": {"angles": [0.5, 1.0], "amplitude": 2.0},
     "odak.wave.recorded_intensity": {"reference": field(16, 16), "phase_steps": [0.0, 1.0, 2.5]},
     "odak.wave.off_axis_field": {"hologram": numbers(16, 16), "reference": field(16, 16), "bandwidth": 2e4},
