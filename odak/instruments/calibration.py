@@ -1015,7 +1015,8 @@ def measure_illumination(
         If pixels at the edges are farther from all points than a pixel reaches, λ·distance/(2·pitch); if parts of the
         modulator that send light to all points are darker than the polynomial, for example because of dust; or if the
         deviations of the captures from the model give an uncertainty of more than 0.02. The message contains it: the
-        root mean square over the pixels, which the error exceeds in about one of twenty cases.
+        root mean square over the pixels, which the error of a panel without dust exceeds in about one of twenty cases.
+        Small specks of dust are not detected (8 of 20 simulated tables with three specks, with errors up to 3 %).
 
     Examples
     --------
