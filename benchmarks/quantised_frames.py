@@ -7,7 +7,7 @@ hologram is judged by an angular spectrum in complex128 on a grid of four times 
 
 import sys
 
-from time_to_quality import PITCH, REACH, WAVELENGTH, judged, photograph
+from time_to_quality import PITCH, WAVELENGTH, distance_of, judged, photograph
 
 from odak.learn.wave import spatial_light_modulator, stochastic_gradient_descent
 
@@ -19,7 +19,7 @@ def quality(target, bits: int | None, frames: int) -> float:
     slm = None if bits is None else spatial_light_modulator(bits=bits)
     start = "random" if bits is not None and bits < 3 else "gs"
     hologram, _ = stochastic_gradient_descent(
-        target, WAVELENGTH, REACH * min(target.shape), PITCH, n_iteration=60, learning_rate=0.2, scale=True, seed=0,
+        target, WAVELENGTH, distance_of(target.shape), PITCH, n_iteration=60, learning_rate=0.2, scale=True, seed=0,
         progress=False, initial_phase=start, frames=frames, slm=slm,
     )  # fmt: skip
     return judged(hologram, target)
