@@ -1,5 +1,6 @@
 """Geometric and wavefront analysis: spots, ray fans, distortion, field curvature, optical path differences."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import torch
@@ -7,7 +8,7 @@ import torch
 from odak import _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription, shares
+from odak.learn.raytracing.system.surfaces import Prescription, checked_weights, shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
@@ -306,7 +307,9 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
     return torch.where(number > 0, safe_sqrt(total / number), torch.nan)
 
 
-def encircled_energy(found: Any, radii: Any = None) -> tuple[torch.Tensor, torch.Tensor]:
+def encircled_energy(
+    found: Any, radii: Any = None, wavelength_weights: Sequence[float] | None = None
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the share of the energy within circles about the centroid of an image of a point.
 
     Parameters
@@ -315,6 +318,8 @@ def encircled_energy(found: Any, radii: Any = None) -> tuple[torch.Tensor, torch
         Diffraction image of :func:`point_spread_function`, or the geometric one of :func:`spot_diagram`.
     radii : sequence of float or torch.Tensor, optional
         Radii of the circles; by default 100 of them, for a Spread up to a quarter of its width.
+    wavelength_weights : sequence of float, optional
+        Weights of the wavelengths of Spots, such as those of the system; by default all count the same.
 
     Returns
     -------
@@ -337,7 +342,9 @@ def encircled_energy(found: Any, radii: Any = None) -> tuple[torch.Tensor, torch
         x, y = (value.transpose(-3, -2).flatten(-2) for value in (found.x, found.y))
         kept = torch.isfinite(x)
         distance = torch.where(kept, (x.square() + y.square()).sqrt(), torch.inf)
-        weight = kept.to(x.dtype)
+        count, rays = found.x.shape[-3], found.x.shape[-1]
+        share = shares(checked_weights("wavelength_weights", wavelength_weights, count), count, x)
+        weight = kept * share.repeat_interleave(rays)
         if radii is None:
             radii = torch.linspace(0, 1, 100, dtype=torch.float64, device=x.device) * found.largest[..., None]
     else:

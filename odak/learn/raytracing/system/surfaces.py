@@ -893,8 +893,8 @@ class optical_system(torch.nn.Module):
             )
         self.image = _image(image)
         self.vignetting_factors = _factors(vignetting_factors, len(self.fields))
-        self.field_weights = _weights("field_weights", field_weights, len(self.fields))
-        self.wavelength_weights = _weights("wavelength_weights", wavelength_weights, count)
+        self.field_weights = checked_weights("field_weights", field_weights, len(self.fields))
+        self.wavelength_weights = checked_weights("wavelength_weights", wavelength_weights, count)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
 
     @property
@@ -1070,7 +1070,18 @@ def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
     return found
 
 
-def _weights(name: str, values, count: int) -> tuple[float, ...] | None:
+def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
+    """Return weights as numbers of at least 0, one of them above it; None where there are none.
+
+    Parameters
+    ----------
+    name : str
+        Argument that the errors name.
+    values : sequence of float or None
+        The weights.
+    count : int
+        Their number.
+    """
     if values is None:
         return None
     found = tuple(float(_validate.number(name, v, least=0)) for v in _validate.several(name, values, count))

@@ -285,6 +285,11 @@ def test_encircled_energy_of_the_airy_pattern_and_of_spots():
     assert bool((energy.diff(dim=-1) >= 0).all())
     inside = (spots.x[:, 1].square() + spots.y[:, 1].square()).sqrt() <= radii[1, 50]
     assert float(energy[1, 50]) == pytest.approx(float(inside.sum() / torch.isfinite(spots.x[:, 1]).sum()))
+    weights = [1.0, 3.0, 0.5]
+    weighted = encircled_energy(spots, radii, weights)[1]
+    each, arrived = (value.sum(-1).double() for value in (inside, torch.isfinite(spots.x[:, 1])))
+    shares = torch.tensor(weights, dtype=torch.float64)
+    assert float(weighted[1, 50]) == pytest.approx(float((shares * each).sum() / (shares * arrived).sum()))
 
 
 def test_reports_hold_all_figures(tmp_path):
