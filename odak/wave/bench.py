@@ -80,6 +80,9 @@ def propagate_abcd(
     field = _array.to_complex(_validate.image("field", field))
     _validate.real("path_length", path_length)
     check_geometry(None, path_length, dx, wavelength, tuple(field.shape[:-2]))
+    for name, given in (("dx", dx), ("output_dx", output_dx)):
+        for pitch in () if given is None else pitches(given, name):
+            _validate.number(name, pitch, positive=True)
     xp = _array.namespace(field)
     matrices = matrix if isinstance(matrix, tuple) and len(matrix) == 2 and _is_matrix(matrix[0]) else (matrix, matrix)
     counts = tuple(field.shape[-2:]) if output_shape is None else _validate.size("output_shape", output_shape)

@@ -215,3 +215,10 @@ def test_bad_matrices_are_refused(matrix, message):
         propagate_abcd(np.ones((4, 4)), matrix, 8e-6, WAVELENGTH)
     with pytest.raises(TypeError, match="elements must have a method apply"):
         optical_bench([3.0], WAVELENGTH)
+
+
+def test_abcd_takes_one_pitch_for_all_fields():
+    fields = np.ones((3, 16, 16), complex)
+    for name, options in (("dx", {"dx": np.full(3, 4e-5)}), ("output_dx", {"dx": 4e-5, "output_dx": np.full(3, 4e-5)})):
+        with pytest.raises(ValueError, match=f"^{name} must be one number"):
+            propagate_abcd(fields, space(0.1), wavelength=WAVELENGTH, **options)
