@@ -23,7 +23,7 @@ from odak.learn.raytracing.system.drawing import COLOURS
 
 
 @pytest.mark.parametrize(
-    "name", [n if n == "cooke_triplet" else pytest.param(n, marks=pytest.mark.slow) for n in sample_systems()]
+    "name", [n if n == "triplet_f28" else pytest.param(n, marks=pytest.mark.slow) for n in sample_systems()]
 )
 def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     assert main(["trace", name, "--output", str(tmp_path), "--rings", "3"]) == 0
