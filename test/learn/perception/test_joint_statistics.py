@@ -243,7 +243,7 @@ def test_metamers_of_pairs_are_closer_when_single_bands_are_matched_first(monkey
 
 @pytest.mark.slow
 def test_metamers_of_pairs_keep_edges():
-    picture, found = edge_picture(), {}
+    picture, missing = edge_picture(), {}
     for joint in (False, True):
         maker = MetamerMSELoss(
             alpha=1.0,
@@ -253,9 +253,9 @@ def test_metamers_of_pairs_keep_edges():
             n_orientations=4,
             joint=joint,
         )
-        found[joint] = coherence(maker.gen_metamer(picture, (-0.3, 0.5), iterations=80))
-    assert found[False] < found[True] < 1
-    assert coherence(picture) - found[True] < 0.75 * (coherence(picture) - found[False])
+        metamers = [maker.gen_metamer(picture, (-0.3, 0.5), seed=seed, iterations=80) for seed in range(3)]
+        missing[joint] = coherence(picture) - sum(coherence(metamer) for metamer in metamers) / len(metamers)
+    assert 0 < missing[True] < 0.75 * missing[False]
 
 
 def test_a_texture_has_the_moments_of_details_that_it_was_not_made_from():

@@ -484,9 +484,10 @@ def field_curvature(
 
 def _along(value: torch.Tensor, place: torch.Tensor, axis: int) -> torch.Tensor:
     """Return the derivative of each entry ``[..., W, F, 1]`` by the pupil coordinate, ``[..., W, F]``."""
-    flat = value.reshape(-1)
-    found = [torch.autograd.grad(entry, place, create_graph=True)[0][0, axis] for entry in flat]
-    return torch.stack(found).reshape(value.shape[:-1])
+    # The vector-Jacobian product is linear in the vector; its derivative by the vector is a column of the Jacobian.
+    vector = torch.ones_like(value).requires_grad_()
+    product = torch.autograd.grad(value, place, vector, create_graph=True)[0][0, axis]
+    return torch.autograd.grad(product, vector, create_graph=True)[0][..., 0]
 
 
 class Wavefront(NamedTuple):

@@ -322,15 +322,13 @@ def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Call
     found = wavefront(system, points, **options)
     weight = torch.where(found.status == 0, share[inside].to(found.path.device), 0.0)
     phase = phasor_of_cycles(torch.where(found.status == 0, found.path, 0.0), torch.complex128) * weight
-    before = size // 2 - samples // 2
-    after = size - samples - before
     intensity: Any = 0.0
     for amplitude in [1.0] if amplitudes is None else amplitudes(points):
         pupil = torch.zeros(*phase.shape[:-1], samples, samples, dtype=phase.dtype, device=phase.device)
         pupil[..., inside.to(phase.device)] = amplitude * phase
-        field = torch.nn.functional.pad(pupil, (before, after, before, after))
-        field = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field, dim=(-2, -1))), dim=(-2, -1))
-        intensity = intensity + field.abs().square() / weight.sum(-1).square()[..., None, None]
+        # Where the pupil lies on the grid does not change the modulus.
+        modulus = torch.fft.fft2(pupil, s=(size, size)).abs() / weight.sum(-1)[..., None, None]
+        intensity = intensity + torch.fft.fftshift(modulus.square(), dim=(-2, -1))
     slopes = _derivatives(found, weight)
     waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=phase.device)[: phase.shape[-3]]
     given = options.get("prescription")
