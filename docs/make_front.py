@@ -20,6 +20,7 @@ from odak.learn.wave import calculate_intensity, calculate_phase, stochastic_gra
 DOCS = Path(__file__).resolve().parent
 FRONT = DOCS / "pictures" / "front"
 SIZE = (640, 480)
+LARGEST = 150_000  # bytes of a file, for short loading times
 CAPTIONS = {
     "hologram": "a phase-only hologram",
     "reconstruction": "its image, 5 cm away",
@@ -66,6 +67,14 @@ def _filled(image):
     return image.crop((left, top, left + SIZE[0], top + SIZE[1]))
 
 
+def _save(image, path):
+    """Save a picture in the best quality that is small enough."""
+    for quality in range(85, 40, -4):
+        image.save(path, quality=quality, method=6)
+        if path.stat().st_size <= LARGEST:
+            break
+
+
 def main() -> None:
     """Write the pictures, and the four of them side by side for the README."""
     FRONT.mkdir(parents=True, exist_ok=True)
@@ -74,14 +83,12 @@ def main() -> None:
     banner = Image.new("RGB", (4 * SIZE[0] + 3 * gap, SIZE[1] + line), "white")
     font = ImageFont.load_default(28)
     for column, (name, image) in enumerate(drawn.items()):
-        image.save(FRONT / f"{name}.webp", quality=85, method=6)
+        _save(image, FRONT / f"{name}.webp")
         left = column * (SIZE[0] + gap)
         banner.paste(image, (left, 0))
         place = (left + SIZE[0] // 2, SIZE[1] + line // 2)
         ImageDraw.Draw(banner).text(place, CAPTIONS[name], "#333333", font, anchor="mm")
-    banner.resize((banner.width * 5 // 8, banner.height * 5 // 8), Image.LANCZOS).save(
-        FRONT / "banner.webp", quality=86, method=6
-    )
+    _save(banner.resize((banner.width * 5 // 8, banner.height * 5 // 8), Image.LANCZOS), FRONT / "banner.webp")
 
 
 if __name__ == "__main__":
