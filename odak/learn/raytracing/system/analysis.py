@@ -8,7 +8,13 @@ import torch
 from odak import _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription, checked_weights, shares
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    checked_weights,
+    reference_of,
+    wavelength_shares,
+    wavelengths_of,
+)
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
@@ -91,7 +97,7 @@ def spot_diagram(
     traced = trace_fields(system, pupil, count, prescription=prescription, **options)
     kept = traced.arrived
     x, y = torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0)
-    share = shares(system.wavelength_weights, x.shape[-3], x)[:, None, None]
+    share = wavelength_shares(system, prescription, x)[:, None, None]
     number = (kept * share).sum((-3, -1))
     if reference == "chief":
         chief = trace_fields(
@@ -100,7 +106,7 @@ def spot_diagram(
             prescription=prescription,
             **{**options, "vignetting": False},
         )
-        cx, cy = (value[..., system.reference, :, 0].to(x.dtype) for value in (chief.x, chief.y))
+        cx, cy = (value[..., reference_of(system, prescription), :, 0].to(x.dtype) for value in (chief.x, chief.y))
     else:
         cx, cy = ((share * value).sum((-3, -1)) / number for value in (x, y))
     around = [torch.where(kept, value - c[..., None, :, None], 0.0) for value, c in ((x, cx), (y, cy))]
@@ -178,7 +184,8 @@ def ray_fan(system: Any, axis: str = "y", count: int = 21, **options: Any) -> tu
         raise ValueError(f"count must be odd, got {count}")
     traced = trace_fields(system, axis, count, **options)
     value = getattr(traced, axis)
-    chief = value[..., system.reference : system.reference + 1, :, count // 2 : count // 2 + 1]
+    place = reference_of(system, options.get("prescription"))
+    chief = value[..., place : place + 1, :, count // 2 : count // 2 + 1]
     return torch.linspace(-1, 1, count, dtype=torch.float64, device=value.device), value - chief
 
 
@@ -248,7 +255,8 @@ def lateral_color(system: Any, **options: Any) -> torch.Tensor:
     options.setdefault("vignetting", False)
     chief = trace_fields(system, CENTRE, **options)
     place = torch.stack([chief.x[..., 0], chief.y[..., 0]], -1)
-    middle = place[..., system.reference : system.reference + 1, :, :]
+    number = reference_of(system, options.get("prescription"))
+    middle = place[..., number : number + 1, :, :]
     size = middle.square().sum(-1, keepdim=True)
     off = size > 0
     upwards = torch.tensor([0.0, 1.0], dtype=place.dtype, device=place.device)
@@ -296,7 +304,7 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
         value, slope = (torch.where(kept, v, 0.0) for v in (value, cosine / traced.w))
         gap = shifts.to(value) - torch.where(kept, traced.z, 0.0)[..., None]
         parts.append(value[..., None] + gap * slope[..., None])
-    share = shares(system.wavelength_weights, kept.shape[-3], parts[0])[:, None, None, None]
+    share = wavelength_shares(system, options.get("prescription"), parts[0])[:, None, None, None]
     number = (kept[..., None] * share).sum((-4, -2))
     total = 0.0
     for place in parts:
@@ -343,7 +351,7 @@ def encircled_energy(
         kept = torch.isfinite(x)
         distance = torch.where(kept, (x.square() + y.square()).sqrt(), torch.inf)
         count, rays = found.x.shape[-3], found.x.shape[-1]
-        share = shares(checked_weights("wavelength_weights", wavelength_weights, count), count, x)
+        share = x.new_tensor(checked_weights("wavelength_weights", wavelength_weights, count) or (1.0,) * count)
         weight = kept * share.repeat_interleave(rays)
         if radii is None:
             radii = torch.linspace(0, 1, 100, dtype=torch.float64, device=x.device) * found.largest[..., None]
@@ -592,8 +600,7 @@ def wavefront(
     index = numbers.index[..., -1][..., None, None]
     total = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
     lag = total[..., 1:] - total[..., :1]
-    waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=lag.device)[: lag.shape[-3]]
-    lag = torch.where(kept, lag, 0.0) / waves[:, None, None]
+    lag = torch.where(kept, lag, 0.0) / wavelengths_of(system, numbers)[:, None, None]
     number = kept.sum(-1)
     mean = lag.sum(-1) / number.clamp_min(1)
     spread = torch.where(kept, lag - mean[..., None], 0.0).square().sum(-1) / number.clamp_min(1)

@@ -12,7 +12,7 @@ from odak._torch_private import load_forward_rules
 from odak.learn.raytracing.system.analysis import path_at_start
 from odak.learn.raytracing.system.paraxial import check_image_space, first_order
 from odak.learn.raytracing.system.pupils import launch
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, wavelengths_of
 from odak.learn.raytracing.system.tracing import trace
 from odak.learn.raytracing.system.waves import Spread
 
@@ -85,7 +85,7 @@ def huygens_point_spread_function(
     kept = found.arrived[..., 1:]
     weight = torch.where(kept, share[inside].to(found.x), 0.0)
     index = numbers.index[..., -1][..., None, None].abs()
-    waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=found.x.device)[: index.shape[-3], None, None]
+    waves = wavelengths_of(system, numbers)[:, None, None]
     start = path_at_start(system, rays, numbers)
     chief = [value[..., :1] for value in centre[:3]]
     path = (found.path + start)[..., 1:] - (centre.path + start)[..., :1]

@@ -13,7 +13,7 @@ from odak.learn._tensors import floating
 from odak.learn.raytracing.system.analysis import CENTRE, paraxial_points
 from odak.learn.raytracing.system.polarisation import polarized_trace
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_factors, trace_fields
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, shares
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, wavelength_shares
 from odak.learn.raytracing.system.tracing import trace
 from odak.learn.raytracing.system.waves import point_spread_function
 
@@ -173,7 +173,7 @@ def _response(system, response) -> torch.Tensor:
             order = torch.tensor(system.wavelengths).argsort(descending=True)
             return torch.eye(3, dtype=torch.float64, device=device)[order]
         like = torch.empty(0, dtype=torch.float64, device=device)
-        return shares(system.wavelength_weights, number, like)[None] / number
+        return wavelength_shares(system, None, like)[None] / number
     given = response if isinstance(response, torch.Tensor) else _validate.array("response", response)
     found = torch.as_tensor(_validate.real("response", given), dtype=torch.float64, device=device)
     if found.ndim != 2 or found.shape[1] != number or bool((found < 0).any()) or bool((found.sum(-1) <= 0).any()):

@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -47,7 +47,7 @@ from odak.tools.zernike import noll_to_nm, zernike_norm
 FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
 MAXIMUM_BYTES = 4 << 20
 _IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
-_SURFACE = _IMAGE | {"thickness", "material", "stop", "phase", "gradient", "coating"}
+_SURFACE = _IMAGE | {"thickness", "material", "material_range", "stop", "phase", "gradient", "coating"}
 _BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
 _SYSTEM = {
     "aperture",
@@ -263,9 +263,26 @@ def _from_fields(where: str, base: type, entry):
 
 def _medium(item: Any) -> dict:
     medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
-    if str(medium).startswith("model "):
-        medium = " ".join(("model", *_model_numbers(item.material)))
-    return {"thickness": float(item.thickness.detach()), "material": medium}
+    entry = {"thickness": float(item.thickness.detach()), "material": medium}
+    if not isinstance(item.material, Material):
+        return entry
+    if item.material.name.startswith("model "):
+        entry["material"] = " ".join(("model", *_model_numbers(item.material)))
+    with suppress(ValueError):
+        # A range that a file extended beyond that of the glass.
+        if tuple(item.material.range) != tuple(_material(entry["material"]).range):
+            entry["material_range"] = list(item.material.range)
+    return entry
+
+
+def _material(name: str) -> Material:
+    """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe."""
+    if not name.startswith("model "):
+        return material(name)
+    words = name.split()[1:]
+    if len(words) not in (2, 3):
+        raise ValueError(f"material must be 'model' and two or three numbers, got {name!r:.80}")
+    return model_glass(*map(float, words))
 
 
 def _model_numbers(glass: Material) -> list[str]:
@@ -328,11 +345,14 @@ def _built(where: str, entry, keys) -> surface:
             entry["coating"] = Coating(**entry["coating"])
     radius = entry.pop("radius")
     with _named_errors(where):
-        if isinstance(entry.get("material"), str) and entry["material"].startswith("model "):
-            words = entry["material"].split()[1:]
-            if len(words) not in (2, 3):
-                raise ValueError(f"material must be 'model' and two or three numbers, got {entry['material']!r:.80}")
-            entry["material"] = model_glass(*map(float, words))
+        glass, reach = entry.get("material"), entry.pop("material_range", None)
+        if isinstance(glass, str) and glass.startswith("model "):
+            entry["material"] = _material(glass)
+        if reach is not None:
+            low, high = map(float, _validate.several("material_range", reach, 2, positive=True))
+            if not (isinstance(glass, str) and low < high):
+                raise ValueError(f"material_range must be two rising numbers, of a glass, got {reach} of {glass!r:.60}")
+            entry["material"] = dataclasses.replace(_material(glass), range=(low, high))
         return surface(math.inf if radius is None else radius, **entry)
 
 

@@ -13,7 +13,13 @@ from odak.learn.raytracing.system.analysis import Wavefront, distortion, lateral
 from odak.learn.raytracing.system.huygens import huygens_point_spread_function, modulation_at
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.pupils import launch, pupil_of
-from odak.learn.raytracing.system.surfaces import Prescription, is_break, shares
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    field_shares,
+    is_break,
+    reference_of,
+    wavelength_shares,
+)
 from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
 
 
@@ -118,7 +124,7 @@ class View:
     @property
     def chief(self) -> Traced:
         """Chief rays ``[..., F]`` of the reference wavelength."""
-        return Traced(*(value[..., self.system.reference, :, 0] for value in self._all))
+        return Traced(*(value[..., reference_of(self.system, self.prescription), :, 0] for value in self._all))
 
     @cached_property
     def wavefront(self) -> Wavefront:
@@ -231,8 +237,8 @@ def _weighted(values: torch.Tensor, fields: Any, axis: int) -> torch.Tensor:
 def _shares(view: View, values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the weights of wavelengths and of fields relative to their means, for values ``[..., W, F, P]``."""
     system = view.system
-    wavelengths = shares(system.wavelength_weights, values.shape[-3], values)
-    return wavelengths[:, None, None], shares(system.field_weights, values.shape[-2], values)[:, None]
+    wavelengths = wavelength_shares(system, view.prescription, values)
+    return wavelengths[:, None, None], field_shares(system, values)[:, None]
 
 
 def _spot(view: View, fields: Any = None, lost: float | None = None) -> torch.Tensor:
@@ -273,7 +279,7 @@ def _modulation(view: View, frequency: float, axis: str = "y", samples: int = 24
 
 def _distortion(view: View) -> torch.Tensor:
     """Relative distortion of all fields at the reference wavelength."""
-    return distortion(view.system, **view.options)[..., view.system.reference, :]
+    return distortion(view.system, **view.options)[..., reference_of(view.system, view.prescription), :]
 
 
 def _lateral_color(view: View) -> torch.Tensor:

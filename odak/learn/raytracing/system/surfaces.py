@@ -1090,22 +1090,65 @@ def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
     return found
 
 
-def shares(weights, count: int, like: torch.Tensor) -> torch.Tensor:
-    """Return weights over their mean, ``[count]``; ones where there are none, or of another number.
+def wavelengths_of(system, numbers: Prescription) -> torch.Tensor:
+    """Return the vacuum wavelengths ``[W]`` of a prescription.
 
     Parameters
     ----------
-    weights : sequence of float or None
-        Of fields or of wavelengths.
-    count : int
-        Number of fields or wavelengths that were traced.
+    system : optical_system
+        The system. Numbers without wavelengths are those of its own: of all of them, or of its reference wavelength.
+    numbers : Prescription
+        Its numbers.
+    """
+    count = numbers.index.shape[-2]
+    if numbers.wavelengths is not None:
+        return numbers.wavelengths.to(numbers.index)
+    if count not in (1, len(system.wavelengths)):
+        raise ValueError(f"prescription must have wavelengths where they are not the system's, got {count} indices")
+    own = system.wavelengths if count == len(system.wavelengths) else [system.wavelengths[system.reference]]
+    return torch.tensor(own, dtype=numbers.index.dtype, device=numbers.index.device)
+
+
+def reference_of(system, prescription: Prescription | None) -> int:
+    """Return the place of the reference wavelength among those of a prescription: 0 of a single one."""
+    return 0 if prescription is not None and prescription.index.shape[-2] == 1 else system.reference
+
+
+def field_shares(system, like: torch.Tensor) -> torch.Tensor:
+    """Return the weights of the system's fields over their mean, ``[F]``."""
+    weights, count = system.field_weights, len(system.fields)
+    if weights is not None and len(weights) != count:
+        raise ValueError(f"field_weights of the system must be given for each of its {count} fields, got {weights}")
+    return like.new_ones(count) if weights is None else _over_mean(like.new_tensor(weights))
+
+
+def wavelength_shares(system, prescription: Prescription | None, like: torch.Tensor) -> torch.Tensor:
+    """Return the weights of wavelengths over their mean, ``[W]``; ones where not all are the system's own.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    prescription : Prescription or None
+        The numbers that were traced; None for those of the system.
     like : torch.Tensor
         Tensor of the dtype and the device.
     """
-    if weights is None or len(weights) != count:
-        return like.new_ones(count)
-    found = torch.tensor(weights, dtype=like.dtype, device=like.device)
-    return found / found.mean()
+    own = system.wavelengths
+    if system.wavelength_weights is None:
+        return like.new_ones(len(own) if prescription is None else prescription.index.shape[-2])
+    weights = like.new_tensor(system.wavelength_weights)
+    if prescription is None:
+        return _over_mean(weights)
+    waves = wavelengths_of(system, prescription)
+    same = waves[:, None] == torch.tensor(own, dtype=waves.dtype, device=waves.device)
+    found = weights[same.to(torch.uint8).argmax(1)]
+    known = same.any(1).all() & (found > 0).any()
+    return _over_mean(torch.where(known, found, 1.0))
+
+
+def _over_mean(weights: torch.Tensor) -> torch.Tensor:
+    return weights / weights.mean()
 
 
 def _optional(values):

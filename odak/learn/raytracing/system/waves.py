@@ -23,7 +23,7 @@ from odak.learn.raytracing.system.pupils import (
     solve_pairs,
     through_places,
 )
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
+from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, wavelengths_of
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus
@@ -330,10 +330,9 @@ def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Call
         modulus = torch.fft.fft2(pupil, s=(size, size)).abs() / weight.sum(-1)[..., None, None]
         intensity = intensity + torch.fft.fftshift(modulus.square(), dim=(-2, -1))
     slopes = _derivatives(found, weight)
-    waves = torch.tensor(system.wavelengths, dtype=torch.float64, device=phase.device)[: phase.shape[-3]]
     given = options.get("prescription")
-    index = (system.prescription() if given is None else given).index[..., -1].abs()
-    pitch = (waves / index)[..., None, None] / (size * step * slopes)
+    numbers = system.prescription() if given is None else given
+    pitch = (wavelengths_of(system, numbers) / numbers.index[..., -1].abs())[..., None, None] / (size * step * slopes)
     return Spread(intensity, pitch, intensity.amax((-2, -1)))
 
 

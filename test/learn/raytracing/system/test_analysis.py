@@ -11,6 +11,7 @@ from odak.learn.raytracing.system import (
     encircled_energy,
     field_curvature,
     first_order,
+    huygens_point_spread_function,
     lateral_color,
     launch,
     lens_report,
@@ -62,6 +63,24 @@ def test_lost_rays_do_not_count_in_spots():
     torch.testing.assert_close(cut.rms, (around / number).sqrt())
     system.surfaces[0].semi_diameter = 1e-9
     assert bool(rms_spot(system)[2].isnan())
+
+
+def test_numbers_at_one_wavelength_give_the_results_of_that_wavelength():
+    """Without dispersion, so that the pupils of all wavelengths are the same."""
+    rows = [surface(50.0, thickness=5.0, material=1.6, stop=True), surface(thickness=80.0)]
+    lens = optical_system(rows, 6.0, fields=[2.0], wavelengths=[4e-4, 5e-4, 7e-4])
+    for place in range(3):
+        numbers = lens.prescription().at(place)
+        for function in (wavefront, point_spread_function, huygens_point_spread_function):
+            every, one = function(lens), function(lens, prescription=numbers)
+            for a, b in zip(every[:2], one[:2], strict=True):
+                torch.testing.assert_close(a[place], b[0], rtol=1e-8, atol=1e-8)
+        spots = spot_diagram(lens, reference="chief", prescription=numbers)
+        torch.testing.assert_close(spots.y[0], spot_diagram(lens, reference="chief").y[place])
+        assert float(ray_fan(lens, count=3, prescription=numbers)[1][0, 0, 1]) == pytest.approx(0, abs=1e-12)
+        assert float(lateral_color(lens, prescription=numbers).abs().max()) == 0.0
+    with pytest.raises(ValueError, match="must have wavelengths"):
+        wavefront(lens, prescription=lens.prescription([4e-4, 5e-4])._replace(wavelengths=None))
 
 
 def test_fans_pass_through_the_chief_ray():

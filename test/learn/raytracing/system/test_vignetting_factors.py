@@ -131,6 +131,12 @@ def test_weights_of_wavelengths_in_spots():
         assert float(through_focus(system, [0.0], "rings", 4)[field, 0]) == pytest.approx(expected, rel=1e-9)
     alike = lens(wavelength_weights=[2.0, 2.0, 2.0])
     assert torch.equal(spot_diagram(alike).rms, spot_diagram(plain).rms)
+    # Weights belong to the wavelengths of the system, and others have none.
+    numbers = system.prescription([system.wavelengths[2], system.wavelengths[0]])
+    lone = lens(wavelengths=numbers.wavelengths.tolist(), wavelength_weights=[weights[2], weights[0]], reference=0)
+    assert float(rms_spot(system, prescription=numbers)[1]) == pytest.approx(float(rms_spot(lone)[1]), rel=1e-9)
+    others = plain.prescription([4.5e-4, 5.5e-4, 6.0e-4])
+    assert torch.equal(rms_spot(system, prescription=others), rms_spot(plain, prescription=others))
     # One wavelength alone has no weight.
     one = plain.prescription().at(1)
     assert torch.equal(rms_spot(system, prescription=one), rms_spot(plain, prescription=one))

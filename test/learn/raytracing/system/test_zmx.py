@@ -2,11 +2,12 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
-from odak.catalog import model_glass
+from odak.catalog import material, model_glass
 from odak.learn.raytracing.system import (
     coordinate_break,
     first_order,
@@ -187,6 +188,21 @@ def test_model_glasses_keep_every_digit_in_both_files(tmp_path):
         (tmp_path / "wrong.json").write_text(text.replace("model 1.54451234567 55.987654321 0.0123", wrong))
         with pytest.raises(ValueError, match=message):
             load_system(tmp_path / "wrong.json")
+
+
+def test_ranges_that_a_file_extends_are_kept():
+    """A file may use a glass beyond its range; the system written as JSON must be traced alike."""
+    for glass in (model_glass(1.6, 50.0), material("N-BK7")):
+        stretched = replace(glass, range=(0.35, 3.0))
+        rows = [surface(50.0, thickness=4.0, material=stretched), surface(thickness=90.0)]
+        lens = optical_system(rows, 10.0, wavelengths=2.8e-3)
+        entry = json.loads(json.dumps(system_to_dict(lens)))
+        assert torch.equal(trace_fields(system_from_dict(entry)).y, trace_fields(lens).y)
+        for wrong in ([3.0, 0.35], [1.0], "far"):
+            entry["surfaces"][0]["material_range"] = wrong
+            with pytest.raises((TypeError, ValueError), match="material_range"):
+                system_from_dict(entry)
+    assert "material_range" not in system_to_dict(load_system("cooke_triplet"))["surfaces"][0]
 
 
 FORMS = {
