@@ -30,7 +30,7 @@ REASONS = {
     "an argument is refused, or its kind decides on the way, once per call": """
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
-        perception/csf: _check_range
+        perception/csf: _check_range unified_pupil_diameter
         perception/display_color: spectrum_to_xyz
         perception/metameric: _metamer
         perception/observers: individual_cone_fundamentals metameric_failure
@@ -67,7 +67,7 @@ REASONS = {
         raytracing/detector: _axes
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: _intersect_parametric
-        raytracing/system/eye: _pupil _radial_transfer
+        raytracing/system/eye: _radial_transfer
         raytracing/system/waves: _grid
         tools/transformation: load_voxelized_PLY point_cloud_to_voxel
         wave/display_models: _cycles
@@ -107,7 +107,6 @@ REASONS = {
 # Those whose syntax does not show it, such as `float(loss)`.
 AT_RUN_TIME = {
     "raytracing/system/design:_now",
-    "raytracing/system/eye:_pupil",
     "raytracing/system/surfaces:_image",
     "tools/transformation:load_voxelized_PLY",
     "wave/training:_show",

@@ -500,9 +500,9 @@ def _checked(name, image):
 def _checked_pair(image, simulated_image):
     for name, picture in (("image", image), ("simulated_image", simulated_image)):
         check_values(**{name: _checked(name, picture)})
-    if image.shape != simulated_image.shape or min(image.shape[-2:]) < _SMALLEST:
+    if image.shape != simulated_image.shape or not image.numel() or min(image.shape[-2:]) < _SMALLEST:
         raise ValueError(
-            f"image and simulated_image must have one shape, sides at least {_SMALLEST}; "
+            f"image and simulated_image must have one shape, sides at least {_SMALLEST}, and not be empty; "
             f"got {tuple(image.shape)} and {tuple(simulated_image.shape)}"
         )
     _validate.one_device(image=image, simulated_image=simulated_image)

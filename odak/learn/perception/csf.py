@@ -22,6 +22,7 @@ NEURAL_NOISE = 3e-8
 INHIBITION_END = 7.0
 LARGEST_SIZE = 12.0
 MOST_CYCLES = 15.0
+YOUNGEST, OLDEST = 20, 83
 BLUR, BLUR_PER_PUPIL = 0.5 / 60, 0.08 / 60
 _BT709_LUMINANCE = (0.2126, 0.7152, 0.0722)
 
@@ -109,6 +110,8 @@ def unified_pupil_diameter(
     if eyes not in (1, 2) or isinstance(eyes, bool):
         raise ValueError(f"eyes must be 1 or 2, got {eyes!r}")
     luminance, area, age = positive_numbers(luminance=luminance, area=area, age=age)
+    if _array.is_readable(age) and bool(((age.detach() < YOUNGEST) | (age.detach() > OLDEST)).any()):
+        raise ValueError(f"age must be {YOUNGEST} to {OLDEST} years, got {age.detach().tolist()}")
     flux = (luminance * area * (1.0 if eyes == 2 else 0.1) / 846) ** 0.41
     young = 7.75 - 5.75 * flux / (flux + 2)
     return young + (age - 28.58) * (0.02132 - 0.009562 * young)

@@ -484,7 +484,7 @@ def _feature_difference(one, two, density):
 def _checked(predictions, targets, smallest, data_range):
     _validate.number("data_range", data_range, positive=True)
     pair = checked_pair(predictions, targets, data_range)
-    if predictions.ndim < 2 or predictions.numel() == 0 or min(predictions.shape[-2:]) < smallest:
+    if predictions.ndim < 2 or min(predictions.shape[-2:]) < smallest:
         raise ValueError(
             f"predictions and targets must be pictures [..., H, W] of at least {smallest} x {smallest}, "
             f"got {tuple(predictions.shape)}"

@@ -29,7 +29,7 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
     Raises
     ------
     ValueError, TypeError
-        If the sizes differ, there are not four axes, or not one or three channels.
+        If the sizes differ, there are not four axes, not one or three channels, or no pixels.
 
     Examples
     --------
@@ -54,6 +54,8 @@ def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor)
         raise ValueError(f"{loss_name} ERROR: image and target must have four axes [B, C, H, W], {shapes}")
     if image.shape[1] not in (1, 3):
         raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
+    if not image.numel():
+        raise ValueError(f"{loss_name} ERROR: image and target must not be empty, {shapes}")
     _validate.one_device(image=image, target=target)
 
 
@@ -103,13 +105,16 @@ def checked_pair(
     Raises
     ------
     ValueError, TypeError
-        If the shapes differ, either is not a tensor of real floats, or holds NaN or values far outside the range.
+        If the shapes differ or are empty, either is not a tensor of real floats, or holds NaN or values far outside
+        the range.
     """
     for name, value in (("predictions", predictions), ("targets", targets)):
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
             kind = getattr(value, "dtype", type(value).__name__)
             raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
     _validate.alike(predictions=predictions, targets=targets)
+    if not predictions.numel():
+        raise ValueError(f"predictions and targets must not be empty, got {tuple(predictions.shape)}")
     check_values(peak, predictions=predictions, targets=targets)
     dtype = torch.promote_types(predictions.dtype, targets.dtype)
     return in_float32(predictions.to(dtype)), in_float32(targets.to(dtype))

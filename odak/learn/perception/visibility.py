@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import torch
 from torch import nn
 
-from odak import _validate
+from odak import _array, _validate
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.csf import sensitivity
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
-from odak.learn.perception.util import check_loss_inputs, check_values, in_float32
+from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, in_float32
 
 # Contrast threshold over frequency and eccentricity, T = T₀·exp(α·f·(e + e₂)/e₂): Geisler and Perry, Proc. SPIE 3299,
 # 294 (1998).
@@ -61,7 +61,7 @@ def highest_frequency(eccentricity: torch.Tensor | float) -> torch.Tensor:
     _validate.real("eccentricity", eccentricity)
     if not isinstance(eccentricity, torch.Tensor):
         eccentricity = torch.tensor(eccentricity, dtype=torch.float64)
-    if (eccentricity.detach() < 0).any():
+    if _array.is_readable(eccentricity) and (eccentricity.detach() < 0).any():
         raise ValueError(f"eccentricity must not be negative, got {float(eccentricity.detach().min())}")
     return HALVING * math.log(1 / LEAST_CONTRAST) / (DECAY * (eccentricity + HALVING))
 
@@ -257,6 +257,7 @@ class VisibilityLoss(nn.Module):
             If the pictures cannot be compared or are too small for the octaves.
         """
         check_loss_inputs("VisibilityLoss", image, target)
+        as_pictures("image", image, None), as_pictures("target", target, None)
         pictures: dict[str, Any] = {"VisibilityLoss ERROR: image": image, "VisibilityLoss ERROR: target": target}
         check_values(**pictures)
         dtype = torch.promote_types(image.dtype, target.dtype)

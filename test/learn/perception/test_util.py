@@ -5,7 +5,22 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odak.learn.perception import blur_gaussian, check_loss_inputs, slice_rgbd_targets, util
+from odak.learn.perception import (
+    FLIP,
+    PSNR,
+    PU21PSNR,
+    SSIM,
+    BlurLoss,
+    CSFLoss,
+    CVDLoss,
+    MetamericLoss,
+    MetamericLossUniform,
+    VisibilityLoss,
+    blur_gaussian,
+    check_loss_inputs,
+    slice_rgbd_targets,
+    util,
+)
 from odak.learn.tools import blur_gaussian as blur_of_the_tools
 
 
@@ -68,6 +83,16 @@ def test_check_loss_inputs():
     ):
         with pytest.raises(ValueError, match=rf"^BlurLoss ERROR: .*{message}"):
             check_loss_inputs("BlurLoss", one, two)
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [PSNR, SSIM, FLIP, PU21PSNR, BlurLoss, CSFLoss, CVDLoss, VisibilityLoss, MetamericLoss, MetamericLossUniform],
+)
+@pytest.mark.parametrize("shape", [(0, 3, 32, 32), (1, 3, 0, 32)])
+def test_empty_pictures_are_refused(kind, shape):
+    with pytest.raises(ValueError, match=rf"not be empty.*{shape[0]}, 3, {shape[2]}, 32"):
+        kind()(torch.rand(shape), torch.rand(shape))
 
 
 def test_names():

@@ -27,6 +27,18 @@ def test_contrast_at_the_highest_frequency_is_one():
         assert math.exp(0.106 * frequency * (eccentricity + 2.3) / 2.3) / 64 == pytest.approx(1)
 
 
+def test_the_highest_frequency_needs_no_values_of_a_device_without_any():
+    assert highest_frequency(torch.empty(3, 2, device="meta")).shape == (3, 2)
+    with pytest.raises(ValueError, match="eccentricity"):
+        highest_frequency(torch.tensor([1.0, -0.5]))
+
+
+def test_pictures_of_integers_are_refused():
+    picture = torch.zeros(1, 3, 32, 32, dtype=torch.uint8)
+    with pytest.raises(TypeError, match=r"image must be .* real floats.*uint8"):
+        VisibilityLoss()(picture, picture)
+
+
 def test_budget_is_the_integral_of_the_density():
     # 2π·∫ e·(2f)² de from 0 to E, for angles small enough to be lengths.
     rings = foveated_budget((900, 900), real_image_width=0.1, real_viewing_distance=0.7, edges=(0.0, 1.0, 3.5))

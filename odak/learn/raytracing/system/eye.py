@@ -436,7 +436,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     steepest = float(lag.diff().abs().max()) * (RAYS - 1) / wave
     count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
     line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
-    pupil = _pupil(line[:, None], line, [wave], diameter, accommodation, vergence)[0]
+    pupil = _pupil(line[:, None], line, width / count, [wave], diameter, accommodation, vergence)[0]
     # The autocorrelation over the pupil's area. At zero the squares of the shares on the rim would make it too small.
     transfer = torch.fft.ifft(torch.fft.fft2(pupil, norm="ortho").abs().square().sum(0)).real[: count + 1]
     transfer = transfer / (pupil.abs().sum() / len(line))
@@ -455,7 +455,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     )
 
 
-def _pupil(y, x, waves, diameter, accommodation, vergence, direction=(0.0, 0.0)):
+def _pupil(y, x, pitch, waves, diameter, accommodation, vergence, direction=(0.0, 0.0)):
     """Return the pupil function over places y ``[rows, 1]`` and x ``[columns]`` in metres, complex128 ``[W, …]``.
 
     The eye looks along `direction`, its cosines along y and x; light along it passes through the points.
@@ -464,9 +464,8 @@ def _pupil(y, x, waves, diameter, accommodation, vergence, direction=(0.0, 0.0))
     # Distance of such light from the axis.
     radius = (y**2 + x**2 - along**2).clamp_min(0).sqrt()
     edge = diameter / 2e3
-    step = max((float(axis[1] - axis[0]) if len(axis) > 1 else edge) for axis in (y.flatten(), x))
     # Samples on the rim count by the share of them that lies inside.
-    share = ((edge - radius) / abs(step) + 0.5).clamp(0, 1)
+    share = ((edge - radius) / pitch + 0.5).clamp(0, 1)
     lag = eye_wavefront(radius.clamp(max=edge), waves, diameter, accommodation, vergence)
     cycles = lag / torch.tensor(waves, dtype=torch.float64, device=lag.device)[:, None, None]
     return phasor_of_cycles(cycles, torch.complex128) * share
@@ -531,6 +530,8 @@ def retinal_image(
         kind = getattr(picture, "dtype", type(picture).__name__)
         raise TypeError(f"picture must be a tensor of float32 or float64, got {kind}")
     _validate.image("picture", picture, axes=4 if stacked else 3)
+    if not picture.numel():
+        raise ValueError(f"picture must not be empty, got {tuple(picture.shape)}")
     stack = picture if stacked else picture[..., None, :, :, :]
     if stack.shape[-4:-2] != (len(planes), len(waves)):
         raise ValueError(
@@ -660,7 +661,7 @@ def retinal_field(
         (torch.arange(n, dtype=torch.float64, device=field.device) - n // 2) * pitch - shift - ROTATION_RADIUS * cosine
         for n, shift, cosine in ((rows, down, cosines[0]), (columns, right, cosines[1]))
     )
-    pupil = _pupil(y[:, None], x, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0, cosines)[0]
+    pupil = _pupil(y[:, None], x, pitch, [wavelength], _pupil_width(pupil_diameter), accommodation, 0.0, cosines)[0]
     if (across, downwards) != (0.0, 0.0):
         # A wave from the direction of the gaze has a constant phase in the pupil, and its power over the pupil's area.
         tilt = (y[:, None] * cosines[0] + x * cosines[1]) / wavelength
@@ -750,7 +751,8 @@ def accommodation_response(
     Notes
     -----
     Contrast counts at 4 to 8 cycles per degree, which is what accommodation follows in the stacks of MacKenzie, Hoffman
-    and Watt, J. Vis. 10(8), 22 (2010).
+    and Watt, J. Vis. 10(8), 22 (2010). Of a picture without detail in this band `contrast` is about 0, and the other
+    results mean nothing.
 
     Examples
     --------
@@ -771,6 +773,8 @@ def accommodation_response(
         if weights is None
         else [float(one) for one in _validate.several("weights", weights, len(waves))]
     )
+    if min(counts) < 0 or not sum(counts) > 0:
+        raise ValueError(f"weights must be 0 or more, one of them positive, got {weights!r:.80}")
     shares = torch.tensor(counts, dtype=torch.float64) / sum(counts)
     contrast = []
     with torch.no_grad():

@@ -136,7 +136,7 @@ class complex_2d_gaussians(nn.Module):
 
     @staticmethod
     def compute_cov_2D(scales: torch.Tensor, rotation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the entries Σ₀₀, Σ₀₁ and Σ₁₁ of covariances in square pixels ``[N]``.
+        """Return the entries Σ₀₀, Σ₀₁ and Σ₁₁ of covariances in square pixels ``[N]``, variances 0.1 larger than given.
 
         Parameters
         ----------
@@ -303,6 +303,8 @@ class Scene2D:
 
     def render(self, img_size: tuple[int, int]) -> torch.Tensor:
         """Return the field Σ colour·opacity·exp(−½ dᵀΣ⁻¹d)·exp(iφ), surrounded by zeros.
+
+        Σ in the exponent is the covariance of :meth:`complex_2d_gaussians.compute_cov_2D`.
 
         Parameters
         ----------

@@ -239,6 +239,14 @@ def test_gradients_reach_the_picture_and_the_field():
         )
 
 
+@pytest.mark.parametrize("shape", [(1, 65), (65, 1)])
+def test_the_rim_of_the_pupil_is_one_sample_wide_in_fields_of_one_row(shape):
+    seen = retinal_field(torch.ones(shape, dtype=torch.complex128), 1e-4, GREEN, pupil_diameter=4.0)
+    place = np.abs(np.arange(65) - 32) * 1e-4
+    expected = (np.clip((2e-3 - place) / 1e-4 + 0.5, 0, 1) ** 2).sum()
+    assert float(seen.field.abs().square().sum()) == pytest.approx(expected, rel=1e-12)
+
+
 def test_pupil_sizes():
     # Limits of the formula at the reference age, and equation 21 by hand.
     assert float(unified_pupil_diameter(1e-12)) == pytest.approx(7.75, abs=1e-3)
@@ -267,4 +275,13 @@ def test_wrong_arguments():
         retinal_field(torch.ones(8, 8, dtype=torch.complex64), 1e-4, GREEN, rotation=(70.0, 0.0))
     with pytest.raises(ValueError, match="eyes"):
         unified_pupil_diameter(10.0, eyes=3)
+    with pytest.raises(ValueError, match="age must be 20 to 83 years, got 5"):
+        unified_pupil_diameter(10.0, age=5.0)
+    with pytest.raises(ValueError, match="age must be 20 to 83"):
+        unified_pupil_diameter(10.0, age=torch.tensor([30.0, 90.0]))
+    with pytest.raises(ValueError, match="picture must not be empty"):
+        retinal_image(torch.rand(0, 3, 8, 8), 1.0, 1e-3)
+    for weights in ((0.0, 0.0, 0.0), (-1.0, 1.0, 1.0)):
+        with pytest.raises(ValueError, match="weights"):
+            accommodation_response(torch.rand(3, 8, 8), 1.0, 1e-3, accommodations=(1.0, 2.0, 3.0), weights=weights)
     assert REFERENCE == 589.3e-9
