@@ -134,6 +134,6 @@ def _made(value, folder):
         return value.detach().clone().requires_grad_(value.requires_grad)
     if isinstance(value, torch.Generator):
         return value.clone_state()
-    return (
-        copy.deepcopy(value) if isinstance(value, (numpy.ndarray, numpy.random.Generator, list, dict, tuple)) else value
-    )
+    if isinstance(value, numpy.ndarray):
+        return value.copy()
+    return copy.deepcopy(value) if isinstance(value, (numpy.random.Generator, list, dict, tuple)) else value

@@ -37,12 +37,23 @@ class Call:
         self.declared = CALLABLES[path]
         self.owner_path = path.rpartition(".")[0]
         self.owner = CALLABLES.get(self.owner_path)
+        self.object = None
 
     def function(self):
         if not inspect.isclass(self.owner):
             return self.declared
-        made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder))
-        return getattr(made, self.declared.__name__)
+        return self.method
+
+    def method(self, **arguments):
+        """Call the method of a new object, or of one that has refused all arguments, which leaves it as it was."""
+        made, self.object = self.object, None
+        if made is None:
+            made = contract.call(self.owner, samples.arguments(self.owner_path, self.owner, self.folder))
+        try:
+            return getattr(made, self.declared.__name__)(**arguments)
+        except (ValueError, TypeError):
+            self.object = made
+            raise
 
     def arguments(self):
         return samples.arguments(self.path, self.declared, self.folder)
