@@ -11,6 +11,7 @@ import io
 import sys
 import tokenize
 from collections import defaultdict
+from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1] / "odak"
@@ -58,7 +59,7 @@ def imports(root: Path = ROOT) -> dict[str, set[str]]:
     for module, path in known.items():
         package = module if path.name == "__init__.py" else module.rpartition(".")[0]
         found = set()
-        for node in ast.walk(tree(path)):
+        for node in _statements(tree(path)):
             if isinstance(node, ast.Import):
                 found |= {alias.name for alias in node.names}
             elif isinstance(node, ast.ImportFrom):
@@ -114,6 +115,14 @@ def code_lines(text: str) -> int:
         if token.type not in blank:
             lines |= set(range(token.start[0], token.end[0] + 1))
     return len(lines - docstrings)
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield all statements inside a node, without a look at their expressions."""
+    for name in ("body", "orelse", "handlers", "finalbody", "cases"):
+        for inner in getattr(node, name, ()):
+            yield inner
+            yield from _statements(inner)
 
 
 def _absolute(package: str, node: ast.ImportFrom) -> str:

@@ -10,6 +10,7 @@ from odak.cli import main
 
 ROWS, COLUMNS = 48, 72
 VOLUME = ["--resolution", ROWS, COLUMNS, "--distance", "5e-3", "--volume-depth", "2e-3", "--device", "cpu", "--quiet"]
+DEEP = ["--grating", "--bits", "10"]
 WAVELENGTHS = (638e-9, 520e-9, 450e-9)
 
 
@@ -28,8 +29,10 @@ def psnr(image, target, mask=True):
     return 10 * np.log10(1 / np.mean(((image - target) ** 2)[np.broadcast_to(mask, target.shape)]))
 
 
-@pytest.mark.parametrize("method", ["multiplane", "multi-color", "network"])
-@pytest.mark.parametrize("options", [[], ["--grating", "--bits", "10"]])
+@pytest.mark.parametrize(
+    ("method", "options"),
+    [("multiplane", DEEP), ("multi-color", []), ("multi-color", DEEP), ("network", [])],
+)
 def test_report_states_what_the_saved_patterns_show(method, options, files, tmp_path):
     picture, depth = files
     iterations = [] if method == "network" else ["--iterations", 30]

@@ -68,17 +68,20 @@ def rms(values):
 
 
 def distance_in_pixels(registration, table):
-    points = np.random.default_rng(0).uniform(-0.35, 0.35, (200, 2)) * 144 * 8e-6
+    points = np.random.default_rng(0).uniform(-0.35, 0.35, (200, 2)) * min(table.modulator.shape) * 8e-6
     seen = registration.camera_pixels(points)
     missed = (table.truth.plane_points(seen, table.camera.shape) - points) / table.camera.pitch
     return np.linalg.norm(missed, axis=-1)
 
 
+SMALLER = {"shape": (108, 108), "camera_shape": (240, 240), "distance": 15e-3}
+
+
 @pytest.fixture(scope="module")
 def calibrated():
     """A table with all faults, and what its calibration found."""
-    table = instruments.SimulatedTable(seed=int(np.random.default_rng(5).integers(1000)))
-    found = instruments.calibrate_table(*instruments_of(table), table.laser.wavelength, 20e-3)
+    table = instruments.SimulatedTable(seed=int(np.random.default_rng(5).integers(1000)), **SMALLER)
+    found = instruments.calibrate_table(*instruments_of(table), table.laser.wavelength, SMALLER["distance"])
     return table, found
 
 
@@ -158,9 +161,9 @@ def test_illumination_within_two_percent(calibrated):
 def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     table, found = calibrated
     ideal = instruments.SimulatedTable(
-        seed=1, misalignment=False, aberration=0.0, nonlinearity=False, distance_error=0.0, reflection=0.0
+        1, misalignment=False, aberration=0.0, nonlinearity=False, distance_error=0.0, reflection=0.0, **SMALLER
     )
-    nominal = calibrating.lens_phase(ideal.modulator, 532e-9, 20e-3) % (2 * np.pi)
+    nominal = calibrating.lens_phase(ideal.modulator, 532e-9, SMALLER["distance"]) % (2 * np.pi)
     linear = np.rint(nominal * 255 / (2 * np.pi)).astype(int)
     peaks = []
     corrected = found.levels(calibrating.lens_phase(table.modulator, found.wavelength, found.distance))

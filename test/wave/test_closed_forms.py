@@ -20,6 +20,7 @@ WAVELENGTH, DX = 532e-9, 8e-6
 PADDED = (True, False, True)
 TRANSFER = ["Angular Spectrum", "Bandlimited Angular Spectrum", "Transfer Function Fresnel"]
 STRETCHED = ["Bandextended Angular Spectrum", "Adaptive Sampling Angular Spectrum"]
+EVEN, ODD = (384, 384), (381, 383)
 RESPONSE = ["Impulse Response Fresnel", "Seperable Impulse Response Fresnel", "Rayleigh-Sommerfeld"]
 
 
@@ -27,7 +28,7 @@ def beam_cases():
     for distance in (5e-3, 5e-2, 0.2):
         methods = TRANSFER + STRETCHED + (RESPONSE if distance > 0.1 else [])
         for method in methods:
-            for shape in ((384, 384), (381, 383)):
+            for shape in {5e-3: [EVEN], 5e-2: [EVEN, ODD], 0.2: [ODD]}[distance]:
                 yield pytest.param(method, distance, shape, id=f"{method}-{distance}-{shape[0]}")
 
 

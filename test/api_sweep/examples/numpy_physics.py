@@ -247,9 +247,9 @@ BY_CALL = {
     },
     "odak.wave.gerchberg_saxton_3d": {"target_type": "double constraint", "coefficients": [1.0, 0.5, 1.0]},
     "odak.wave.hologram_in_chunks": {
-        "target": numbers(16, 16),
+        "target": numbers(4, 5),
         "folder": Build(lambda folder: folder / "hologram"),
-        "initial_phase": numbers(16, 16),
+        "initial_phase": numbers(4, 5),
         "n_iterations": 1,
     },
     "odak.wave.produce_phase_only_slm_pattern": {

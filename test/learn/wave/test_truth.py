@@ -16,6 +16,7 @@ PITCH, SIZE = 8e-6, (64, 80)
 COLOURS = [639e-9, 515e-9, 473e-9]
 # N·dx²/λ of the shorter side: where kernels sampled on the padded grid wrap around most.
 CRITICAL = SIZE[0] * PITCH**2 / COLOURS[1]
+IRIS = {"iris_radius": 2.5e-3, "iris_focal_length": 0.1}
 
 
 def picture(*shape, seed=0):
@@ -177,8 +178,15 @@ def test_an_iris_of_the_optimizer():
     assert behind > decibels(judged([hologram], distance, COLOURS[1]), target) + 2
 
 
-@pytest.mark.parametrize("options", [{}, {"iris_radius": 2.5e-3, "iris_focal_length": 0.1}])
-@pytest.mark.parametrize("kind", ["back and forth", "forward"])
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("back and forth", IRIS),
+        ("forward", {}),
+        pytest.param("back and forth", {}, marks=pytest.mark.slow),
+        pytest.param("forward", IRIS, marks=pytest.mark.slow),
+    ],
+)
 def test_colours_and_planes(kind, options):
     offset = 0.6 * CRITICAL
     display = wave.propagator(

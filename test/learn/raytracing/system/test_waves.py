@@ -115,7 +115,7 @@ def test_light_of_a_perfect_lens_propagates_to_airys_disc():
     assert float((transfer - perfect).abs().max()) < 0.01
 
 
-@pytest.mark.parametrize("field", [0, 1])
+@pytest.mark.parametrize("field", [pytest.param(0, marks=pytest.mark.slow), 1])
 def test_light_of_an_aberrated_lens_propagates_to_its_fourier_image(field):
     system = singlet(1.5, fields=[(0.0, 0.0), (0.0, 2.0)])
     found = propagated_point_spread_function(system, 512, 3.21e-3, field=field)
