@@ -31,7 +31,7 @@ REASONS = {
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
         perception/csf: _check_range unified_pupil_diameter
-        perception/display_color: spectrum_to_xyz
+        perception/display_color: _checked_axis spectrum_to_xyz
         perception/metameric: _metamer
         perception/observers: individual_cone_fundamentals metameric_failure
         perception/quality: _require_positive

@@ -13,7 +13,7 @@ import torch
 from scipy.optimize import least_squares
 from torch import nn
 
-from odak import _validate
+from odak import _array, _validate
 from odak.learn._tensors import checked_device, floating
 from odak.learn.perception.color import mix
 from odak.learn.perception.util import as_pictures, in_float32
@@ -76,7 +76,7 @@ def color_matching_functions(wavelengths: torch.Tensor | Sequence[float]) -> tor
     Raises
     ------
     ValueError, TypeError
-        If the wavelengths are not a list of real numbers.
+        If the wavelengths are not a list of real numbers, or all below 1, as those in metres are.
 
     Notes
     -----
@@ -109,7 +109,7 @@ def illuminant_d65(wavelengths: torch.Tensor | Sequence[float]) -> torch.Tensor:
     Raises
     ------
     ValueError, TypeError
-        If the wavelengths are not a list of real numbers.
+        If the wavelengths are not a list of real numbers, or all below 1, as those in metres are.
 
     Examples
     --------
@@ -232,7 +232,10 @@ def _checked_axis(name, wavelengths):
     _validate.real(name, wavelengths)
     axis = torch.as_tensor(wavelengths, dtype=None if isinstance(wavelengths, torch.Tensor) else torch.float64)
     if axis.ndim != 1 or len(axis) == 0:
-        raise ValueError(f"{name} must be a list of numbers, got {tuple(axis.shape)}")
+        raise ValueError(f"{name} must be a list of numbers, got an array of shape {tuple(axis.shape)}")
+    # Wavelengths in metres would be beyond all tables, where spectra are zero.
+    if _array.is_readable(axis) and bool((axis.detach() < 1).all()):
+        raise ValueError(f"{name} must be in nanometres, got {axis.detach().tolist()!r:.80}")
     return axis if axis.is_floating_point() else axis.double()
 
 

@@ -667,7 +667,8 @@ class FrequencySteerablePyramid(nn.Module):
         smallest = 1 << (self.n_levels - 1)
         if image.ndim < 2 or 0 in image.shape or min(image.shape[-2:]) < smallest:
             raise ValueError(
-                f"image must have sides of at least {smallest} for {self.n_levels} levels, got {tuple(image.shape)}"
+                f"image must be [..., H, W], not empty, with sides of at least {smallest} for {self.n_levels} levels, "
+                f"got {tuple(image.shape)}"
             )
         rows, columns = image.shape[-2:]
         return rows, columns

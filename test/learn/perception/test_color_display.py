@@ -41,6 +41,11 @@ def test_observer_and_illuminant_are_those_of_the_cie():
     assert (white[:2] / white.sum()).tolist() == pytest.approx([0.31272, 0.32903], abs=1e-5)
     assert p.illuminant_d65([560.0]).item() == 100
     assert p.color_matching_functions([300.0, 900.0]).abs().max() == 0
+    for function in (p.color_matching_functions, p.illuminant_d65, p.cone_fundamentals):
+        with pytest.raises(ValueError, match=r"wavelengths must be in nanometres, got .*5\.5e-07"):
+            function([5.5e-7, 6e-7])
+    with pytest.raises(ValueError, match="must be a list of numbers, got an array of shape"):
+        p.color_matching_functions(550.0)
 
 
 def test_a_laser_lies_on_the_spectral_locus():
