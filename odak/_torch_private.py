@@ -55,6 +55,14 @@ def is_transformed(*tensors: torch.Tensor) -> bool:
     return torch.compiler.is_compiling() or in_forward_mode() or is_wrapped(*tensors)
 
 
+def is_plain_on_cpu(tensor: torch.Tensor) -> bool:
+    """Return whether a tensor is on a CPU, without a transform, forward-mode derivative or compiler."""
+    if tensor.device.type != "cpu" or is_transformed():
+        return False
+    # Not the tensor alone: those beside one that is vmapped take part in the same operations.
+    return not in_functional_transform()
+
+
 def takes_operators(*tensors: torch.Tensor) -> bool:
     """Return whether an autograd.Function with a rule for forward mode may take the tensors.
 

@@ -1,4 +1,4 @@
-"""Conversion of arguments to tensors; checks of their devices, dtypes and generators; precision under autocast."""
+"""Conversion of arguments to tensors; checks of devices, dtypes, generators and pictures; precision under autocast."""
 
 import functools
 from collections.abc import Callable
@@ -9,6 +9,9 @@ import numpy as np
 import torch
 
 from odak import _array, _validate
+
+# Values should lie in 0 … 1; optimizers and speckle may exceed it slightly, 8-bit values are an error.
+FARTHEST = 100.0
 
 
 def tensor(name: str, value, dtype: torch.dtype | None = None, device: torch.device | None = None) -> torch.Tensor:
@@ -157,6 +160,133 @@ def rows_of(**given: tuple) -> list[torch.Tensor]:
     _validate.one_device(**dict(zip(given, values, strict=True)))
     dtype = functools.reduce(torch.promote_types, (value.dtype for value in values), torch.float32)
     return [value.resolve_neg().to(dtype) for value in values]
+
+
+def check_loss_inputs(loss_name: str, image: torch.Tensor, target: torch.Tensor) -> None:
+    """Raise ValueError unless two images can be compared.
+
+    Parameters
+    ----------
+    loss_name : str
+        Name of the loss, with which the message begins.
+    image : torch.Tensor
+        ``[B, C, H, W]``, one or three channels.
+    target : torch.Tensor
+        Image of the same shape.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the sizes differ, there are not four axes, not one or three channels, or no pixels.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import check_loss_inputs
+    >>> check_loss_inputs("loss", torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 8))
+    >>> try:
+    ...     check_loss_inputs("loss", torch.zeros(1, 3, 8, 8), torch.zeros(1, 3, 8, 9))
+    ... except ValueError:
+    ...     print("of two sizes")
+    of two sizes
+    """
+    if not isinstance(loss_name, str):
+        raise TypeError(f"loss_name must be a string, got {type(loss_name).__name__}")
+    for name, picture in (("image", image), ("target", target)):
+        if not isinstance(picture, torch.Tensor):
+            raise TypeError(f"{loss_name} ERROR: {name} must be a tensor, got {type(picture).__name__}")
+    shapes = f"got {tuple(image.shape)} and {tuple(target.shape)}"
+    if image.shape != target.shape:
+        raise ValueError(f"{loss_name} ERROR: image and target must have one size, {shapes}")
+    if image.ndim != 4:
+        raise ValueError(f"{loss_name} ERROR: image and target must have four axes [B, C, H, W], {shapes}")
+    if image.shape[1] not in (1, 3):
+        raise ValueError(f"{loss_name} ERROR: image and target must have one or three channels, {shapes}")
+    if not image.numel():
+        raise ValueError(f"{loss_name} ERROR: image and target must not be empty, {shapes}")
+    _validate.one_device(image=image, target=target)
+
+
+def check_values(peak: float = 1.0, **pictures: torch.Tensor) -> None:
+    """Raise ValueError if a picture holds NaN, infinities or values far outside 0 … peak.
+
+    Parameters
+    ----------
+    peak : float
+        Largest value that a picture should have.
+    **pictures : torch.Tensor
+        Pictures by the names that a message gives them. Values on a GPU, or held by a transform, are not read.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a value is not finite, or beyond ±100 times the peak; or the peak is not positive.
+    """
+    _validate.number("peak", peak, positive=True)
+    for name, picture in pictures.items():
+        if picture.is_complex():
+            raise TypeError(f"{name} must be real, got {picture.dtype}")
+        if not picture.numel() or not _array.is_readable(picture):
+            continue
+        low, high = (float(value) for value in torch.aminmax(picture.detach()))
+        if not (low >= -FARTHEST * peak and high <= FARTHEST * peak):
+            raise ValueError(f"{name} must hold finite values of about 0 to {peak:g}, got {low:.4g} to {high:.4g}")
+
+
+def checked_pair(
+    predictions: torch.Tensor, targets: torch.Tensor, peak: float = 1.0
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return two pictures in one precision after checking that they are real floats of one shape, about 0 … peak.
+
+    Parameters
+    ----------
+    predictions, targets : torch.Tensor
+        Pictures of any shape.
+    peak : float
+        Largest value that a picture should have.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        The pictures, both in the finer of the two precisions, float32 for half precision.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes differ or are empty, either is not a tensor of real floats, or holds NaN or values far outside
+        the range.
+    """
+    for name, value in (("predictions", predictions), ("targets", targets)):
+        if not isinstance(value, torch.Tensor) or not value.is_floating_point():
+            kind = getattr(value, "dtype", type(value).__name__)
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    _validate.alike(predictions=predictions, targets=targets)
+    if not predictions.numel():
+        raise ValueError(f"predictions and targets must not be empty, got {tuple(predictions.shape)}")
+    check_values(peak, predictions=predictions, targets=targets)
+    dtype = torch.promote_types(predictions.dtype, targets.dtype)
+    return in_float32(predictions.to(dtype)), in_float32(targets.to(dtype))
+
+
+def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
+    """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        kind = getattr(image, "dtype", type(image).__name__)
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+    if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
+        wanted = "C" if channels is None else channels
+        raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")
+    return image if image.ndim > 3 else image[None]
+
+
+def in_float64(values: torch.Tensor) -> torch.Tensor:
+    """Return values in float64 where the device has it."""
+    return values if values.device.type == "mps" else values.double()
+
+
+def in_float32(values: torch.Tensor) -> torch.Tensor:
+    """Return values of half precision in float32, others as they are."""
+    return values.to(torch.promote_types(values.dtype, torch.float32))
 
 
 P = ParamSpec("P")

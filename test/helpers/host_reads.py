@@ -35,7 +35,6 @@ REASONS = {
         perception/metameric: _metamer
         perception/observers: individual_cone_fundamentals metameric_failure
         perception/quality: _require_positive
-        perception/util: slice_rgbd_targets
         perception/visibility: highest_frequency
         raytracing/system/design: __init__ _now
         raytracing/system/image_simulation: _chief _response point_spread_map
@@ -47,6 +46,7 @@ REASONS = {
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/triangle_search: components
         raytracing/triangles: _checked_faces _checked_vertices
+        tools/matrix: slice_rgbd_targets
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/spatial: prune

@@ -1,3 +1,7 @@
+from odak.learn._tensors import check_loss_inputs as check_loss_inputs
+from odak.learn.tools.matrix import blur_gaussian as blur_gaussian
+from odak.learn.tools.matrix import slice_rgbd_targets as slice_rgbd_targets
+
 from .color import adapt_chromatically as adapt_chromatically
 from .color import change_primaries as change_primaries
 from .color import ciede2000 as ciede2000
@@ -99,9 +103,6 @@ from .quality import multi_scale_structural_similarity as multi_scale_structural
 from .quality import ring_masks as ring_masks
 from .quality import structural_similarity as structural_similarity
 from .quality import weber_contrast as weber_contrast
-from .util import blur_gaussian as blur_gaussian
-from .util import check_loss_inputs as check_loss_inputs
-from .util import slice_rgbd_targets as slice_rgbd_targets
 from .visibility import BudgetRing as BudgetRing
 from .visibility import VisibilityLoss as VisibilityLoss
 from .visibility import foveated_budget as foveated_budget

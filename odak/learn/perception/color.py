@@ -7,16 +7,16 @@ in the precision and on the device of the input.
 
 import functools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import numpy as np
 import torch
 from torch.nn import functional
 
 from odak import _validate
-from odak.learn._tensors import in_own_precision
+from odak._torch_private import is_plain_on_cpu
+from odak.learn._tensors import as_pictures, in_float64, in_own_precision
 from odak.learn.perception.hdr import pq_decode, pq_encode
-from odak.learn.perception.util import as_pictures, by_pixels, by_values, in_float64
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
 BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
@@ -1514,3 +1514,77 @@ def _signed_cube_root(value):
 @functools.lru_cache(maxsize=32)
 def _inverse(matrix):
     return rows(np.linalg.inv(np.array(matrix)))
+
+
+# Values that one thread takes at a time: a few such blocks fit a core's cache, and a call costs little beside them.
+BLOCK = 1 << 17
+
+Gradient = Callable[[torch.Tensor, torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+def by_pixels(
+    function: Callable[[torch.Tensor], torch.Tensor], image: torch.Tensor, gradient: Gradient
+) -> torch.Tensor:
+    """Apply a function of single pixels to pictures, in blocks whose intermediate results stay in the cache of a CPU.
+
+    Parameters
+    ----------
+    function : callable
+        Maps pixels ``[..., C, n]`` to ``[..., C', n]``. It must not depend on other tensors that require a gradient.
+    image : torch.Tensor
+        ``[..., C, H, W]``.
+    gradient : callable
+        Maps pixels, the values of the function and the gradient with respect to these to the gradient with respect to
+        the pixels.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., C', H, W]``; differentiable as often as the function is.
+    """
+    size = image.shape[-2:]
+    if not image.numel() or not is_plain_on_cpu(image):
+        return function(image.flatten(-2)).unflatten(-1, size)
+    result = _Blocks.apply(image.reshape(-1, image.shape[-3], size.numel()), function, gradient)
+    return result.reshape(*image.shape[:-3], -1, *size)
+
+
+def by_values(
+    function: Callable[[torch.Tensor], torch.Tensor], values: torch.Tensor, gradient: Gradient
+) -> torch.Tensor:
+    """Apply a function of single numbers to a tensor of any shape; otherwise as :func:`by_pixels`."""
+    if not values.numel() or not is_plain_on_cpu(values):
+        return function(values)
+    return by_pixels(function, values.reshape(1, 1, -1), gradient).reshape(values.shape)
+
+
+class _Blocks(torch.autograd.Function):
+    @staticmethod
+    def forward(context, flat, function, gradient):
+        context.function, context.gradient = function, gradient
+        saved, flat, result = flat, flat.detach(), None
+        for index, place in _places(flat):
+            block = function(flat[index, :, place])
+            if result is None:
+                result = block.new_empty(len(flat), len(block), flat.shape[-1])
+            result[index, :, place] = block
+        context.save_for_backward(saved, result)
+        return result
+
+    @staticmethod
+    def backward(context, outer):
+        flat, value = context.saved_tensors
+        if torch.is_grad_enabled():
+            # Derivatives of the gradient are wanted.
+            return torch.autograd.grad(context.function(flat), flat, outer, create_graph=True)[0], None, None
+        result = torch.empty_like(flat)
+        for index, place in _places(flat):
+            block = context.gradient(flat[index, :, place], value[index, :, place], outer[index, :, place])
+            result[index, :, place] = block
+        return result, None, None
+
+
+def _places(flat):
+    """Return the index and the slice of pixels of each block."""
+    count, step = flat.shape[-1], max(1, BLOCK * torch.get_num_threads() // flat.shape[1])
+    return [(index, slice(start, start + step)) for index in range(len(flat)) for start in range(0, count, step)]

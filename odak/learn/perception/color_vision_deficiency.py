@@ -9,9 +9,8 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import in_own_precision
+from odak.learn._tensors import as_pictures, check_values, in_float32, in_own_precision
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
-from odak.learn.perception.util import as_pictures, check_values, in_float32
 from odak.learn.tools.matrix import blur_gaussian
 
 DEFICIENCIES = ("protan", "deutan", "tritan")

@@ -10,9 +10,8 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import tensor
+from odak.learn._tensors import as_pictures, check_loss_inputs, in_float32, tensor
 from odak.learn.perception.color import srgb_decoded
-from odak.learn.perception.util import as_pictures, check_loss_inputs, in_float32
 
 SIGNAL_TO_NOISE = 3.0
 INTEGRATION_TIME = 0.1

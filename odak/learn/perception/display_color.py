@@ -14,9 +14,8 @@ from scipy.optimize import least_squares
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import checked_device, floating
+from odak.learn._tensors import as_pictures, checked_device, floating, in_float32
 from odak.learn.perception.color import mix
-from odak.learn.perception.util import as_pictures, in_float32
 
 CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
 BACKLIGHT_GAUSSIANS = ((650.0, 14.5), (550.0, 12.0), (450.0, 12.0))

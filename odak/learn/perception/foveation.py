@@ -20,8 +20,8 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _validate
-from odak.learn._tensors import checked_device, checked_dtype
-from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, is_plain
+from odak._torch_private import is_plain_on_cpu
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 
 MODES = ("quadratic", "linear")
 # Limit of the angle for cones that graze the screen or point behind it.
@@ -533,7 +533,7 @@ class Banded:
 
 def is_blocked(picture: torch.Tensor) -> bool:
     """Return whether statistics may be computed in strips: float32 or float64 on a CPU, without a transform."""
-    return is_plain(picture) and picture.dtype in (torch.float32, torch.float64)
+    return is_plain_on_cpu(picture) and picture.dtype in (torch.float32, torch.float64)
 
 
 class Sampler:
@@ -565,7 +565,7 @@ class Sampler:
 
     def __call__(self, image: torch.Tensor) -> torch.Tensor:
         """Return the sampled pictures ``[B, C, H, W]``; differentiable any number of times."""
-        if not self.levels or not is_plain(image):
+        if not self.levels or not is_plain_on_cpu(image):
             return self.plainly(image)
         return _Sampled.apply(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
 

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn.perception.util import in_float32, in_float64
+from odak.learn._tensors import in_float32, in_float64
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128

@@ -10,8 +10,8 @@ import torch
 from torch.nn import functional
 
 from odak import _validate
+from odak.learn._tensors import as_pictures, check_values
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
-from odak.learn.perception.util import as_pictures, check_values
 
 # Below this squared amplitude neither a deviation nor a phase is resolved.
 POWER_FLOOR = 1e-7

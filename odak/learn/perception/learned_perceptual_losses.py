@@ -8,8 +8,7 @@ import torch
 from torch import nn
 
 from odak import _validate, _warnings
-from odak.learn._tensors import checked_device
-from odak.learn.perception.util import checked_pair
+from odak.learn._tensors import checked_device, checked_pair
 
 
 class _Wrapper(nn.Module):

@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
-from odak.learn._tensors import checked_device
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32
 from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
@@ -27,7 +27,6 @@ from odak.learn.perception.foveation import (
 )
 from odak.learn.perception.joint_statistics import STEEPNESS, descended, joint_maps
 from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_for_pyramid
-from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, in_float32
 
 RESOLVED = 1e-6
 FOVEA_SHARPNESS = 10

@@ -10,10 +10,10 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
+from odak._torch_private import is_plain_on_cpu
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
 from odak.learn.perception import pyramid_filter_design
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, quadrature, steering
-from odak.learn.perception.util import is_plain
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -775,7 +775,7 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
     by one column more, are sixteen channels of a convolution that takes sixteen columns at a step: more products, and
     several times less time.
     """
-    if is_plain(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
+    if is_plain_on_cpu(image) and image.dtype in (torch.float32, torch.float64) and not taps.requires_grad:
         return _Correlation.apply(image, taps, stride)
     padded = functional.pad(image, (taps.shape[-1] // 2,) * 4, mode="reflect")
     planes = functional.conv2d(padded.flatten(0, 1)[:, None], taps[:, None], stride=stride)

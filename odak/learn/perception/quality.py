@@ -10,7 +10,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn._tensors import in_own_precision
+from odak.learn._tensors import as_pictures, checked_pair, in_own_precision
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,
@@ -24,7 +24,6 @@ from odak.learn.perception.color import (
 )
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.hdr import PU21_LIMITS, PU21_PARAMETERS, pu21_encode
-from odak.learn.perception.util import as_pictures, checked_pair
 from odak.learn.tools import loss
 from odak.learn.tools.loss import psnr
 

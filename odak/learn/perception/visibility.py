@@ -9,11 +9,11 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, in_float32
 from odak.learn.perception.color import srgb_decoded, srgb_to_lab
 from odak.learn.perception.csf import sensitivity
 from odak.learn.perception.foveation import make_eccentricity_distance_maps
 from odak.learn.perception.pyramids import FrequencySteerablePyramid
-from odak.learn.perception.util import as_pictures, check_loss_inputs, check_values, in_float32
 
 # Contrast threshold over frequency and eccentricity, T = T₀·exp(α·f·(e + e₂)/e₂): Geisler and Perry, Proc. SPIE 3299,
 # 294 (1998).

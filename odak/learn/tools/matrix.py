@@ -1,4 +1,4 @@
-"""Padding, cropping, quantisation, blur, kernels and masks of images as tensors."""
+"""Padding, cropping, quantisation, blur, kernels, masks and depth slices of images as tensors."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -7,7 +7,7 @@ import torch
 
 from odak import _array, _validate
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
+from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, tensor
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 
@@ -19,6 +19,7 @@ __all__ = [
     "generate_2d_dirac_delta",
     "generate_2d_gaussian",
     "quantize",
+    "slice_rgbd_targets",
     "smooth_pad",
     "zero_pad",
 ]
@@ -433,3 +434,56 @@ def plane_masks(indices: torch.Tensor, number_of_planes: int) -> torch.Tensor:
     """
     planes = torch.arange(number_of_planes, device=indices.device)
     return indices.unsqueeze(-3) == planes[:, None, None]
+
+
+def slice_rgbd_targets(
+    target: torch.Tensor, depth: torch.Tensor, depth_plane_positions: Sequence[float] | torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Cut a picture into slices of depth.
+
+    Parameters
+    ----------
+    target : torch.Tensor
+        Picture ``[C, H, W]``.
+    depth : torch.Tensor
+        Depth of each pixel ``[H, W]``.
+    depth_plane_positions : sequence of float or torch.Tensor
+        N + 1 rising boundaries. Slice i holds boundary[i] ≤ depth < boundary[i + 1]; the last one its upper boundary
+        too. Pixels beyond the outermost boundaries, and those whose depth is not a number, are in no slice.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Slices in the precision of `target` (float32 of integers), zero outside their depth, and masks of 0 and 1 in
+        int32, each ``[N, C, H, W]``. The slices are differentiable in `target`.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the shapes do not fit or the boundaries do not rise.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import slice_rgbd_targets
+    >>> slices, masks = slice_rgbd_targets(torch.ones(3, 1, 3), torch.tensor([[0.0, 0.5, 1.0]]), [0.0, 0.5, 1.0])
+    >>> masks[:, 0, 0].tolist()
+    [[1, 0, 0], [0, 1, 1]]
+    """
+    for name, value in (("target", target), ("depth", depth)):
+        if not isinstance(value, torch.Tensor):
+            raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")
+    if target.ndim != 3 or depth.shape != target.shape[-2:]:
+        raise ValueError(
+            f"target must be [C, H, W] and depth [H, W], got {tuple(target.shape)} and {tuple(depth.shape)}"
+        )
+    _validate.one_device(target=target, depth=depth)
+    target, depth = (value if value.is_floating_point() else value.float() for value in (target, depth))
+    edges = tensor("depth_plane_positions", depth_plane_positions, depth.dtype, depth.device)
+    if edges.ndim != 1 or len(edges) < 2 or not (edges[1:] > edges[:-1]).all():
+        raise ValueError(f"depth_plane_positions must be two or more rising numbers, got {depth_plane_positions!r}")
+    edges = edges[:, None, None]
+    inside = (depth >= edges[:-1]) & (depth < edges[1:])
+    inside[-1] |= depth == edges[-1]
+    masks = inside[:, None].expand(-1, target.shape[0], -1, -1)
+    return target * masks, masks.to(torch.int32)

@@ -171,7 +171,6 @@ BY_CALL = {
     f"{HERE}.unified_pupil_diameter": {"area": 400.0, "age": 30.0, "luminance": 100.0},
     f"{HERE}.synthesize_texture": {"size": [32, 32]},
     f"{HERE}.texture_statistics": {"picture": tensor(1, 1, 32, 32)},
-    f"{HERE}.util.check_values": {"peak": 1.0},
     f"{HERE}.RadiallyVaryingBlur.sampler": {
         "alpha": 0.2,
         "real_image_width": 0.2,

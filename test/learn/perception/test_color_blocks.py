@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from odak.learn import perception as p
-from odak.learn.perception import color, util
-from odak.learn.perception.util import by_pixels, by_values
+from odak.learn.perception import color
+from odak.learn.perception.color import by_pixels, by_values
 
 CONVERSIONS = (
     p.rgb_2_ycrcb, p.ycrcb_2_rgb, p.rgb_to_linear_rgb, p.linear_rgb_to_rgb, p.linear_rgb_to_xyz, p.xyz_to_linear_rgb,
@@ -23,7 +23,7 @@ def test_blocks_do_not_show(function, monkeypatch):
     image, outer = noise(2, 3, 5, 7).requires_grad_(), noise(2, 3, 5, 7, seed=1)
     results = []
     for size in (1 << 17, 12):
-        monkeypatch.setattr(util, "BLOCK", size)
+        monkeypatch.setattr(color, "BLOCK", size)
         value = function(image)
         results.append((value, torch.autograd.grad(value, image, outer)[0]))
         with torch.no_grad():
@@ -84,12 +84,12 @@ def test_blocks_have_the_requested_size(monkeypatch):
         return list(seen)
 
     monkeypatch.setattr(torch, "get_num_threads", lambda: 1)
-    monkeypatch.setattr(util, "BLOCK", 12)
+    monkeypatch.setattr(color, "BLOCK", 12)
     assert sizes(lambda: by_pixels(doubled, noise(2, 3, 5, 7), ones)) == 2 * ([4] * 8 + [3])
     assert sizes(lambda: by_values(doubled, noise(5, 6), ones)) == [12, 12, 6]
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     assert sizes(lambda: by_pixels(doubled, noise(1, 3, 5, 7), ones)) == [8] * 4 + [3]
-    monkeypatch.setattr(util, "BLOCK", 1)
+    monkeypatch.setattr(color, "BLOCK", 1)
     assert sizes(lambda: by_pixels(doubled, noise(1, 3, 1, 4), ones)) == [1] * 4
     # Transforms follow one operation on the whole picture, whatever its axes.
     picture, along = noise(2, 2, 3, 5, 7), noise(2, 2, 3, 5, 7, seed=1)
