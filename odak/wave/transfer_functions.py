@@ -25,9 +25,9 @@ from odak._array import make_complex, numpy_namespace, phasor_of_cycles
 from odak.tools.matrix import zero_pad
 
 _SLAB = 1 << 17
-# From this many samples on, a spectrum is computed in blocks that leave out the lines that are zero or cut off, and its
-# kernel is laid out column by column. Smaller ones stay in the cache, where one call for both axes is quicker.
-BLOCKED_FROM = 1 << 18
+# From this many samples on, a spectrum is computed in blocks. Smaller ones stay in the cache, where one call for all
+# lines of an axis is quicker.
+BLOCKED_FROM = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,9 @@ class Grid:
         return self.unfold(slabs[0] if len(slabs) == 1 else self.xp.concat(slabs, axis=-2))
 
     def unfold(self, quarter):
-        """Return the whole kernel in FFT order from its quarter of non-negative indices.
-
-        A large torch kernel is laid out column by column, which is the order the blocked propagation reads it in.
-        """
+        """Return the whole kernel in FFT order from its quarter of non-negative indices."""
         rows, columns = (self._mirror(n) for n in self.shape)
-        if not _array.is_torch(quarter) or math.prod(self.shape) < BLOCKED_FROM:
+        if not _by_columns(quarter):
             return self.xp.take(self.xp.take(quarter, rows, axis=-2), columns, axis=-1)
         half = quarter.mT.index_select(-2, columns)
         return half.index_select(-1, rows).mT
@@ -115,6 +112,14 @@ class Grid:
     def unfold_axis(self, half, axis: int):
         """Return a one-dimensional even function along `axis` (-1 or -2) in FFT order from its non-negative half."""
         return self.xp.take(half, self._mirror(self.shape[axis]), axis=axis)
+
+
+def _by_columns(values) -> bool:
+    """Return whether a kernel made of `values` is laid out column by column.
+
+    So is a spectrum on a processor, where torch transforms the columns last, of small fields and in blocks of large ones.
+    """
+    return _array.is_torch(values) and values.device.type == "cpu"
 
 
 def angular_spectrum(grid: Grid):
@@ -250,7 +255,7 @@ def aperture_points(grid: Grid, count: int):
 def impulse_response_fresnel(grid: Grid):
     """Return the discrete Fourier transform of the sampled Fresnel impulse response times the pixel's area."""
     spectrum_y, spectrum_x = impulse_response_spectra(grid)
-    return spectrum_y * spectrum_x
+    return (spectrum_x.mT * spectrum_y.mT).mT if _by_columns(spectrum_x) else spectrum_y * spectrum_x
 
 
 def impulse_response_spectra(grid: Grid):

@@ -4,6 +4,7 @@ A = C·F⁻¹·H·F·P with P the continuation by zeros and C the cut, so A^H = 
 operator with the conjugate kernel. Nothing but the kernel is saved for the backward pass.
 """
 
+import collections
 import itertools
 import math
 import threading
@@ -12,14 +13,16 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
+from torch import fft
 
 from odak import _array, _torch_private
 from odak.learn._threads import each
 from odak.wave.transfer_functions import BLOCKED_FROM, convolve_plainly
 
-# What a thread takes at once: it stays in the cache, and its transforms take a millisecond, beside which handing it out
-# is quick. Less would be slower where a spectrum meets several kernels: columns are copied in pieces of its width.
-_BLOCK_BYTES = 1 << 21
+# What a thread takes at once: it stays in the cache, and the system's allocator gives its memory out again without
+# returning it first. Columns are copied in pieces of the block's width, which must not be less than some cache lines.
+_BLOCK_BYTES = 1 << 20
+_COLUMNS = 32
 _CACHE_LINE = 64
 # Fresh memory is cleared page by page by the system, which takes as long as a transform.
 _KEPT_LINES = 12
@@ -160,16 +163,31 @@ def _batch_first(array, dim, rank: int):
 
 
 def _convolve_whole(field, kernel, adjoint, batch):
-    kernel = kernel.conj() if adjoint else kernel
-    rows, columns = field.shape[-2:]
-    spectrum = torch.fft.fft2(field, s=kernel.shape[-2:])
+    """Return the filtered field, each transform on the whole array.
+
+    The adjoint is the conjugate of what the operator gives for the conjugate field with both transforms exchanged. The
+    copies that continue and cut the field conjugate it on its way.
+    """
+    (rows, columns), (height, width) = field.shape[-2:], kernel.shape[-2:]
+    on_cpu, field = field.device.type == "cpu", field.conj() if adjoint else field
+    forth, back = (fft.ifft, fft.fft) if adjoint else (fft.fft, fft.ifft)
+    if on_cpu:
+        # Only rows that are not zero are transformed going in, and only those kept coming out.
+        spectrum = forth(forth(field, n=width), n=height, dim=-2)
+    else:
+        spectrum = (fft.ifft2 if adjoint else fft.fft2)(field, s=(height, width))
     # By the leading axes alone: torch.broadcast_shapes takes as long as the product of a small field.
     ours, theirs = spectrum.shape[-3::-1], kernel.shape[-3::-1]
     fits = len(theirs) <= len(ours) and all(n in (1, m) for n, m in zip(theirs, ours, strict=False))
     spectrum = spectrum.mul_(kernel) if fits and kernel.dtype == spectrum.dtype else spectrum * kernel
-    spectrum = spectrum.sum_to_size(*batch, *kernel.shape[-2:])
+    spectrum = spectrum.sum_to_size(*batch, height, width)
+    if on_cpu:
+        window = back(back(spectrum, dim=-2)[..., :rows, :])[..., :columns]
+    else:
+        window = (fft.fft2 if adjoint else fft.ifft2)(spectrum)[..., :rows, :columns]
+    window = window.conj().resolve_conj() if adjoint else window
     # A copy: a view would keep the padded field.
-    return torch.fft.ifft2(spectrum)[..., :rows, :columns].to(field.dtype).contiguous()
+    return window.to(field.dtype).contiguous()
 
 
 def _convolve_by_fields(field, kernel, adjoint, batch):
@@ -193,6 +211,9 @@ def _convolve_in_blocks(field, kernel, adjoint, batch, workspace):
     """
     shape = (*batch, *field.shape[-2:])
     result = allocate_like(workspace, "field", shape, field)
+    if field.ndim == kernel.ndim == 2:
+        _filter_one(field, kernel, result, adjoint)
+        return result
     full = torch.broadcast_shapes(field.shape[:-2], kernel.shape[:-2])
     whole = [array.expand(*full, *array.shape[-2:]) for array in (field, kernel, result)]
     triples = [tuple(array[place] for array in whole) for place in itertools.product(*map(range, full))]
@@ -227,7 +248,7 @@ def _filter_one(field, kernel, result, adjoint):
         column = _columns_to_spectra(lines, part, height, adjoint)
         _spectra_to_columns(column.mul_(kernel[:, part].mT), lines, part, adjoint)
 
-    _each_part(filter_columns, width, height, field)
+    _each_part(filter_columns, width, height, field, _COLUMNS)
     _spectra_to_rows(lines, result)
 
 
@@ -248,7 +269,7 @@ def _scatter(group, adjoint):
             torch.mul(column, kernel[:, part].mT, out=product)
             _spectra_to_columns(product, target, part, adjoint)
 
-    _each_part(filter_columns, width, height, field)
+    _each_part(filter_columns, width, height, field, _COLUMNS)
     for (_, _, result), target in zip(group, filtered, strict=True):
         _spectra_to_rows(target, result)
 
@@ -270,7 +291,7 @@ def _gather(group, adjoint):
             total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
         _spectra_to_columns(total, lines, part, adjoint)
 
-    _each_part(filter_columns, width, height, result)
+    _each_part(filter_columns, width, height, result, _COLUMNS)
     _spectra_to_rows(lines, result)
 
 
@@ -281,14 +302,17 @@ def _columns_to_spectra(lines, part: slice, height: int, adjoint) -> torch.Tenso
     less: conj(F u) = N·F⁻¹ conj(u), and the copy of u may conjugate it on its way.
     """
     if adjoint:
-        return torch.fft.ifft(_padded_columns(lines[:, part].conj(), height))
-    return torch.fft.fft(_padded_columns(lines[:, part], height))
+        return fft.ifft(_padded_columns(lines[:, part].conj(), height))
+    return fft.fft(_padded_columns(lines[:, part], height))
 
 
 def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
     """Write the columns that have these transforms, rows of a part, to their place in `lines`."""
-    columns = torch.fft.fft(spectra).conj() if adjoint else torch.fft.ifft(spectra)
-    lines[:, part] = columns[:, : len(lines)].mT
+    columns = (fft.fft(spectra).conj() if adjoint else fft.ifft(spectra))[:, : len(lines)]
+    target = lines[:, part]
+    # Rows of a power of two fall on the same lines of the cache, which holds a few of them only.
+    for start in range(0, len(columns), _COLUMNS):
+        target[:, start : start + _COLUMNS] = columns[start : start + _COLUMNS].mT
 
 
 def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> torch.Tensor:
@@ -296,7 +320,7 @@ def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> to
     lines = _lines(field, width) if lines is None else lines
 
     def transform(part):
-        lines[part] = torch.fft.fft(field[part], n=width)
+        lines[part] = fft.fft(field[part], n=width)
 
     _each_part(transform, len(field), width, field)
     return lines
@@ -317,24 +341,32 @@ def _spectra_to_rows(lines, result):
     """Write the rows that have these transforms into `result`."""
 
     def transform(part):
-        result[part] = torch.fft.ifft(lines[part])[:, : result.shape[-1]]
+        result[part] = fft.ifft(lines[part])[:, : result.shape[-1]]
 
     _each_part(transform, *lines.shape, lines)
 
 
-def _each_part(work: Callable, count: int, length: int, field) -> None:
+def _each_part(work: Callable, count: int, length: int, field, at_least: int = 1) -> None:
     """Call `work` with slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each, on several threads.
 
     A transform that torch shares out waits for all threads, beside other processes for milliseconds each time. Here
-    threads take one part after another and wait once, when none is left. Where there are fewer than two parts, handing
-    them out would take longer than it saves.
+    threads take one part after another, as many each if none is held up, and wait once, when none is left.
     """
-    size, threads = length * field.element_size(), torch.get_num_threads()
-    if count * size <= 2 * _BLOCK_BYTES:
-        work(slice(0, count))
-        return
-    step = max(1, min(_BLOCK_BYTES // size, -(-count // threads)))
-    for _ in each(work, ((slice(start, min(start + step, count)),) for start in range(0, count, step))):
+    threads, most = torch.get_num_threads(), max(at_least, _BLOCK_BYTES // (length * field.element_size()))
+    rounds = math.ceil(count / (most * threads))
+    step = math.ceil(count / (rounds * threads))
+    starts = collections.deque(range(0, count, step))
+
+    def take_parts():
+        while starts:
+            try:
+                start = starts.popleft()
+            except IndexError:
+                # Another thread has taken the last one.
+                return
+            work(slice(start, min(start + step, count)))
+
+    for _ in each(take_parts, [()] * min(threads, len(starts))):
         pass
 
 

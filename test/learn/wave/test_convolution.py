@@ -17,6 +17,7 @@ def blocked(monkeypatch):
     """Send even small fields through the blocked path, in blocks of a few columns."""
     monkeypatch.setattr(convolution, "BLOCKED_FROM", 0)
     monkeypatch.setattr(convolution, "_BLOCK_BYTES", 700)
+    monkeypatch.setattr(convolution, "_COLUMNS", 3)
 
 
 def pair(*shape, kernel=(24, 31), dtype=torch.complex128):
@@ -40,16 +41,16 @@ def test_blocks_equal_whole_transforms(blocked, shape, kernel, dtype, tolerance)
 @pytest.mark.parametrize("at_once", [1, 2])
 def test_batches_in_parts_equal_whole_ones(shape, kernel, at_once, monkeypatch):
     field, factor = pair(*shape, kernel=kernel)
-    expected = convolve_plainly(field, factor)
+    expected = torch.fft.ifft2(torch.fft.fft2(field, s=(24, 31)) * factor)[..., :12, :15]
     # Several threads would take smaller parts.
     torch.set_num_threads(1)
-    counts = []
+    counts, filtered = [], convolution._convolve_whole
 
-    def counting(part, s):
+    def counting(part, *arguments):
         counts.append(part.shape[:-2].numel())
-        return torch.fft.fftn(part, s=s, dim=(-2, -1))
+        return filtered(part, *arguments)
 
-    monkeypatch.setattr(torch.fft, "fft2", counting)
+    monkeypatch.setattr(convolution, "_convolve_whole", counting)
     monkeypatch.setattr(convolution, "_BLOCK_BYTES", at_once * 24 * 31 * 16)
     torch.testing.assert_close(convolution.convolve(field, factor), expected, rtol=0, atol=1e-12)
     assert max(counts) == at_once and sum(counts) == field[..., 0, 0].numel()
@@ -189,12 +190,16 @@ def test_a_batch_on_several_threads():
     torch.testing.assert_close(result, convolve_plainly(field, factor), rtol=0, atol=1e-13)
 
 
-def test_conjugate_views_and_strides_are_read_right(blocked):
+@pytest.mark.parametrize("blocked_from", [0, 1 << 20])
+def test_conjugate_views_and_strides_are_read_right(blocked_from, monkeypatch):
+    monkeypatch.setattr(convolution, "BLOCKED_FROM", blocked_from)
     field, factor = pair(15, 12)
     turned = field.conj().mT
-    torch.testing.assert_close(
-        convolution.convolve(turned, factor), convolve_plainly(turned.resolve_conj().contiguous(), factor)
-    )
+    expected = convolve_plainly(turned.resolve_conj().contiguous(), factor)
+    torch.testing.assert_close(convolution.convolve(turned, factor), expected)
+    (back,) = torch.autograd.grad(convolution.convolve(turned.requires_grad_(), factor), turned, turned.detach())
+    torch.testing.assert_close(back, convolve_plainly(turned.detach().resolve_conj(), factor.conj()))
+    assert not back.is_conj() and back.is_contiguous()
 
 
 @pytest.mark.cuda
