@@ -49,7 +49,8 @@ def propagation(device: str) -> Iterator[dict]:
 
 def sizes(device: str) -> Iterator[dict]:
     """Yield padded propagations of small fields and batches, alone and with their gradient, against bare FFTs."""
-    for shape in ((64, 64), (128, 128), (256, 256), (384, 384), (512, 512), (64, 128, 128), (16, 256, 256)):
+    squares = ((side, side) for side in (64, 128, 256, 384, 512, 640, 768, 896, 1536))
+    for shape in (*squares, (64, 128, 128), (16, 256, 256)):
         field = torch.randn(shape, dtype=torch.complex64, device=device)
         followed = field.clone().requires_grad_()
         padded = torch.randn(*shape[:-2], *(2 * n for n in shape[-2:]), dtype=torch.complex64, device=device)
@@ -71,7 +72,8 @@ def sizes(device: str) -> Iterator[dict]:
 
         timings = interleave({"bare": bare, "forward": forward, "both": both}, 15, device)
         best = {name: timing.best / calls for name, timing in timings.items()}
-        name, bound = " × ".join(map(str, shape)), None if shape == (64, 64) else 1.5
+        name, bound = " × ".join(map(str, shape)), 1.0 if shape[-1] >= 512 else 1.3
+        bound = bound if shape[-1] >= 128 else None
         yield row(f"propagation, {name}", best["forward"], best["bare"], "2 fft2", bound)
         yield row(f"propagation with gradient, {name}", best["both"], 2 * best["bare"], "4 fft2", bound)
 

@@ -262,6 +262,10 @@ class Cluster:
     def _share_code(self) -> None:
         # As the result of a task, large code is sent to each worker once, and again if its holder is lost.
         self._code = self._map(bytes, [self._packed_code], [f"{self._names}-code-{next(self._numbers)}"])[0]
+        # Tasks go where it is: copies on all workers keep the others from waiting. An optimisation, so that a failure,
+        # such as a worker that does not answer, is left to the run.
+        with suppress(Exception, asyncio.CancelledError):
+            self.client.sync(self.client._replicate, [self._code], callback_timeout=_PATIENCE[0])
 
     def _map(self, function: Callable, values: list, keys: list[str], **options: Any) -> list:
         with warnings.catch_warnings():

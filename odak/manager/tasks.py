@@ -30,6 +30,7 @@ from odak._python import current_folder, python_command
 HERE = "this process"
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 _KEPT, _KEPT_BEFORE = 256 * 2**20, 32 * 2**20
+_PIPE = 2**20
 # Interval in seconds at which the process of a task is checked, the longest time that it may be stopped, and the share
 # of its memory that it may use.
 _LOOK, _STOPPED, _FULL = 0.2, 5.0, 0.95
@@ -143,6 +144,8 @@ class _Process:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
         )
+        for pipe in (self._process.stdin, self._process.stdout):
+            _enlarge(pipe)
         self._code, self._reason, self._outside = b"", "", False
         self._end = weakref.finalize(self, _end, self._process)
         threading.Thread(target=_watch, args=(weakref.ref(self), self._process, limit), daemon=True).start()
@@ -176,6 +179,18 @@ class _Process:
         """End the process and record the reason."""
         self._reason, self._outside = reason, outside
         self._process.kill()
+
+
+def _enlarge(pipe: Any) -> None:
+    """Let a pipe hold `_PIPE` bytes, where the system permits it.
+
+    It holds 64 KiB by default, and a larger array then takes a change of process for each of these: on a busy machine,
+    a millisecond each.
+    """
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(pipe, fcntl.F_SETPIPE_SZ, _PIPE)
 
 
 def _described(code: int | None) -> str:

@@ -117,7 +117,7 @@ class Grid:
 def _by_columns(values) -> bool:
     """Return whether a kernel made of `values` is laid out column by column.
 
-    So is a spectrum on a processor, where torch transforms the columns last, of small fields and in blocks of large ones.
+    So is a spectrum on a processor, where torch transforms columns last, whole or in blocks.
     """
     return _array.is_torch(values) and values.device.type == "cpu"
 
