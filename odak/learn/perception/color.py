@@ -566,7 +566,7 @@ def color_map(input_image: torch.Tensor, target_image: torch.Tensor, model: str 
     _validate.one_device(input_image=source, target_image=target)
     source, target = srgb_to_lab(source), srgb_to_lab(target)
     for name, picture in (("input_image", source), ("target_image", target)):
-        if picture.shape[-2:].numel() < 2:
+        if not picture.numel() or picture.shape[-2:].numel() < 2:
             raise ValueError(f"{name} must have two pixels or more, got {tuple(picture.shape)}")
     variances = [picture.var((-2, -1), keepdim=True) for picture in (source, target)]
     # Rounding alone gives a constant picture a variance.

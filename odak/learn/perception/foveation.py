@@ -954,7 +954,8 @@ class RadiallyVaryingBlur(nn.Module):
             If the picture has not four axes of real floats, or an argument makes no map.
         """
         if not isinstance(image, torch.Tensor) or image.ndim != 4 or not image.is_floating_point():
-            raise ValueError("image must be a tensor of real floats [B, C, H, W]")
+            kind = f"{tuple(image.shape)} of {image.dtype}" if isinstance(image, torch.Tensor) else type(image).__name__
+            raise ValueError(f"image must be a tensor of real floats [B, C, H, W], got {kind}")
         equi = _validate.flag("equi", equi)
         centre = _point("centre", ((0.0, 0.0) if equi else (0.5, 0.5)) if centre is None else centre)
         return self.sampler(image, alpha, real_image_width, real_viewing_distance, centre, mode, equi)(image)

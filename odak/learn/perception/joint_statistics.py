@@ -120,6 +120,9 @@ def _pairs_across(channels, count):
 
 def _covariances(values, pairs, pool):
     """Return the pooled covariances of pairs over their deviations' geometric mean."""
+    if not pairs:
+        # The last level of a grey picture with one orientation.
+        return values[:, :0]
     mean, power = pool(values), pool(values**2)
     # One over the root of each deviation.
     scale = (power - mean**2).clamp_min(POWER_FLOOR).rsqrt().sqrt()
@@ -187,6 +190,7 @@ def texture_statistics(
     count = _validate.integer("n_orientations", n_orientations, minimum=1)
     levels = _validate.integer("n_pyramid_levels", n_pyramid_levels, minimum=2)
     maker = SpatialSteerablePyramid(False, picture.shape[1], 9, count, "full", picture.device)
+    _check_sides(maker, levels, picture=picture.shape[-2:])
     return _texture_statistics(picture, maker, levels)
 
 
@@ -211,6 +215,14 @@ def _checked(name, picture):
     pictures: dict[str, Any] = {name: picture}
     check_values(**pictures)
     return picture
+
+
+def _check_sides(maker, levels, **sizes):
+    """Raise ValueError unless pictures of these sizes, padded to multiples of 2ⁿ, are large enough for the levels."""
+    largest_refused = (maker._smallest_side(levels) - 1) >> levels << levels
+    for name, size in sizes.items():
+        if min(size) <= largest_refused:
+            raise ValueError(f"{name} must have sides above {largest_refused} for {levels} levels, got {tuple(size)}")
 
 
 def _mean(values):
@@ -303,6 +315,7 @@ def synthesize_texture(
     with torch.inference_mode(False), torch.no_grad():
         sample = sample.clone()
         maker = SpatialSteerablePyramid(False, sample.shape[1], 9, count, "full", sample.device)
+        _check_sides(maker, levels, sample=sample.shape[-2:], size=(rows, columns))
         target = _texture_statistics(sample, maker, levels)
         shape = (len(sample), sample.shape[1], rows, columns)
         start = _coloured(torch.randn(shape, dtype=torch.float64, generator=generator).to(sample), sample)

@@ -1000,7 +1000,8 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     """
     for label, picture in (("image", image), ("target", target)):
         if not isinstance(picture, torch.Tensor) or not picture.is_floating_point():
-            raise TypeError(f"{name} ERROR: {label} must be a tensor of real floats [B, C, H, W]")
+            kind = getattr(picture, "dtype", type(picture).__name__)
+            raise TypeError(f"{name} ERROR: {label} must be a tensor of real floats [B, C, H, W], got {kind}")
     check_loss_inputs(name, image, target)
     step = 1 << n_levels
     smallest = 7 << max(0, n_levels - 2)

@@ -399,7 +399,8 @@ class SpatialSteerablePyramid(nn.Module):
         True
         """
         if not isinstance(low, torch.Tensor) or not low.is_floating_point():
-            raise TypeError("low must be a tensor of real floats [B, C, H, W]")
+            kind = getattr(low, "dtype", type(low).__name__)
+            raise TypeError(f"low must be a tensor of real floats [B, C, H, W], got {kind}")
         if low.ndim != 4 or min(low.shape[-2:]) <= QUADRATURE_SIZE // 2:
             smallest = QUADRATURE_SIZE // 2 + 1
             raise ValueError(f"low must be [B, C, H, W] with sides of {smallest} or more, got {tuple(low.shape)}")
@@ -463,21 +464,28 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _check(self, image, n_levels) -> None:
         if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-            raise TypeError("image must be a tensor of real floats [B, C, H, W]")
+            kind = getattr(image, "dtype", type(image).__name__)
+            raise TypeError(f"image must be a tensor of real floats [B, C, H, W], got {kind}")
         if image.ndim != 4 or image.shape[1] != self.n_channels:
             raise ValueError(
                 f"image must be [B, C, H, W] with C = n_channels = {self.n_channels}, got {tuple(image.shape)}"
             )
-        # A side has to be longer than a filter reaches, where the filter is used: the first ones at full size, the
-        # others down to the last level that has bands.
-        first, others = [self.filt_h0, self.filt_l0], [self._bands]
-        others += [] if self.use_bilinear_downup else [self.filt_l]
-        needed = [max(taps.shape[-1] // 2 + 1 for taps in some) for some in (first, others)]
-        smallest = max(needed[0], needed[1] << (n_levels - 2))
+        smallest = self._smallest_side(n_levels)
         if min(image.shape[-2:]) < smallest:
             raise ValueError(
                 f"image must have sides of at least {smallest} for {n_levels} levels, got {tuple(image.shape[-2:])}"
             )
+
+    def _smallest_side(self, n_levels) -> int:
+        """Return the smallest side of a picture that has so many levels.
+
+        It is longer than a filter reaches, where the filter is used: the first ones at full size, the others down to
+        the last level that has bands.
+        """
+        first, others = [self.filt_h0, self.filt_l0], [self._bands]
+        others += [] if self.use_bilinear_downup else [self.filt_l]
+        needed = [max(taps.shape[-1] // 2 + 1 for taps in some) for some in (first, others)]
+        return max(needed[0], needed[1] << (n_levels - 2))
 
     def _filter(self, image, taps, stride=1):
         return correlate(image, taps[:1, 0], stride).flatten(1, 2)

@@ -911,6 +911,7 @@ def _lightness(image, channel) -> torch.Tensor:
         image = image[:, channel]
     # Half precision would lose the sums of windows.
     image = image if image.dtype in (torch.float32, torch.float64) else image.float()
+    _validate.real("image", image)
     return image.reshape(-1, *image.shape[-2:]).clamp(0, 1)
 
 

@@ -247,7 +247,11 @@ def test_color_map_gives_the_colours_of_the_target():
         p.color_map(source, target, "Histogram")
     for few in (source[:, :2, :1], source[:, :1, :2]):
         assert torch.allclose(p.color_map(few, few), few, atol=1e-12)
-    for pictures, name in (((source[:, :1, :1], target), "input_image"), ((source, target[:, :1, :1]), "target_image")):
+    for pictures, name in (
+        ((source[:, :1, :1], target), "input_image"),
+        ((source, target[:, :1, :1]), "target_image"),
+        ((source[None][:0], target), "input_image"),
+    ):
         with pytest.raises(ValueError, match=f"{name} must have two pixels or more"):
             p.color_map(*pictures)
 

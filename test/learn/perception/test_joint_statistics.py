@@ -280,9 +280,23 @@ def test_a_texture_has_the_moments_of_details_that_it_was_not_made_from():
     assert abs(k_made - kurtosis) < max(0.5 * abs(k_start - kurtosis), 0.6)
 
 
+def test_grey_pictures_with_one_orientation_have_no_pairs_at_the_last_level():
+    picture, other = noise(1, 1, 65, 65), noise(1, 1, 65, 65, seed=1)
+    # High-pass residual and four bands, the mean and the deviation of each.
+    assert texture_statistics(picture, n_orientations=1)["bands"].shape == (1, 10)
+    loss = MetamericLoss(n_orientations=1, joint=True, real_image_width=0.6)
+    assert loss(picture, picture).item() == 0 < loss(picture, other).item()
+
+
 def test_wrong_arguments():
     with pytest.raises(ValueError, match="multiples of 32"):
         synthesize_texture(noise(1, 1, 64, 64), (40, 64))
+    with pytest.raises(ValueError, match=r"size must have sides above 64 for 5 levels, got \(64, 96\)"):
+        synthesize_texture(noise(1, 1, 96, 96), (64, 96))
+    with pytest.raises(ValueError, match="sample must have sides above 64"):
+        synthesize_texture(noise(1, 1, 64, 96), (96, 96))
+    with pytest.raises(ValueError, match=r"picture must have sides above 64 for 5 levels, got \(96, 64\)"):
+        texture_statistics(noise(1, 1, 96, 64))
     with pytest.raises(ValueError, match="one or three channels"):
         texture_statistics(noise(1, 2, 64, 64))
     with pytest.raises(TypeError, match="joint"):

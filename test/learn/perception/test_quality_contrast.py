@@ -73,6 +73,7 @@ def test_pictures_of_a_batch_do_not_influence_each_other():
         ({"window_size": 4}, "window_size"),
         ({"window_size": 31}, "window_size"),
         ({"step": 0}, "step"),
+        ({"image": torch.full((30, 30), torch.nan)}, "image must be finite, got nan"),
         ({"pooling_percentile": 0.0}, "pooling_percentile"),
         ({"image": torch.ones(101, 30, 30)}, "image"),
         ({"image": torch.ones(1, 3, 30, 30), "lightness_channel": 3}, "lightness_channel"),
