@@ -324,7 +324,8 @@ def eyebox(
 @app.command(
     help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss, double_gauss_f28, "
     "triplet_f28), a .json file written by odak, or a Zemax .zmx file.\n\n"
-    "Writes figures (layout, spots, fans, transfer, field), report.html with all of them, the prescription and the "
+    "Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, footprint, "
+    "polarisation, Seidel coefficients), report.html with all of them, the prescription and the "
     "aberrations, and report.json with first-order properties, spot sizes and the number of rays that were lost."
 )
 def trace(

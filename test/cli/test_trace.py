@@ -39,7 +39,17 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     for field in report["fields"]:
         assert sum(field["statuses"].values()) == 3 * 37
     assert report["system"]["source"] and set(report["definitions"]) >= {"rms_spot", "strehl"}
-    kinds = ("layout", "spots", "fans", "transfer", *(["field"] if len(report["fields"]) > 1 else []))
+    several = len(report["fields"]) > 1
+    kinds = (
+        "layout",
+        "spots",
+        "fans",
+        "transfer",
+        "through_focus",
+        "wavefront",
+        *(["field", "image"] if several else []),
+    )
+    kinds = (*kinds, "footprint", "polarisation", "seidel")
     assert report["figures"] == [f"{kind}.png" for kind in kinds]
     assert (tmp_path / "report.html").read_text().count("<svg") == len(kinds)
     for picture in ("layout.png", "spots.png"):
@@ -95,7 +105,9 @@ def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, cap
     save_system(plate, tmp_path / "plate.json")
     assert main(["trace", str(tmp_path / "plate.json"), "--output", str(tmp_path), "--rings", "2"]) == 0
     assert capsys.readouterr().out.startswith("afocal: no focal length")
-    assert json.loads((tmp_path / "report.json").read_text())["figures"] == ["layout.png", "spots.png", "fans.png"]
+    assert json.loads((tmp_path / "report.json").read_text())["figures"] == [
+        f"{name}.png" for name in ("layout", "spots", "fans", "wavefront", "footprint", "polarisation", "seidel")
+    ]
     (panel,) = spots_figure(plate).axes
     # Points of rays, without Airy's circle.
     assert [line.get_marker() for line in panel.get_lines()] == ["."]

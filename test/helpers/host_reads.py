@@ -15,7 +15,9 @@ REASONS = {
         raytracing/mesh: save_heights_as_PLY
         raytracing/system/automatic: _stage automatic_design
         raytracing/system/design: report
+        raytracing/system/analysis_figures: *
         raytracing/system/drawing: *
+        raytracing/system/reports: *
         raytracing/system/lens_files: *
         raytracing/triangles: read_PLY write_PLY
         tools/file: *
@@ -38,7 +40,7 @@ REASONS = {
         perception/visibility: highest_frequency
         raytracing/system/design: __init__ _now
         raytracing/system/image_simulation: _chief _response point_spread_map
-        raytracing/system/optimise: perturbed
+        raytracing/system/optimise: _deviated
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: _jones_vector
         raytracing/system/pupils: _far

@@ -15,6 +15,7 @@ from odak.learn.raytracing.system import (
     point_spread_function,
     point_spread_map,
     save_system,
+    sensitivity,
     spot_diagram,
     surface,
     system_to_dict,
@@ -52,6 +53,10 @@ def _rod_rays():
 
 def _spread():
     return point_spread_map(_lens(), (9, 9), 0.05, grid=(2, 2), kernel=5, count=2)
+
+
+def _sensitivity():
+    return sensitivity(_lens(), [Perturbation("radius", 0, 1e-3, relative=True)])
 
 
 def _cylinder():
@@ -253,6 +258,19 @@ BY_CALL = {
     f"{HERE}.system.spots_figure": {"found": Build(lambda _: spot_diagram(_lens(), count=2))},
     f"{HERE}.system.transfer_figure": {"samples": 16},
     f"{HERE}.system.through_focus": {"shifts": [-0.1, 0.0]},
+    f"{HERE}.system.through_focus_modulation": {"shifts": [-0.1, 0.0], "frequency": 5.0, "samples": 8},
+    f"{HERE}.system.through_focus_figure": {"shifts": [-0.1, 0.0, 0.1], "frequency": 5.0},
+    f"{HERE}.system.axial_color": {"wavelengths": [550e-6, 600e-6]},
+    f"{HERE}.system.distortion_grid": {"points": 3},
+    f"{HERE}.system.footprint": {"place": 0, "count": 2},
+    f"{HERE}.system.footprint_figure": {"places": [0, 1]},
+    f"{HERE}.system.wavefront_figure": {"samples": 8},
+    f"{HERE}.system.image_figure": {"points": 3},
+    f"{HERE}.system.polarisation_figure": {"samples": 4},
+    f"{HERE}.system.sensitivity": {
+        "perturbations": Build(lambda _: [Perturbation("radius", 0, 1e-3, relative=True)]),
+    },
+    f"{HERE}.system.tolerance_figure": {"found": Build(lambda _: _sensitivity())},
     f"{HERE}.system.lens_report": {"path": Build(lambda folder: folder / "report.html"), "figures": {}},
     f"{HERE}.system.seidel_sums": {"field": 1.0},
     f"{HERE}.system.ghost_system": {"first": 0, "second": 1},

@@ -1,8 +1,12 @@
+from .analysis import Footprint as Footprint
 from .analysis import Spots as Spots
 from .analysis import Wavefront as Wavefront
+from .analysis import axial_color as axial_color
 from .analysis import distortion as distortion
+from .analysis import distortion_grid as distortion_grid
 from .analysis import encircled_energy as encircled_energy
 from .analysis import field_curvature as field_curvature
+from .analysis import footprint as footprint
 from .analysis import lateral_color as lateral_color
 from .analysis import path_fan as path_fan
 from .analysis import ray_fan as ray_fan
@@ -11,6 +15,13 @@ from .analysis import spot_diagram as spot_diagram
 from .analysis import through_focus as through_focus
 from .analysis import wavefront as wavefront
 from .analysis import zernike_fit as zernike_fit
+from .analysis_figures import footprint_figure as footprint_figure
+from .analysis_figures import image_figure as image_figure
+from .analysis_figures import polarisation_figure as polarisation_figure
+from .analysis_figures import seidel_figure as seidel_figure
+from .analysis_figures import through_focus_figure as through_focus_figure
+from .analysis_figures import tolerance_figure as tolerance_figure
+from .analysis_figures import wavefront_figure as wavefront_figure
 from .automatic import AutomaticResult as AutomaticResult
 from .automatic import Stage as Stage
 from .automatic import automatic_design as automatic_design
@@ -25,8 +36,6 @@ from .drawing import draw_spots as draw_spots
 from .drawing import fans_figure as fans_figure
 from .drawing import field_figure as field_figure
 from .drawing import layout_figure as layout_figure
-from .drawing import lens_report as lens_report
-from .drawing import report_figures as report_figures
 from .drawing import spots_figure as spots_figure
 from .drawing import transfer_figure as transfer_figure
 from .eye import AccommodationResponse as AccommodationResponse
@@ -42,6 +51,7 @@ from .eye import retinal_image as retinal_image
 from .huygens import huygens_point_spread_function as huygens_point_spread_function
 from .huygens import modulation_at as modulation_at
 from .huygens import relative_illumination as relative_illumination
+from .huygens import through_focus_modulation as through_focus_modulation
 from .image_simulation import PointSpreadMap as PointSpreadMap
 from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor
@@ -58,8 +68,10 @@ from .lens_files import write_zmx as write_zmx
 from .operands import Operand as Operand
 from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation
+from .optimise import Sensitivity as Sensitivity
 from .optimise import ToleranceResult as ToleranceResult
 from .optimise import levenberg_marquardt as levenberg_marquardt
+from .optimise import sensitivity as sensitivity
 from .optimise import tolerance as tolerance
 from .paraxial import FirstOrder as FirstOrder
 from .paraxial import ThirdOrder as ThirdOrder
@@ -72,6 +84,8 @@ from .polarisation import polarized_trace as polarized_trace
 from .pupils import launch as launch
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
+from .reports import lens_report as lens_report
+from .reports import report_figures as report_figures
 from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system

@@ -1,5 +1,6 @@
 """Geometric and wavefront analysis: spots, ray fans, distortion, field curvature, optical path differences."""
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,12 +11,15 @@ from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, f
 from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
+    checked_prescription,
+    checked_system,
     checked_weights,
+    is_break,
     reference_of,
     wavelength_shares,
     wavelengths_of,
 )
-from odak.learn.raytracing.system.tracing import trace
+from odak.learn.raytracing.system.tracing import in_surface_frame, trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
 
@@ -262,6 +266,162 @@ def lateral_color(system: Any, **options: Any) -> torch.Tensor:
     upwards = torch.tensor([0.0, 1.0], dtype=place.dtype, device=place.device)
     outward = torch.where(off, middle / torch.where(off, size, 1.0).sqrt(), upwards)
     return ((place - middle) * outward).sum(-1)
+
+
+def axial_color(system: Any, wavelengths: Any = None, prescription: Prescription | None = None) -> torch.Tensor:
+    """Return the paraxial focal shift: image distances at wavelengths less that at the reference wavelength.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    wavelengths : sequence of float, optional
+        Vacuum wavelengths in the system's unit, within the ranges of its glasses; its own by default.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, whose wavelengths are taken then.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., W]`` along z, negative where light focuses in front. Differentiable.
+
+    Examples
+    --------
+    Blue light has the shortest focus of a singlet:
+
+    >>> from odak.learn.raytracing.system import axial_color, load_system
+    >>> shift = axial_color(load_system("singlet"), [450e-6, 587.5618e-6, 650e-6])
+    >>> bool((shift.diff() > 0).all()), round(float(shift[1]), 9)
+    (True, 0.0)
+    """
+    if prescription is None:
+        numbers = checked_system(system).prescription(wavelengths)
+        origin = first_order(system).image_distance
+    elif wavelengths is not None:
+        raise ValueError("wavelengths must be left out where prescription holds them")
+    else:
+        checked_system(system), checked_prescription(prescription)
+        numbers, origin = prescription, first_order(system, prescription=prescription).image_distance
+    each = [first_order(system, prescription=numbers.at(i)).image_distance for i in range(numbers.index.shape[-2])]
+    return torch.stack(each, -1) - origin[..., None]
+
+
+def distortion_grid(
+    system: Any, points: int = 11, prescription: Prescription | None = None, **options: Any
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return where the chief rays of a square grid of field points land, and where they would without distortion.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, with a field off the axis.
+    points : int
+        Points along each side of the grid, whose corners lie at the largest field.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    **options
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Ideal and real points ``[..., points, points, 2]`` (x, y) in the image plane at the reference wavelength.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import distortion_grid, load_system
+    >>> ideal, real = distortion_grid(load_system("cooke_triplet"), 5)
+    >>> tuple(real.shape), bool((real - ideal)[2, 2].abs().max() < 1e-9)
+    ((5, 5, 2), True)
+    """
+    points = _validate.integer("points", points, minimum=2)
+    largest = max(math.hypot(*field) for field in checked_system(system).fields)
+    if not largest:
+        raise ValueError("system must have a field off the axis")
+    half = (math.tan(math.radians(largest)) if system.at_infinity else largest) / math.sqrt(2)
+    line = torch.linspace(-half, half, points, dtype=torch.float64)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    fields = torch.stack([x, y], -1).reshape(-1, 2)
+    fields = torch.rad2deg(torch.atan(fields)) if system.at_infinity else fields
+    options = {"vignetting": False} | options | {"fields": fields, "prescription": prescription}
+    chief = trace_fields(system, CENTRE, **options)
+    place = reference_of(system, prescription)
+    real = torch.stack([value[..., place, :, 0] for value in (chief.x, chief.y)], -1)
+    ideal = paraxial_points(system, prescription, fields)
+    return tuple(value.reshape(*value.shape[:-2], points, points, 2) for value in (ideal, real))  # type: ignore[return-value]
+
+
+class Footprint(NamedTuple):
+    """Points where rays meet a surface.
+
+    Attributes
+    ----------
+    x, y : torch.Tensor
+        In the surface's own frame, from its vertex, ``[..., W, F, P]``; NaN for rays lost in front of it or on it.
+    status : torch.Tensor
+        int8, numbers of :class:`odak.raytracing.RayStatus`, of the rays up to the surface.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Footprint, footprint, load_system
+    >>> isinstance(footprint(load_system("singlet"), 0), Footprint)
+    True
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    status: torch.Tensor
+
+
+def footprint(
+    system: Any,
+    place: int,
+    pupil: Any = "rings",
+    count: int = 6,
+    *,
+    prescription: Prescription | None = None,
+    **options: Any,
+) -> Footprint:
+    """Return where the rays of each field point meet a surface.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    place : int
+        Number of the surface.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    **options
+        Of :func:`trace_fields`.
+
+    Returns
+    -------
+    Footprint
+        Differentiable.
+
+    Examples
+    --------
+    At its stop the rays of all fields fill the same disc, if they are aimed at it:
+
+    >>> from odak.learn.raytracing.system import first_order, footprint, load_system
+    >>> lens = load_system("cooke_triplet")
+    >>> found = footprint(lens, lens.stop, aim="real", vignetting=False)
+    >>> radius = (found.x**2 + found.y**2).sqrt()[lens.reference].amax(-1)
+    >>> bool((2 * radius - first_order(lens).stop_diameter).abs().max() < 1e-6)
+    True
+    """
+    place = _validate.place_in("place", place, len(checked_system(system).surfaces))
+    if is_break(system.surfaces[place]):
+        raise ValueError(f"place must be a surface, got the coordinate break {place}")
+    found = trace_fields(system, pupil, count, prescription=prescription, until=place, **options)
+    numbers = system.prescription() if prescription is None else prescription
+    x, y, _ = in_surface_frame(system, numbers, place, found)
+    return Footprint(x, y, found.status)
 
 
 def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:

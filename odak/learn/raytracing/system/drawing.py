@@ -1,6 +1,5 @@
-"""Figures of optical systems (sections, spots, fans, field curves, transfer functions), and a report of them all."""
+"""Figures of optical systems: sections, spots, fans, field curves, transfer functions."""
 
-import html
 import io
 import math
 from typing import Any
@@ -25,13 +24,11 @@ from odak.learn.raytracing.system.analysis import (
     spot_diagram,
     wavefront,
 )
-from odak.learn.raytracing.system.lens_files import system_to_dict
-from odak.learn.raytracing.system.paraxial import first_order, seidel_sums
+from odak.learn.raytracing.system.paraxial import first_order
 from odak.learn.raytracing.system.pupils import AIMS, launch, pupil_samples
 from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, is_break, is_glass
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import modulation_transfer_function, point_spread_function
-from odak.tools.paths import _text, replacing
 
 COLOURS = ((33, 102, 172), (27, 120, 55), (178, 24, 43), (118, 42, 131), (179, 88, 6), (1, 102, 94))
 INK, FAINT, GLASS = "#202020", "#9a9a9a", "#d9e9f6"
@@ -70,6 +67,10 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         paths = ray_paths(system, rays)[system.reference].cpu()
         frames = [tuple(part.cpu().numpy() for part in pair) for pair in zip(*system.frames(), strict=True)]
         curves = _curves(system, rays)
+    # The lens that an afocal system appends stands in for its image.
+    surfaces, image = list(system.surfaces), system.image
+    if system.afocal:
+        surfaces, image, paths, frames = surfaces[:-1], None, paths[..., :-1, :], frames[:-1]
     start = paths[..., 0, :]
     direction = torch.stack([value[0].cpu() for value in rays[3:]], -1)
     extent = float(
@@ -79,31 +80,35 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
         ahead = start - direction * ((start[..., 2:] + 0.15 * extent) / direction[..., 2:])
         paths = torch.cat([ahead[..., None, :], paths], -2)
     paths = paths.numpy()
-    radii = _radii(system, frames, paths[..., -len(frames) :, :])
-    items = [*system.surfaces, system.image]
+    items = [*surfaces, image]
+    radii = _radii(items, frames, paths[..., -len(frames) :, :])
     profiles = [_profile(*pair) for pair in zip(items, frames, radii, strict=True)]
     figure = Figure(figsize=(10, 5), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.add_subplot()
     axes.set_aspect("equal", adjustable="datalim")
     axes.axis("off")
-    for i in range(len(system.surfaces)):
+    for i in range(len(surfaces)):
         behind = next((j for j in range(i + 1, len(items)) if items[j] is None or not is_break(items[j])), None)
-        if behind is not None and behind < len(items) - 1 and is_glass(system.surfaces, i):
+        if behind is not None and behind < len(items) - 1 and is_glass(surfaces, i):
             axes.fill(*np.concatenate([profiles[i], profiles[behind][::-1]]).T, color=GLASS, ec=FAINT, lw=0.6)
+            foot = min((profiles[i][0], profiles[behind][0]), key=lambda end: end[1])[1]
+            middle = (profiles[i][0][0] + profiles[behind][0][0]) / 2
+            style: dict[str, Any] = {"rotation": 90, "ha": "center", "va": "top", "fontsize": 6, "color": INK}
+            axes.annotate(_glass_name(surfaces, i), (middle, foot), (0, -4), textcoords="offset points", **style)
     for f in range(paths.shape[0]):
-        color = _color(f)
+        color = color_of(f)
         for p in range(paths.shape[1]):
-            label = _field_label(system, f) if p == 0 else None
+            label = field_label(system, f) if p == 0 else None
             line = _with_curves(paths[f, p], {place: curve[f, p] for place, curve in curves.items()}, len(frames))
             axes.plot(line[:, 2], line[:, 1], color=color, lw=0.7, label=label, zorder=2)
     # Of two numbers without room between them the second is raised. The drawing is about 600 points of print wide.
     point = (np.nanmax(paths[..., 2]) - np.nanmin(paths[..., 2])) / 600
     last, raised = np.full(2, np.inf), False
-    for i, item in enumerate(system.surfaces):
+    for i, item in enumerate(surfaces):
         if is_break(item):
             continue
-        bare = not item.reflects and not is_glass(system.surfaces, i) and not is_glass(system.surfaces, i - 1)
+        bare = not item.reflects and not is_glass(surfaces, i) and not is_glass(surfaces, i - 1)
         width = 2.2 if item.reflects else 0.6 if bare else 1.1
         axes.plot(*profiles[i].T, color=FAINT if bare and not item.stop else INK, lw=width, zorder=3)
         if i == system.stop:
@@ -122,6 +127,14 @@ def layout_figure(system: Any, aim: str = "paraxial", count: int = 5) -> Figure:
     _scale_bar(axes, system.unit)
     axes.set_title(system.name, fontsize=11)
     return figure
+
+
+def _glass_name(surfaces, i: int) -> str:
+    """Return the name of the glass behind a surface without its maker, or its index."""
+    while is_break(surfaces[i]):
+        i -= 1
+    item = surfaces[i]
+    return item.material.name.rpartition(":")[2] if item.material else f"n = {float(item.index.detach()):.4g}"
 
 
 def _curves(system, rays) -> dict[int, np.ndarray]:
@@ -146,27 +159,35 @@ def _with_curves(path: np.ndarray, curves: dict[int, np.ndarray], stations: int)
     return np.concatenate(parts)
 
 
-def _color(i: int) -> tuple[float, ...]:
+def color_of(i: int) -> tuple[float, ...]:
+    """Return the colour of a field or a wavelength by its number."""
     return tuple(value / 255 for value in COLOURS[i % len(COLOURS)])
 
 
-def _field_label(system, i: int) -> str:
+def field_label(system, i: int) -> str:
+    """Return a field point as it is written in figures."""
     x, y = system.fields[i]
-    unit = "°" if system.at_infinity else f" {_unit(system)}"
+    unit = "°" if system.at_infinity else f" {unit_of(system)}"
     return f"{y:g}{unit}" if not x else f"({x:g}, {y:g}){unit}"
 
 
-def _unit(system) -> str:
+def image_unit(system) -> str:
+    """Return the unit of small lengths in the image: those of afocal systems are angles."""
+    return "µrad" if system.afocal else "µm"
+
+
+def unit_of(system) -> str:
+    """Return the unit of the system's lengths."""
     return system.unit.replace("um", "µm")
 
 
-def _radii(system, frames, paths) -> list[float]:
+def _radii(items, frames, paths) -> list[float]:
     """Return how far from its vertex each surface, the image last, is drawn."""
-    items, reaches = list(system.surfaces), []
+    reaches = []
     for i, (matrix, origin) in enumerate(frames):
         local = (paths[..., i, :] - origin) @ matrix
         reaches.append(float(np.nanmax(np.hypot(local[..., 0], local[..., 1]), initial=0.0)))
-    return drawn_radii(items, reaches[:-1]) + drawn_radii([system.image], reaches[-1:])
+    return drawn_radii(items[:-1], reaches[:-1]) + drawn_radii(items[-1:], reaches[-1:])
 
 
 def _profile(item, frame, radius: float) -> np.ndarray:
@@ -182,6 +203,11 @@ def _profile(item, frame, radius: float) -> np.ndarray:
         y, z = y[kept], sag.height.cpu().numpy()[kept]
     points = np.stack([np.zeros_like(y), y, z], -1) @ matrix.T + origin
     return points[:, [2, 1]]
+
+
+def focus_unit(system) -> tuple[str, float]:
+    """Return the unit of focal shifts and the factor to it; shifts of 1 m by the lens of 1 m are a dioptre."""
+    return ("1/m", MICROMETRES[system.unit] * 1e-6) if system.afocal else (unit_of(system), 1.0)
 
 
 def _scale_bar(axes, unit: str) -> None:
@@ -223,7 +249,7 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
     if not isinstance(found, Spots):
         raise TypeError(f"found must be Spots, got {type(found).__name__}")
     scale = MICROMETRES[system.unit]
-    aperture = _image_aperture(system)
+    aperture = image_aperture(system)
     airy = 0.61 * system.wavelengths[system.reference] / aperture * scale if aperture else 0.0
     finite = [value * scale for value in found.largest.detach().flatten().tolist() if math.isfinite(value)]
     half = 1.1 * max([*finite, airy], default=1.0)
@@ -236,18 +262,18 @@ def spots_figure(system: Any, found: Spots | None = None) -> Figure:
         for j in range(found.x.shape[-3]):
             x, y = (value[j, i].detach().cpu().numpy() * scale for value in (found.x, found.y))
             label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == 0 else None
-            axes.plot(x, y, ".", ms=2.5, color=_color(j), label=label)
+            axes.plot(x, y, ".", ms=2.5, color=color_of(j), label=label)
         if airy:
             axes.plot(airy * np.cos(circle), airy * np.sin(circle), color=INK, lw=0.8)
-        axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel="x (µm)")
-        name = _field_label(system, i) if i < len(system.fields) and count == len(system.fields) else str(i)
-        axes.set_title(f"field {name}\nRMS {float(found.rms[i].detach()) * scale:.3g} µm", fontsize=9)
-    panels[0].set_ylabel("y (µm)")
+        axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xlabel=f"x ({image_unit(system)})")
+        name = field_label(system, i) if i < len(system.fields) and count == len(system.fields) else str(i)
+        axes.set_title(f"field {name}\nRMS {float(found.rms[i].detach()) * scale:.3g} {image_unit(system)}", fontsize=9)
+    panels[0].set_ylabel(f"y ({image_unit(system)})")
     figure.legend(fontsize=8, frameon=False, loc="outside right upper")
     return figure
 
 
-def _image_aperture(system) -> float:
+def image_aperture(system) -> float:
     """Return the numerical aperture at the image, 0 for an afocal system."""
     return float(first_order(system).numerical_aperture.detach())
 
@@ -288,13 +314,13 @@ def fans_figure(system: Any, count: int = 41, aim: str = "paraxial") -> Figure:
         for i in range(fields):
             for j in range(values.shape[-3]):
                 label = f"{system.wavelengths[j] * scale * 1e3:.0f} nm" if i == column == 0 else None
-                panels[i, column].plot(place.cpu(), values[j, i], color=_color(j), lw=1.2, label=label)
+                panels[i, column].plot(place.cpu(), values[j, i], color=color_of(j), lw=1.2, label=label)
             panels[i, column].axhline(0, color=FAINT, lw=0.6)
-        unit = f"{axis} error (µm)" if kind == "ray" else f"path along {axis} (λ)"
+        unit = f"{axis} error ({image_unit(system)})" if kind == "ray" else f"path along {axis} (λ)"
         panels[0, column].set_title(unit, fontsize=9)
         panels[-1, column].set_xlabel("pupil", fontsize=9)
     for i in range(fields):
-        panels[i, 0].set_ylabel(f"field {_field_label(system, i)}", fontsize=9)
+        panels[i, 0].set_ylabel(f"field {field_label(system, i)}", fontsize=9)
     figure.legend(fontsize=8, frameon=False, loc="outside right upper")
     return figure
 
@@ -333,28 +359,28 @@ def field_figure(system: Any, points: int = 21) -> Figure:
         colour = lateral_color(system, fields=fields) * MICROMETRES[system.unit]
     numbers = system.prescription().at(system.reference)
     curves = field_curvature(system, prescription=numbers, fields=fields)
-    tangential, sagittal = (value.detach()[0] for value in curves)
+    tangential, sagittal = (value.detach()[0] * focus_unit(system)[1] for value in curves)
     figure = Figure(figsize=(9, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
     first, second, third = figure.subplots(1, 3, sharey=True)
-    first.plot(tangential, heights, color=_color(0), label="tangential")
-    first.plot(sagittal, heights, color=_color(2), ls="--", label="sagittal")
+    first.plot(tangential, heights, color=color_of(0), label="tangential")
+    first.plot(sagittal, heights, color=color_of(2), ls="--", label="sagittal")
     first.legend(fontsize=8, frameon=False)
     second.plot(bent, heights, color=INK)
     for j in range(len(system.wavelengths)):
         label = f"{system.wavelengths[j] * MICROMETRES[system.unit] * 1e3:.0f} nm"
-        third.plot(colour[j], heights, color=_color(j), label=label)
+        third.plot(colour[j], heights, color=color_of(j), label=label)
     third.legend(fontsize=8, frameon=False)
     for axes, name in zip(
         (first, second, third),
-        (f"field curvature ({_unit(system)})", "distortion (%)", "lateral colour (µm)"),
+        (f"field curvature ({focus_unit(system)[0]})", "distortion (%)", f"lateral colour ({image_unit(system)})"),
         strict=True,
     ):
         axes.axvline(0, color=FAINT, lw=0.6)
         axes.xaxis.set_major_locator(MaxNLocator(4))
         axes.ticklabel_format(axis="x", scilimits=(-3, 4))
         axes.set_xlabel(name, fontsize=9)
-    first.set_ylabel("field (°)" if system.at_infinity else f"object height ({_unit(system)})", fontsize=9)
+    first.set_ylabel("field (°)" if system.at_infinity else f"object height ({unit_of(system)})", fontsize=9)
     return figure
 
 
@@ -392,7 +418,7 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     checked_system(system)
     samples = _validate.integer("samples", samples, minimum=8)
     scale, place = MICROMETRES[system.unit], system.reference
-    cutoff = 2 * _image_aperture(system) / system.wavelengths[place]
+    cutoff = 2 * image_aperture(system) / system.wavelengths[place]
     if not cutoff:
         raise ValueError("system must have a focus, got an afocal one: there is no modulation transfer at an image")
     numbers = system.prescription().at(place)
@@ -420,16 +446,17 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     radii, energy = radii.cpu(), energy.cpu()
     for i, pair in enumerate(curves):
         for (frequency, transfer), style in zip(pair, ("-", "--"), strict=True):
-            label = _field_label(system, i) if style == "-" else None
-            left.plot(frequency * 1e3 / scale, transfer, style, color=_color(i), lw=1.2, label=label)
-        right.plot(radii[i] * scale, energy[i], color=_color(i), lw=1.2)
+            label = field_label(system, i) if style == "-" else None
+            left.plot(frequency * 1e3 / scale, transfer, style, color=color_of(i), lw=1.2, label=label)
+        right.plot(radii[i] * scale, energy[i], color=color_of(i), lw=1.2)
     highest = float(curves[0][0][0][-1]) if large else cutoff
     ratio = np.linspace(0, 1, 100)
     ideal = 2 / np.pi * (np.arccos(ratio) - ratio * np.sqrt(1 - ratio**2))
     left.plot(ratio * cutoff * 1e3 / scale, ideal, color=INK, lw=0.8, label="limit")
+    angular = "milliradian" if system.afocal else "millimetre"
     left.set_title("geometric" if large else "with diffraction", fontsize=9)
-    left.set(xlim=(0, highest * 1e3 / scale), ylim=(0, 1), xlabel="cycles per millimetre", ylabel="modulation")
-    right.set(xlabel="radius (µm)", ylabel="encircled energy", ylim=(0, 1), xlim=(0, None))
+    left.set(xlim=(0, highest * 1e3 / scale), ylim=(0, 1), xlabel=f"cycles per {angular}", ylabel="modulation")
+    right.set(xlabel=f"radius ({image_unit(system)})", ylabel="encircled energy", ylim=(0, 1), xlim=(0, None))
     left.legend(fontsize=8, frameon=False)
     return figure
 
@@ -497,150 +524,3 @@ def _picture(figure: Figure) -> Image.Image:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=140)
     return Image.open(stream).convert("RGB")
-
-
-def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
-    """Return the figures of :func:`lens_report` by their names; those that an afocal system does not have are left out.
-
-    Parameters
-    ----------
-    system : optical_system
-        The system.
-    aim : str
-        "paraxial" or "real", how :func:`launch` aims.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import load_system, report_figures
-    >>> list(report_figures(load_system("singlet")))
-    ['layout', 'spots', 'fans', 'transfer', 'field']
-    """
-    checked_system(system)
-    found = {
-        "layout": layout_figure(system, aim),
-        "spots": spots_figure(system, spot_diagram(system, "rings", 8, aim=aim)),
-        "fans": fans_figure(system, aim=aim),
-    }
-    if _image_aperture(system):
-        found["transfer"] = transfer_figure(system, aim=aim)
-    if any(any(field) for field in system.fields):
-        found["field"] = field_figure(system)
-    return found
-
-
-def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str, Figure] | None = None) -> None:
-    """Write a report of a system as one self-contained HTML file: prescription, first order, all figures, sums.
-
-    Parameters
-    ----------
-    system : optical_system
-        The system.
-    path : str or pathlib.Path
-        File to write.
-    aim : str
-        "paraxial" or "real", how :func:`launch` aims.
-    figures : dict, optional
-        From :func:`report_figures`, where available.
-
-    Examples
-    --------
-    >>> import os, tempfile
-    >>> from odak.learn.raytracing.system import lens_report, load_system
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     name = os.path.join(folder, "singlet.html")
-    ...     lens_report(load_system("singlet"), name, figures={})
-    ...     os.path.getsize(name) > 1000
-    True
-    """
-    checked_system(system)
-    path, aim = _text("path", path), _validate.one_of("aim", aim, AIMS)
-    headings = {
-        "layout": "Layout",
-        "spots": "Spots",
-        "fans": "Ray fans and path differences",
-        "transfer": "Modulation transfer and encircled energy",
-        "field": "Field curvature, distortion, lateral colour",
-    }
-    parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
-    if figures is not None and not isinstance(figures, dict):
-        raise TypeError(f"figures must be those of report_figures, got {type(figures).__name__}")
-    figures = report_figures(system, aim) if figures is None else figures
-    for name in headings:
-        if name in figures:
-            parts += [f"<h2>{headings[name]}</h2>", _svg(figures[name])]
-        if name == "layout":
-            parts += _numbers_of(system, aim)
-    page = _PAGE.format(title=html.escape(system.name or "Optical system"), body="\n".join(parts))
-    with replacing(path) as stream:
-        stream.write(page.encode("utf-8"))
-
-
-_PAGE = """<!DOCTYPE html>
-<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{title}</title>
-<style>body{{font:15px/1.5 system-ui,sans-serif;max-width:1050px;margin:2em auto;padding:0 1em;color:#202020}}
-table{{border-collapse:collapse;margin:1em 0}}td,th{{padding:.2em .9em;text-align:right;border-bottom:1px solid #ddd}}
-th:first-child,td:first-child{{text-align:left}}svg{{max-width:100%;height:auto}}.table,.figure{{overflow-x:auto}}
-@media (max-width:45em){{body{{margin:1em auto}}td,th{{padding:.2em .5em}}.figure svg{{max-width:none;width:660px}}}}
-</style></head>
-<body>
-{body}
-</body></html>
-"""
-
-
-def _svg(figure: Figure) -> str:
-    stream = io.StringIO()
-    figure.savefig(stream, format="svg")
-    text = stream.getvalue()
-    return f'<div class="figure">{text[text.index("<svg") :]}</div>'
-
-
-def _table(head, rows) -> str:
-    top = "".join(f"<th>{html.escape(str(cell))}</th>" for cell in head)
-    body = ""
-    for row in rows:
-        cells = [float(value.detach()) if isinstance(value, torch.Tensor) else value for value in row]
-        # A zero has no sign in a table.
-        texts = [f"{value + 0.0:.6g}" if isinstance(value, float) else str(value) for value in cells]
-        body += "<tr>" + "".join(f"<td>{html.escape(text)}</td>" for text in texts) + "</tr>"
-    return f'<div class="table"><table><tr>{top}</tr>{body}</table></div>'
-
-
-@torch.no_grad()
-def _numbers_of(system, aim: str) -> list[str]:
-    """Return the tables of a report."""
-    unit, scale = _unit(system), MICROMETRES[system.unit]
-    properties = first_order(system)
-    rows: list[Any] = [(name.replace("_", " "), value) for name, value in properties._asdict().items()]
-    parts = [f"<h2>First order ({unit})</h2>", _table(("property", "value"), rows)]
-    rows = []
-    for i, entry in enumerate(system_to_dict(system)["surfaces"]):
-        kind = "break" if entry.get("break") else entry.get("shape", {}).get("kind", "")
-        radius = entry.get("radius")
-        mark = " (stop)" if i == system.stop else ""
-        rows.append(
-            (f"{i}{mark}", "∞" if radius is None else radius, entry["thickness"], str(entry.get("material", "")), kind)
-        )
-    parts += [f"<h2>Prescription ({unit})</h2>", _table(("surface", "radius", "thickness", "material", "shape"), rows)]
-    spots, wave = spot_diagram(system, "rings", 8, aim=aim), wavefront(system, "rings", 12, aim=aim)
-    lost = (~(spots.status == 0)).sum((0, 2))
-    rows = [
-        (
-            _field_label(system, i),
-            spots.rms[i] * scale,
-            spots.largest[i] * scale,
-            wave.rms[system.reference, i],
-            int(lost[i]),
-        )
-        for i in range(len(system.fields))
-    ]
-    head = ("field", "RMS spot (µm)", "largest (µm)", "wavefront RMS (λ)", "rays lost")
-    parts += ["<h2>Fields</h2>", _table(head, rows)]
-    try:
-        sums = seidel_sums(system)
-    except ValueError:
-        return parts
-    waves = sums.seidel / system.wavelengths[system.reference]
-    names = ("spherical", "coma", "astigmatism", "Petzval", "distortion")
-    rows = [(str(i), *waves[:, i]) for i in range(waves.shape[-1])] + [("sum", *waves.sum(-1))]
-    return [*parts, "<h2>Seidel coefficients by surface (wavelengths)</h2>", _table(("surface", *names), rows)]

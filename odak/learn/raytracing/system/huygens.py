@@ -68,6 +68,11 @@ def huygens_point_spread_function(
     (3, 3, 32, 32)
     """
     checked_system(system), checked_prescription(prescription)
+    if system.afocal:
+        raise ValueError(
+            "system is afocal: the sum of plane waves holds for pupils far from the image in Fresnel zones; use "
+            "point_spread_function"
+        )
     samples = _validate.integer("samples", samples, minimum=8)
     size = _validate.integer("size", size, minimum=2)
     step = 2 / samples
@@ -147,6 +152,57 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     wave = phasor_of_cycles(cycles, torch.complex128)
     real, imaginary = ((profile * part).sum(-1) for part in (wave.real, wave.imag))
     return (real.square() + imaginary.square()).clamp_min(1e-300).sqrt() / profile.sum(-1)
+
+
+def through_focus_modulation(
+    system: Any, shifts: Any, frequency: float, axis: str = "y", samples: int = 32, **options: Any
+) -> torch.Tensor:
+    """Return the modulation transfer at one frequency in planes before and behind the image plane.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    shifts : sequence of float or torch.Tensor
+        Distances of the planes from the image plane along z, ``[n]``.
+    frequency : float
+        Cycles per unit of length.
+    axis : str
+        "y": of gratings whose lines are along x. "x": the other.
+    samples : int
+        Rays across the pupil.
+    **options : Any
+        Of :func:`huygens_point_spread_function` (`fields`, `aim`, `vignetting`).
+
+    Returns
+    -------
+    torch.Tensor
+        ``[W, F, n]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import optical_system, surface, through_focus_modulation
+    >>> parabola = surface(radius=-200.0, conic=-1.0, thickness=-100.0, material="mirror")
+    >>> mirror = optical_system([parabola], aperture=20.0)
+    >>> found = through_focus_modulation(mirror, [-0.02, 0.0, 0.02], 50.0)
+    >>> int(found[0, 0].argmax())
+    1
+    """
+    checked_system(system)
+    shifts = torch.as_tensor(_validate.real("shifts", shifts), dtype=torch.float64)
+    if shifts.ndim != 1 or not len(shifts):
+        raise ValueError(f"shifts must be a sequence of distances, got {tuple(shifts.shape)}")
+    samples = _validate.integer("samples", samples, minimum=8)
+    if "prescription" in options:
+        raise ValueError("prescription must be left out: the planes are a batch of prescriptions of the system")
+    numbers = system.prescription()
+    moved = torch.zeros(len(shifts), numbers.thickness.shape[-1], dtype=torch.float64, device=numbers.thickness.device)
+    moved[:, -1] = shifts.to(moved)
+    # The image is sampled as finely as the frequency and the limit of diffraction require, and holds the blur.
+    spread = huygens_point_spread_function(
+        system, samples, 2 * samples, prescription=numbers._replace(thickness=numbers.thickness + moved), **options
+    )
+    return modulation_at(spread, frequency, axis).movedim(0, -1)
 
 
 def relative_illumination(

@@ -61,6 +61,7 @@ _SYSTEM = {
     "name",
     "source",
     "telecentric",
+    "afocal",
     "vignetting_factors",
     "field_weights",
     "wavelength_weights",
@@ -161,7 +162,7 @@ def system_to_dict(system: optical_system) -> dict:
     True
     """
     checked_system(system)
-    surfaces = [_entry(item, i == system.stop) for i, item in enumerate(system.surfaces)]
+    surfaces = [_entry(item, i == system.stop) for i, item in enumerate(_own_surfaces(system))]
     finite = None if system.at_infinity else system.object_distance
     return {
         "name": system.name,
@@ -175,6 +176,7 @@ def system_to_dict(system: optical_system) -> dict:
         "object_distance": finite,
         **({} if system.image is None else {"image": _shape(system.image)}),
         **({"telecentric": True} if system.telecentric else {}),
+        **({"afocal": True} if system.afocal else {}),
         **{
             key: _plain(getattr(system, key))
             for key in ("vignetting_factors", "field_weights", "wavelength_weights")
@@ -182,6 +184,11 @@ def system_to_dict(system: optical_system) -> dict:
         },
         "surfaces": surfaces,
     }
+
+
+def _own_surfaces(system) -> list:
+    """Return the surfaces without the lens that an afocal system appends."""
+    return list(system.surfaces)[: -1 if system.afocal else None]
 
 
 def _entry(item: Any, stop: bool) -> dict:
@@ -270,7 +277,7 @@ def _medium(item: Any) -> dict:
         entry["material"] = " ".join(("model", *_model_numbers(item.material)))
     with suppress(ValueError):
         # A range that a file extended beyond that of the glass.
-        if tuple(item.material.range) != tuple(_material(entry["material"]).range):
+        if tuple(item.material.range) != tuple(_material(str(entry["material"])).range):
             entry["material_range"] = list(item.material.range)
     return entry
 
@@ -628,7 +635,12 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
             notes.append("no STOP: the first surface is taken as the stop")
 
         def system(size, form, **others):
-            return optical_system(built, size, form, object_distance=distance, image=image, **names, **others)
+            return optical_system(list(built), size, form, object_distance=distance, image=image, **names, **others)
+
+        names["afocal"] = bool(_count(head, 6))
+        if names["afocal"] and image is not None:
+            notes.append("the image space is afocal (FTYP): the shape and the aperture of the image are not used")
+            image = None
 
         size, form = _aperture(head, surfaces, context, system)
         telecentric = bool(_count(head, 1)) and not math.isinf(distance) and form in ("NA", "stop")
@@ -671,8 +683,6 @@ def _note_settings(head, surfaces, notes: list) -> None:
         notes.append(
             f"the file holds {head['MNUM'].whole()} configurations: read as the one that its surfaces describe"
         )
-    if _count(head, 6):
-        notes.append("the image space is afocal (FTYP): no other than a focal one is read, the image lies in its plane")
     held = [
         number
         for number, lines in enumerate(surfaces)
@@ -1227,7 +1237,9 @@ def _zmx_text(system) -> str:
     makers = sorted({maker.upper() for maker, colon, _ in makers if colon} | {"SCHOTT"})
     lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {' '.join(system.name.split())}", "UNIT MM X W X CM MR CPMM"]
     lines += [f"GCAT {' '.join(makers)}", _APERTURES[system.aperture_type].format(repr(size)).strip()]
-    lines += [f"FTYP {kind} {int(system.telecentric)} {len(system.fields)} {len(system.wavelengths)} 0 0 0"]
+    lines += [
+        f"FTYP {kind} {int(system.telecentric)} {len(system.fields)} {len(system.wavelengths)} 0 0 {int(system.afocal)}"
+    ]
     lines += [
         f"{key} " + " ".join(repr(field[axis] * factor) for field in system.fields)
         for axis, key in enumerate(("XFLN", "YFLN"))
@@ -1243,10 +1255,11 @@ def _zmx_text(system) -> str:
     ]
     lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
-    for number, item in enumerate(system.surfaces, start=1):
+    rows = _own_surfaces(system)
+    for number, item in enumerate(rows, start=1):
         lines += _written(number, item, scale, number - 1 == system.stop, system)
     image = system.image or surface()
-    lines += [f"SURF {len(system.surfaces) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
+    lines += [f"SURF {len(rows) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
     return "\n".join([*lines, *_written_limits("image", image, scale)]) + "\n"
 
 

@@ -365,6 +365,111 @@ class ToleranceResult(NamedTuple):
     nominal: torch.Tensor
     prescription: Prescription
 
+    def yield_within(self, limit: Any) -> torch.Tensor:
+        """Return the share of the systems whose merits are all at most `limit`; lost ones, of merit NaN, are none.
+
+        Parameters
+        ----------
+        limit : float or torch.Tensor
+            Largest merit that is accepted, for all fields or for each.
+        """
+        limit = torch.as_tensor(_validate.real("limit", limit)).to(self.merit)
+        good = (self.merit <= limit).reshape(len(self.merit), -1).all(-1)
+        return good.double().mean()
+
+
+class Sensitivity(NamedTuple):
+    """Merits of a system with one number off at a time.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Which number is off: its name, surface, and axis, as "radius of surface 2".
+    merit : torch.Tensor
+        What `merit` returned with each number too large and too small, ``[2, names, …]``.
+    nominal : torch.Tensor
+        The same for the system as drawn.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Perturbation, Sensitivity, load_system, sensitivity
+    >>> found = sensitivity(load_system("cooke_triplet"), [Perturbation("thickness", [1, 3], 0.02)])
+    >>> found.names
+    ('thickness of surface 1', 'thickness of surface 3')
+    """
+
+    names: tuple[str, ...]
+    merit: torch.Tensor
+    nominal: torch.Tensor
+
+
+def sensitivity(
+    system: Any,
+    perturbations: Sequence[Perturbation],
+    *,
+    merit: Callable | None = None,
+    compensators: Sequence[tuple[str, int]] = (),
+    iterations: int = 10,
+) -> Sensitivity:
+    """Return how a system's merit changes with each deviation alone, by its size and by as much the other way.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    perturbations : sequence of Perturbation
+        What may be off; each surface and each axis on its own, except for those that are off together.
+    merit : callable, optional
+        ``merit(system, prescription=…)``, which returns ``[systems, …]``; :func:`rms_spot` by default.
+    compensators : sequence of pairs
+        Names and surfaces of what is adjusted in each of the systems before its merit is taken, as in
+        :func:`tolerance`.
+    iterations : int
+        Steps of the search for the compensators.
+
+    Returns
+    -------
+    Sensitivity
+        All systems are traced in one batch.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Perturbation, load_system, sensitivity
+    >>> off = [Perturbation("radius", [0, 1], 1e-3, relative=True), Perturbation("tilt", 2, 0.02)]
+    >>> found = sensitivity(load_system("cooke_triplet"), off)
+    >>> found.names[2:], tuple(found.merit.shape)
+    (('tilt of surface 2 about x', 'tilt of surface 2 about y'), (2, 4, 3))
+    """
+    nominal = checked_system(system).prescription()
+    merit = rms_spot if merit is None else _validate.function("merit", merit)
+    _validate.integer("iterations", iterations, minimum=1)
+    compensators = _checked_compensators(compensators)
+    items = _checked_perturbations(perturbations, len(system.surfaces))
+    names, cells = [], []
+    for number, (item, places) in enumerate(items):
+        columns = [list(range(len(places)))] if item.together else [[j] for j in range(len(places))]
+        for axis in range(_axes_of(item)):
+            way = {"shift": f" along {'xy'[axis]}", "tilt": f" about {'xy'[axis]}"}.get(item.name, "")
+            for held in columns:
+                which = ", ".join(str(places[j]) for j in held)
+                names.append(f"{item.name} of surface{'s' if len(held) > 1 else ''} {which}{way}")
+                cells.append((number, held, axis))
+    if not names:
+        raise ValueError("perturbations must contain at least one, got none")
+    samples = 2 * len(names)
+    draws = [torch.zeros(samples, len(places), _axes_of(item), dtype=torch.float64) for item, places in items]
+    for row, (number, held, axis) in enumerate(cells):
+        size = float(items[number][0].size)
+        draws[number][row, held, axis], draws[number][row + len(names), held, axis] = size, -size
+    numbers = _deviated(system, nominal, items, draws, samples)
+    if len(compensators):
+        one = perturbed(system, nominal, [], 1, 0)
+        numbers, one = (compensated(system, p, compensators, merit, iterations) for p in (numbers, one))
+        found, drawn = merit(system, prescription=numbers), merit(system, prescription=one)[0]
+    else:
+        found, drawn = merit(system, prescription=numbers), merit(system, prescription=nominal)
+    return Sensitivity(tuple(names), found.reshape(2, len(names), *found.shape[1:]), drawn)
+
 
 def tolerance(
     system: Any,
@@ -424,9 +529,7 @@ def tolerance(
     nominal = checked_system(system).prescription()
     merit = rms_spot if merit is None else _validate.function("merit", merit)
     _validate.integer("iterations", iterations, minimum=1)
-    if isinstance(compensators, str) or not isinstance(compensators, Iterable):
-        raise TypeError(f"compensators must be a sequence of pairs (name, surface), got {compensators!r:.80}")
-    compensators = list(compensators)
+    compensators = _checked_compensators(compensators)
     numbers = perturbed(system, nominal, perturbations, samples, seed)
     if len(compensators):
         one = perturbed(system, nominal, [], 1, seed)
@@ -478,9 +581,40 @@ def compensated(system, numbers: Prescription, compensators, merit: Callable, it
 def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: int) -> Prescription:
     """Return a batch of prescriptions with random numbers added."""
     generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
+    items = _checked_perturbations(perturbations, len(system.surfaces))
+    drawn = [
+        _draw(item, samples, len(places), 2 if item.name in ("shift", "tilt") else 1, generator)
+        for item, places in items
+    ]
+    return _deviated(system, nominal, items, drawn, samples)
+
+
+def _checked_perturbations(perturbations, count: int) -> list[tuple[Perturbation, list[int]]]:
+    """Return perturbations with the numbers of their surfaces."""
     perturbations = list(perturbations) if isinstance(perturbations, Iterable) else [perturbations]
     if not all(isinstance(item, Perturbation) for item in perturbations):
         raise TypeError(f"perturbations must be a sequence of Perturbation, got {perturbations!r:.80}")
+    found = []
+    for item in perturbations:
+        _validate.one_of("name of a perturbation", item.name, NAMES)
+        _validate.real("size of a perturbation", item.size)
+        places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]
+        found.append((item, [_validate.place_in("surfaces of a perturbation", place, count) for place in places]))
+    return found
+
+
+def _checked_compensators(compensators) -> list:
+    if isinstance(compensators, str) or not isinstance(compensators, Iterable):
+        raise TypeError(f"compensators must be a sequence of pairs (name, surface), got {compensators!r:.80}")
+    return list(compensators)
+
+
+def _axes_of(item: Perturbation) -> int:
+    return 2 if item.name in ("shift", "tilt") else 1
+
+
+def _deviated(system, nominal: Prescription, items, draws, samples: int) -> Prescription:
+    """Return a batch of prescriptions whose numbers deviate by `draws`, ``[samples, places, 1 or 2]`` for each item."""
     count = len(system.surfaces)
     values = nominal._asdict()
     apart = {name: values.pop(name) for name in ("shapes", "phases", "wavelengths", "gradients")}
@@ -488,15 +622,12 @@ def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: 
         if values[name] is None:
             values[name] = torch.zeros(count, 2, dtype=torch.float64, device=nominal.thickness.device)
     values = {name: value.expand(samples, *value.shape) for name, value in values.items()}
-    for item in perturbations:
-        name = _validate.one_of("name of a perturbation", item.name, NAMES)
-        places = list(item.surfaces) if isinstance(item.surfaces, Iterable) else [item.surfaces]
-        places = [_validate.place_in("surfaces of a perturbation", place, count) for place in places]
+    for (item, places), drawn in zip(items, draws, strict=True):
+        name = item.name
         shaped = [i for i in places if nominal.shapes is not None and nominal.shapes[i] is not None]
         if shaped and name in ("curvature", "radius", "conic"):
             raise ValueError(f"{name} of surfaces {shaped} cannot be perturbed: their shapes have other numbers")
         axes = values[name].shape[-1] if name in ("shift", "tilt") else 1
-        drawn = _draw(item, samples, len(places), min(axes, 2), generator)
         drawn = torch.nn.functional.pad(drawn, (0, max(axes - 2, 0)))
         target = "curvature" if name == "radius" else name
         change = torch.zeros(samples, count, drawn.shape[-1], dtype=torch.float64)
@@ -512,7 +643,6 @@ def perturbed(system, nominal: Prescription, perturbations, samples: int, seed: 
 
 def _draw(item: Perturbation, samples: int, places: int, axes: int, generator) -> torch.Tensor:
     kind = _validate.one_of("distribution", item.distribution, DISTRIBUTIONS)
-    _validate.real("size of a perturbation", item.size)
     shape = (samples, 1 if item.together else places, axes)
     if kind == "normal":
         drawn = torch.randn(shape, generator=generator, dtype=torch.float64)

@@ -18,7 +18,7 @@ from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
 from odak.raytracing.gradients import Gradient
-from odak.raytracing.phases import Phase
+from odak.raytracing.phases import IdealLens, Phase
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
 
 MIRROR, AIR = "mirror", "air"
@@ -788,6 +788,11 @@ class optical_system(torch.nn.Module):
     telecentric : bool
         Take the entrance pupil to be at infinity, so that chief rays of a near object are parallel to the axis; the
         aperture must be given as "NA" or "stop". False by default.
+    afocal : bool
+        Take the image to be at infinity, as that of a telescope: an ideal lens with a focal length of 1 m is appended
+        in the image plane, and its focal plane is the image. Points of it are tangents of angles times 1 m: analyses
+        and figures then state micrometres that are microradians, and cycles per millimetre that are those per
+        milliradian. The aperture must be given as "EPD", "stop" or, for a near object, "NA". False by default.
     vignetting_factors : sequence of sequence of float, optional
         For each field point (VDX, VDY, VCX, VCY): its rays go through the pupil points (VDX + (1 − VCX)·x,
         VDY + (1 − VCY)·y) in place of (x, y). None by default.
@@ -838,6 +843,7 @@ class optical_system(torch.nn.Module):
         name: str = "",
         source: str = "",
         telecentric: bool = False,
+        afocal: bool = False,
         vignetting_factors: Iterable | None = None,
         field_weights: Iterable | None = None,
         wavelength_weights: Iterable | None = None,
@@ -860,6 +866,16 @@ class optical_system(torch.nn.Module):
             )
         if len(stops) > 1:
             raise ValueError(f"only one surface may be the stop, got surfaces {stops}")
+        self.unit = _validate.one_of("unit", unit, MICROMETRES)
+        self.afocal = _validate.flag("afocal", afocal)
+        if self.afocal:
+            by_image = aperture_type == "F-number" or (aperture_type == "NA" and object_distance == math.inf)
+            if image is not None or by_image:
+                raise ValueError(
+                    "afocal needs an aperture of the object's side and no image surface, got aperture_type "
+                    f"{aperture_type!r} and image {image!r:.60}"
+                )
+            surfaces.append(_angular_lens(surfaces, MICROMETRES[self.unit]))
         twice = next((i for i, (a, b) in enumerate(pairwise(surfaces)) if a is b), None)
         if surfaces[0].reflects is False and twice is not None:
             raise ValueError(
@@ -872,7 +888,6 @@ class optical_system(torch.nn.Module):
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
         if self.aperture_type == "NA" and self.aperture >= 1:
             raise ValueError(f"aperture must be below 1 as a numerical aperture in air, got {aperture}")
-        self.unit = _validate.one_of("unit", unit, MICROMETRES)
         default = D_LINE / MICROMETRES[self.unit]
         self.wavelengths = _wavelengths(default if wavelengths is None else wavelengths)
         count = len(self.wavelengths)
@@ -1013,6 +1028,13 @@ class optical_system(torch.nn.Module):
                 index: Any = refractive_index(item.material, values, self.unit, medium="air")
                 columns.append(index.to(one))
         return torch.stack(columns, -1)
+
+
+def _angular_lens(surfaces, micrometres: float) -> surface:
+    """Return the ideal lens of 1 m behind an afocal system, with its focal plane as the image."""
+    length = 1e6 / micrometres
+    backwards = sum(item.reflects for item in surfaces) % 2
+    return surface(phase=IdealLens(length), thickness=-length if backwards else length)
 
 
 def checked_system(system) -> optical_system:

@@ -5,32 +5,47 @@ import math
 import pytest
 import torch
 
+from odak.catalog import material
 from odak.learn.raytracing.system import (
     Perturbation,
+    axial_color,
     distortion,
+    distortion_grid,
     encircled_energy,
     field_curvature,
     first_order,
+    footprint,
     huygens_point_spread_function,
+    image_figure,
     lateral_color,
     launch,
     lens_report,
     levenberg_marquardt,
     load_system,
+    modulation_at,
     optical_system,
     path_fan,
     point_spread_function,
     pupil_samples,
     ray_fan,
+    relative_illumination,
     rms_spot,
+    seidel_figure,
     seidel_sums,
+    sensitivity,
     spot_diagram,
     surface,
+    system_from_dict,
+    system_to_dict,
     through_focus,
+    through_focus_figure,
+    through_focus_modulation,
     tolerance,
+    tolerance_figure,
     trace,
     trace_fields,
     wavefront,
+    wavefront_figure,
 )
 from odak.raytracing.phases import IdealLens
 
@@ -326,4 +341,99 @@ def test_reports_hold_all_figures(tmp_path):
         "Seidel",
     ):
         assert part in page
-    assert page.count("<svg") == 5
+    assert page.count("<svg") == 11
+
+
+def test_axial_colour_is_that_of_a_thin_lens():
+    """A thin lens of Abbe number V has foci of F and C light f/V apart."""
+    lines = [486.1327e-6, 587.5618e-6, 656.2725e-6]
+    rows = [surface(100.0, material="N-BK7"), surface(-100.0, thickness=96.0)]
+    lens = optical_system(rows, 1.0, wavelengths=lines)
+    found = axial_color(lens, lines)
+    length = float(first_order(lens).focal_length)
+    assert float(found[2] - found[0]) == pytest.approx(length / material("N-BK7").vd, rel=0.02)
+    # Real rays close to the axis cross it there.
+    moved = lens.prescription(lines)
+    rays = trace(lens, launch(lens, torch.tensor([[0.0, 1e-3]], dtype=F64), prescription=moved), prescription=moved)
+    crossing = (-rays.y * rays.w / rays.v)[:, 0, 0]
+    torch.testing.assert_close(found, crossing - crossing[1], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(axial_color(lens, prescription=moved), found)
+
+
+def test_a_distorted_grid_has_the_distortion_of_its_radii():
+    lens = load_system("cooke_triplet")
+    ideal, real = distortion_grid(lens, 5)
+    assert tuple(ideal.shape) == (5, 5, 2)
+    radius = ideal.square().sum(-1).sqrt()
+    stretched = ((real - ideal) * ideal).sum(-1) / radius.clamp_min(1e-9).square()
+    corner = distortion(lens)[lens.reference, -1]
+    for at in ((0, 0), (0, 4), (4, 0), (4, 4)):
+        assert float(stretched[at]) == pytest.approx(float(corner), rel=1e-6)
+    # The axes are straight, and the grid of ideal points is regular.
+    assert float(real[2, :, 1].abs().max()) < 1e-9
+    torch.testing.assert_close(ideal[0, 1:, 0] - ideal[0, :-1, 0], (ideal[0, -1:, 0] - ideal[0, :1, 0]).expand(4) / 4)
+
+
+def test_footprints_are_in_the_frame_of_the_surface():
+    """A tilted plate: rays along z meet it at y/cos of the tilt."""
+    rows = [surface(thickness=10.0, stop=True), surface(thickness=20.0, tilt=(60.0, 0.0), material=1.5), surface()]
+    found = footprint(optical_system(rows, 4.0), 1, torch.tensor([[0.5, 1.0]], dtype=F64))
+    assert (float(found.x), float(found.y)) == pytest.approx((1.0, 2.0 / 0.5))
+    with pytest.raises(ValueError, match="place"):
+        footprint(optical_system(rows, 4.0), 3)
+
+
+def test_modulation_through_focus_is_that_in_moved_planes():
+    lens = load_system("cooke_triplet")
+    found = through_focus_modulation(lens, [-0.05, 0.0], 30.0, "x", 16, fields=[(0.0, 14.0)])
+    moved = system_from_dict(system_to_dict(lens))
+    with torch.no_grad():
+        moved.surfaces[-1].thickness -= 0.05
+    for place, system in enumerate((moved, lens)):
+        image = huygens_point_spread_function(system, 16, 32, fields=[(0.0, 14.0)])
+        torch.testing.assert_close(found[..., place], modulation_at(image, 30.0, "x"), rtol=1e-9, atol=1e-12)
+
+
+def test_sensitivities_are_those_of_systems_with_one_number_off():
+    lens = load_system("cooke_triplet")
+    found = sensitivity(
+        lens, [Perturbation("thickness", [1, 3], 0.05), Perturbation("tilt", [2, 3], 0.1, together=True)]
+    )
+    assert found.names == (
+        "thickness of surface 1",
+        "thickness of surface 3",
+        "tilt of surfaces 2, 3 about x",
+        "tilt of surfaces 2, 3 about y",
+    )
+    for row, sign in enumerate((1.0, -1.0)):
+        entry = system_to_dict(lens)
+        entry["surfaces"][3]["thickness"] += sign * 0.05
+        torch.testing.assert_close(found.merit[row, 1], rms_spot(system_from_dict(entry)), rtol=1e-9, atol=0)
+        entry = system_to_dict(lens)
+        for i in (2, 3):
+            entry["surfaces"][i]["tilt"] = [0.0, sign * 0.1]
+        torch.testing.assert_close(found.merit[row, 3], rms_spot(system_from_dict(entry)), rtol=1e-6, atol=0)
+    focused = sensitivity(lens, [Perturbation("thickness", -1, 0.1)], compensators=[("thickness", -1)])
+    assert float((focused.merit - focused.nominal).abs().max()) < 1e-5
+    result = tolerance(lens, [Perturbation("thickness", [1, 3], 0.05)], 40)
+    good = [bool((merit <= 0.022).all()) for merit in result.merit]
+    assert float(result.yield_within(0.022)) == sum(good) / 40 and 0 < sum(good) < 40
+
+
+def test_figures_show_the_numbers_of_the_analyses():
+    lens = load_system("singlet")
+    (lines,) = ([line for line in axes.lines if len(line.get_xdata()) == 3] for axes in image_figure(lens, 3).axes[1:2])
+    expected = relative_illumination(lens, 8, fields=[(0.0, 0.0), (0.0, 1.0), (0.0, 2.0)])[lens.reference]
+    assert lines[0].get_ydata() == pytest.approx(expected.detach().numpy())
+    bars = seidel_figure(lens).axes[0].patches
+    waves = seidel_sums(lens).seidel / lens.wavelengths[lens.reference]
+    assert [bar.get_height() for bar in bars[:3]] == pytest.approx([*waves[0].tolist(), float(waves[0].sum())])
+    result = tolerance(lens, [Perturbation("thickness", 1, 0.2)], 20)
+    axes = tolerance_figure(lens, result, 0.1).axes[0]
+    assert axes.get_title().startswith(f"yield {100 * float(result.yield_within(0.1)):.0f} %")
+    assert axes.lines[0].get_xdata() == pytest.approx(1000 * result.merit[:, 0].detach().sort().values.numpy())
+    shown = wavefront_figure(lens, 16).axes[0].images[0].get_array()
+    assert float(shown[8, 16]) == pytest.approx(float(wavefront(lens, "x", 3).path[lens.reference, 0, -1]), abs=1e-9)
+    places = through_focus_figure(lens, [-1.0, 0.0, 1.0]).axes
+    sizes = next(axes for axes in places if axes.get_ylabel().startswith("RMS")).lines[0].get_ydata()
+    assert sizes[1] == pytest.approx(1000 * float(rms_spot(lens, "rings", 5)[0]))
