@@ -71,9 +71,6 @@ from .hdr import pu21_decode as pu21_decode
 from .hdr import pu21_encode as pu21_encode
 from .joint_statistics import synthesize_texture as synthesize_texture
 from .joint_statistics import texture_statistics as texture_statistics
-from .learned_perceptual_losses import CVVDP as CVVDP
-from .learned_perceptual_losses import FVVDP as FVVDP
-from .learned_perceptual_losses import LPIPS as LPIPS
 from .metameric import MetamericLoss as MetamericLoss
 from .metameric import MetamericLossUniform as MetamericLossUniform
 from .metameric import MetamerMSELoss as MetamerMSELoss
@@ -87,7 +84,10 @@ from .pyramids import SpatialSteerablePyramid as SpatialSteerablePyramid
 from .pyramids import crop_steerable_pyramid_filters as crop_steerable_pyramid_filters
 from .pyramids import get_steerable_pyramid_filters as get_steerable_pyramid_filters
 from .pyramids import pad_image_for_pyramid as pad_image_for_pyramid
+from .quality import CVVDP as CVVDP
 from .quality import FLIP as FLIP
+from .quality import FVVDP as FVVDP
+from .quality import LPIPS as LPIPS
 from .quality import MSSSIM as MSSSIM
 from .quality import PSNR as PSNR
 from .quality import PU21PSNR as PU21PSNR

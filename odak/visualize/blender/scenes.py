@@ -27,9 +27,8 @@ from odak.visualize.blender.items import (
     positive,
     three,
 )
-from odak.visualize.blender.lens_shapes import Lenses
 from odak.visualize.blender.meshes import Mesh
-from odak.visualize.blender.shapes import Lines, Shapes
+from odak.visualize.blender.shapes import Lenses, Lines, Shapes
 
 __all__ = ["scene"]
 

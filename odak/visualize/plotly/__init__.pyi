@@ -7,4 +7,4 @@ from .field_figures import plot2dshow as plot2dshow
 from .plots import plotshow as plotshow
 from .plots import surfaceshow as surfaceshow
 from .ray_figures import rayshow as rayshow
-from .system_figures import system_show as system_show
+from .ray_figures import system_show as system_show
