@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 
-def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
-    """Return focal length, f-number, spots, distortion, least edge and count of lost rays.
+def judged(lens: dict, indices, angles, rings: int = 10, flanges: bool = False) -> dict:
+    """Return focal length, f-number, spots, distortion, least thicknesses, chief ray angle and count of lost rays.
 
     Parameters
     ----------
@@ -19,6 +19,8 @@ def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
         Field angles in degrees.
     rings : int
         Rings of rays, each of them turned against the next.
+    flanges : bool
+        Whether a surface is a plane beyond its own beam, as that of a moulded lens is.
 
     Notes
     -----
@@ -33,7 +35,7 @@ def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
     indices, aperture = np.asarray(indices, dtype=float), lens["aperture"]
     middle = lens["reference"]
     # A ray at a millionth of the aperture gives the first order, the pupil is found from the stop backwards.
-    tiny = 1e-6
+    tiny, steepest = 1e-6, 0.0
     y, u, n = tiny, 0.0, 1.0
     for i, (c, _, a, t) in enumerate(rows):
         c = c + (2 * a[0] if a else 0.0)
@@ -89,7 +91,9 @@ def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
             p = p - (p[:, 2] / d[:, 2])[:, None] * d
             lost += int((~np.isfinite(p).all(-1)).sum())
             found.append(p[:, :2])
-            chief = p[0, 1] if w == middle else chief
+            if w == middle:
+                chief = p[0, 1]
+                steepest = max(steepest, math.degrees(math.acos(min(d[0, 2], 1.0))))
         both = np.concatenate(found)
         if math.isnan(scale):
             scale = chief / math.tan(math.radians(angle))
@@ -100,8 +104,11 @@ def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
         if i == stop and i == 0:
             continue
         for share in np.linspace(0, 1, 21):
-            r2 = np.array([(share * max(reach[i], reach[i + 1])) ** 2])
-            here, there = (float(_sag(r2, *rows[j][:3])[0][0]) for j in (i, i + 1))
+            radius = share * max(reach[i], reach[i + 1])
+            here, there = (
+                float(_sag(np.array([(min(radius, reach[j]) if flanges else radius) ** 2]), *rows[j][:3])[0][0])
+                for j in (i, i + 1)
+            )
             edges[i] = min(edges[i], rows[i][3] + there - here)
     return {
         "focal_length": focal,
@@ -112,6 +119,8 @@ def judged(lens: dict, indices, angles, rings: int = 10) -> dict:
         "sum_of_squares": float(np.square(sizes).sum()),
         "distortion": max(bent),
         "edge": min(edges),
+        "centre": min(row[3] for row in rows),
+        "chief_ray_angle": steepest,
         "lost": lost,
     }
 

@@ -744,7 +744,7 @@ def wavefront(
     vignetting = _validate.flag("vignetting", vignetting)
     points = pupil_of(pupil, count, system)
     options = {"prescription": prescription, "fields": fields, "aim": aim}
-    rays = launch(system, torch.cat([CENTRE.to(points), points]), **options)
+    rays = launch(system, torch.cat([torch.zeros_like(points[..., :1, :]), points], -2), **options)
     traced = trace(system, rays, prescription=prescription, vignetting=vignetting)
     if vignetting:
         # The chief ray is the reference even where the centre of the pupil is blocked.

@@ -164,7 +164,8 @@ class lens_design:
         Solves, applied in order after the pickups: a solve for the focal length precedes one
         for the image distance.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``.
+        Pattern of :func:`pupil_samples` for spots and wavefronts, or points ``[P, 2]``, or ``[F, P, 2]``, those of each
+        field: surfaces of many coefficients then cannot wave between the rays.
     count : int
         Count of :func:`pupil_samples`.
     aim : str

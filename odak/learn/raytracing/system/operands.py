@@ -21,6 +21,7 @@ from odak.learn.raytracing.system.surfaces import (
     wavelength_shares,
 )
 from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
+from odak.raytracing.surfaces import EvenAsphere, Sag
 
 
 class Operand(NamedTuple):
@@ -80,7 +81,7 @@ class View:
     prescription : Prescription
         Its numbers, perhaps of a batch of systems.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples`, or points ``[P, 2]``.
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]``, or ``[F, P, 2]`` for points of each field's own.
     count : int
         Count of :func:`pupil_samples`.
     aim : str
@@ -112,7 +113,7 @@ class View:
 
     @cached_property
     def _all(self) -> Traced:
-        points = torch.cat([torch.zeros_like(self.points[:1]), self.points])
+        points = torch.cat([torch.zeros_like(self.points[..., :1, :]), self.points], -2)
         rays = launch(self.system, points, **self.options)
         return trace(self.system, rays, prescription=self.prescription, vignetting=False)
 
@@ -132,7 +133,9 @@ class View:
         return wavefront(self.system, self.points, vignetting=False, **self.options)
 
 
-def edge_thicknesses(view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,)) -> torch.Tensor:
+def edge_thicknesses(
+    view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,), flanges: bool = False
+) -> torch.Tensor:
     """Return thicknesses along z between neighbouring surfaces at a distance from the axis, ``[..., n]``.
 
     Parameters
@@ -145,19 +148,26 @@ def edge_thicknesses(view: View, surfaces: Any = None, heights: Any = None, shar
         Distance from the axis for each; by default the larger of the clear semi-diameters of both neighbours.
     shares : sequence of float
         Shares of these distances at which the thickness is taken.
+    flanges : bool
+        Whether each surface is a plane beyond its own clear semi-diameter times the largest share, as those of moulded
+        lenses are, rather than of the same shape up to that of its neighbour.
     """
     p = view.prescription
     count = p.thickness.shape[-1]
     places = _places(surfaces, count, range(count - 1))
-    clear = None if heights is not None else torch.nn.functional.pad(_clear(view, "edge_thickness"), (0, 1))
-    each = None if clear is None else [torch.maximum(clear[..., i], clear[..., i + 1]) for i in places]
-    found = []
-    for i, y in zip(places, _at_shares(p, places, heights, each, shares), strict=True):
-        gap = p.thickness[..., i] - p.shape(i).sag(0 * y, y).height
-        if i + 1 < count:
-            gap = gap + p.shape(i + 1).sag(0 * y, y).height
-        found.append(gap)
-    return torch.cat(torch.broadcast_tensors(*found)).movedim(0, -1)
+    # Behind the last surface is the plane of the image.
+    behind = [min(i + 1, count - 1) for i in places]
+    curved = torch.tensor([float(i + 1 < count) for i in places], dtype=torch.float64, device=p.thickness.device)
+    each = None
+    if heights is None:
+        clear = _clear(view, "edge_thickness")
+        each = torch.maximum(clear[..., places], clear[..., behind] * curved)
+    y = _at_shares(p, len(places), heights, each, shares)
+    ends = [y, y]
+    if flanges:
+        ends = [torch.minimum(y, max(shares) * _clear(view, "edge_thickness")[..., own]) for own in (places, behind)]
+    gaps = p.thickness[..., places] - _sags(p, places, ends[0]).height + _sags(p, behind, ends[1]).height * curved
+    return gaps.movedim(0, -1).flatten(-2)
 
 
 def slopes(view: View, surfaces: Any = None, heights: Any = None, shares: Any = (1.0,)) -> torch.Tensor:
@@ -175,14 +185,18 @@ def slopes(view: View, surfaces: Any = None, heights: Any = None, shares: Any = 
         Shares of these distances at which the slope is taken.
     """
     p = view.prescription
-    count = p.thickness.shape[-1]
-    places = _places(surfaces, count, range(count))
-    each = None if heights is not None else [_clear(view, "slope")[..., i] for i in places]
-    found = [
-        p.shape(i).sag(0 * y, y).slope_y
-        for i, y in zip(places, _at_shares(p, places, heights, each, shares), strict=True)
-    ]
-    return torch.cat(torch.broadcast_tensors(*found)).movedim(0, -1)
+    places = _places(surfaces, p.thickness.shape[-1], range(p.thickness.shape[-1]))
+    each = None if heights is not None else _clear(view, "slope")[..., places]
+    y = _at_shares(p, len(places), heights, each, shares)
+    return _sags(p, places, y).slope_y.movedim(0, -1).flatten(-2)
+
+
+def _sags(p: Prescription, places: list[int], y: torch.Tensor) -> Sag:
+    """Return the sags of surfaces at distances ``[shares, ..., n]`` from the axis; standard surfaces in one call."""
+    if p.shapes is None or all(p.shapes[i] is None for i in places):
+        return EvenAsphere(p.curvature[..., places], p.conic[..., places], p.coefficients[..., places, :]).sag(0 * y, y)
+    found = [p.shape(i).sag(0 * y[..., k], y[..., k]) for k, i in enumerate(places)]
+    return Sag(*(torch.stack(torch.broadcast_tensors(*parts), -1) for parts in zip(*found, strict=True)))
 
 
 def _clear(view: View, kind: str) -> torch.Tensor:
@@ -192,13 +206,15 @@ def _clear(view: View, kind: str) -> torch.Tensor:
     return view.heights
 
 
-def _at_shares(p: Prescription, places: list, heights: Any, each: Any, shares: Any) -> list:
-    """Return distances from the axis ``[shares, ...]`` for each place: all shares of a surface in one call."""
+def _at_shares(p: Prescription, count: int, heights: Any, each: Any, shares: Any) -> torch.Tensor:
+    """Return distances from the axis ``[shares, ..., n]`` of n places."""
     device = p.thickness.device
     if each is None:
-        each = [torch.as_tensor(h, dtype=torch.float64, device=device) for h in _spread(heights, len(places))]
+        each = torch.stack(
+            [torch.as_tensor(h, dtype=torch.float64, device=device) for h in _spread(heights, count)], -1
+        )
     parts = torch.tensor([*shares], dtype=torch.float64, device=device)
-    return [parts.reshape(-1, *(1,) * max(h.ndim, len(p.batch))) * h for h in each]
+    return parts.reshape(-1, *(1,) * max(each.ndim - 1, len(p.batch)), 1) * each
 
 
 def _places(surfaces, count: int, default: Iterable[int]) -> list[int]:

@@ -243,7 +243,7 @@ def least_squares(
         small = (x - before).norm(dim=-1) <= tolerance * (x.norm(dim=-1) + tolerance)
         settled = small | (history[-2] - loss <= tolerance * history[-2]) | ~(loss < inf)
         converged = bool(settled.all())
-        if (callback is not None and callback(number, loss)) or converged:
+        if (callback is not None and callback(number, loss)) or converged or number == iterations:
             break
         value, jacobian = linearised(x)
     return LeastSquares(x, loss, history, converged)

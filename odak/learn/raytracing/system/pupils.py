@@ -101,7 +101,8 @@ def launch(
     system : optical_system
         The system.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius; ``[F, P, 2]`` for points
+        of each field's own.
     count : int
         Count of :func:`pupil_samples`.
     fields : sequence of pairs or torch.Tensor, optional
@@ -136,6 +137,8 @@ def launch(
     checked_prescription(prescription)
     points = pupil_of(pupil, count, system)
     chosen = field_points(system, fields).to(points.device)[:, None]
+    if points.ndim == 3 and len(points) != len(chosen):
+        raise ValueError(f"pupil has points for {len(points)} fields, got {len(chosen)} fields")
     factors = pupil_factors(system, chosen[:, 0])
     if factors is not None:
         points = factors[:, None, :2] + (1 - factors[:, None, 2:]) * points
@@ -211,9 +214,10 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
     device = system.surfaces[0].thickness.device
     if isinstance(pupil, str):
         return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)
-    if not isinstance(pupil, torch.Tensor) or pupil.ndim != 2 or pupil.shape[-1] != 2:
+    if not isinstance(pupil, torch.Tensor) or pupil.ndim not in (2, 3) or pupil.shape[-1] != 2:
         given = tuple(pupil.shape) if isinstance(pupil, torch.Tensor) else type(pupil).__name__
-        raise ValueError(f"pupil must be one of {', '.join(map(repr, PATTERNS))} or a tensor [P, 2], got {given}")
+        known = ", ".join(map(repr, PATTERNS))
+        raise ValueError(f"pupil must be one of {known} or a tensor [P, 2] or [F, P, 2], got {given}")
     return pupil.to(device=device, dtype=torch.float64)
 
 

@@ -389,6 +389,27 @@ def test_slopes_of_a_sphere_and_of_an_asphere():
     torch.testing.assert_close(found, torch.tensor(expected, dtype=F64), rtol=1e-12, atol=0)
 
 
+def test_edges_of_surfaces_that_are_planes_beyond_their_own_beams():
+    """Two spheres of different semi-diameters: the smaller one keeps the height of its rim."""
+    lens = optical_system(
+        [
+            surface(20.0, thickness=5.0, material=1.5, semi_diameter=4.0),
+            surface(-30.0, thickness=50.0, semi_diameter=8.0),
+        ],
+        4.0,
+    )
+
+    def sag(radius, y):
+        return radius - math.copysign(math.sqrt(radius**2 - y**2), radius)
+
+    for flanges, rim in ((False, 8.0), (True, 4.0)):
+        edge = Operand("edge_thickness", options={"surfaces": [0, 1], "shares": (0.5, 1.0), "flanges": flanges})
+        (_, found, _), *_ = lens_design(lens, edge, Variable("thickness", 0)).report()
+        front = [5 - sag(20.0, 4.0) + sag(-30.0, 4.0), 5 - sag(20.0, rim) + sag(-30.0, 8.0)]
+        behind = [50 - sag(-30.0, 4.0), 50 - sag(-30.0, 8.0)]
+        torch.testing.assert_close(found, torch.tensor([*front, *behind], dtype=F64), rtol=1e-12, atol=0)
+
+
 def judged_alone(lens, angles, size, bent):
     """Assert what the requirements say by rays that the library does not trace."""
     script = Path(__file__).parents[4] / "benchmarks" / "independent_trace.py"

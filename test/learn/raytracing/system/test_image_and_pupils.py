@@ -485,3 +485,20 @@ def test_pupils_follow_a_shifted_stop(aim):
     if aim == "real":
         torch.testing.assert_close(found.x, (shift[0] + 4 * points[:, 0]).expand_as(found.x), atol=1e-9, rtol=0)
         torch.testing.assert_close(found.y, (shift[1] + 4 * points[:, 1]).expand_as(found.y), atol=1e-9, rtol=0)
+
+
+def test_each_field_may_have_points_of_its_own_in_the_pupil():
+    """Rays, spots and wavefronts of all fields in one call are those of each field alone."""
+    lens = load_system("cooke_triplet")
+    turn = torch.tensor([[0.8, -0.6], [0.6, 0.8]], dtype=F64)
+    points = torch.stack([pupil_samples("rings", 2), 0.5 * pupil_samples("rings", 2), pupil_samples("rings", 2) @ turn])
+    rays, spots, waves = launch(lens, points), rms_spot(lens, points), wavefront(lens, points).path
+    for i, field in enumerate(lens.fields):
+        alone = launch(lens, points[i], fields=[field])
+        for found, expected in zip(rays, alone, strict=True):
+            assert torch.equal(found[..., i : i + 1, :], expected)
+        torch.testing.assert_close(spots[i : i + 1], rms_spot(lens, points[i], fields=[field]), rtol=1e-12, atol=0)
+        expected = wavefront(lens, points[i], fields=[field]).path
+        torch.testing.assert_close(waves[..., i : i + 1, :], expected, rtol=1e-9, atol=1e-9)
+    with pytest.raises(ValueError, match="pupil has points for 3 fields, got 1"):
+        launch(lens, points, fields=[(0.0, 0.0)])

@@ -62,6 +62,34 @@ def test_a_sphere_refracts_as_trigonometry_says():
     assert found["rms"] == pytest.approx(expected * math.sqrt(6 / 7), rel=1e-12)
 
 
+def test_the_chief_ray_of_a_thin_lens_goes_straight_on():
+    rows = [{"radius": 40.0, "thickness": 1e-9, "stop": True}, {"radius": -30.0, "thickness": 30.0}]
+    found = TRACE.judged({"surfaces": rows, "aperture": 5.0, "reference": 0}, [[1.0, 1.5, 1.0]], [20.0])
+    assert found["chief_ray_angle"] == pytest.approx(20.0, abs=1e-6) and found["centre"] == 1e-9
+
+
+def test_edges_of_spheres_and_of_their_flanges():
+    """Sags of both spheres at the first one's beam, or that of the second at its own, found by bisection."""
+    n, first, second, thickness, h = 1.5, 40.0, -30.0, 6.0, 5.0
+    rows = [{"stop": True, "thickness": 0.0}, {"radius": first, "thickness": thickness}, {"radius": second}]
+    rows[2]["thickness"] = 30.0
+    lens = {"surfaces": rows, "aperture": 2 * h, "reference": 0}
+    strict, flat = (TRACE.judged(lens, [[1.0, 1.0, n, 1.0]], [0.0], flanges=option)["edge"] for option in (False, True))
+
+    def sag(radius, y):
+        return radius - math.copysign(math.sqrt(radius**2 - y**2), radius)
+
+    fall = math.tan(math.asin(h / first) - math.asin(h / first / n))
+    low, high = 0.0, 2 * thickness
+    for _ in range(60):
+        middle = (low + high) / 2
+        short = sag(first, h) + middle < thickness + sag(second, h - fall * middle)
+        low, high = (middle, high) if short else (low, middle)
+    # The judge's beam includes that of a field of a thousandth of a degree.
+    assert strict == pytest.approx(thickness + sag(second, h) - sag(first, h), rel=1e-6)
+    assert flat == pytest.approx(thickness + sag(second, h - fall * low) - sag(first, h), rel=1e-5)
+
+
 # Largest spots in millimetres and distortion.
 LENSES = {"triplet_f28": (50.0, 2.8, np.linspace(0, 20, 9), 0.0203, 0.0095)}
 
