@@ -288,7 +288,9 @@ def test_three_wavelengths_for_a_grey_picture(grey_file, tmp_path):
     assert [part["wavelength"] for part in read_report(tmp_path)["channels"]] == [632.8e-9, 520e-9, 450e-9]
 
 
-@pytest.mark.parametrize("bits", [1, 2, 3, 4, 5, 6, 7, 8, 10, 16])
+@pytest.mark.parametrize(
+    "bits", [1, 3, 8, 10, 16, *(pytest.param(bits, marks=pytest.mark.slow) for bits in (2, 4, 5, 6, 7))]
+)
 def test_a_pattern_uses_the_levels_of_its_bits(bits, grey_file, tmp_path):
     run(grey_file, "--output", tmp_path, *SMALL, "--bits", bits, "--quiet")
     report = read_report(tmp_path)

@@ -24,6 +24,7 @@ SLOW = {
     "guides/multiplane_and_colour.md",
     "guides/photographs_to_a_hologram.md",
     "guides/pictures_through_a_lens.md",
+    "guides/polarised_light_and_media.md",
     "guides/polarised_rays.md",
     "guides/propagate_light.md",
     "guides/real_displays.md",

@@ -198,7 +198,7 @@ def test_files_are_read_back(calibrated, tmp_path):
         instruments.load_calibration(tmp_path / "c.npz")
 
 
-@pytest.mark.parametrize("seed", [2, 7])
+@pytest.mark.parametrize("seed", [2, pytest.param(7, marks=pytest.mark.slow)])
 def test_registration_of_an_unaberrated_table(seed):
     table = instruments.SimulatedTable(seed, aberration=0.0, distance_error=0.0)
     found = instruments.register_camera(*instruments_of(table), 532e-9, 20e-3, table.truth.phases)

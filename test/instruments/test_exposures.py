@@ -61,7 +61,7 @@ def test_pixels_that_are_always_saturated_are_reported():
         instruments.capture_hdr(table.camera, [1.0])
 
 
-@pytest.mark.parametrize("seed", [4, 5])
+@pytest.mark.parametrize("seed", [4, pytest.param(5, marks=pytest.mark.slow)])
 def test_the_time_constant_is_found(seed):
     table = instruments.SimulatedTable(fresh_seed(seed), **SMALL, time_constant=8e-3)
     table.camera.exposure = 0.5

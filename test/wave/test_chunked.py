@@ -91,7 +91,7 @@ def compare(phase, target):
     return 1 - np.sum(image * target) ** 2 / np.sum(image**2) / np.sum(target**2)
 
 
-@pytest.mark.parametrize("method", ["gradient descent", "Gerchberg-Saxton"])
+@pytest.mark.parametrize("method", ["gradient descent", pytest.param("Gerchberg-Saxton", marks=pytest.mark.slow)])
 def test_hologram(tmp_path, method):
     pytest.importorskip("zarr")
     target = da.from_array(picture(), chunks=15)

@@ -411,6 +411,7 @@ def test_metamers_are_closer_than_noise_and_keep_to_local_colours(photograph):
     assert float(uniform(found, photograph)) < 0.1 * float(uniform(start, photograph))
 
 
+@pytest.mark.slow
 def test_metamers_of_hard_edges_are_closer_than_noise():
     """Bars and sectors of black and white, nearly all of whose pixels are at the bounds of their region."""
     rows, columns = torch.meshgrid(torch.arange(96), torch.arange(160), indexing="ij")

@@ -33,6 +33,8 @@ def _surfaces(face):
 
 
 NAMES = list(_surfaces(core))
+# The others differ from these in their heights only, the gradients of which are tested for each.
+QUICK = [pytest.param(name, marks=pytest.mark.slow if name in NAMES[3:] else ()) for name in NAMES]
 START = np.asarray([[0.1, 0.2, -5], [1.0, -0.3, -4], [0.4, 0.5, -3], [50, 50, -3]])
 AIM = np.asarray([[0.3, -0.2, 0], [1.2, 0.4, 0], [-0.2, 0.8, 0], [150, 50, -3]])
 
@@ -68,7 +70,7 @@ def test_gradients_are_the_derivatives_of_the_height(name, random):
 
 
 @pytest.mark.filterwarnings("ignore:.*torch.jit.script:DeprecationWarning")  # torch's own, in forward mode
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", QUICK)
 def test_gradients_of_rays_and_parameters(name):
     surface = _surfaces(rt)[name]
     kind, parameters = type(surface), as_tensors(surface)
@@ -82,7 +84,7 @@ def test_gradients_of_rays_and_parameters(name):
     assert torch.autograd.gradcheck(values, arguments, check_forward_ad=name in NAMES[:2], fast_mode=True)
 
 
-@pytest.mark.parametrize("name", [pytest.param(n, marks=pytest.mark.slow if n in NAMES[3:] else ()) for n in NAMES])
+@pytest.mark.parametrize("name", QUICK)
 def test_second_derivatives(name):
     surface = _surfaces(rt)[name]
     rays = torch.from_numpy(core.create_ray_from_two_points(START[2:], AIM[2:])).requires_grad_()
