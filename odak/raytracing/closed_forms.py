@@ -129,8 +129,8 @@ def nearest_ahead(xp, squared, arm, direction, radius, moving, noise, differenti
 
     Notes
     -----
-    A start within a few roundings of the surface is taken as on it: its root there is exactly 0 and not ahead, so
-    that a reflected or refracted ray does not meet again the surface it leaves.
+    A start within a few rounding errors of the surface counts as a point of the surface: its root is exactly 0 and
+    thus not ahead, so that a reflected or refracted ray does not intersect the surface that it leaves.
     """
     half = vec.dot(arm, direction)
     foot = vec.along(arm, -vec.quotient(half, squared, moving, differentiable), direction)

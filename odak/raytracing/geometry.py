@@ -10,7 +10,7 @@ from odak.tools.transformation import cross, dot, on_same_side
 
 
 def safe_sqrt(value):
-    """Return the root of positive values, 0 with a zero gradient elsewhere."""
+    """Return the square root of positive values, 0 with a zero gradient elsewhere."""
     xp = namespace(value)
     positive = value > 0
     return xp.where(positive, xp.sqrt(xp.where(positive, value, 1.0)), 0.0)
@@ -44,7 +44,7 @@ def unit(vector):
 def finite_rays(start, direction):
     """Return rays with the ones that hold NaN or infinity replaced by zeros, and which were kept.
 
-    A ray lost at an earlier surface must not make the gradients NaN of a surface that it shares with others.
+    A ray that was lost at an earlier surface must not make the gradients of later surfaces NaN.
     """
     xp = namespace(start, direction)
     kept = xp.isfinite(dot(start, xp.ones_like(start)) + dot(direction, xp.ones_like(direction)))
@@ -52,7 +52,7 @@ def finite_rays(start, direction):
 
 
 def triangle_normal(triangle):
-    """Return the unit normal (p1 − p0) × (p2 − p0)/|…| of triangles ``[..., 3, 3]``; NaN for corners in line."""
+    """Return the unit normal (p1 − p0) × (p2 − p0)/|…| of triangles ``[..., 3, 3]``; NaN for collinear corners."""
     p0, p1, p2 = triangle[..., 0, :], triangle[..., 1, :], triangle[..., 2, :]
     edge1, edge2 = p1 - p0, p2 - p0
     area = cross(edge1, edge2)
@@ -63,7 +63,7 @@ def triangle_normal(triangle):
 
 
 def barycentric(point, triangle):
-    """Return (u, v) with point ≈ p0 + u·(p2 − p0) + v·(p1 − p0), by projection; NaN where the corners are in line.
+    """Return (u, v) with point ≈ p0 + u·(p2 − p0) + v·(p1 − p0), by projection; NaN for collinear corners.
 
     `point` is ``[..., 3]`` or a tuple of its components, `triangle` ``[..., 3, 3]``. Source:
     blackpawn.com/texts/pointinpoly.
@@ -78,7 +78,7 @@ def barycentric(point, triangle):
     area = cross(edge1, edge2)
     squared = dot(area, area)
     exists = squared > (4 * epsilon(triangle)) ** 2 * d00 * d11
-    # The few triangles carry the NaN to their many points.
+    # NaN of a triangle propagates to its points: there are fewer triangles than points.
     area2 = xp.where(exists, squared, math.nan)
     return (d11 * d02 - d01 * d12) / area2, (d00 * d12 - d01 * d02) / area2
 
@@ -91,7 +91,7 @@ def is_on_triangle(point, p0, p1, p2):
 def nearest_on_lines(start0, direction0, start1, direction1):
     """Return how far along each of two lines their nearest points lie, in lengths of the directions; ``[...]`` both.
 
-    For parallel lines the first is 0 and the second the foot of `start0`.
+    For parallel lines the first is 0 and the second that of the foot of the perpendicular from `start0`.
     """
     n = cross(direction0, direction1)
     squared = dot(n, n)
@@ -109,7 +109,7 @@ def crossing_of_lines(start0, direction0, start1, direction1):
     """Return how far along each of two lines ``[..., 3]`` they cross, and whether they do, all ``[...]``.
 
     Lines cross unless they are parallel, or pass each other by more than 1e-5 of the distance between their starts plus
-    1e-8 (or by what the precision can tell): directions are often given to seven digits.
+    1e-8 plus the rounding error: directions are often given to seven digits.
     """
     xp = namespace(start0, start1)
     t0, t1 = nearest_on_lines(start0, direction0, start1, direction1)
@@ -122,14 +122,14 @@ def crossing_of_lines(start0, direction0, start1, direction1):
 
 
 # Rays against triangles without gaps at shared edges and corners: Woop, Benthin and Wald, J. Comput. Graph. Tech. 2(1),
-# 65 (2013). Rays are sheared onto the axis along which they run most, which leaves plane triangles and the origin. The
-# values of a corner depend on the ray and the corner alone, and the area spanned by an edge changes nothing but its
+# 65 (2013). Rays are sheared onto the axis of their largest component, which keeps triangles plane and the origin in
+# place. The values of a corner depend on the ray and the corner alone, and the area spanned by an edge only changes its
 # sign with the edge's direction: two triangles that share an edge test it by the same number. A sign is correct or the
-# area is exactly zero, which counts as inside, so that no ray passes a closed surface.
+# area is exactly zero, which counts as inside, so that no ray passes through a closed surface.
 
 
 def shear_of(direction):
-    """Return dx/dz and dy/dz of directions (x, y, z) that run most along z."""
+    """Return dx/dz and dy/dz of directions (x, y, z) whose largest component is z."""
     return direction[0] / direction[2], direction[1] / direction[2]
 
 

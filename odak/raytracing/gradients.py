@@ -171,7 +171,7 @@ class FunctionGradient(Gradient):
         Returns
         -------
         FunctionGradient
-            Of a class of its own; it cannot be written to a file.
+            An instance of a class made for the function; it cannot be written to a file.
         """
         if not callable(function):
             raise TypeError(f"function must be a callable of x, y, z and the base index, got {type(function).__name__}")
@@ -253,7 +253,7 @@ def _combined(weights, stages):
 
 
 def _error(stages, length, scale):
-    """Return the error of a step in units of what is allowed."""
+    """Return the error of a step in units of the tolerance."""
     fifth, third = _combined(tableau().E5, stages) / scale, _combined(tableau().E3, stages) / scale
     fifth, third = (fifth * fifth).sum(0), (third * third).sum(0)
     xp, count = namespace(fifth), stages[0].shape[0]
@@ -271,10 +271,10 @@ def integrate(field: Callable, state, scale, remaining: Callable, after: Callabl
     state : array
         ``[k, ...]``.
     scale : array
-        Size of the components, ``[k, ...]``, that errors are measured by.
+        Magnitude of the components, ``[k, ...]``, relative to which errors are measured.
     remaining : callable
-        Takes states and t; returns how far in t it is to the end, as far as one can tell, and whether that is it. NaN
-        gives a ray up.
+        Takes states and t; returns an estimate of the interval of t that remains, and whether the end is reached.
+        An estimate of NaN stops the ray.
     after : callable, optional
         Called with the states before each step, the derivatives at its stages, and its lengths, 0 for rays whose step
         was rejected.
@@ -326,7 +326,7 @@ def to_surface(gradient: Gradient, base, state, level: Callable, sign: int) -> P
         Points, directions times index, optical paths, ``[7, ...]``.
     level : callable
         Takes points and directions as tuples of components; returns the distance z − sag from the surface along its
-        axis, its derivative along the direction, and a length that its rounding error is measured by.
+        axis, its derivative along the direction, and a length relative to which its rounding error is measured.
     sign : int
         Sign of that derivative where rays arrive.
 

@@ -63,8 +63,8 @@ def refract_directions(direction, normal, n1, n2):
     Notes
     -----
     d' = μd + τn with μ = n1/n2 and the root τ of τ² + 2aτ + b = 0 of the transmitted ray: Spencer and
-    Murty, J. Opt. Soc. Am. 52, 672 (1962), eqs. 18–21. A ray in the surface is bent by the critical angle towards the
-    normal for n1 < n2 and totally reflected otherwise.
+    Murty, J. Opt. Soc. Am. 52, 672 (1962), eqs. 18–21. A ray at grazing incidence is refracted to the critical
+    angle for n1 < n2 and totally reflected otherwise.
     """
 
     def bend(*arrays):
@@ -151,7 +151,7 @@ def fresnel(direction, normal, n1, n2) -> Fresnel:
     a, b, c, d = n1 * cos1, n2 * cos2, n2 * cos1, n1 * cos2
     s, p = a + b, c + d
     amplitudes = ((a - b) / s, (c - d) / p, 2 * a / s, 2 * a / p)
-    # Power, not amplitude: the wave behind is narrower and in another medium. Free of 0/0 at grazing incidence.
+    # Powers are compared, since cross-section and index change too. There is no 0/0 at grazing incidence.
     through_s = 4 * xp.real(a) * xp.real(b) / _square(s)
     through_p = 4 * xp.real(a) * xp.real(n2 * xp.conj(cos2)) / _square(p)
     powers = (_square(amplitudes[0]), _square(amplitudes[1]), through_s, through_p)

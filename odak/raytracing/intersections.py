@@ -85,9 +85,9 @@ def plane(start, direction, point, normal) -> Hit:
 
 
 def triangle(start, direction, corners) -> Hit:
-    """Intersect rays with triangles ``[..., 3, 3]`` on either side; rims p0p1 and p0p2 belong to them, p1p2 does not.
+    """Intersect rays with triangles ``[..., 3, 3]`` on either side.
 
-    Hits behind the start count: the distance is signed. A ray past the triangle keeps the plane's normal.
+    The edges p0p1 and p0p2 belong to a triangle, p1p2 does not. Hits behind the start count: the distance is signed. A ray that misses the triangle has the normal of its plane.
     """
     return in_pieces(lambda *a: as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
 
@@ -103,7 +103,7 @@ def within(point, known, corners):
 
 
 def disc(start, direction, point, normal, centre, radius) -> Hit:
-    """Intersect rays with a plane within `radius` of `centre`; the rest misses. The distance is signed."""
+    """Intersect rays with a plane within `radius` of `centre`; other rays miss. The distance is signed."""
     ranks, arrays = (1, 1, 1, 1, 1, 0), (start, direction, point, normal, centre, radius)
     return in_pieces(lambda *a: as_hit(closed_forms.disc(*a)), ranks, *arrays)
 
