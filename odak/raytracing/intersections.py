@@ -87,7 +87,8 @@ def plane(start, direction, point, normal) -> Hit:
 def triangle(start, direction, corners) -> Hit:
     """Intersect rays with triangles ``[..., 3, 3]`` on either side.
 
-    The edges p0p1 and p0p2 belong to a triangle, p1p2 does not. Hits behind the start count: the distance is signed. A ray that misses the triangle has the normal of its plane.
+    The edges p0p1 and p0p2 belong to a triangle, p1p2 does not. Hits behind the start count: the distance is signed. A
+    ray that misses the triangle has the normal of its plane.
     """
     return in_pieces(lambda *a: as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
 
