@@ -38,6 +38,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if unknown := sorted(set(arguments.groups) - set(GROUPS)):
         parser.error(f"GROUP must be of {', '.join(GROUPS)}; got {', '.join(unknown)}")
+    if arguments.device == "cuda" and not torch.cuda.is_available():
+        parser.error("--device cuda needs a CUDA device, and torch finds none on this machine")
     torch.set_num_threads(arguments.threads)
     rows = []
     print(f"{'task':52} {'ours':>10} {'floor':>18} {'ratio':>7} {'bound':>6}")

@@ -94,8 +94,20 @@ class Grid:
         fy, fx = self.frequencies()
         step = max(1, _SLAB // fx.shape[-1])
         rows = fy.shape[-2]
-        slabs = [kernel(fy[..., start : min(start + step, rows), :], fx) for start in range(0, rows, step)]
-        return self.unfold(slabs[0] if len(slabs) == 1 else self.xp.concat(slabs, axis=-2))
+        parts = [slice(start, min(start + step, rows)) for start in range(0, rows, step)]
+        first = kernel(fy[..., parts[0], :], fx)
+        if len(parts) == 1:
+            return self.unfold(first)
+        constant = _array.is_torch(first) and not (_array.is_traced(first) or _array.is_wrapped(first))
+        if not (constant or isinstance(first, np.ndarray)):
+            return self.unfold(self.xp.concat([first, *(kernel(fy[..., part, :], fx) for part in parts[1:])], axis=-2))
+        # Slabs that were all kept to the end would leave gaps in the memory, which the allocator does not return.
+        shape = (*first.shape[:-2], rows, first.shape[-1])
+        quarter = self.xp.empty(shape, dtype=first.dtype, device=_array.device_of(first))
+        quarter[..., parts[0], :] = first
+        for part in parts[1:]:
+            quarter[..., part, :] = kernel(fy[..., part, :], fx)
+        return self.unfold(quarter)
 
     def unfold(self, quarter):
         """Return the whole kernel in FFT order from its quarter of non-negative indices."""

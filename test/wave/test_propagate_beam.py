@@ -430,3 +430,23 @@ def test_linear_kernels_of_several_distances_are_computed_in_parts(distances, mo
     for plane, distance in zip(stack, distances, strict=True):
         single = torch_wave.propagate_beam(field[0], None, distance, *lengths)
         assert relative_error(plane, single) < 1e-12
+
+
+@pytest.mark.parametrize("kind", ["numpy", "torch", "gradient"])
+def test_transfer_functions_of_large_grids_are_computed_in_parts(kind, monkeypatch, random):
+    field = random.normal(size=(2, 13, 10)) + 1j * random.normal(size=(2, 13, 10))
+    distance = np.array([2e-3, 3e-3])
+    expected = odak.wave.propagate_beam(field, None, distance, 8e-6, 532e-9, "Angular Spectrum")
+    monkeypatch.setattr(odak.wave.transfer_functions, "_SLAB", 16)
+    odak.wave.clear_kernel_cache()
+    if kind == "numpy":
+        result = odak.wave.propagate_beam(field, None, distance, 8e-6, 532e-9, "Angular Spectrum")
+    else:
+        distance = torch.from_numpy(distance).requires_grad_(kind == "gradient")
+        result = torch_wave.propagate_beam(
+            torch.from_numpy(field), None, distance, 8e-6, 532e-9, "Angular Spectrum", zero_padding=(False,) * 3
+        )
+        assert result.requires_grad == distance.requires_grad
+    odak.wave.clear_kernel_cache()
+    result = result.detach() if kind == "gradient" else result
+    assert relative_error(result, expected) < 1e-12
