@@ -3,6 +3,7 @@
 import difflib
 import itertools
 import math
+import sys
 from collections.abc import Iterable, Sequence
 from numbers import Integral, Number, Real
 from typing import Any
@@ -21,6 +22,7 @@ from odak._array import (
     real_dtype,
 )
 from odak._array import library as library
+from odak._warnings import AccuracyWarning, warn
 
 # More samples along one axis than any memory holds along two; refused before anything is allocated.
 LONGEST_SIDE = 2**31 - 1
@@ -76,6 +78,23 @@ def number(name: str, value, *, positive: bool = False, least: float | None = No
     if least is not None and (not is_array(value) or is_readable(value)) and value < least:
         raise ValueError(f"{name} must be at least {least}, got {value!r}")
     return value
+
+
+def constant(name: str, value, *, positive: bool = False, nonzero: bool = False, least: float | None = None) -> float:
+    """Return `value`, one real number or an array of one, as a float that carries no derivative.
+
+    A tensor that requires a gradient is reported by an AccuracyWarning: the result will not depend on it.
+    """
+    value = number(name, real(name, value, nonzero=nonzero), positive=positive, least=least)
+    if not is_torch(value):
+        return float(value)
+    if value.requires_grad and sys.modules["torch"].is_grad_enabled():
+        warn(
+            f"{name} requires a gradient, which is lost here: it is taken as a plain number; pass a number, or "
+            "value.detach(), if no gradient is wanted",
+            AccuracyWarning,
+        )
+    return float(value.detach())
 
 
 def numbers(value) -> list[float]:

@@ -144,8 +144,8 @@ def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     >>> round(refractive_index(model_glass(1.5168, 64.17), 656.2725e-9), 4)
     1.5144
     """
-    nd = float(_validate.number("nd", nd, positive=True))
-    vd, dpgf = float(_validate.number("vd", vd, positive=True)), float(_validate.number("dpgf", dpgf))
+    nd = _validate.constant("nd", nd, positive=True)
+    vd, dpgf = _validate.constant("vd", vd, positive=True), _validate.constant("dpgf", dpgf)
     if nd <= 1:
         raise ValueError(f"nd must be above 1, got {nd}")
     coefficients = {"A": cauchy_through(nd, vd, dpgf)}

@@ -438,7 +438,7 @@ def _key(name: str) -> str:
 
 def _in_double(wavelength):
     if not _array.is_array(wavelength):
-        return float(_validate.real("wavelength", wavelength))
+        return _validate.constant("wavelength", wavelength)
     if "complex" in str(_validate.array("wavelength", wavelength).dtype):
         raise TypeError(f"wavelength must be real, got an array of {wavelength.dtype}")
     return _array.namespace(wavelength).astype(wavelength, _array.namespace(wavelength).float64)

@@ -29,7 +29,7 @@ class Aperture:
 
     def __post_init__(self):
         for name in self.sizes:
-            object.__setattr__(self, name, float(_validate.number(name, getattr(self, name), positive=True)))
+            object.__setattr__(self, name, _validate.constant(name, getattr(self, name), positive=True))
         center = tuple(float(value) for value in _validate.several("center", self.center, 2))
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "obscures", _validate.flag("obscures", self.obscures))
@@ -136,7 +136,7 @@ class CircularAperture(Aperture):
 
     def __post_init__(self):
         super().__post_init__()
-        object.__setattr__(self, "inner", float(_validate.number("inner", self.inner, least=0)))
+        object.__setattr__(self, "inner", _validate.constant("inner", self.inner, least=0))
         if self.inner >= self.radius:
             raise ValueError(f"inner must be below the radius, {self.radius:g}, got {self.inner:g}")
 

@@ -598,7 +598,7 @@ def intersect_parametric(
     >>> intersect_parametric([[0, 0, -5], [0, 0, 1]], [0, 0, 0, 1], sphere_function, get_sphere_normal)[0].round(9)
     array([4.])
     """
-    target_error = float(_validate.real("target_error", target_error, positive=True))
+    target_error = _validate.constant("target_error", target_error, positive=True)
     limit = _validate.integer("iter_no_limit", iter_no_limit, minimum=1)
     rays = arguments.flat_rays("ray", ray)
     _validate.function("surface_function", surface_function)

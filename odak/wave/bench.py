@@ -571,7 +571,7 @@ class optical_bench:
         """
         from PIL import Image, ImageDraw
 
-        height = float(_validate.real("height", height, positive=True))
+        height = _validate.constant("height", height, positive=True)
         starts = height * np.linspace(-1, 1, 5)
         rays = [np.stack([starts, np.zeros(5)])]
         places = [0.0]

@@ -196,9 +196,9 @@ def gaussian_spectrum(
     Parameters
     ----------
     wavelength : float
-        Its centre in metres.
+        Its centre in metres; a tensor may require a gradient.
     width : float
-        Its full width at half maximum in metres of wavelength.
+        Its full width at half maximum in metres of wavelength; a tensor may require a gradient.
     count : int
         Number of wavelengths. Fringes are right up to a path difference of about sqrt(count)/2 coherence lengths.
     xp : module, optional
@@ -229,13 +229,15 @@ def gaussian_spectrum(
     >>> [round(float(value) * 1e9, 1) for value in wavelengths]
     [557.5, 550.0, 542.7]
     """
-    wavelength = float(_validate.real("wavelength", wavelength, positive=True))
-    width = float(_validate.real("width", width, positive=True))
+    wavelength = _validate.number("wavelength", wavelength, positive=True)
+    width = _validate.number("width", width, positive=True)
     nodes, weights = np.polynomial.hermite.hermgauss(_validate.integer("count", count, minimum=1))
-    wave_numbers = 1 / wavelength + nodes * width / wavelength**2 / (2 * math.sqrt(math.log(2)))
-    if wave_numbers.min() <= 0:
+    nodes = nodes / (2 * math.sqrt(math.log(2)))
+    ends = zip(_validate.numbers(width), _validate.numbers(wavelength), strict=True)
+    if any(1 + nodes.min() * change / length <= 0 for change, length in ends):
         raise ValueError(f"width must be small against the wavelength {wavelength!r}, got {width!r}")
-    return _converted(xp, device, 1 / wave_numbers, weights / weights.sum())
+    length, width, nodes, weights = _converted(xp, device, wavelength, width, nodes, weights / weights.sum())
+    return length / (1 + nodes * width / length), weights
 
 
 def disk_source(
@@ -252,7 +254,7 @@ def disk_source(
     Parameters
     ----------
     radius : float
-        Sine of the angle under which the disk's radius is seen.
+        Sine of the angle under which the disk's radius is seen; a tensor may require a gradient, and so may `center`.
     rings : int, default: 4
         Directions along the radius; they should exceed a quarter of the phase 2π·radius·r/λ at the largest separation r
         of interest on the illuminated plane.
@@ -287,20 +289,24 @@ def disk_source(
     >>> tuple(directions.shape), round(float(weights.sum()), 12)
     ((48, 2), 1.0)
     """
-    radius = float(_validate.real("radius", radius, positive=True))
+    radius = _validate.number("radius", radius, positive=True)
     nodes, shares = np.polynomial.legendre.leggauss(_validate.integer("rings", rings, minimum=1))
     spokes = _validate.integer("spokes", spokes, minimum=1)
     # Every other ring is turned by half a step, which spreads the directions more evenly.
     angles = 2 * np.pi * (np.arange(spokes) + 0.5 * (np.arange(rings)[:, None] % 2)) / spokes
-    radii = radius * np.sqrt((1 + nodes[:, None]) / 2)
-    center = np.asarray([float(value) for value in _validate.several("center", center, 2)])
-    directions = np.stack([radii * np.sin(angles), radii * np.cos(angles)], -1).reshape(-1, 2) + center
-    if np.hypot(*directions.T).max() >= 1:
+    radii = np.sqrt((1 + nodes[:, None]) / 2)
+    unit = np.stack([radii * np.sin(angles), radii * np.cos(angles)], -1).reshape(-1, 2)
+    center = _validate.several("center", center, 2)
+    numbers = np.asarray(_validate.numbers(radius)) * unit + np.asarray([_validate.numbers(v)[0] for v in center])
+    if np.hypot(*numbers.T).max() >= 1:
         raise ValueError(f"radius and center must give sines below 1, got radius {radius!r} about {tuple(center)!r}")
-    return _converted(xp, device, directions, np.repeat(shares / (2 * spokes), spokes))
-
-
-def _converted(xp, device, *values) -> tuple[Array, Array]:
     xp = _validate.library("xp", xp)
-    first, second = (_array.converted(value, xp, device, xp.float64) for value in values)
-    return first, second
+    radius, unit, weights, *middle = _converted(
+        xp, device, radius, unit, np.repeat(shares / (2 * spokes), spokes), *center
+    )
+    return radius * unit + xp.stack([xp.reshape(value, ()) for value in middle]), weights
+
+
+def _converted(xp, device, *values) -> tuple:
+    xp = _validate.library("xp", xp)
+    return tuple(_array.converted(value, xp, device, xp.float64) for value in values)

@@ -74,10 +74,10 @@ def pupil_function(
     """
     rows, columns = _validate.size("shape", shape)
     steps = [
-        1 / (n * float(_validate.real("dx", pitch, positive=True)))
+        1 / (n * _validate.constant("dx", pitch, positive=True))
         for n, pitch in zip((rows, columns), pitches(dx), strict=True)
     ]
-    wavelength = float(_validate.real("wavelength", wavelength, positive=True))
+    wavelength = _validate.constant("wavelength", wavelength, positive=True)
     _validate.real("numerical_aperture", numerical_aperture, positive=True)
     _validate.real("obscuration", obscuration)
     aberrations = {} if aberrations is None else aberrations

@@ -112,14 +112,14 @@ def hologram_in_chunks(
         )
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
     method = _validate.one_of("method", method, METHODS)
-    step = float(_validate.number("learning_rate", learning_rate, positive=True))
+    step = _validate.constant("learning_rate", learning_rate, positive=True)
     # In the layout of the propagated field, so that all arrays are stored in the same chunks.
     amplitude = whole_lines(da.sqrt(da.maximum(target.astype(np.float32), 0)), -1, 2 * target.shape[1], np.complex64)
     problem = {
         "shape": list(target.shape),
-        "distance": float(_validate.number("distance", distance)),
-        "dx": [float(_validate.number("dx", value, positive=True)) for value in pitches(dx)],
-        "wavelength": float(_validate.number("wavelength", wavelength, positive=True)),
+        "distance": _validate.constant("distance", distance),
+        "dx": [_validate.constant("dx", value, positive=True) for value in pitches(dx)],
+        "wavelength": _validate.constant("wavelength", wavelength, positive=True),
         "propagation_type": propagation_type,
         "method": method,
         "learning_rate": step,

@@ -142,7 +142,7 @@ def pixel_aperture(field, pixel_fill: float):
 
 def checked_pixel_fill(pixel_fill: float) -> float:
     """Return the share of a pixel's area that emits, above 0 and at most 1."""
-    fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+    fill = _validate.constant("pixel_fill", pixel_fill, positive=True)
     if fill > 1:
         raise ValueError(f"pixel_fill must be above 0 and at most 1, got {pixel_fill!r}")
     return fill

@@ -105,7 +105,7 @@ def propagate_through_medium(
     _validate.number("wavelength", wavelength, positive=True)
     if reference is not None:
         _validate.number("reference", reference, positive=True)
-    if not float(_validate.number("absorber", absorber)) >= 0:
+    if not _validate.constant("absorber", absorber) >= 0:
         raise ValueError(f"absorber must be at least 0, got {absorber!r}")
     slices = _slices(index, field)
     step = _Step(field, dx, dz, wavelength, method, reference, levels, float(absorber))
@@ -371,7 +371,7 @@ def scattered_field(
     xp = namespace(incident)
     known = {"dx": dx, "wavelength": wavelength, "background": background}
     pitch, *_ = numbers = [_validate.numbers(value)[0] for value in known.values()]
-    width = 4 * numbers[1] if absorber is None else float(_validate.number("absorber", absorber, positive=True))
+    width = 4 * numbers[1] if absorber is None else _validate.constant("absorber", absorber, positive=True)
     series = _BornSeries(incident, math.ceil(width / pitch), float(tolerance), iterations)
     dx, wavelength, background = (xp.reshape(cast(value, incident, xp.float64), ()) for value in known.values())
     # In units of the pitch.

@@ -525,7 +525,7 @@ def _lens_factors(points, resolution, wavelength, dx, focal):
             raise ValueError("points must have z other than 0 where there is no focal")
         slope, bend = 1 / (wavelength * z), -0.5 / (wavelength * z)
     else:
-        focal = float(_validate.real("focal", focal, nonzero=True))
+        focal = _validate.constant("focal", focal, nonzero=True)
         slope, bend = 1 / (wavelength * focal), 0.5 * z / (wavelength * focal**2)
     factors = []
     for n, step, along in zip(shape, steps, (points[..., 1, None], points[..., 0, None]), strict=True):

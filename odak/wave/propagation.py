@@ -180,7 +180,7 @@ def _plan(
         _validate.integer("scale", scale, minimum=1),
         sample_counts(samples),
         pad and crop and not fine,
-        float(_validate.number("tolerance", tolerance, positive=True)),
+        _validate.constant("tolerance", tolerance, positive=True),
     )
     method, error = find_method(propagation_type), 0.0
     if method is None:

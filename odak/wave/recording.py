@@ -188,13 +188,13 @@ def off_axis_field(
     """
     hologram, reference = _pair("hologram", _real("hologram", hologram), reference)
     xp, (rows, columns) = _array.namespace(hologram), tuple(hologram.shape[-2:])
-    steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
+    steps = [_validate.constant("dx", pitch, positive=True) for pitch in pitches(dx)]
     if bandwidth is None:
         carrier = math.hypot(*(_slope(reference, axis) / step for axis, step in zip(_AXES, steps, strict=True)))
         if carrier * min(rows * steps[0], columns * steps[1]) < 3:
             raise ValueError("bandwidth must be given where the reference has no tilt")
         bandwidth = carrier / 3
-    bandwidth = float(_validate.real("bandwidth", bandwidth, positive=True))
+    bandwidth = _validate.constant("bandwidth", bandwidth, positive=True)
     fy, fx = (
         xp.asarray(np.fft.fftfreq(n, step), dtype=_array.real_dtype(hologram), device=_array.device_of(hologram))
         for n, step in zip((rows, columns), steps, strict=True)

@@ -157,9 +157,9 @@ def sampling_report(
     if not isinstance(dx, (tuple, list)):
         dx = (_validate.real("dx", dx, positive=True),) * 2
     rows, columns = (float(value) for value in _validate.several("dx", dx, 2, positive=True))
-    wavelength = float(_validate.real("wavelength", wavelength, positive=True))
-    distance = float(_validate.real("distance", distance))
-    tolerance = float(_validate.number("tolerance", tolerance, positive=True))
+    wavelength = _validate.constant("wavelength", wavelength, positive=True)
+    distance = _validate.constant("distance", distance)
+    tolerance = _validate.constant("tolerance", tolerance, positive=True)
     found = criteria(shape, (rows, columns), wavelength, distance, _validate.flag("zero_padding", zero_padding))
     axes = axes_of(shape, (rows, columns), wavelength, distance)
     if field is None:

@@ -117,7 +117,7 @@ def eye_transfer(
         lens that makes the spectrum of a field its Fresnel transform, ``[rows, columns]``.
     """
     xp, device, shape = _array.namespace(like), _array.device_of(like), tuple(like.shape[-2:])
-    steps = [float(_validate.real("dx", pitch, positive=True)) for pitch in pitches(dx)]
+    steps = [_validate.constant("dx", pitch, positive=True) for pitch in pitches(dx)]
     for name, value in (("wavelength", wavelength), ("distance", distance)):
         _validate.number(name, value, positive=True)
     _validate.real("pupil_diameter", pupil_diameter, positive=True)

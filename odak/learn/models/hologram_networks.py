@@ -178,8 +178,8 @@ class hologram_network(nn.Module):
             Phase in radians, −π … π, of the target's shape and dtype.
         """
         target = _intensity(target)
-        wavelength = float(_validate.number("wavelength", wavelength, positive=True))
-        dx = float(_validate.number("dx", dx, positive=True))
+        wavelength = _validate.constant("wavelength", wavelength, positive=True)
+        dx = _validate.constant("dx", dx, positive=True)
         distances, masks = _planes(target, distance, depth)
         reach, shorter = 0.5 * wavelength * max(map(abs, distances)) / dx**2, min(target.shape[-2:])
         if self.pretrained and not self.periodic and reach > FARTHEST * shorter:
@@ -316,7 +316,7 @@ def _place(value: float, ends: tuple[float, float]) -> float:
 def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
     """Return the distances of the planes, and ones where a pixel belongs to one, ``[B or 1, P, rows, columns]``."""
     if depth is None or not (isinstance(distance, Sequence) or getattr(distance, "ndim", False)):
-        distances = [float(_validate.number("distance", distance))]
+        distances = [_validate.constant("distance", distance)]
     else:
         distances = [float(one) for one in _validate.numbers(_validate.several("distance", distance))]
     if depth is None:

@@ -340,7 +340,7 @@ class hash_grid_encoder(nn.Module):
         table_size, coarsest = channels("table_size", table_size), channels("coarsest", coarsest)
         if _validate.integer("finest", finest) < coarsest:
             raise ValueError(f"finest must be at least coarsest ({coarsest}), got {finest}")
-        self.low, self.high = (float(_validate.real(name, end)) for name, end in (("low", low), ("high", high)))
+        self.low, self.high = (_validate.constant(name, end) for name, end in (("low", low), ("high", high)))
         if not self.low < self.high:
             raise ValueError(f"low must be below high, got {low} and {high}")
         growth = (finest / coarsest) ** (1 / max(levels - 1, 1))
@@ -460,7 +460,7 @@ class multi_layer_perceptron(nn.Module):
         self.uniform_flag = uniform_flag = _validate.flag("uniform_flag", uniform_flag)
         self.input_multiplier = None
         if input_multiplier is not None:
-            factor = float(_validate.real("input_multiplier", input_multiplier))
+            factor = _validate.constant("input_multiplier", input_multiplier)
             self.input_multiplier = nn.Parameter(torch.full((1, self.dimensions[0]), factor))
         layers = []
         activation_module(activation)

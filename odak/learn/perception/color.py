@@ -408,7 +408,7 @@ def rgb_to_hsv(image: torch.Tensor, eps: float = 1e-8) -> torch.Tensor:
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [2.0944, 1.0, 1.0]
     """
-    eps = float(_validate.number("eps", eps, least=0))
+    eps = _validate.constant("eps", eps, least=0)
     red, green, blue = as_pictures("image", image).unbind(-3)
     value = torch.maximum(torch.maximum(red, green), blue)
     span = value - torch.minimum(torch.minimum(red, green), blue)
@@ -1466,7 +1466,7 @@ def tone_map(image: torch.Tensor, method: str = "Reinhard", white: float = 4.0) 
     """
     image = as_pictures("image", image)
     method = _validate.one_of("method", method, ("Reinhard", "Hable"))
-    white = float(_validate.number("white", white, positive=True))
+    white = _validate.constant("white", white, positive=True)
     if method == "Hable":
         return _filmic(image) / _filmic(torch.tensor(white, dtype=torch.float64)).item()
     luminance = mix(rows(_SRGB[1:2]), image)

@@ -144,8 +144,8 @@ class CVDLoss(nn.Module):
         super().__init__()
         self.deficiency = _validate.one_of("deficiency", deficiency, DEFICIENCIES)
         self.method = _validate.one_of("method", method, METHODS)
-        self.severity = float(_validate.number("severity", severity))
-        self.alpha, self.beta = (float(_validate.number(name, v)) for name, v in (("alpha", alpha), ("beta", beta)))
+        self.severity = _validate.constant("severity", severity)
+        self.alpha, self.beta = (_validate.constant(name, v) for name, v in (("alpha", alpha), ("beta", beta)))
 
     def forward(self, image: torch.Tensor, target: torch.Tensor | None = None) -> torch.Tensor:
         """Return the loss.
@@ -400,7 +400,7 @@ def color_information_loss(
     """
     image, simulated_image = _checked_pair(image, simulated_image)
     kernel_size = _validate.integer("kernel_size", kernel_size, minimum=1)
-    sigma = float(_validate.number("sigma", sigma, least=0))
+    sigma = _validate.constant("sigma", sigma, least=0)
     return _colour_lost(image, simulated_image, kernel_size, sigma)
 
 
@@ -457,7 +457,7 @@ def cvd_loss(
     lc_patch_size = _validate.integer("lc_patch_size", lc_patch_size, minimum=1)
     lc_stride = _validate.integer("lc_stride", lc_stride, minimum=1)
     ci_kernel_size = _validate.integer("ci_kernel_size", ci_kernel_size, minimum=1)
-    ci_sigma = float(_validate.number("ci_sigma", ci_sigma, least=0))
+    ci_sigma = _validate.constant("ci_sigma", ci_sigma, least=0)
     image, simulated_image = _checked_pair(image, simulated_image)
     contrast = _contrast_lost(image, simulated_image, lc_patch_size, lc_stride, 1e-8)
     colour = _colour_lost(image, simulated_image, ci_kernel_size, ci_sigma)

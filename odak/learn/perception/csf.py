@@ -204,12 +204,12 @@ class CSFLoss(nn.Module):
         encoding: str = "sRGB",
     ):
         super().__init__()
-        self.real_image_width = float(_validate.number("real_image_width", real_image_width, positive=True))
+        self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
         self.real_viewing_distance = float(
             _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
         )
-        self.peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
-        self.black_luminance = float(_validate.number("black_luminance", black_luminance, positive=True))
+        self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
+        self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
         if self.black_luminance >= self.peak_luminance:
             raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
         self.encoding = _validate.one_of("encoding", encoding, ("sRGB", "linear"))

@@ -77,7 +77,7 @@ def make_3d_location_map(
     height = width / columns * rows
     x = torch.linspace(-0.5, 0.5, columns, dtype=torch.float64, device=device) * width
     y = torch.linspace(-0.5, 0.5, rows, dtype=torch.float64, device=device) * height
-    z = torch.full((rows, columns), distance, dtype=torch.float64, device=device)
+    z = torch.ones((rows, columns), dtype=torch.float64, device=device) * distance
     return torch.stack([x.expand(rows, columns), y[:, None].expand(rows, columns), z]).to(dtype)
 
 
@@ -127,7 +127,7 @@ def make_eccentricity_distance_maps(
     width, distance = _geometry(real_image_width, real_viewing_distance)
     place = make_3d_location_map(image_pixel_size, width, distance, dtype=torch.float64, device=device)
     rows, columns = place.shape[-2:]
-    x, y = _point("gaze_location", gaze_location)
+    x, y = _place("gaze_location", gaze_location)
     gaze = ((2 * x - 1) * width / 2, (2 * y - 1) * width / columns * rows / 2, distance)
     return _angle(place, gaze).to(dtype), _length(place).to(dtype)
 
@@ -300,7 +300,7 @@ def make_radial_map(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("size", size)
-    x, y = _point("gaze", gaze)
+    x, y = _place("gaze", gaze)
     across = torch.linspace(0, columns, columns, dtype=torch.float64, device=device) - x * columns
     down = torch.linspace(0, rows, rows, dtype=torch.float64, device=device) - y * rows
     distance = torch.hypot(across.expand(rows, columns), down[:, None].expand(rows, columns))
@@ -353,12 +353,14 @@ def make_equi_pooling_size_map_pixels(
     """
     dtype, device = _options(dtype, device)
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
-    yaw, pitch = _point("gaze_angles", gaze_angles)
+    yaw, pitch = (
+        torch.as_tensor(angle, dtype=torch.float64, device=device) for angle in _place("gaze_angles", gaze_angles)
+    )
     yaws = torch.linspace(-math.pi, math.pi, columns, dtype=torch.float64, device=device)
     pitches = torch.linspace(-math.pi / 2, math.pi / 2, rows, dtype=torch.float64, device=device)[:, None]
     level = torch.cos(pitches)
     places = torch.stack([torch.sin(yaws) * level, torch.sin(pitches).expand(rows, columns), torch.cos(yaws) * level])
-    gaze = (math.sin(yaw) * math.cos(pitch), math.sin(pitch), math.cos(yaw) * math.cos(pitch))
+    gaze = (torch.sin(yaw) * torch.cos(pitch), torch.sin(pitch), torch.cos(yaw) * torch.cos(pitch))
     diameter = _pooling_angle(_angle(places, gaze), alpha, mode)
     pixels = diameter * math.sqrt(math.pi / 4 * columns / (2 * math.pi) * rows / math.pi)
     return pixels.clamp(max=math.hypot(rows, columns)).to(dtype)
@@ -414,18 +416,29 @@ def make_equi_pooling_size_map_lod(
 
 
 def _geometry(real_image_width, real_viewing_distance):
-    _validate.number("real_image_width", real_image_width, positive=True)
-    _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
-    return float(real_image_width), float(real_viewing_distance)
+    """Return the width of a picture and the distance of the eye; as they are if they may need a gradient."""
+    lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
+    return tuple(_number(_validate.number(name, value, positive=True)) for name, value in lengths.items())
 
 
-def _point(name, value) -> tuple[float, float]:
-    """Return two finite floats; a copy, so that a list changed afterwards changes nothing here."""
+def _number(value):
+    """Return a tensor that requires a gradient as one of float64 without axes, any other number as a float."""
+    return value.to(torch.float64).reshape(()) if _array.is_traced(value) else float(value)
+
+
+def _place(name, value) -> tuple:
+    """Return two finite numbers; a copy, so that a list changed afterwards changes nothing here."""
     try:
         x, y = _validate.several(name, value.reshape(-1) if _array.is_array(value) else value, 2)
     except ValueError as error:
         raise ValueError(f"{name} must be two finite numbers, got {value!r}") from error
-    return float(x), float(y)
+    return _number(x), _number(y)
+
+
+def _point(name, value) -> tuple[float, float]:
+    """Return two finite floats, which carry no gradient."""
+    x, y = (_validate.constant(name, number) for number in _place(name, value))
+    return x, y
 
 
 def _growth(alpha, mode):
@@ -996,8 +1009,10 @@ class RadiallyVaryingBlur(nn.Module):
         """
         if not isinstance(image, torch.Tensor) or _validate.image("image", image).ndim < 4:
             raise ValueError(f"image must be a tensor [B, C, ..., H, W], got {getattr(image, 'shape', image)!r:.80}")
-        geometry = (alpha, real_image_width, real_viewing_distance, _point("centre", centre), mode)
-        geometry = (*geometry, _validate.flag("equi", equi))
+        lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
+        sizes = (_validate.constant(name, value, positive=True) for name, value in lengths.items())
+        place = _point("centre", centre), mode, _validate.flag("equi", equi)
+        geometry: tuple[Any, ...] = (_validate.constant("alpha", alpha), *sizes, *place)
         size = tuple(image.shape[-2:])
         self.n_channels = image.shape[1]
         key = (size, geometry, self.nominal_width, image.dtype, image.device)

@@ -390,7 +390,9 @@ class MetamericLoss(_StatisticsLoss):
         equi = _validate.flag("equi", equi) or self.equi
         _validate.image("image", image, axes=4)
         gaze = _point("gaze", ((0.0, 0.0) if equi else (0.5, 0.5)) if gaze is None else gaze)
-        geometry = (alpha, real_image_width, real_viewing_distance, gaze, mode, equi)
+        lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
+        sizes = (_validate.constant(name, value, positive=True) for name, value in lengths.items())
+        geometry = (_validate.constant("alpha", alpha), *sizes, gaze, mode, equi)
         return statistics_maps(*self._parts(image, geometry))
 
     def metameric_loss_stats(
@@ -718,7 +720,7 @@ def uniform_blur(image: torch.Tensor, pooling_size: float, nominal_width: bool =
     """
     if as_pictures("image", image, None).ndim != 4 or 0 in _validate.image("image", image, axes=4).shape:
         raise ValueError(f"image must be [B, C, H, W], none empty, got {tuple(image.shape)}")
-    size = float(_validate.number("pooling_size", pooling_size, positive=True, least=FINEST))
+    size = _validate.constant("pooling_size", pooling_size, positive=True, least=FINEST)
     return _uniform_sampler(image, size, _validate.flag("nominal_width", nominal_width))(image)
 
 

@@ -189,7 +189,7 @@ def individual_cone_fundamentals(
     nm = torch.as_tensor(_validate.real("wavelengths", wavelengths), dtype=torch.float64)
     if nm.ndim != 1 or not len(nm) or float(nm.min()) < AXIS[0] or float(nm.max()) > AXIS[-1]:
         raise ValueError(f"wavelengths must be a list of numbers from 390 to 780 nanometres, got {wavelengths!r:.80}")
-    lens, macular = (float(_validate.number(name, one)) for name, one in (("lens", lens), ("macular", macular)))
+    lens, macular = (_validate.constant(name, one) for name, one in (("lens", lens), ("macular", macular)))
     for name, value in (("lens", lens), ("macular", macular)):
         if value < 0:
             raise ValueError(f"{name} must not be negative, got {value}")

@@ -271,7 +271,7 @@ def flip(predictions: torch.Tensor, targets: torch.Tensor, pixels_per_degree: fl
     >>> flip(picture, picture).max().item()
     0.0
     """
-    density = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
+    density = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
     predictions, targets = checked_pair(predictions, targets)
     as_pictures("predictions", predictions)
     pair = torch.stack([as_pictures(*named) for named in (("predictions", predictions), ("targets", targets))])
@@ -306,7 +306,7 @@ class FLIP(nn.Module):
 
     def __init__(self, pixels_per_degree: float = 67.02) -> None:
         super().__init__()
-        self.pixels_per_degree = float(_validate.number("pixels_per_degree", pixels_per_degree, positive=True))
+        self.pixels_per_degree = _validate.constant("pixels_per_degree", pixels_per_degree, positive=True)
 
     def forward(self, predictions: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
         """Return the mean of :func:`flip` over all pixels.

@@ -139,7 +139,7 @@ def foveated_budget(
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     if not isinstance(edges, (list, tuple)):
         raise TypeError(f"edges must be a sequence of numbers, got {type(edges).__name__}")
-    edges = [float(_validate.number("edges", edge)) for edge in edges]
+    edges = [_validate.constant("edges", edge) for edge in edges]
     if len(edges) < 2 or any(b <= a for a, b in pairwise(edges)):
         raise ValueError(f"edges must be two or more rising eccentricities, got {edges}")
     _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
@@ -218,17 +218,17 @@ class VisibilityLoss(nn.Module):
         masking: float = MASKING,
     ) -> None:
         super().__init__()
-        self.real_image_width = float(_validate.number("real_image_width", real_image_width, positive=True))
+        self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
         self.real_viewing_distance = float(
             _validate.number("real_viewing_distance", real_viewing_distance, positive=True)
         )
-        self.peak_luminance = float(_validate.number("peak_luminance", peak_luminance, positive=True))
-        self.black_luminance = float(_validate.number("black_luminance", black_luminance, positive=True))
+        self.peak_luminance = _validate.constant("peak_luminance", peak_luminance, positive=True)
+        self.black_luminance = _validate.constant("black_luminance", black_luminance, positive=True)
         if self.black_luminance >= self.peak_luminance:
             raise ValueError(f"black_luminance must be less than the peak {peak_luminance}, got {black_luminance}")
         self.colour, self.masking = (
-            float(_validate.number("colour", colour)),
-            float(_validate.number("masking", masking)),
+            _validate.constant("colour", colour),
+            _validate.constant("masking", masking),
         )
         if self.colour < 0 or not 0 <= self.masking <= 1:
             raise ValueError(f"colour must not be negative and masking be 0 to 1, got {colour} and {masking}")

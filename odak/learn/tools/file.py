@@ -49,7 +49,7 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
     [[2.0]]
     """
     mode = _validate.one_of("mode", mode, _MODES)
-    multiplier = float(_validate.real("multiplier", multiplier, positive=True))
+    multiplier = _validate.constant("multiplier", multiplier, positive=True)
     if not isinstance(image, torch.Tensor) or image.is_complex():
         raise TypeError(f"image must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
     if image.ndim not in (2, 3, 4) or 0 in image.shape:
@@ -99,7 +99,7 @@ def load_image(fn: str | os.PathLike, normalizeby: float | None = None, torch_st
     [0.0, 0.2, 1.0]
     """
     levels = images.read_levels(fn, torch_style)
-    divisor = images.white_level(levels) if normalizeby is None else float(_validate.real("normalizeby", normalizeby))
+    divisor = images.white_level(levels) if normalizeby is None else _validate.constant("normalizeby", normalizeby)
     image = torch.from_numpy(levels.astype("float32"))
     return image if divisor in (0, 1) else image.div_(divisor)
 

@@ -156,9 +156,9 @@ class simulated_camera(torch.nn.Module):
         self.propagation_type, self.slm = propagation_type, _validate.function_or_none("slm", slm)
         self.register_buffer("aberration", panel_map("aberration", aberration))
         self.register_buffer("illumination", panel_map("illumination", illumination))
-        self.exposure = float(_validate.real("exposure", exposure, positive=True))
-        self.full_well = None if full_well is None else float(_validate.real("full_well", full_well, positive=True))
-        self.read_noise = float(_validate.real("read_noise", read_noise))
+        self.exposure = _validate.constant("exposure", exposure, positive=True)
+        self.full_well = None if full_well is None else _validate.constant("full_well", full_well, positive=True)
+        self.read_noise = _validate.constant("read_noise", read_noise)
         if self.read_noise < 0 or (self.read_noise > 0 and full_well is None):
             raise ValueError(f"read_noise must be at least 0, and 0 without full_well, got {read_noise!r}")
         self.bits = None if bits is None else _validate.integer("bits", bits, minimum=1)

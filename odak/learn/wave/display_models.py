@@ -172,8 +172,8 @@ class display_model(torch.nn.Module):
             tuple(map(float, _validate.pair(name, value, positive=True)))
             for name, value in (("pitch", pitch), ("camera_pitch", camera_pitch))
         )
-        self.wavelength = float(_validate.real("wavelength", wavelength, positive=True))
-        self.nominal_distance = float(_validate.real("distance", distance, positive=True))
+        self.wavelength = _validate.constant("wavelength", wavelength, positive=True)
+        self.nominal_distance = _validate.constant("distance", distance, positive=True)
         self.samples_per_pixel = s = _validate.integer("samples_per_pixel", samples_per_pixel, minimum=1)
         self._dtype = dtype
         # Unit of the distance: the depth of focus of the whole panel.
@@ -185,7 +185,7 @@ class display_model(torch.nn.Module):
             raise TypeError(f"registration must be a Registration, got {type(registration).__name__}")
         elif tuple(registration.shape) != self.camera_shape:
             raise ValueError(f"registration must be of a camera {self.camera_shape}, got {tuple(registration.shape)}")
-        iris = None if iris is None else float(_validate.number("iris", iris, positive=True))
+        iris = None if iris is None else _validate.constant("iris", iris, positive=True)
         self._start = registration
         self._buffers_of_panel(phases, amplitude, wavefront, zernike_order, source_order, nodes)
         self._grid(registration, iris)
@@ -515,7 +515,7 @@ class display_model(torch.nn.Module):
 
     def _kernel(self, position: float) -> torch.Tensor:
         """Return the transfer function to a position of the stage, formed in double precision."""
-        position = float(_validate.real("position", position))
+        position = _validate.constant("position", position)
         if position not in self._kernels:
             if len(self._kernels) > 16:
                 self._kernels.clear()
@@ -790,7 +790,7 @@ def display_hologram(
         coarse = torch.randn((1, 1, *(max(n // 8, 2) for n in model.shape)), generator=random)
         phase = torch.nn.functional.interpolate(coarse, model.shape, mode="bicubic")[0, 0]
     phase = model._checked(tensor("phase", phase).to(model._slope.device)).detach().clone().requires_grad_()
-    optimizer = torch.optim.Adam([phase], lr=float(_validate.real("learning_rate", learning_rate, positive=True)))
+    optimizer = torch.optim.Adam([phase], lr=_validate.constant("learning_rate", learning_rate, positive=True))
     # The best state is chosen on the device: reading the loss would wait for it in each iteration.
     best, kept = phase.new_tensor(math.inf), phase.detach().clone()
     cycles = model._cycles()

@@ -220,7 +220,7 @@ class FocalTargets(nn.Module):
             raise ValueError(f"wavelengths must be one for each of {colours} colours, got {len(waves)}")
         pitch = [float(step) for step in pitches(checked_pitch("pixel_pitch", pixel_pitch))]
         if numerical_aperture is not None:
-            numerical_aperture = float(_validate.real("numerical_aperture", numerical_aperture, positive=True))
+            numerical_aperture = _validate.constant("numerical_aperture", numerical_aperture, positive=True)
             if numerical_aperture >= 1:
                 raise ValueError(f"numerical_aperture must be below 1, got {numerical_aperture}")
         focus = min(w / max(_sines(w, pitch, numerical_aperture)) ** 2 for w in waves)
@@ -793,5 +793,5 @@ def _checked_weights(argument, given, default, known):
     unknown = sorted(set(given) - set(known))
     if unknown:
         raise ValueError(f"{argument} must be of {', '.join(known)}; got {', '.join(map(repr, unknown))}")
-    weights = {name: float(_validate.real(f"{argument}[{name!r}]", value)) for name, value in given.items()}
+    weights = {name: _validate.constant(f"{argument}[{name!r}]", value) for name, value in given.items()}
     return {name: weight for name, weight in weights.items() if weight}

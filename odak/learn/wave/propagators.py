@@ -254,7 +254,7 @@ class propagator(display_volume):
             raise ValueError(f"slm must show one field for each frame here, got {slm.time_samples} instants per frame")  # type: ignore[union-attr]
         samples_per_pixel = int(getattr(slm, "samples_per_pixel", 1))
         if pixel_fill is not None:
-            pixel_fill = float(_validate.real("pixel_fill", pixel_fill, positive=True))
+            pixel_fill = _validate.constant("pixel_fill", pixel_fill, positive=True)
             if pixel_fill > 1 or samples_per_pixel > 1:
                 raise ValueError(
                     f"pixel_fill must be at most 1, for one sample per pixel, got {pixel_fill} and {samples_per_pixel}"

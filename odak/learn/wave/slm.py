@@ -406,8 +406,8 @@ class temporal_modulator(torch.nn.Module):
         time_samples: int = 4,
     ):
         super().__init__()
-        self.frame_time = float(_validate.real("frame_time", frame_time, positive=True))
-        self.response_time = float(_validate.real("response_time", response_time))
+        self.frame_time = _validate.constant("frame_time", frame_time, positive=True)
+        self.response_time = _validate.constant("response_time", response_time)
         if self.response_time < 0:
             raise ValueError(f"response_time must be at least 0, got {response_time!r}")
         if slm is not None and not isinstance(slm, spatial_light_modulator):

@@ -186,9 +186,9 @@ def automatic_design(
     >>> abs(float(first_order(found.system).focal_length) - 100) < 1
     True
     """
-    f = float(_validate.number("focal_length", focal_length, positive=True))
-    speed = float(_validate.number("f_number", f_number, positive=True))
-    angle = float(_validate.number("half_field", half_field, least=0))
+    f = _validate.constant("focal_length", focal_length, positive=True)
+    speed = _validate.constant("f_number", f_number, positive=True)
+    angle = _validate.constant("half_field", half_field, least=0)
     if angle >= 80:
         raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
@@ -201,18 +201,18 @@ def automatic_design(
     if isinstance(elements, str) or not isinstance(elements, Sequence) or not len(elements):
         raise TypeError(f'elements must be a sequence of materials and "stop", got {elements!r:.80}')
     wavelengths = _validate.several("wavelengths", wavelengths, positive=True)
-    distortion = float(_validate.number("distortion", distortion, positive=True))
+    distortion = _validate.constant("distortion", distortion, positive=True)
     if chief_ray_angle is not None:
-        chief_ray_angle = float(_validate.number("chief_ray_angle", chief_ray_angle, positive=True))
+        chief_ray_angle = _validate.constant("chief_ray_angle", chief_ray_angle, positive=True)
     if cover is not None:
         if not isinstance(cover, Sequence) or isinstance(cover, str) or len(cover) != 2:
             raise TypeError(f"cover must be a pair of a material and a thickness, got {cover!r:.80}")
-        cover = (cover[0], float(_validate.number("cover[1]", cover[1], positive=True)))
+        cover = (cover[0], _validate.constant("cover[1]", cover[1], positive=True))
     _validate.function_or_none("callback", callback)
     glass = (0.02 * f, 0.2 * f) if glass is None else tuple(_validate.several("glass", glass, 2))
     air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
-    edge = air[0] if edge is None else float(_validate.number("edge", edge, least=0))
-    back = 0.1 * f if back is None else float(_validate.number("back", back, least=0))
+    edge = air[0] if edge is None else _validate.constant("edge", edge, least=0)
+    back = 0.1 * f if back is None else _validate.constant("back", back, least=0)
     system, bent, gaps = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)
     start = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)[0]
     limit = 1 / (0.15 * f)
@@ -246,7 +246,7 @@ def automatic_design(
     if angle:
         fixed.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * distortion, upper=0.9 * distortion))
     if track is not None:
-        fixed.append(Operand("total_track", upper=float(_validate.number("track", track)), options={"first": first}))
+        fixed.append(Operand("total_track", upper=_validate.constant("track", track), options={"first": first}))
     if chief_ray_angle is not None:
         fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=chief_ray_angle))
     generator = torch.Generator().manual_seed(seed)

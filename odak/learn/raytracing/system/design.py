@@ -302,7 +302,7 @@ class lens_design:
         count = len(self.system.surfaces)
         name = _validate.one_of("name of a pickup", item.name, COPIED)
         places = [_validate.place_in("surface of a pickup", place, count) for place in (item.surface, item.source)]
-        scale, offset = (float(_validate.number("scale of a pickup", v)) for v in (item.scale, item.offset))
+        scale, offset = (_validate.constant("scale of a pickup", v) for v in (item.scale, item.offset))
         for place in places if name != "thickness" else ():
             self._check_own_numbers(name, place)
         return Pickup(name, places[0], places[1], scale, offset)
@@ -310,7 +310,7 @@ class lens_design:
     def _checked_solve(self, item: Solve) -> Solve:
         kind = _validate.one_of("kind of a solve", item.kind, SOLVES)
         place = _validate.place_in("surface of a solve", item.surface, len(self.system.surfaces))
-        value = float(_validate.number("value of a solve", item.value))
+        value = _validate.constant("value of a solve", item.value)
         if kind == "edge_thickness" and item.height is None:
             raise ValueError("a solve for the edge thickness needs the height of the edge")
         if kind == "focal_length":
@@ -325,7 +325,7 @@ class lens_design:
             check_media(self.system, self.base)
         if kind == "marginal_height" and self.system.surfaces[place].own_gradient is not None:
             raise ValueError(f"thickness of surface {place} cannot be solved for: the medium behind it is graded")
-        height = None if item.height is None else float(_validate.number("height of a solve", item.height, least=0))
+        height = None if item.height is None else _validate.constant("height of a solve", item.height, least=0)
         return Solve(kind, place, value, height)
 
     def _check_followers(self) -> None:
@@ -544,7 +544,7 @@ class lens_design:
             Of the best one.
         """
         count = _validate.integer("count", count, minimum=1)
-        spread = float(_validate.number("spread", spread, positive=True))
+        spread = _validate.constant("spread", spread, positive=True)
         generator = torch.Generator().manual_seed(_validate.integer("seed", seed))
         scale = self.values.abs()
         for columns in self.columns.values():

@@ -118,7 +118,7 @@ def navarro_eye(
 
 
 def _accommodation(value, name="accommodation"):
-    value = float(_validate.number(name, value))
+    value = _validate.constant(name, value)
     if not 0 <= value <= 10:
         raise ValueError(f"{name} must be 0 to 10 dioptres, got {value}")
     return value
@@ -222,7 +222,7 @@ def _shifted_medium(index):
 
 def _pupil_width(value):
     """Return the diameter of a pupil in millimetres as a float."""
-    value = float(_validate.number("pupil_diameter", value))
+    value = _validate.constant("pupil_diameter", value)
     if not 0.5 <= value <= 9:
         raise ValueError(f"pupil_diameter must be 0.5 to 9 millimetres, got {value}")
     return value
@@ -231,7 +231,7 @@ def _pupil_width(value):
 def _numbers(name, values):
     """Return a sequence of numbers as floats."""
     try:
-        given = [float(_validate.number(name, one)) for one in values]
+        given = [_validate.constant(name, one) for one in values]
     except TypeError as error:
         raise TypeError(f"{name} must be a number or a sequence of numbers, got {values!r:.80}") from error
     if not given:
@@ -242,7 +242,7 @@ def _numbers(name, values):
 def _wavelengths(values):
     values = [values] if isinstance(values, (int, float)) else values
     try:
-        given = [float(_validate.number("wavelengths", value, positive=True)) for value in values]
+        given = [_validate.constant("wavelengths", value, positive=True) for value in values]
     except TypeError as error:
         raise TypeError(f"wavelengths must be numbers in metres, got {values!r:.80}") from error
     if not given or any(not RANGE[0] * 1e-6 <= value <= RANGE[1] * 1e-6 for value in given):
@@ -317,7 +317,7 @@ def eye_wavefront(
     True
     """
     waves, diameter = tuple(_wavelengths(wavelengths)), _pupil_width(pupil_diameter)
-    vergence = float(_validate.number("vergence", vergence))
+    vergence = _validate.constant("vergence", vergence)
     radius = tensor("radius", radius, torch.float64)
     coefficients = _terms(_accommodation(accommodation), diameter, waves).to(radius.device)
     squared = (radius / (diameter / 2e3)) ** 2
@@ -419,7 +419,7 @@ def eye_transfer_function(
     ((1, 32, 17), 1.0)
     """
     rows, columns = _validate.size("size", size)
-    pitch = float(_validate.number("pitch", pitch, positive=True))
+    pitch = _validate.constant("pitch", pitch, positive=True)
     waves, pupil_diameter = _wavelengths(wavelengths), _pupil_width(pupil_diameter)
     y = torch.fft.fftfreq(rows, pitch, dtype=torch.float64)
     x = torch.fft.rfftfreq(columns, pitch, dtype=torch.float64)
@@ -537,7 +537,7 @@ def retinal_image(
         raise ValueError(
             f"picture must have {len(planes)} planes of {len(waves)} wavelengths, got {tuple(picture.shape)}"
         )
-    pitch = float(_validate.number("pitch", pitch, positive=True))
+    pitch = _validate.constant("pitch", pitch, positive=True)
     rows, columns = picture.shape[-2:]
     total: Any = 0.0
     for index, vergence in enumerate(planes):
@@ -648,10 +648,12 @@ def retinal_field(
             f"field must be a complex tensor [..., rows, columns], got {getattr(field, 'dtype', field)!r:.60}"
         )
     rows, columns = _validate.image("field", field).shape[-2:]
-    pitch = float(_validate.number("pitch", pitch, positive=True))
+    pitch = _validate.constant("pitch", pitch, positive=True)
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]
-    right, down = (float(value) for value in _validate.several("pupil_position", pupil_position, 2))
-    across, downwards = (float(angle) for angle in _validate.several("rotation", rotation, 2))
+    (right, down), (across, downwards) = (
+        [_validate.constant(name, value) for value in _validate.several(name, pair, 2)]
+        for name, pair in (("pupil_position", pupil_position), ("rotation", rotation))
+    )
     if max(abs(across), abs(downwards)) > 60:
         raise ValueError(f"rotation must be two angles within ±60 degrees, got {tuple(rotation)}")
     across, downwards = math.radians(across), math.radians(downwards)

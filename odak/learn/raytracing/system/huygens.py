@@ -101,7 +101,7 @@ def huygens_point_spread_function(
         aperture = first_order(system, prescription=prescription).numerical_aperture
         spacing = waves[..., 0] / (4 * aperture[..., None, None])
     else:
-        spacing = torch.full_like(waves[..., 0], float(_validate.number("pitch", pitch, positive=True)))
+        spacing = torch.full_like(waves[..., 0], _validate.constant("pitch", pitch, positive=True))
     spacing = spacing.expand(*path.shape[:-1])
     place = (torch.arange(size, dtype=torch.float64, device=path.device) - size // 2) * spacing[..., None]
     cycles = (ways[0] / waves)[..., None] * place[..., None, :], (ways[1] / waves)[..., None] * place[..., None, :]
@@ -144,7 +144,7 @@ def modulation_at(spread: Spread, frequency: float, axis: str = "y") -> torch.Te
     if not isinstance(spread, Spread):
         raise TypeError(f"spread must be a Spread, got {type(spread).__name__}")
     axis = _validate.one_of("axis", axis, ("x", "y"))
-    frequency = float(_validate.number("frequency", frequency, least=0))
+    frequency = _validate.constant("frequency", frequency, least=0)
     profile = spread.intensity.sum(-1 if axis == "y" else -2)
     count = profile.shape[-1]
     place = torch.arange(count, dtype=torch.float64, device=profile.device) - count // 2

@@ -131,7 +131,7 @@ def point_spread_map(
     """
     checked_system(system), checked_prescription(prescription)
     rows, columns = _validate.size("shape", shape)
-    pitch = float(_validate.number("pitch", pitch, positive=True))
+    pitch = _validate.constant("pitch", pitch, positive=True)
     grid = _validate.size("grid", grid)
     kernel = _validate.integer("kernel", kernel, minimum=3)
     if kernel % 2 == 0:
@@ -421,8 +421,8 @@ def expose_sensor(
     (1, 4, 6)
     """
     irradiance = floating("irradiance", irradiance)
-    full_well = float(_validate.number("full_well", full_well, positive=True))
-    read_noise = float(_validate.number("read_noise", read_noise))
+    full_well = _validate.constant("full_well", full_well, positive=True)
+    read_noise = _validate.constant("read_noise", read_noise)
     if read_noise < 0:
         raise ValueError(f"read_noise must not be negative, got {read_noise}")
     if pattern is not None:

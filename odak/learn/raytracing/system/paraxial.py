@@ -133,7 +133,7 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
     50.0
     """
     checked_system(system), checked_prescription(prescription)
-    wavelength = None if wavelength is None else float(_validate.number("wavelength", wavelength, positive=True))
+    wavelength = None if wavelength is None else _validate.constant("wavelength", wavelength, positive=True)
     p = _at_one_wavelength(system, wavelength, prescription)
     check_media(system, p)
     check_image_space(system, p)
@@ -428,10 +428,8 @@ def seidel_sums(system: Any, field: Any = None, prescription: Prescription | Non
     waves = waves if len(waves) == p.index.shape[-2] else [0.0]
     ends = [p.index[..., waves.index(wave), :] for wave in (min(waves), max(waves))]
     spread = (ends[0] - ends[1]) * n / one.index[..., 0, :]
-    if field is None:
-        size = max(math.hypot(*point) for point in system.fields)
-    else:
-        size = float(_validate.number("field", field))
+    largest = max(math.hypot(*point) for point in system.fields)
+    size = largest if field is None else _validate.constant("field", field)
     if system.at_infinity:
         chief_slope = math.tan(math.radians(size)) + 0 * pupil.distance
         y, u = pupil.radius, 0 * pupil.radius

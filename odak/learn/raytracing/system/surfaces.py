@@ -185,7 +185,7 @@ class surface(torch.nn.Module):
         self.coating = coating
         self.semi_diameter = semi_diameter
         if semi_diameter is not None:
-            self.semi_diameter = float(_validate.number("semi_diameter", semi_diameter, positive=True))
+            self.semi_diameter = _validate.constant("semi_diameter", semi_diameter, positive=True)
         parts = [] if aperture is None else aperture if isinstance(aperture, (list, tuple)) else [aperture]
         self.apertures = tuple(_checked("aperture", part, Aperture) for part in parts)
         self.stop = _validate.flag("stop", stop)
@@ -447,7 +447,7 @@ def _listed(name: str, values):
         return values
     if isinstance(values, str) or not isinstance(values, Iterable):
         raise TypeError(f"{name} must be a sequence of numbers, got {type(values).__name__}")
-    return [float(_validate.number(name, value)) for value in values]
+    return [_validate.constant(name, value) for value in values]
 
 
 def _several(name: str, values, counts: tuple[int, ...]):
@@ -884,7 +884,7 @@ class optical_system(torch.nn.Module):
             )
         self.surfaces = torch.nn.ModuleList(surfaces)
         self.stop = stops[0] if stops else first
-        self.aperture = float(_validate.number("aperture", aperture, positive=True))
+        self.aperture = _validate.constant("aperture", aperture, positive=True)
         self.aperture_type = _validate.one_of("aperture_type", aperture_type, APERTURES)
         if self.aperture_type == "NA" and self.aperture >= 1:
             raise ValueError(f"aperture must be below 1 as a numerical aperture in air, got {aperture}")
@@ -1076,7 +1076,7 @@ def _fields(values) -> tuple[tuple[float, float], ...]:
     points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
     if not points or any(len(point) != 2 for point in points):
         raise ValueError(f"fields must be numbers y or pairs (x, y), at least one, got {values!r}")
-    return tuple((float(_validate.real("fields", x)), float(_validate.real("fields", y))) for x, y in points)
+    return tuple((_validate.constant("fields", x), _validate.constant("fields", y)) for x, y in points)
 
 
 def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
@@ -1106,7 +1106,7 @@ def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:
     """
     if values is None:
         return None
-    found = tuple(float(_validate.number(name, v, least=0)) for v in _validate.several(name, values, count))
+    found = tuple(_validate.constant(name, v, least=0) for v in _validate.several(name, values, count))
     if not any(found):
         raise ValueError(f"{name} must have one above 0, got {found}")
     return found

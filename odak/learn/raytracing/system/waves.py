@@ -737,7 +737,7 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
     steep = max(u, v)
     if pitch is None:
         pitch = max(2 * MARGIN * size / count for size, count in zip(extent, shape, strict=True))
-    pitch = float(_validate.number("pitch", pitch, positive=True))
+    pitch = _validate.constant("pitch", pitch, positive=True)
     if pitch * steep > wavelength / 2:
         most = wavelength / 2 / steep
         count = math.ceil(2 * MARGIN * max(extent) / most)

@@ -202,8 +202,8 @@ class complex_3d_gaussians(nn.Module):
         if len(gradients) != len(self):
             raise ValueError(f"gradients must be {len(self)} numbers, one for each Gaussian, got {len(gradients)}")
         _validate.real("gradients", gradients)
-        threshold = float(_validate.number("threshold", threshold))
-        split_scale = float(_validate.number("split_scale", split_scale, positive=True))
+        threshold = _validate.constant("threshold", threshold)
+        split_scale = _validate.constant("split_scale", split_scale, positive=True)
         draw = torch.Generator()
         draw.manual_seed(int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed))
         with torch.no_grad():
@@ -253,13 +253,13 @@ class complex_3d_gaussians(nn.Module):
         >>> len(gaussians.prune())
         9
         """
-        least_opacity = float(_validate.number("least_opacity", least_opacity))
+        least_opacity = _validate.constant("least_opacity", least_opacity)
         if not 0 <= least_opacity <= 1:
             raise ValueError(f"least_opacity must be 0 to 1, got {least_opacity}")
         with torch.no_grad():
             kept = self.pre_act_opacities.sigmoid() >= least_opacity
             if largest_scale is not None:
-                largest_scale = float(_validate.number("largest_scale", largest_scale, positive=True))
+                largest_scale = _validate.constant("largest_scale", largest_scale, positive=True)
                 kept = kept & (self.pre_act_scales.exp().amax(1) <= largest_scale)
             if not kept.any():
                 raise ValueError(f"least_opacity {least_opacity} and largest_scale {largest_scale} leave no Gaussian")
