@@ -21,7 +21,7 @@ from odak.wave.transfer_functions import BLOCKED_FROM, convolve_plainly
 
 # What a thread takes at once: it stays in the cache, and the system's allocator gives its memory out again without
 # returning it first. Columns are copied in pieces of the block's width, which must not be less than some cache lines.
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 3 << 19
 _COLUMNS = 32
 _CACHE_LINE = 64
 # Fresh memory is cleared page by page by the system, which takes as long as a transform.
