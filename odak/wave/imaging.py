@@ -134,6 +134,8 @@ def optical_transfer_function(pupil: Array) -> Array:
     -----
     Goodman, Introduction to Fourier Optics (2005), eq. 6-28. The transfer function reaches twice as far as the pupil;
     where that is beyond the highest frequency 1/(2·dx) of the image it folds back, as it does for every sampled image.
+    Edge samples of :func:`pupil_function` hold parts of an amplitude, whose squares count here: with a pupil of a
+    radius of r samples the transfer function deviates from the closed form of a clear disk by at most about 0.3/r.
 
     Examples
     --------
