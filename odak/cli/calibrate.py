@@ -15,7 +15,16 @@ from odak.cli.files import REPORT, SILENT, Notices, announce, writable_folder, w
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import collected_warnings, versions
 from odak.instruments import Calibration
-from odak.instruments.calibration import lens_phase, spots_phase
+from odak.instruments.calibration import (
+    UNITS,
+    distance_with_uncertainty,
+    illumination_with_uncertainty,
+    lens_phase,
+    phases_with_uncertainty,
+    regions_with_uncertainty,
+    spots_phase,
+    wavefront_with_uncertainty,
+)
 from odak.instruments.exposures import set_exposure
 from odak.instruments.simulated import REALISTIC
 from odak.tools.paths import replacing
@@ -23,6 +32,7 @@ from odak.tools.paths import replacing
 SIMULATED = "simulated"
 DEFINITIONS = {
     "lengths": "In metres; phases in radians; times in seconds; angles in degrees.",
+    "uncertainty": "Of a result: one of twenty errors exceeds it; of one step, as if others were exact.",
     "residual_pixels": "Root mean square distance of the spots from the mapping of the camera, in its pixels.",
     "wavefront_rms_waves": "Root mean square of the aberration in wavelengths, without tilt and defocus.",
     "illumination_min": "Smallest amplitude on the modulator over the largest.",
@@ -196,15 +206,24 @@ def run(
     return report
 
 
+def _joined(
+    known: Calibration, uncertainty: dict[str, float], **results: Any
+) -> tuple[Calibration, dict[str, tuple[float, str]]]:
+    """Return a calibration with results and their uncertainties, and the uncertainties as values of a report."""
+    found = dataclasses.replace(known, **results, uncertainty={**known.uncertainty, **uncertainty})
+    return found, {f"uncertainty_{name}": (value, UNITS[f"uncertainty_{name}"]) for name, value in uncertainty.items()}
+
+
 def _phase(table: Table, known: Calibration) -> Found:
-    there = (table.modulator, table.camera, known.wavelength, known.distance)
-    phases = instruments.measure_phase_response(*there)
+    phases, doubt, _ = phases_with_uncertainty(table.modulator, table.camera, known.wavelength, known.distance)
+    found, uncertainties = _joined(known, {"phases": doubt}, phases=phases)
     line = np.linspace(phases[0], phases[-1], len(phases))
     return Found(
-        dataclasses.replace(known, phases=phases),
+        found,
         {
             "phase_range": (float(phases[-1] - phases[0]), "rad"),
             "largest_departure_from_a_line": (float(np.abs(phases - line).max()), "rad"),
+            **uncertainties,
         },
         lambda figure: _curves(figure, phases),
     )
@@ -212,11 +231,12 @@ def _phase(table: Table, known: Calibration) -> Found:
 
 def _regions(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.registration)
-    tables = instruments.measure_regional_response(*there)
+    tables, doubt = regions_with_uncertainty(*there)
     ends = tables[..., -1]
+    found, uncertainties = _joined(known, {"regional_phases": doubt}, regional_phases=tables)
     return Found(
-        dataclasses.replace(known, regional_phases=tables),
-        {"phase_ranges": (ends.tolist(), "rad")},
+        found,
+        {"phase_ranges": (ends.tolist(), "rad"), **uncertainties},
         lambda figure: _curves(figure, *tables.reshape(-1, tables.shape[-1])),
     )
 
@@ -236,11 +256,13 @@ def _registration(table: Table, known: Calibration) -> Found:
         axis.scatter(places[:, 0], places[:, 1], s=60, facecolors="none", edgecolors="tab:orange", linewidths=0.8)
         axis.set(xlabel="camera column", ylabel="camera row", title="Spots, and where the mapping expects them")
 
+    found, uncertainties = _joined(known, {"registration": mapping.uncertainty}, registration=mapping)
     return Found(
-        dataclasses.replace(known, registration=mapping),
+        found,
         {
             "residual_pixels": (mapping.residual, "pixels"),
             "distortion": (mapping.distortion, "1/(half diagonal)²"),
+            **uncertainties,
         },
         draw,
     )
@@ -248,28 +270,30 @@ def _registration(table: Table, known: Calibration) -> Found:
 
 def _wavefront(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    wavefront = instruments.measure_wavefront(*there, amplitude=known.amplitude)
+    wavefront, doubt = wavefront_with_uncertainty(*there, amplitude=known.amplitude)
     waves = wavefront / (2 * np.pi)
+    found, uncertainties = _joined(known, {"wavefront": doubt}, wavefront=wavefront)
     return Found(
-        dataclasses.replace(known, wavefront=wavefront),
-        {"wavefront_rms_waves": (float(waves.std()), "wavelengths")},
+        found,
+        {"wavefront_rms_waves": (float(waves.std()), "wavelengths"), **uncertainties},
         lambda figure: _map(figure, waves, known.pitch, "aberration (wavelengths)"),
     )
 
 
 def _distance(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    distance = instruments.measure_distance(*there, wavefront=known.wavefront)
-    found = dataclasses.replace(known, distance=distance)
-    return Found(found, {"distance": (distance, "m")}, _spot(table, known, found))
+    distance, doubt = distance_with_uncertainty(*there, wavefront=known.wavefront)
+    found, uncertainties = _joined(known, {"distance": doubt}, distance=distance)
+    return Found(found, {"distance": (distance, "m"), **uncertainties}, _spot(table, known, found))
 
 
 def _illumination(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.response, known.registration)
-    amplitude = instruments.measure_illumination(*there, wavefront=known.wavefront)
+    amplitude, doubt = illumination_with_uncertainty(*there, wavefront=known.wavefront)
+    found, uncertainties = _joined(known, {"amplitude": doubt}, amplitude=amplitude)
     return Found(
-        dataclasses.replace(known, amplitude=amplitude),
-        {"illumination_min": (float(amplitude.min()), "of the largest amplitude")},
+        found,
+        {"illumination_min": (float(amplitude.min()), "of the largest amplitude"), **uncertainties},
         lambda figure: _map(figure, amplitude, known.pitch, "amplitude of the illumination"),
     )
 
@@ -344,6 +368,7 @@ def _all(table: Table, known: Calibration) -> Found:
         "wavefront_rms_waves": (float(found.wavefront.std() / (2 * np.pi)), "wavelengths"),
         "illumination_min": (float(found.amplitude.min()), "of the largest amplitude"),
         "phase_range": (float(found.phases[-1]), "rad"),
+        **_joined(known, found.uncertainty)[1],
     }
     return Found(found, values, draw)
 

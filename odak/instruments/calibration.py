@@ -11,7 +11,7 @@ import math
 import os
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -25,7 +25,7 @@ from odak._warnings import AccuracyWarning, warn
 from odak.instruments.captures import SUFFIXES, read_hdf5, write_hdf5
 from odak.instruments.exposures import set_exposure
 from odak.instruments.mapping import Registration
-from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.tools.paths import replacing, validate_path
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
@@ -55,11 +55,19 @@ UNITS = {
     "regional_phases": "rad",
     "residual": "pixel",
     "distortion": "1/(half diagonal)²",
+    "uncertainty_phases": "rad",
+    "uncertainty_regional_phases": "rad",
+    "uncertainty_registration": "pixel",
+    "uncertainty_wavefront": "rad",
+    "uncertainty_distance": "m",
+    "uncertainty_amplitude": "fraction of the largest",
 }
 # Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
 SPREAD_OF_RESPONSE = 0.01
 # Columns of level 0 beside the border of the two halves, and rows and columns of pixels that are evaluated at most.
 GUARD, LARGEST_WINDOW = 3, 201
+# Rows and columns of pixels of a region at least.
+SMALLEST_REGION = 12
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
 # Width of a lenslet in units of the square root of wavelength and distance.
@@ -73,6 +81,16 @@ DEPTH, EVEN = 0.7, 0.02
 QUARTERS = np.arange(4) * (np.pi / 2)
 # Change of the wavefront in the last step, in radians, above which the measurement has not converged.
 UNSETTLED = 2 * np.pi / 20
+# Astigmatism and the shear of the registration change each other; a repetition leaves this share of their errors.
+COUPLING = 0.56
+# Uncertainties above which calibrate_table warns: rad, pixel, rad.
+LIMITS = {"phases": 0.03, "registration": 0.2, "wavefront": 2 * np.pi / 100}
+# Error of a wavefront in radians that is left without noise, a thousandth of a wavelength.
+SMALLEST_ERROR = 2 * np.pi / 1000
+# Error of the sharpest focus in units of the depth of focus, without aberration and noise.
+FOCUS = 0.04
+# Rows and columns of regions where the response varies.
+REGIONS = (3, 3)
 
 
 @dataclass(frozen=True)
@@ -97,6 +115,11 @@ class Calibration:
         Mapping of the camera.
     regional_phases : numpy.ndarray, optional
         Phase of each level in regions of the modulator, ``[region rows, region columns, levels]``.
+    uncertainty : dict
+        Uncertainties, which errors exceed in about one of twenty cases, of what was measured: "phases" and
+        "regional_phases" in radians (largest over the levels), "registration" in pixels of the camera (largest over
+        the middle 70 % of the panel's width and height), "wavefront" in radians and "amplitude" as a fraction of the
+        largest (root mean squares over the panel), and "distance" in metres.
 
     Examples
     --------
@@ -118,6 +141,7 @@ class Calibration:
     wavefront: np.ndarray
     registration: Registration = field(repr=False)
     regional_phases: np.ndarray | None = field(default=None, repr=False)
+    uncertainty: dict[str, float] = field(default_factory=dict, repr=False)
 
     @classmethod
     def nominal(cls, modulator: Modulator, camera: Camera, wavelength: float, distance: float) -> "Calibration":
@@ -139,6 +163,7 @@ class Calibration:
         Calibration
             The assumptions.
         """
+        check_square_pixels(modulator, camera)
         count = 1 << modulator.bits
         shape = (camera.shape[0], camera.shape[1])
         return cls(
@@ -219,13 +244,14 @@ def calibrate_table(
     wavelength: float,
     distance: float,
     *,
-    rounds: int = 2,
+    rounds: int = 4,
     regions: Sequence[int] | None = None,
 ) -> Calibration:
     """Calibrate an optical table: phase response, registration, wavefront, distance and illumination.
 
     Registration and wavefront depend on each other and are repeated: an aberration moves the spots of the registration,
-    and a wrong registration tilts the wavefront's gradients.
+    and a wrong registration changes the wavefront's gradients. Each repetition reduces the errors that they cause in
+    each other, a shear and an astigmatism, to about half.
 
     Parameters
     ----------
@@ -238,23 +264,34 @@ def calibrate_table(
     distance : float
         Nominal distance from the modulator to the camera in metres.
     rounds : int
-        Number of measurements of the wavefront, of five captures the first and ten the others, with two or three more
-        at each of two exposures.
+        Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
+        changes by more than a hundredth of a wavelength. The first takes five captures of the wavefront, the second six
+        and the others four, with two or three more at each exposure.
     regions : sequence of int, optional
         Rows and columns of regions whose phase response is measured too, after the first registration, and used in the
         other steps; a response that varies over the modulator acts as an aberration and shifts the image. The phases
-        are then the mean over the modulator. None by default.
+        are then the mean over the modulator. None, the default, measures 3 × 3 regions where the captures of the phase
+        response deviate by more than 1 % from those of levels with one phase at all pixels; (1, 1) measures none.
 
     Returns
     -------
     Calibration
-        The results; its wavefront has no tilt and no defocus, which are in the registration and the distance.
+        The results with their uncertainties; its wavefront has no tilt and no defocus, which are in the registration
+        and the distance.
 
     Warns
     -----
     AccuracyWarning
-        Without `regions`, if the captures of the phase response deviate by more than 1 % from those of levels with one
-        phase at all pixels; and as the functions of the steps.
+        If the response varies and is not measured in regions, because `regions` is (1, 1) or the modulator has fewer
+        than 36 rows or columns; if the uncertainty of the phases exceeds 0.03 rad, of the registration 0.2 pixels, or
+        of the wavefront a hundredth of a wavelength; and as the functions of the steps.
+
+    Notes
+    -----
+    The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
+    It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
+    of the phases is what the captures deviate from those of one phase at all pixels, and the difference between the
+    results of the two halves of the modulator. Factors were chosen so that errors of simulated tables are covered.
 
     Examples
     --------
@@ -269,31 +306,71 @@ def calibrate_table(
     >>> bool(abs(found.phases - table.truth.phases).max() < 0.02)
     True
     """
-    phases, spread = _phase_response(modulator, camera, wavelength, distance, 25, 4)
-    if regions is None and spread > SPREAD_OF_RESPONSE:
+    rounds = _validate.integer("rounds", rounds, minimum=1)
+    there = (modulator, camera, wavelength)
+    phases, doubt, spread = phases_with_uncertainty(*there, distance)
+    varies = spread > SPREAD_OF_RESPONSE
+    if regions is None:
+        enough = all(n >= SMALLEST_REGION * parts for n, parts in zip(modulator.shape, REGIONS, strict=True))
+        regions = REGIONS if varies and enough else (1, 1)
+    regions = _validate.size("regions", regions)
+    if regions == (1, 1) and varies:
         warn(
             f"the calibration is uncertain: captures deviate by {spread:.1%} from those of levels with one phase at "
             "all pixels; where the response varies over the panel, the phases are those near its middle, registration "
             "and distance deviate by some tenths of a pixel and of a percent: use regions=(3, 3)",
             AccuracyWarning,
         )
-    there = (modulator, camera, wavelength)
-    wavefront: np.ndarray | float = 0.0
+    uncertainty = {"phases": doubt}
     response, regional = phases, None
-    for turn in range(_validate.integer("rounds", rounds, minimum=1)):
+    wavefront, change = np.zeros(modulator.shape), math.inf
+    low = _modes(modulator, 2)[[0, 1, _DEFOCUS]]
+    for turn in range(2 * rounds):
+        if turn >= rounds and change < LIMITS["wavefront"]:
+            break
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
-        if turn == 0 and regions is not None:
-            response = regional = measure_regional_response(*there, distance, registration, regions=regions)
+        if turn == 0 and regions != (1, 1):
+            regional, doubt = regions_with_uncertainty(*there, distance, registration, regions)
+            response = regional
             down, across = (
                 _between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regional.shape[:2], strict=True)
             )
             phases = np.einsum("i,j,ijl->l", down, across, regional)
-        wavefront = measure_wavefront(*there, distance, response, registration, iterations=5, captures=min(1 + turn, 2))
-    distance = measure_distance(*there, distance, response, registration, wavefront=wavefront)
-    wavefront = without(np.asarray(wavefront), _modes(modulator, 2)[[0, 1, _DEFOCUS]])
+            uncertainty = {"phases": doubt, "regional_phases": doubt}
+        known = (*there, distance, response, registration)
+        if turn == 0:
+            found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
+            distance, _ = distance_with_uncertainty(*known, wavefront=found, captures=1)
+        else:
+            found, doubt = wavefront_with_uncertainty(*known, iterations=3 if turn == 1 else 2, start=wavefront)
+        found = without(found, low)
+        change, wavefront = float((found - wavefront).std()), found
+    rest = change * COUPLING / (1 - COUPLING) if turn else 0.0
+    # The factors here and below are those that cover the errors of simulated tables with fringing fields.
+    uncertainty["wavefront"] = math.hypot(1.5 * doubt, 1.5 * rest, SMALLEST_ERROR)
+    distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
+    # The wavefront π/λ·(x² + y²)/f is that of a lens.
+    y, x = _axes(modulator)
+    defocus = 0.6 * uncertainty["wavefront"] / (x**2 + y**2).std() * wavelength * distance**2 / np.pi
+    uncertainty["distance"] = math.hypot(doubt, defocus)
     registration = register_camera(*there, distance, response, wavefront=wavefront)
-    amplitude = measure_illumination(*there, distance, response, registration, wavefront=wavefront)
-    return Calibration(wavelength, modulator.pitch, distance, phases, amplitude, wavefront, registration, regional)
+    far = 0.35 * math.hypot(*modulator.shape) * modulator.pitch
+    uncertainty["registration"] = math.hypot(
+        registration.uncertainty, far * uncertainty["distance"] / (distance * camera.pitch)
+    )
+    registration = replace(registration, uncertainty=uncertainty["registration"])
+    for name, limit in LIMITS.items():
+        if uncertainty[name] > limit:
+            unit = UNITS[f"uncertainty_{name}"]
+            warn(
+                f"the calibration is uncertain: {name} by {uncertainty[name]:.2g} {unit}, more than {limit:.2g}",
+                AccuracyWarning,
+            )
+    amplitude, uncertainty["amplitude"] = illumination_with_uncertainty(
+        *there, distance, response, registration, wavefront=wavefront
+    )
+    found = (wavelength, modulator.pitch, distance, phases, amplitude, wavefront)
+    return Calibration(*found, registration, regional, uncertainty)
 
 
 def measure_phase_response(
@@ -361,13 +438,17 @@ def measure_phase_response(
     >>> bool(np.abs(phases - table.truth.phases).max() < 0.02)
     True
     """
-    return _phase_response(modulator, camera, wavelength, distance, samples, captures)[0]
+    return phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)[0]
 
 
-def _phase_response(
-    modulator: Modulator, camera: Camera, wavelength: float, distance: float, samples: int, captures: int
-) -> tuple[np.ndarray, float]:
-    """Return the phase of each level, and the deviation of the captures from those of one phase at all pixels."""
+def phases_with_uncertainty(
+    modulator: Modulator, camera: Camera, wavelength: float, distance: float, samples: int = 25, captures: int = 4
+) -> tuple[np.ndarray, float, float]:
+    """Return the phase of each level, its uncertainty, and the deviation of the captures from one phase at all pixels.
+
+    The parameters are those of :func:`measure_phase_response`.
+    """
+    check_square_pixels(modulator, camera)
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
     lens_phase(modulator, wavelength, distance)  # checks the lengths
@@ -396,8 +477,15 @@ def _phase_response(
             frames.append(_averaged(camera, captures)[::step, ::step].ravel())
         found.append(_phases_of_interference(np.stack(frames)))
     camera.region = None
-    phases, others = zip(*found, strict=True)
-    return CubicSpline(levels, np.mean(phases, axis=0))(np.arange(top + 1)), max(others)
+    (one, first), (other, second) = found
+    seen = (one + other) / 2
+    phases, fewer = (CubicSpline(levels[used], seen[used])(np.arange(top + 1)) for used in (np.s_[:], np.s_[::2]))
+    # Near level 0, a power law is interpolated by half the samples with about twice the error. What captures deviate
+    # from one phase at all pixels, as a share of the interference, is about the error that fringing fields cause.
+    within = levels[-1 - (len(levels) + 1) % 2]
+    interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
+    spread = max(first, second)
+    return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
 
 
 def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
@@ -493,19 +581,40 @@ def measure_regional_response(
     >>> phases.shape, bool(abs(phases - table.truth.phases).max() < 0.1)
     ((1, 2, 256), True)
     """
+    return regions_with_uncertainty(modulator, camera, wavelength, distance, registration, regions, samples, captures)[
+        0
+    ]
+
+
+def regions_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    registration: Registration,
+    regions: Sequence[int] = (3, 3),
+    samples: int = 15,
+    captures: int = 4,
+) -> tuple[np.ndarray, float]:
+    """Return the phase of each level in regions, and its uncertainty in radians.
+
+    The parameters are those of :func:`measure_regional_response`.
+    """
+    check_square_pixels(modulator, camera)
     rows, columns = modulator.shape
     down, across = _validate.size("regions", regions)
-    if rows < 12 * down or columns < 12 * across:
+    if rows < SMALLEST_REGION * down or columns < SMALLEST_REGION * across:
         raise ValueError(
-            f"regions must have at least 12 pixels along each side, got {down} x {across} of {rows} x {columns}"
+            f"regions must have at least {SMALLEST_REGION} pixels along each side, "
+            f"got {down} x {across} of {rows} x {columns}"
         )
     if down * across == 1:
         raise ValueError(f"regions must be two or more, got {[down, across]}")
     if across == 1:
         turned = Registration(registration.homography[[1, 0, 2]], registration.distortion, registration.shape)
         there = (_Transposed(modulator), camera, wavelength, distance, turned)
-        found = measure_regional_response(*there, regions=(1, down), samples=samples, captures=captures)
-        return found.swapaxes(0, 1)
+        found, uncertainty = regions_with_uncertainty(*there, (1, down), samples, captures)
+        return found.swapaxes(0, 1), uncertainty
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
     y, x = (
@@ -518,12 +627,13 @@ def measure_regional_response(
     # Light of the edges spreads over about this width.
     spread = math.sqrt(wavelength * distance)
 
-    def between(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
-        margin = min(spread, 0.3 * (ends[-1] - ends[0]))
-        return (values > ends[0] + margin) & (values < ends[-1] - margin)
+    def taper(values: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        size = ends[-1] - ends[0]
+        width = size - 2 * min(spread, 0.3 * size)
+        return np.cos(np.pi * np.clip((values - ends.mean()) / width, -0.5, 0.5))
 
     camera.region = None
-    phases = np.empty((down, across, top + 1))
+    phases, others = np.empty((down, across, top + 1)), []
     for column in range(across):
         beside = column + 1 if column + 1 < across else column - 1
         slope = 2 * np.pi / (wavelength * distance) * (x[column].mean() - x[beside].mean())
@@ -535,7 +645,9 @@ def measure_regional_response(
         def show(level: int, pattern=pattern, border=border) -> None:
             modulator.show(np.where(border, pattern, level))
 
-        places = [between(points[..., 0], x[column]) & between(points[..., 1], part) for part in y]
+        # Without a taper, light that fringing fields scatter at the border resembles the interference.
+        weights = [taper(points[..., 0], x[column]) * taper(points[..., 1], part) for part in y]
+        places = [weight > 0.01 for weight in weights]
         for row, place in enumerate(places):
             if place.sum() < 2 * len(levels):
                 raise RuntimeError(f"region {[row, column]} of the modulator lies outside the camera's image")
@@ -544,10 +656,12 @@ def measure_regional_response(
         for level in levels:
             show(int(level))
             frame = _averaged(camera, captures)
-            frames.append([frame[place] for place in places])
+            frames.append([(weight * frame)[place] for weight, place in zip(weights, places, strict=True)])
         for row, seen in enumerate(zip(*frames, strict=True)):
-            phases[row, column] = CubicSpline(levels, _phases_of_interference(np.stack(seen))[0])(np.arange(top + 1))
-    return phases
+            found, other = _phases_of_interference(np.stack(seen))
+            phases[row, column] = CubicSpline(levels, found)(np.arange(top + 1))
+            others.append(other)
+    return phases, 1.5 * float(np.max(others))
 
 
 class _Transposed:
@@ -631,6 +745,7 @@ def register_camera(
     >>> bool(np.linalg.norm(found.plane_points(middle) - exact.plane_points(middle)) < 4e-6)
     True
     """
+    check_square_pixels(modulator, camera)
     shape, pitch = np.array(modulator.shape), modulator.pitch
     half = shape * pitch * float(_validate.number("extent", extent, positive=True)) / 2
     # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
@@ -704,14 +819,17 @@ def register_camera(
     # Spots that were missed do not enter the fit of the mapping.
     fitted = least_squares(misfit, begin, x_scale=scale, loss="soft_l1", f_scale=0.3)
     found = mapping(fitted.x)
-    residual = float(np.sqrt((misfit(fitted.x).reshape(-1, 2) ** 2).sum(-1).mean()))
+    missed = misfit(fitted.x)
+    residual = float(np.sqrt((missed.reshape(-1, 2) ** 2).sum(-1).mean()))
+    covariance = np.linalg.pinv(fitted.jac.T @ fitted.jac) * (missed @ missed) / max(missed.size - len(fitted.x), 1)
+    variance = np.einsum("ki,ij,kj->k", fitted.jac, covariance, fitted.jac).reshape(-1, 2).sum(-1).max()
     # An aberration spreads the spots of a first registration.
     if residual > (2.0 if middle else 0.5):
         warn(
             f"the registration of the camera is uncertain: the residual of the fit is {residual:.2f} pixels",
             AccuracyWarning,
         )
-    return Registration(found.homography, found.distortion, found.shape, residual)
+    return Registration(found.homography, found.distortion, found.shape, residual, 2 * math.sqrt(variance))
 
 
 def measure_wavefront(
@@ -727,6 +845,7 @@ def measure_wavefront(
     order: int = 4,
     iterations: int = 10,
     captures: int = 2,
+    start: np.ndarray | None = None,
 ) -> np.ndarray:
     """Measure the aberration at a modulator, which acts as the lenslets of a Shack–Hartmann sensor.
 
@@ -734,6 +853,9 @@ def measure_wavefront(
     of an ideal table, which is simulated, are the gradients of the wavefront; Zernike polynomials are fitted to them
     and corrected, and the measurement is repeated until the gradients vanish. It begins with 3 × 3 lenslets and low
     orders, for large aberrations.
+
+    Fringing fields at the steps of 2π and light that is not modulated shift the spots by amounts that depend on the
+    phase at the middle of the lenslets; the patterns of the captures differ in it, so that the shifts cancel.
 
     Parameters
     ----------
@@ -759,7 +881,10 @@ def measure_wavefront(
     iterations : int
         Number of patterns.
     captures : int
-        Number of captures that are averaged for each pattern; iterations·captures are taken in all.
+        Number of captures that are averaged for each iteration; iterations·captures are taken in all.
+    start : numpy.ndarray, optional
+        Aberration in radians that is known approximately, from which the measurement begins, with the smallest lenslets
+        and all orders. None by default.
 
     Returns
     -------
@@ -790,6 +915,29 @@ def measure_wavefront(
     >>> bool(error.std() < 2 * np.pi / 100)
     True
     """
+    there = (modulator, camera, wavelength, distance, phases, registration)
+    return wavefront_with_uncertainty(*there, amplitude, cells, order, iterations, captures, start)[0]
+
+
+def wavefront_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    amplitude: np.ndarray | float | None = None,
+    cells: int | None = None,
+    order: int = 4,
+    iterations: int = 10,
+    captures: int = 2,
+    start: np.ndarray | None = None,
+) -> tuple[np.ndarray, float]:
+    """Return the aberration at a modulator, and its uncertainty in radians, without tilt and defocus.
+
+    The parameters are those of :func:`measure_wavefront`.
+    """
+    check_square_pixels(modulator, camera)
     shape = np.array(modulator.shape)
     order, iterations, captures = (
         _validate.integer(name, value, minimum=least)
@@ -822,23 +970,26 @@ def measure_wavefront(
         return phase, middles, system, places, int(0.42 * np.linalg.norm(beside - places[:1], axis=-1).min())
 
     # Spots of a large aberration are nearer to those of other lenslets: coarse lenslets and low modes come first.
-    coarse = 2 if iterations > 4 else 0
-    wavefront = np.zeros(modulator.shape)
+    coarse = 2 if iterations > 4 and start is None else 0
+    wavefront = np.zeros(modulator.shape) if start is None else np.asarray(start, float)
     camera.region = None
     for step in range(iterations):
         if step in (0, coarse):
             phase, middles, system, places, reach = lenslets_of(np.minimum(fine, 3) if step < coarse else fine)
-        modulator.show(nearest_levels(phase - wavefront, phases))
-        if step in (0, coarse):
-            set_exposure(camera)
-        frame = _averaged(camera, captures)
+        frame = np.zeros(tuple(camera.shape))
+        for capture in range(captures):
+            turn = np.pi * (2 * capture + step % 2) / captures
+            modulator.show(nearest_levels(phase - wavefront + turn, phases))
+            if step in (0, coarse) and capture == 0:
+                set_exposure(camera)
+            frame += _averaged(camera, 1) / captures
         seen = np.stack([_centroid(frame, place, reach) for place in places])
         lit = _lit(modulator, frame, seen, middles, reach) if amplitude is None else amplitude
         ideal = _ideal_capture(modulator, phase, lit, wavelength, distance, registration)
         wanted = np.stack([_centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
         gradient = 2 * np.pi / wavelength * moved / distance
-        used = min(order, 2 + step)
+        used = order if start is not None else min(order, 2 + step)
         used = used * (used + 3) // 2
         coefficients, *_ = np.linalg.lstsq(system[:, :used], gradient.ravel(), rcond=None)
         # Tilts belong to the registration.
@@ -850,7 +1001,11 @@ def measure_wavefront(
             "the aberration may be larger than the lenslets can measure",
             AccuracyWarning,
         )
-    return wavefront - wavefront.mean()
+    pure = np.stack([without(mode, modes[[0, 1, _DEFOCUS]]) for mode in modes[:used]]).reshape(used, -1)
+    left = gradient.ravel() - system[:, :used] @ coefficients
+    covariance = np.linalg.pinv(system[:, :used].T @ system[:, :used]) * (left @ left) / max(left.size - used, 1)
+    variance = np.einsum("ij,ip,jp->", covariance, pure, pure, optimize=True) / pure.shape[1]
+    return wavefront - wavefront.mean(), 2 * math.sqrt(variance)
 
 
 def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.ndarray, reach: int) -> np.ndarray:
@@ -926,6 +1081,27 @@ def measure_distance(
     >>> bool(abs(found / table.truth.distance - 1) < 0.02)
     True
     """
+    there = (modulator, camera, wavelength, distance, phases, registration)
+    return distance_with_uncertainty(*there, wavefront, span, samples, captures)[0]
+
+
+def distance_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    wavefront: np.ndarray | float = 0.0,
+    span: float = 0.15,
+    samples: int = 15,
+    captures: int = 4,
+) -> tuple[float, float]:
+    """Return the distance from a modulator to a camera, and its uncertainty in metres.
+
+    The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
+    """
+    check_square_pixels(modulator, camera)
     span = float(_validate.number("span", span, positive=True))
     correction = np.asarray(wavefront, float)
     if correction.ndim:
@@ -953,8 +1129,14 @@ def measure_distance(
     camera.region = None
     peak = powers[values.argmax()]
     near = np.abs(powers - peak) <= 1.2 * depth
-    curve = np.polynomial.Polynomial.fit(powers[near], values[near], 2)
-    return 1 / float(curve.deriv().roots()[0].real)
+    system = np.vander((powers[near] - peak) / depth, 3)
+    curve, *_ = np.linalg.lstsq(system, values[near], rcond=None)
+    left = values[near] - system @ curve
+    covariance = np.linalg.pinv(system.T @ system) * (left @ left) / max(left.size - 3, 1)
+    bend, slope, _ = curve
+    toward = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0])
+    found = 1 / float(peak - slope / (2 * bend) * depth)
+    return found, math.hypot(2 * math.sqrt(toward @ covariance @ toward), FOCUS) * depth * found**2
 
 
 def measure_illumination(
@@ -1028,6 +1210,28 @@ def measure_illumination(
     >>> bool(abs(found - table.truth.amplitude / table.truth.amplitude.max()).mean() < 0.06)
     True
     """
+    there = (modulator, camera, wavelength, distance, phases, registration)
+    return illumination_with_uncertainty(*there, wavefront, cells, order, patterns, captures)[0]
+
+
+def illumination_with_uncertainty(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    wavefront: np.ndarray | float = 0.0,
+    cells: int = 8,
+    order: int = 4,
+    patterns: int = 150,
+    captures: int = 1,
+) -> tuple[np.ndarray, float]:
+    """Return the amplitude of the illumination at a modulator, and its uncertainty (root mean square).
+
+    The parameters are those of :func:`measure_illumination`.
+    """
+    check_square_pixels(modulator, camera)
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
     number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
@@ -1116,9 +1320,9 @@ def measure_illumination(
     elif uncertainty > EVEN:
         reason = "the captures deviate from those of the model"
     if reason:
-        total = math.hypot(uncertainty, math.sqrt(DEPTH * dark.mean()))
-        warn(f"the illumination is uncertain by {total:.2g} (root mean square): {reason}", AccuracyWarning)
-    return amplitude
+        uncertainty = math.hypot(uncertainty, math.sqrt(DEPTH * dark.mean()))
+        warn(f"the illumination is uncertain by {uncertainty:.2g} (root mean square): {reason}", AccuracyWarning)
+    return amplitude, uncertainty
 
 
 class _Speckles(NamedTuple):
@@ -1190,7 +1394,8 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
 
     The file holds the arrays phases, amplitude, wavefront and homography, and of the regions where they were measured,
     regional_phases; and the format ("odak calibration"), its version (1), the units of all quantities, and the numbers
-    wavelength, pitch, distance, distortion, camera_shape and residual. In ``.npz`` these are a JSON object, UTF-8 text
+    wavelength, pitch, distance, distortion, camera_shape and residual, and uncertainty_phases and so on of what was
+    measured. In ``.npz`` these are a JSON object, UTF-8 text
     in the array ``header``; in HDF5 they are attributes of the file.
 
     Parameters
@@ -1225,6 +1430,7 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
         "distortion": registration.distortion,
         "camera_shape": list(registration.shape),
         "residual": registration.residual,
+        **{f"uncertainty_{name}": value for name, value in calibration.uncertainty.items()},
     }
     arrays = {name: getattr(calibration, name) for name in ("phases", "amplitude", "wavefront")}
     arrays["homography"] = registration.homography
@@ -1280,8 +1486,10 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
         known = {name: arrays[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
         rows, columns = (int(n) for n in header["camera_shape"])
         registration = Registration(
-            known["homography"], float(header["distortion"]), (rows, columns), float(header["residual"])
+            *(known["homography"], float(header["distortion"]), (rows, columns), float(header["residual"])),
+            float(header.get("uncertainty_registration", 0.0)),
         )
+        prefix = "uncertainty_"
         return Calibration(
             wavelength=float(header["wavelength"]),
             pitch=float(header["pitch"]),
@@ -1291,6 +1499,7 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
             wavefront=known["wavefront"],
             registration=registration,
             regional_phases=arrays.get("regional_phases"),
+            uncertainty={k.removeprefix(prefix): float(v) for k, v in header.items() if k.startswith(prefix)},
         )
     except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odak import _validate
-from odak.instruments.protocols import Camera, Modulator
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.tools.paths import temporary_name, validate_path
 
 __all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
@@ -164,6 +164,7 @@ def record_captures(
     places = np.zeros(len(levels)) if positions is None else np.asarray(positions, float)
     if places.shape != (len(levels),):
         raise ValueError(f"positions must contain one number for each of {len(levels)} patterns, got {places.shape}")
+    check_square_pixels(modulator, camera)
     if stage is None and places.any():
         raise ValueError("stage must be given where positions differ from 0, got None")
     frames = []

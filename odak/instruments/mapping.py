@@ -52,6 +52,8 @@ class Registration:
         Rows and columns of the camera.
     residual : float
         Root mean square distance of the measured spots from the mapping, in pixels.
+    uncertainty : float
+        Uncertainty of the mapping among the spots in pixels: twice the largest standard deviation.
 
     Examples
     --------
@@ -69,6 +71,7 @@ class Registration:
     distortion: float
     shape: tuple[int, int]
     residual: float = 0.0
+    uncertainty: float = 0.0
 
     def plane_points(self, pixels: np.ndarray) -> np.ndarray:
         """Return the points x, y in metres ``[..., 2]`` that are imaged onto pixels (column, row) ``[..., 2]``."""

@@ -165,6 +165,24 @@ class Rotator(Protocol):
         ...
 
 
+def check_square_pixels(modulator: Any, camera: Any) -> None:
+    """Raise a ValueError if the pitch of a modulator or of a camera is not one positive number.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The modulator.
+    camera : Camera
+        The camera.
+    """
+    for name, instrument in (("modulator", modulator), ("camera", camera)):
+        if np.size(instrument.pitch) != 1:
+            raise ValueError(
+                f"{name}.pitch must be one number in metres, that of square pixels, got {instrument.pitch!r}"
+            )
+        _validate.number(f"{name}.pitch", instrument.pitch, positive=True)
+
+
 def open_instrument(name: str, **options: Any) -> Any:
     """Open an instrument by the name under which an installed package registered its driver.
 

@@ -120,7 +120,7 @@ def test_a_response_that_varies_is_reported_where_it_is_not_measured(seed):
         fresh_seed(seed), shape=(96, 96), camera_shape=(80, 80), distance=8e-3, regional=0.05
     )
     with pytest.raises(AccuracyWarning, match=r"use regions=\(3, 3\)"):
-        instruments.calibrate_table(*instruments_of(table), 532e-9, 8e-3)
+        instruments.calibrate_table(*instruments_of(table), 532e-9, 8e-3, regions=(1, 1))
 
 
 def test_a_modulator_that_does_not_modulate_is_reported():
@@ -157,6 +157,51 @@ def test_illumination_within_two_percent(calibrated):
     assert found.amplitude.max() == 1.0
 
 
+UNCERTAIN = ("phases", "registration", "wavefront", "distance", "amplitude")
+
+
+def errors_of(found, table):
+    truth = table.truth
+    wavefront = calibrating.without(found.wavefront - truth.wavefront, low_modes(table.modulator))
+    return {
+        "phases": np.abs(found.phases - truth.phases * truth.response.mean()).max(),
+        "registration": distance_in_pixels(found.registration, table).max(),
+        "wavefront": rms(wavefront),
+        "distance": abs(found.distance - truth.distance),
+        "amplitude": rms(found.amplitude - truth.amplitude / truth.amplitude.max()),
+    }
+
+
+@pytest.mark.xdist_group("calibrated")
+def test_uncertainties_contain_the_errors_and_are_of_their_size(calibrated):
+    table, found = calibrated
+    errors = errors_of(found, table)
+    for name, bound in zip(UNCERTAIN, (0.03, 0.2, 2 * np.pi / 100, 1e-3 * found.distance, 0.03), strict=True):
+        assert errors[name] < found.uncertainty[name] < bound
+
+
+def test_pixels_that_are_not_square_are_refused():
+    table = instruments.SimulatedTable(2, shape=(24, 24), camera_shape=(48, 48), distance=2e-3)
+    modulator, camera = table.modulator, table.camera
+    known = instruments.Registration(table.truth.homography, 0.0, camera.shape)
+    modulator.pitch = (8e-6, 6e-6)
+    there = (modulator, camera, 532e-9, 2e-3)
+    for step in (
+        lambda: instruments.calibrate_table(*there),
+        lambda: instruments.Calibration.nominal(*there),
+        lambda: instruments.register_camera(*there, table.truth.phases),
+        lambda: instruments.measure_regional_response(*there, known),
+        lambda: instruments.measure_wavefront(*there, table.truth.phases, known),
+        lambda: instruments.measure_distance(*there, table.truth.phases, known),
+        lambda: instruments.measure_illumination(*there, table.truth.phases, known),
+        lambda: instruments.record_captures(modulator, camera, np.zeros((1, 24, 24), int), 532e-9),
+    ):
+        with pytest.raises(ValueError, match=r"modulator\.pitch must be one number"):
+            step()
+    with pytest.raises(TypeError, match="pitch must be one number"):
+        instruments.SimulatedTable(2, pitch=(8e-6, 6e-6))
+
+
 @pytest.mark.xdist_group("calibrated")
 def test_a_corrected_spot_is_as_bright_as_an_ideal_one(calibrated):
     table, found = calibrated
@@ -183,6 +228,8 @@ def test_files_are_read_back(calibrated, tmp_path):
     assert (again.wavelength, again.pitch, again.distance) == (found.wavelength, found.pitch, found.distance)
     for name in ("phases", "amplitude", "wavefront"):
         assert np.array_equal(getattr(again, name), getattr(found, name))
+    assert again.uncertainty == found.uncertainty and set(again.uncertainty) == set(UNCERTAIN)
+    assert again.registration.uncertainty == found.uncertainty["registration"]
     pixels = np.random.default_rng(0).uniform(0, 300, (5, 2))
     assert np.array_equal(again.registration.plane_points(pixels), found.registration.plane_points(pixels))
     with np.load(tmp_path / "a.npz") as store:
@@ -282,7 +329,7 @@ def test_dust_is_reported(seed):
 def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
     """With the response of the whole panel alone, the image is 0.2 pixels beside its place."""
     table = instruments.SimulatedTable(fresh_seed(16), regional=0.05)
-    found = instruments.calibrate_table(*instruments_of(table), 532e-9, 20e-3, regions=(3, 3))
+    found = instruments.calibrate_table(*instruments_of(table), 532e-9, 20e-3)
     assert distance_in_pixels(found.registration, table).max() < 0.1
     error = calibrating.without(found.wavefront - table.truth.wavefront, low_modes(table.modulator))
     assert rms(error) < 2 * np.pi / 100
