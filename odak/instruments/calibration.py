@@ -346,8 +346,10 @@ def calibrate_table(
         found = without(found, low)
         change, wavefront = float((found - wavefront).std()), found
     rest = change * COUPLING / (1 - COUPLING) if turn else 0.0
-    # The factors here and below are those that cover the errors of simulated tables with fringing fields.
-    uncertainty["wavefront"] = math.hypot(1.5 * doubt, 1.5 * rest, SMALLEST_ERROR)
+    # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
+    # below are those that cover the errors of simulated tables with fringing fields.
+    response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
+    uncertainty["wavefront"] = math.hypot(1.5 * doubt, 1.5 * rest, SMALLEST_ERROR, response_error)
     distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
     # The wavefront π/λ·(x² + y²)/f is that of a lens.
     y, x = _axes(modulator)
