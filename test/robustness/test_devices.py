@@ -31,6 +31,7 @@ NOT_EMULATED = (
     "odak.learn.raytracing.system.lens_design.*",  # the transforms of torch.func around a copy to the device
     "*.levenberg_marquardt",
     "*.relative_illumination",
+    "*.image_figure",
     "odak.learn.wave.Scene.*",  # cameras are objects of their own, with a `to`
 )
 # What is not ready for a device yet: numbers of the CPU are mixed in, or read back in every iteration.

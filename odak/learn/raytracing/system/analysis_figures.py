@@ -99,6 +99,7 @@ def through_focus_figure(
         raise ValueError(f"shifts must be an odd number of distances, at least 3, got {tuple(shifts.shape)}")
     sizes = through_focus(system, shifts, "rings", 5, aim=aim) * scale
     rays = trace_fields(system, "rings", 5, aim=aim)
+    shifts = shifts.to(rays.x.device)
     shown = sorted({round(i * (len(shifts) - 1) / 4) for i in range(5)})
     fields = len(system.fields)
     size = (2 + 1.5 * len(shown) + 3.4, 1.5 * fields + 1.2)
