@@ -19,6 +19,15 @@ def test_points_are_summed_over_their_paths(random, monkeypatch):
     np.testing.assert_allclose(odak.wave.propagate_field(sources, targets, field, k, direction=-1), expected)
 
 
+@pytest.mark.parametrize("precision", [np.float32, np.float64])
+def test_points_of_every_library_agree(as_array, random, precision):
+    sources, targets = random.normal(size=(4, 3)), random.normal(loc=[0, 0, 5], size=(3, 3))
+    sources, targets, field = (values.astype(precision) for values in (sources, targets, random.normal(size=4)))
+    expected = odak.wave.propagate_field(sources, targets, field, 30.0)
+    result = odak.wave.propagate_field(*map(as_array, (sources, targets, field)), 30.0)
+    np.testing.assert_allclose(np.asarray(result), expected, rtol=0, atol=20 * np.finfo(precision).eps)
+
+
 def test_coinciding_points_and_shapes_are_refused(random):
     points = random.normal(size=(3, 3))
     with pytest.raises(ValueError, match="coincide"):
