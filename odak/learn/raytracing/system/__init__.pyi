@@ -1,4 +1,5 @@
 from .analysis import Footprint as Footprint
+from .analysis import QFit as QFit
 from .analysis import Spots as Spots
 from .analysis import Wavefront as Wavefront
 from .analysis import axial_color as axial_color
@@ -9,6 +10,7 @@ from .analysis import field_curvature as field_curvature
 from .analysis import footprint as footprint
 from .analysis import lateral_color as lateral_color
 from .analysis import path_fan as path_fan
+from .analysis import q_fit as q_fit
 from .analysis import ray_fan as ray_fan
 from .analysis import rms_spot as rms_spot
 from .analysis import spot_diagram as spot_diagram

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _validate
@@ -669,7 +670,7 @@ class Wavefront(NamedTuple):
     rms : torch.Tensor
         Its standard deviation over the rays, ``[..., W, F]``.
     pupil : torch.Tensor
-        Pupil coordinates, ``[P, 2]``.
+        Pupil coordinates, ``[P, 2]``, or ``[F, P, 2]`` where each field has its own.
     cosines : torch.Tensor
         Direction cosines u, v of the rays in image space less those of the chief ray, ``[..., W, F, P, 2]``.
     status : torch.Tensor
@@ -708,7 +709,8 @@ def wavefront(
     system : optical_system
         The system.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius; ``[F, P, 2]`` for points
+        of each field's own.
     count : int
         Count of :func:`pupil_samples`.
     prescription : Prescription, optional
@@ -826,12 +828,136 @@ def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.
     if not isinstance(found, Wavefront):
         raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
     terms = _validate.integer("terms", terms, minimum=1)
-    radius, angle = found.pupil.square().sum(-1).sqrt(), torch.atan2(found.pupil[:, 1], found.pupil[:, 0])
-    radius = radius.clamp(max=1.0)
-    if len(radius) < terms:
-        raise ValueError(f"terms must be at most the number of rays, {len(radius)}, got {terms}")
+    radius, angle = _polar(found.pupil)
+    if radius.shape[-1] < terms:
+        raise ValueError(f"terms must be at most the number of rays, {radius.shape[-1]}, got {terms}")
     modes = [noll_to_nm(j) for j in range(1, terms + 1)]
-    basis = torch.stack([zernike_norm(*mode) * zernike_polynomial(*mode, radius, angle) for mode in modes], -1)
+    return _fitted(
+        found, torch.stack([zernike_norm(*mode) * zernike_polynomial(*mode, radius, angle) for mode in modes], -1)
+    )
+
+
+class QFit(NamedTuple):
+    """Coefficients of a wavefront in Forbes' gradient-orthogonal polynomials.
+
+    Attributes
+    ----------
+    base : torch.Tensor
+        Coefficients of 1 and of the square of the pupil's radius, in wavelengths, ``[..., W, F, 2]``.
+    cosine : torch.Tensor
+        Coefficients aₙᵐ, ``[..., W, F, azimuthal + 1, radial]`` with the orders m from 0 and the degrees n from 0.
+    sine : torch.Tensor
+        Coefficients bₙᵐ, of the same shape; zero for m = 0.
+    residual : torch.Tensor
+        Root mean square of what the polynomials leave, ``[..., W, F]``.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import QFit, load_system, q_fit, wavefront
+    >>> isinstance(q_fit(wavefront(load_system("cooke_triplet")), radial=3), QFit)
+    True
+    """
+
+    base: torch.Tensor
+    cosine: torch.Tensor
+    sine: torch.Tensor
+    residual: torch.Tensor
+
+
+def q_fit(found: Wavefront, radial: int = 4, azimuthal: int = 4) -> QFit:
+    """Return Forbes' polynomials of a wavefront, by least squares over its rays.
+
+    Parameters
+    ----------
+    found : Wavefront
+        From :func:`wavefront`.
+    radial : int
+        Number of polynomials for each azimuthal order.
+    azimuthal : int
+        Largest azimuthal order m.
+
+    Returns
+    -------
+    QFit
+        Coefficients in wavelengths. The sum of the squares of `cosine` and `sine` is the mean square gradient of their
+        part of the wavefront, per radius of the pupil, with the weight 1/(u √(1 − u²)) over its area.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer rays than polynomials.
+
+    Notes
+    -----
+    W = c₀ + c₁u² + u²(1 − u²) Σ aₙ⁰ Qₙ⁰(u²) + Σ uᵐ Σ (aₙᵐ cos mθ + bₙᵐ sin mθ) Qₙᵐ(u²) with the radius u in the pupil
+    and the angle θ from its x axis; c is `base`. The polynomials Qₙᵐ have degree n, are positive at u = 0, and make the
+    terms orthonormal in the weighted mean of the product of gradients. G. W. Forbes, "Characterizing the shape of
+    freeform optics", Opt. Express 20, 2483 (2012), doi:10.1364/OE.20.002483.
+
+    Examples
+    --------
+    At a field point on the y axis, coma is in the sine terms of the first order:
+
+    >>> from odak.learn.raytracing.system import load_system, q_fit, wavefront
+    >>> found = q_fit(wavefront(load_system("cooke_triplet"), fields=[(0.0, 14.0)]))
+    >>> bool(found.sine[1, 0, 1].abs().max() > 1e6 * found.cosine[1, 0, 1].abs().max())
+    True
+    """
+    if not isinstance(found, Wavefront):
+        raise TypeError(f"found must be a Wavefront, got {type(found).__name__}")
+    radial, azimuthal = _validate.integer("radial", radial, minimum=1), _validate.integer("azimuthal", azimuthal)
+    radius, angle = _polar(found.pupil)
+    number = 2 + radial * (2 * azimuthal + 1)
+    if radius.shape[-1] < number:
+        raise ValueError(
+            f"radial and azimuthal must give at most as many polynomials as rays, {radius.shape[-1]}; got {number}"
+        )
+    square = radius.square()
+    terms = [torch.ones_like(square)[..., None], square[..., None]]
+    values = [_q_terms(m, radial, square) for m in range(azimuthal + 1)]
+    window = [square * (1 - square), *(radius**m for m in range(1, azimuthal + 1))]
+    terms += [(window[m] * torch.cos(m * angle))[..., None] * values[m] for m in range(azimuthal + 1)]
+    terms += [(window[m] * torch.sin(m * angle))[..., None] * values[m] for m in range(1, azimuthal + 1)]
+    coefficients, residual = _fitted(found, torch.cat(terms, -1))
+    shape = (azimuthal + 1, radial)
+    cosine = coefficients[..., 2 : 2 + shape[0] * radial].unflatten(-1, shape)
+    sine = coefficients[..., 2 + shape[0] * radial :].reshape(*residual.shape, azimuthal, radial)
+    sine = torch.cat([torch.zeros_like(cosine[..., :1, :]), sine], -2)
+    return QFit(coefficients[..., :2], cosine, sine, residual)
+
+
+def _q_terms(m: int, count: int, square: torch.Tensor) -> torch.Tensor:
+    """Return Forbes' Q_n^m for n below `count` at squares of the radius, ``[..., count]``.
+
+    They are Legendre polynomials made orthonormal by the Cholesky factor of the matrix of their weighted mean products
+    of gradients, an integral that the Gauss–Chebyshev rule gives exactly.
+    """
+    nodes = 2 * (count + max(m, 2))
+    u = np.cos((np.arange(nodes) + 0.5) * np.pi / (2 * nodes))
+    derivatives, values = np.zeros((2, count, nodes))
+    window, slope = (u**2 - u**4, 2 * u - 4 * u**3) if m == 0 else (u**m, m * u ** (m - 1))
+    for n in range(count):
+        legendre = np.polynomial.Legendre.basis(n, domain=[0, 1])
+        values[n] = window * legendre(u**2) / u
+        derivatives[n] = slope * legendre(u**2) + window * legendre.deriv()(u**2) * 2 * u
+    matrix = (derivatives @ derivatives.T + m**2 * values @ values.T) / (nodes * (2 if m else 1))
+    factor = np.linalg.inv(np.linalg.cholesky(matrix))
+    # At u = 0 Legendre's polynomials are (−1)ⁿ.
+    factor *= np.sign(factor @ (-1.0) ** np.arange(count))[:, None]
+    x = 2 * square - 1
+    legendre = [torch.ones_like(x), x]
+    for n in range(1, count - 1):
+        legendre.append(((2 * n + 1) * x * legendre[-1] - n * legendre[-2]) / (n + 1))
+    return torch.stack(legendre[:count], -1) @ torch.as_tensor(factor.T).to(square)
+
+
+def _polar(pupil: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the radius, at most 1, and the angle of points of the pupil."""
+    return pupil.square().sum(-1).sqrt().clamp(max=1.0), torch.atan2(pupil[..., 1], pupil[..., 0])
+
+
+def _fitted(found: Wavefront, basis: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the coefficients of a basis ``[..., P, terms]`` by least squares, and the root mean square of the rest."""
     kept = (found.status == 0)[..., None]
     weighted = torch.where(kept, basis, 0.0)
     values = torch.where(kept, found.path[..., None], 0.0)
