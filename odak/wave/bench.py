@@ -9,7 +9,9 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, phasor_of_cycles
+from odak.wave.elements import share_in_disc, share_in_strip
 from odak.wave.fourier import centred, fourier_sum
+from odak.wave.methods import check_has_kernel, find_method
 from odak.wave.propagation import propagate_beam
 from odak.wave.transfer_functions import check_geometry, fraction_of_cycles, pitches
 from odak.wave.windows import propagate_to_window
@@ -68,6 +70,9 @@ def propagate_abcd(
     into Fresnel propagation over B/A, magnification by A, and a lens, all within chirp-z transforms, on twice the grid.
     Paraxial, as ray matrices are.
 
+    The field is the band-limited interpolation of its samples, without the orders of a grid of points: beyond
+    λ|B|/(2·dx) + |A|·N·dx/2 from the axis, where none of its light arrives, the result is dark.
+
     Examples
     --------
     >>> import numpy as np
@@ -84,7 +89,7 @@ def propagate_abcd(
         for pitch in () if given is None else pitches(given, name):
             _validate.number(name, pitch, positive=True)
     xp = _array.namespace(field)
-    matrices = matrix if isinstance(matrix, tuple) and len(matrix) == 2 and _is_matrix(matrix[0]) else (matrix, matrix)
+    matrices = matrix if _is_pair(matrix) else (matrix, matrix)
     counts = tuple(field.shape[-2:]) if output_shape is None else _validate.size("output_shape", output_shape)
     given = (None, None) if output_dx is None else pitches(output_dx, "output_dx")
     like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
@@ -100,6 +105,11 @@ def propagate_abcd(
     plain = [float(p) if not _array.is_traced(p) else p for p in found]
     same = not any(_array.is_traced(p) for p in plain) and plain[0] == plain[1]
     return field, plain[0] if same else tuple(plain)
+
+
+def _is_pair(matrix) -> bool:
+    """Return whether a ray matrix is a pair of them, for rows and columns."""
+    return isinstance(matrix, tuple) and len(matrix) == 2 and _is_matrix(matrix[0])
 
 
 def _is_matrix(value) -> bool:
@@ -138,6 +148,9 @@ def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: 
     else:
         out = xp.abs(a) * pitch if imaged else wavelength * xp.abs(b) / (n * pitch)
     positions = centred(wavelength, count, axis) * out
+    # Half the window, and where light of the highest frequency of the field's middle, and of its edge, arrives.
+    half, step = count // 2 * min(_validate.numbers(out)), numbers[2]
+    middle, edge = numbers[3] * abs(numbers[1]) / (2 * step), abs(numbers[0]) * n * step / 2
     backwards = numbers[1] < 0
     if imaged:
         # Fresnel propagation over B/A, magnification by A, and a lens of power −C/A.
@@ -147,15 +160,28 @@ def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: 
         result = fourier_sum(spectrum, out / (a * pitch * 2 * n), count, +1, axis) / (2 * n)
         quarter = (0.25 if backwards else -0.25) if numbers[0] < 0 else 0.0
         cycles = c * positions**2 / (2 * a * wavelength) + quarter
-        amplitude = 1 / xp.sqrt(xp.abs(a))
+        amplitude, reach = 1 / xp.sqrt(xp.abs(a)), xp.abs(a) * n * pitch
     else:
-        source = centred(wavelength, n, axis) * pitch
+        if half > (middle - edge) * (1 + 1e-9):
+            # The sum repeats itself at λ|B| over the pitch of the samples, which light at the edges would reach.
+            field, pitch = _between_samples(field, wavelength, axis), pitch / 2
+        source = centred(wavelength, field.shape[axis], axis) * pitch
         field = field * phasor_of_cycles(a * source**2 / (2 * b * wavelength), field.dtype)
         result = fourier_sum(field, pitch * out / (wavelength * b), count, -1, axis)
         cycles = d * positions**2 / (2 * b * wavelength) + (0.125 if backwards else -0.125)
         amplitude = pitch / xp.sqrt(wavelength * xp.abs(b))
+        reach = wavelength * xp.abs(b) / (2 * step) + edge
+    if half > middle + edge:
+        result = result * xp.astype(xp.abs(positions) <= reach, field.dtype)
     result = result * phasor_of_cycles(cycles, field.dtype) * xp.astype(amplitude, field.dtype)
     return xp.astype(result, field.dtype, copy=False), xp.reshape(out, ())
+
+
+def _between_samples(field, like, axis: int):
+    """Return the band-limited interpolation of a field at half its pitch, over twice its width."""
+    n = field.shape[axis]
+    step = _array.namespace(like).ones_like(like) / (4 * n)
+    return fourier_sum(fourier_sum(field, 2 * step, 2 * n, -1, axis), step, 4 * n, +1, axis) / (2 * n)
 
 
 @dataclass(frozen=True)
@@ -167,13 +193,14 @@ class FreeSpace:
     distance : float or tensor
         Length in metres.
     propagation_type : str
-        Propagation type, see :func:`odak.wave.propagate_beam`; fields are padded to twice their size.
+        Propagation type, see :func:`odak.wave.propagate_beam`; fields are padded to twice their size. Not used where
+        the window differs from the field.
     window_shape : tuple of int, optional
         Rows and columns of the result, where it is to differ from the field: see :func:`odak.wave.propagate_to_window`.
     window_dx : float or pair, optional
         Pixel pitch of the result in metres.
     offset : tuple
-        Place (y, x) of the window's centre in metres.
+        Place (y, x) of the window's centre in metres; elements behind are placed relative to it.
     index : float or tensor
         Refractive index of the medium.
 
@@ -207,8 +234,9 @@ class FreeSpace:
         # A tensor may require the derivative at zero.
         on_axis = all(not _array.is_array(place) and place == 0 for place in self.offset)
         if self.window_shape is None and self.window_dx is None and on_axis:
-            method = self.propagation_type
-            return propagate_beam(field, None, self.distance, pitch, wavelength, method, zero_padding=_PADDED), pitch
+            _check_keeps_pitch(self.propagation_type)
+            name = self.propagation_type
+            return propagate_beam(field, None, self.distance, pitch, wavelength, name, zero_padding=_PADDED), pitch
         window = propagate_to_window(
             field, wavelength, self.distance, pitch, self.window_shape, self.window_dx, self.offset
         )
@@ -279,7 +307,7 @@ class CircularAperture:
     >>> import numpy as np
     >>> from odak.wave import CircularAperture
     >>> field, pitch = CircularAperture(1e-4).apply(np.ones((64, 64), complex), 8e-6, 532e-9)
-    >>> round(float(field.real.sum()) * pitch**2 / (np.pi * 1e-4**2), 2)
+    >>> round(float(field.real.sum()) * pitch**2 / (np.pi * 1e-4**2), 6)
     1.0
     """
 
@@ -301,9 +329,8 @@ class CircularAperture:
         xp = _array.namespace(field)
         y, x = _positions(field, pitch, self.offset)
         radius, (dy, dx) = _per_field(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
-        r = xp.sqrt(y**2 + x**2 + 1e-12 * dy**2)
-        step = xp.sqrt((y * dy) ** 2 + (x * dx) ** 2 + 1e-12 * dy**4) / r
-        return field * xp.astype(xp.clip((radius - r) / step + 0.5, 0.0, 1.0), field.dtype), pitch
+        share = share_in_disc(y, x, (dy, dx), radius)
+        return field * xp.astype(share, field.dtype), pitch
 
 
 @dataclass(frozen=True)
@@ -351,7 +378,7 @@ class RectangularAperture:
             _positions(field, pitch, self.offset), (self.height, self.width), pitches(pitch), strict=True
         ):
             size, step = _per_field(size, place), _array.cast(step, place)
-            field = field * xp.astype(xp.clip((size / 2 - xp.abs(place)) / step + 0.5, 0.0, 1.0), field.dtype)
+            field = field * xp.astype(share_in_strip(place, step, size), field.dtype)
         return field, pitch
 
 
@@ -508,7 +535,8 @@ class optical_bench:
         for element in self.elements:
             if not callable(getattr(element, "apply", None)):
                 raise TypeError(f"elements must have a method apply(field, pitch, wavelength), got {element!r:.80}")
-        self.wavelength = _validate.real("wavelength", wavelength, positive=True)
+        wavelength = _validate.real("wavelength", wavelength, positive=True)
+        self.wavelength = np.asarray(wavelength) if isinstance(wavelength, (list, tuple)) else wavelength
 
     def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple:
         """Return the field behind the last element, and its pixel pitch.
@@ -546,13 +574,19 @@ class optical_bench:
             yield BenchPlane(position, field, pitch, element)
 
     def matrix(self) -> Any:
-        """Return the ray matrix ``[[A, B], [C, D]]`` of the whole bench, as nested lists of its numbers."""
-        total: list = [[1.0, 0.0], [0.0, 1.0]]
-        for element in self.elements:
-            if hasattr(element, "matrix"):
-                m = element.matrix()
+        """Return the ray matrix ``[[A, B], [C, D]]`` of the whole bench, as nested lists of its numbers.
+
+        A tuple of two (rows, columns) if an element has a matrix for each axis.
+        """
+        totals = []
+        for axis in range(2):
+            total: list = [[1.0, 0.0], [0.0, 1.0]]
+            for element in self.elements:
+                m = _matrix_along(element, axis)
                 total = [[sum(m[i][k] * total[k][j] for k in range(2)) for j in range(2)] for i in range(2)]
-        return total
+            totals.append(total)
+        both = any(_is_pair(element.matrix()) for element in self.elements if hasattr(element, "matrix"))
+        return tuple(totals) if both else totals[0]
 
     def draw(self, height: float, width: int = 900) -> Any:
         """Return a drawing of the bench: its elements to scale along the axis, and paraxial rays through it.
@@ -576,7 +610,7 @@ class optical_bench:
         rays = [np.stack([starts, np.zeros(5)])]
         places = [0.0]
         for element in self.elements:
-            matrix = getattr(element, "matrix", lambda: [[1.0, 0.0], [0.0, 1.0]])()
+            matrix = _matrix_along(element, 0)
             m = np.array([[float(matrix[i][j]) for j in range(2)] for i in range(2)])
             offset = float(getattr(element, "offset", (0.0,))[0]) if isinstance(element, ThinLens) else 0.0
             shift = np.array([[offset], [0.0]])
@@ -624,8 +658,25 @@ def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
         pen.rectangle([x - 2 * wing, high, x, low], outline="#1f4e9c", width=2)
 
 
+def _matrix_along(element, axis: int):
+    """Return the ray matrix of an element along rows (0) or columns (1); the identity if it has none."""
+    matrix = getattr(element, "matrix", lambda: [[1.0, 0.0], [0.0, 1.0]])()
+    return matrix[axis] if _is_pair(matrix) else matrix
+
+
 def _length(element):
     return getattr(element, "distance", getattr(element, "path_length", 0.0))
+
+
+def _check_keeps_pitch(propagation_type: str) -> None:
+    """Raise ValueError for a method whose result is no field of the same pitch."""
+    check_has_kernel(propagation_type)
+    method = find_method(propagation_type)
+    if method is not None and (method.sets_own_pitch or method.of_intensities):
+        raise ValueError(
+            f"propagation_type must give a field of the same pitch, which {method.name!r} does not; window_dx gives "
+            "another pitch, and so does FirstOrderSystem"
+        )
 
 
 def _per_field(value, like):

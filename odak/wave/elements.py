@@ -56,8 +56,8 @@ def lens_phase(
     >>> round(float(phase[0, 52]) / (-3.14159265 * 2e-4**2 / (500e-9 * 0.1)), 6)
     1.0
     """
-    _validate.real("focal", focal, nonzero=True)
-    _validate.real("wavelength", wavelength, positive=True)
+    _validate.number("focal", _validate.real("focal", focal, nonzero=True))
+    _validate.number("wavelength", wavelength, positive=True)
     xp = _validate.library("xp", xp)
     _, (y, x) = grid_positions(shape, dx, offset, xp, device)
     return -math.pi * (y**2 + x**2) / (wavelength * focal)
@@ -133,8 +133,8 @@ def quadratic_phase_function(
     (-0.251327, -0.251327)
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
-    _validate.real("k", k)
-    _validate.real("focal", focal, nonzero=True)
+    _validate.number("k", k)
+    _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     return phasor(-k * squared_radius(nx, ny, pitches(dx)[::-1], offset) / (2 * focal)).T
 
 
@@ -176,8 +176,8 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequenc
     (0.5027, 0.5027)
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
-    _validate.real("k", k)
-    _validate.real("r", r, nonzero=True)
+    _validate.number("k", k)
+    _validate.number("r", _validate.real("r", r, nonzero=True))
     return phasor(k * squared_radius(nx, ny, dx, xp=xp) / r)
 
 
@@ -225,7 +225,7 @@ def prism_phase_function(
     1.0
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
-    _validate.real("k", k)
+    _validate.number("k", k)
     axis, (rows, columns) = _validate.one_of("axis", axis, ("x", "y")), pitches(dx)
     xp = _validate.library("xp", xp)
     line = _older_positions(ny, columns, xp) if axis == "x" else _older_positions(nx, rows, xp)
@@ -280,10 +280,10 @@ def prism_grating(
     """
     line, shape = _line_along(nx, ny, axis, _validate.library("xp", xp))
     xp = namespace(line)
-    _validate.real("k", k)
+    _validate.number("k", k)
     rows, columns = pitches(dx)
     pitch = _validate.real("dx", rows if line.shape[1] == 1 else columns, positive=True)
-    _validate.real("phase_offset", phase_offset)
+    _validate.number("phase_offset", phase_offset)
     sine = _of_degrees("angle", angle, math.sin)
     phase = k * sine * line * pitch + phase_offset * (math.pi / 180)
     return xp.broadcast_to(phasor(-phase), shape) + 0
@@ -381,7 +381,7 @@ def linear_grating(
 
 def _of_degrees(name, angle, function):
     """Return a trigonometric function of degrees, with the graph of a tensor."""
-    angle = _validate.real(name, angle)
+    angle = _validate.number(name, angle)
     if is_array(angle):
         return getattr(namespace(angle), function.__name__)(angle * (math.pi / 180))
     return function(math.radians(angle))
@@ -404,7 +404,7 @@ def circular_aperture(
     xp: Any = None,
     device: Any = None,
 ) -> Array:
-    """Return the transmission of a disc or a ring, with the pixels of its edges weighted by the part inside.
+    """Return the transmission of a disc or a ring, with the pixels of its edges weighted by the area inside.
 
     Parameters
     ----------
@@ -426,29 +426,23 @@ def circular_aperture(
     Returns
     -------
     array
-        float64 ``[rows, columns]`` between 0 and 1, differentiable in the radii. A pixel counts by the part of its
-        width, along the radius, that lies inside, so that the area is right to second order in the pitch.
+        float64 ``[rows, columns]``: the part of each pixel's area that lies inside, exactly; differentiable in the
+        radii.
 
     Examples
     --------
     >>> from odak.wave import circular_aperture
     >>> disc = circular_aperture((64, 64), 1.0, 20.0)
-    >>> round(float(disc.sum()) / (3.14159265 * 20**2), 2)
+    >>> round(float(disc.sum()) / (3.14159265 * 20**2), 6)
     1.0
     """
     _validate.number("radius", radius, positive=True)
     _validate.number("inner_radius", inner_radius, least=0)
     xp, device, (radius, inner_radius) = single_numbers(xp, device, radius=radius, inner_radius=inner_radius)
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
-    distance, centre = _radius(xp, y, x)
-    # Half the width of a pixel along the radius.
-    half = (xp.abs(x) * steps[1] + xp.abs(y) * steps[0]) / (2 * xp.where(centre, xp.ones_like(distance), distance))
-    half = xp.where(centre, xp.ones_like(half) * (min(steps) / 2), half)
-
-    def inside(rim):
-        return xp.clip((rim - distance) / (2 * half) + 0.5, 0.0, 1.0)
-
-    return inside(radius) - inside(inner_radius) * xp.astype(inner_radius > 0, xp.float64)
+    ring = inner_radius > 0
+    inner = share_in_disc(y, x, steps, xp.where(ring, inner_radius, xp.ones_like(inner_radius)))
+    return share_in_disc(y, x, steps, radius) - inner * xp.astype(ring, xp.float64)
 
 
 def rectangular_aperture(
@@ -495,13 +489,55 @@ def rectangular_aperture(
     height, width = _validate.several("size", size, 2)
     xp, device, (height, width) = single_numbers(xp, device, **{"size[0]": height, "size[1]": width})
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    return share_in_strip(y, steps[0], height) * share_in_strip(x, steps[1], width)
 
-    def inside(position, step, extent):
-        low = xp.maximum(position - step / 2, -extent / 2)
-        high = xp.minimum(position + step / 2, extent / 2)
-        return xp.clip((high - low) / step, 0.0, 1.0)
 
-    return inside(y, steps[0], height) * inside(x, steps[1], width)
+def share_in_strip(position, step, width):
+    """Return the part of each pixel, of the pitch `step` along one axis, that lies within a strip about zero."""
+    xp = namespace(position)
+    low = xp.maximum(position - step / 2, -width / 2)
+    high = xp.minimum(position + step / 2, width / 2)
+    return xp.clip((high - low) / step, 0.0, 1.0)
+
+
+def share_in_disc(y, x, steps, radius):
+    """Return the part of the area of each pixel that lies within a disc about zero.
+
+    Parameters
+    ----------
+    y, x : array
+        Positions of the pixels, float64 ``[..., rows, 1]`` and ``[..., 1, columns]``.
+    steps : sequence
+        Their pitches (rows, columns).
+    radius : array
+        Radius, that broadcasts against the positions; positive.
+    """
+    xp = namespace(y, x)
+    quarter = math.pi / 4 * radius**2
+
+    def beside(place):
+        """Return the area of the first quadrant of the disc up to a distance from one of its axes."""
+        held = place < radius
+        safe = xp.where(held, place, 0 * place)
+        area = (safe * xp.sqrt(radius**2 - safe**2) + radius**2 * xp.asin(safe / radius)) / 2
+        return xp.where(held, area, quarter + 0 * place)
+
+    edges, low, high = [], 0.0, 0.0
+    for place, step, axis in zip((y, x), steps, (-2, -1), strict=True):
+        last = place[..., -1:, :] if axis == -2 else place[..., -1:]
+        edges.append(xp.concat([place - step / 2, last + step / 2], axis=axis))
+        low = low + xp.clip(xp.abs(place) - step / 2, min=0.0) ** 2
+        high = high + (xp.abs(place) + step / 2) ** 2
+    down, across = (xp.abs(edge) for edge in edges)
+    # The area between the axes and a point: of a rectangle, or of the quadrant less what is beyond the point.
+    within = down**2 + across**2 <= radius**2
+    area = xp.where(within, down * across, beside(down) + beside(across) - quarter)
+    area = area * xp.sign(edges[0]) * xp.sign(edges[1])
+    area = area[..., 1:, :] - area[..., :-1, :]
+    share = (area[..., 1:] - area[..., :-1]) / (steps[0] * steps[1])
+    # Whole pixels without the rounding errors of large areas.
+    share = xp.where(high <= radius**2, xp.ones_like(share), xp.clip(share, 0.0, 1.0))
+    return xp.where(low >= radius**2, xp.zeros_like(share), share)
 
 
 def axicon_phase(

@@ -77,6 +77,35 @@ def test_the_integral_written_out(matrix, random):
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
+@pytest.mark.parametrize(
+    ("ratio", "magnification", "out", "count"),
+    [(1.1, 1.0, None, 16), (1.1, 1.0, 8e-6, 16), (8.0, -0.5, None, 16), (0.2, -0.5, 4e-6, 64), (1.5, 2.0, 16e-6, 40)],
+)
+def test_light_at_the_edge_of_the_band_has_no_orders(ratio, magnification, out, count, random):
+    """Against the Fresnel integral of the band that the pitch holds, a magnification and a lens."""
+    n, dx, c = 16, 8e-6, 3.0
+    field = np.exp(2j * np.pi * random.random((n, n)))
+    a, b = magnification, magnification * ratio * n * dx**2 / WAVELENGTH
+    found, pitch = propagate_abcd(field, [[a, b], [c, (1 + b * c) / a]], dx, WAVELENGTH, out, (count, count))
+    nodes, weights = np.polynomial.legendre.leggauss(600)
+    f, x1, x2 = nodes / (2 * dx), (np.arange(n) - n // 2) * dx, (np.arange(count) - count // 2) * pitch
+    spectrum = weights / 2 * np.exp(2j * np.pi * f * x2[:, None] / a - 1j * np.pi * WAVELENGTH * b / a * f**2)
+    kernel = np.exp(1j * np.pi * c / a / WAVELENGTH * x2**2)[:, None] * (spectrum @ np.exp(-2j * np.pi * f[:, None] * x1))
+    expected = kernel @ field @ kernel.T / a
+    # Noise up to the edge of the band has long tails; orders were 80 % and more.
+    assert relative_error(found, expected) < 0.2
+    assert (abs(found) ** 2).sum() == pytest.approx((abs(expected) ** 2).sum(), rel=0.05)
+
+
+def test_a_window_behind_a_lens_is_dark_beyond_the_highest_frequency(random):
+    field = np.exp(2j * np.pi * random.random((8, 8)))
+    matrix = space(0.1) @ lens(0.1)
+    focus, pitch = propagate_abcd(field, matrix, 8e-6, WAVELENGTH)
+    wide, _ = propagate_abcd(field, matrix, 8e-6, WAVELENGTH, pitch, (32, 32))
+    np.testing.assert_allclose(wide[12:20, 12:20], focus, atol=1e-9 * abs(focus).max())
+    assert abs(wide[:, :12]).max() == abs(wide[21:]).max() == 0
+
+
 def test_cylindrical_systems_and_energy():
     beam = gaussian((128, 128), (8e-6, 8e-6), -1j * np.pi * (1e-4) ** 2 / WAVELENGTH)
     rows, columns = space(0.1) @ lens(0.1), space(0.1)
@@ -222,3 +251,35 @@ def test_abcd_takes_one_pitch_for_all_fields():
     for name, options in (("dx", {"dx": np.full(3, 4e-5)}), ("output_dx", {"dx": 4e-5, "output_dx": np.full(3, 4e-5)})):
         with pytest.raises(ValueError, match=f"^{name} must be one number"):
             propagate_abcd(fields, space(0.1), wavelength=WAVELENGTH, **options)
+
+
+def test_apertures_of_a_bench_are_those_of_fields():
+    field, dx, offset = np.ones((41, 30), complex), (3e-6, 2e-6), (1e-6, -7e-6)
+    disc, _ = CircularAperture(1.3e-6, offset).apply(field, dx, WAVELENGTH)
+    np.testing.assert_array_equal(disc, odak.wave.circular_aperture(field.shape, dx, 1.3e-6, offset))
+    # Narrower than a pixel along one axis.
+    slit, _ = RectangularAperture(1.1e-6, 2.1e-5, offset).apply(field, dx, WAVELENGTH)
+    np.testing.assert_array_equal(slit, odak.wave.rectangular_aperture(field.shape, dx, (1.1e-6, 2.1e-5), offset))
+    assert slit.real.sum() * 6e-12 == pytest.approx(1.1e-6 * 2.1e-5)
+
+
+def test_a_cylindrical_system_has_a_matrix_for_each_axis():
+    rows, columns = space(0.1) @ lens(0.1), space(0.1)
+    bench = optical_bench([FreeSpace(0.2), FirstOrderSystem((rows, columns)), ThinLens(0.5)], WAVELENGTH)
+    for found, own in zip(bench.matrix(), (rows, columns), strict=True):
+        np.testing.assert_allclose(found, lens(0.5) @ own @ space(0.2), atol=1e-15)
+    assert bench.draw(1e-3).size == (900, 300)
+
+
+@pytest.mark.parametrize("name", ["Fraunhofer", "Incoherent Angular Spectrum", "custom"])
+def test_spaces_whose_result_is_no_field_of_the_same_pitch_are_refused(name):
+    with pytest.raises(ValueError, match="propagation_type"):
+        FreeSpace(5.0, name).apply(np.ones((4, 4), complex), 8e-6, WAVELENGTH)
+
+
+def test_wavelengths_of_a_list():
+    field = np.ones((2, 8, 8), complex)
+    waves = [5e-7, 6e-7]
+    found, _ = optical_bench([FreeSpace(1e-3), ThinLens(0.1)], waves).propagate(field, 8e-6)
+    expected, _ = optical_bench([FreeSpace(1e-3), ThinLens(0.1)], np.array(waves)).propagate(field, 8e-6)
+    np.testing.assert_array_equal(found, expected)

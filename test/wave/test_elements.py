@@ -27,14 +27,42 @@ SHAPE, PITCH, WAVELENGTH, FOCAL = (128, 120), 4e-6, 532e-9, 0.05
 @pytest.mark.parametrize("offset", [(0.0, 0.0), (1.3, -2.6)])
 @pytest.mark.parametrize("radius", [7.3, 20.0])
 def test_apertures_have_the_area_of_their_shape(radius, offset):
-    assert circular_aperture((64, 60), 1.0, radius, offset).sum() == pytest.approx(math.pi * radius**2, rel=5e-3)
+    assert circular_aperture((64, 60), 1.0, radius, offset).sum() == pytest.approx(math.pi * radius**2, rel=1e-8)
     ring = circular_aperture((64, 60), (0.9, 1.1), radius, offset, radius / 3)
-    assert ring.sum() * 0.99 == pytest.approx(math.pi * radius**2 * 8 / 9, rel=2e-2)
+    assert ring.sum() * 0.99 == pytest.approx(math.pi * radius**2 * 8 / 9, rel=1e-8)
     rectangle = rectangular_aperture((64, 60), (0.9, 1.1), (radius, 2 * radius), offset)
     assert rectangle.sum() * 0.99 == pytest.approx(2 * radius**2, rel=1e-12)
     y, x = (np.arange(64) - 32)[:, None] * 0.9, (np.arange(60) - 30) * 1.1
     assert (rectangle * y).sum() * 0.99 == pytest.approx(2 * radius**2 * offset[0], rel=5e-3, abs=1e-9)
     assert (rectangle * x).sum() * 0.99 == pytest.approx(2 * radius**2 * offset[1], rel=5e-3, abs=1e-9)
+
+
+@pytest.mark.parametrize(("shape", "radius"), [((5, 6), 1.7), ((5, 6), 0.4), ((1, 7), 2.0), ((4, 4), 9.0)])
+def test_each_pixel_of_a_disc_counts_by_the_area_inside(shape, radius):
+    offset, finer = (0.3, -0.7), 400
+    found = circular_aperture(shape, (0.9, 1.2), radius, offset)
+    y, x = (
+        ((np.arange(n * finer) + 0.5) / finer - 0.5 - n // 2) * step - middle
+        for n, step, middle in zip(shape, (0.9, 1.2), offset, strict=True)
+    )
+    inside = y[:, None] ** 2 + x**2 < radius**2
+    expected = inside.reshape(shape[0], finer, shape[1], finer).mean((1, 3))
+    np.testing.assert_allclose(found, expected, atol=5e-4)
+
+
+def test_elements_take_one_number():
+    several = np.array([4e-7, 5e-7, 6e-7])
+    for call in (
+        lambda v: lens_phase((4, 3), 0.1, 8e-6, v),
+        lambda v: lens_phase((4, 3), v, 8e-6, 5e-7),
+        lambda v: odak.wave.prism_grating(4, 3, v, 1.0, axis="y"),
+        lambda v: odak.wave.prism_phase_function(4, 3, 1e7, v),
+        lambda v: odak.wave.double_convergence(4, 3, 1e7, v, 8e-6),
+        lambda v: odak.wave.quadratic_phase_function(3, 4, v),
+    ):
+        with pytest.raises(ValueError, match=r"must be one number, got an array of shape \(3,\)"):
+            call(several)
+        call(several[:1])
 
 
 def peak(field):

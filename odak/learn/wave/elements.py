@@ -97,7 +97,7 @@ def quadratic_phase_function(
     (-0.2513, -0.2513)
     """
     nx, ny = _validate.size("nx, ny", (nx, ny))
-    _validate.real("k", k)
-    _validate.real("focal", focal, nonzero=True)
+    _validate.number("k", k)
+    _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     squared = elements.squared_radius(nx, ny, dx, offset, torch_namespace)
     return phasor(-k * squared / (2 * focal), torch.complex64)
