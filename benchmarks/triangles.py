@@ -10,7 +10,8 @@ import torch
 from measure import interleave, measure
 from wave_optics import row
 
-from odak.learn.raytracing import triangle_mesh, triangle_search
+from odak.learn.raytracing import triangle_mesh
+from odak.learn.raytracing.mesh import embree_scene, has_embree
 
 RAYS, TRIANGLES, MANY, GIGABYTE = 100_000, 10_000, 82_000, 2**30
 
@@ -43,11 +44,11 @@ def nearest_hits(device: str) -> Iterator[dict]:
     mesh = triangle_mesh(vertices, faces, backend="torch")
     double, double_rays = triangle_mesh(vertices.double(), faces, backend="torch"), rays.double()
     tasks = {"ours": lambda: mesh.intersect(rays), "double": lambda: double.intersect(double_rays)}
-    if not triangle_search.has_embree():
+    if not has_embree():
         timing = measure(tasks["ours"], 5, device).best
         yield row("nearest hits, 100k rays, 82k triangles", timing, timing, "itself, no embreex", None)
         return
-    scene = triangle_search.embree_scene(vertices, faces)
+    scene = embree_scene(vertices, faces)
     start, direction = (rays[:, i].cpu().contiguous().numpy() for i in (0, 1))
     behind = triangle_mesh(vertices, faces, backend="embree")
     tasks["embree"] = lambda: scene.run(start, direction)

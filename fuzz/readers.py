@@ -116,7 +116,7 @@ def _mapping(path):
 
 
 def _materials(path):
-    from odak.catalog.material_files import read_materials
+    from odak.catalog.materials import read_materials
 
     read_materials(path)
 

@@ -120,11 +120,18 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.raytracing.implicit": "odak.learn.raytracing.surfaces",
     "odak.learn.raytracing.recompute": "odak.raytracing.batches",
     "odak.learn.raytracing.parametric": "odak.learn.raytracing.surfaces",
-    "odak.learn.raytracing.triangle_hits": "odak.learn.raytracing.triangle_search",
+    "odak.learn.raytracing.triangle_hits": "odak.learn.raytracing.mesh",
     "odak.raytracing.fields": "odak.raytracing.ray",
     "odak.raytracing.watertight": "odak.raytracing.geometry",
     "odak.raytracing.sag": "odak.raytracing.surfaces",
     "odak.raytracing.status": "odak.raytracing.intersections",
+    "odak.catalog.dispersion": "odak.catalog.materials",
+    "odak.catalog.material_files": "odak.catalog.materials",
+    "odak.measurement.slanted_edge": "odak.measurement.image_quality",
+    "odak.learn.perception.observers": "odak.learn.perception.display_color",
+    "odak.learn.perception.visibility": "odak.learn.perception.csf",
+    "odak.learn.raytracing.triangle_search": "odak.learn.raytracing.mesh",
+    "odak.learn.raytracing.triangles": "odak.learn.raytracing.mesh",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a

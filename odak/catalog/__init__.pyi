@@ -1,11 +1,11 @@
-from .dispersion import Material as Material
-from .dispersion import model_glass as model_glass
+from .materials import Material as Material
 from .materials import abbe_number as abbe_number
 from .materials import glass_makers as glass_makers
 from .materials import internal_transmittance as internal_transmittance
 from .materials import load_materials as load_materials
 from .materials import material as material
 from .materials import material_names as material_names
+from .materials import model_glass as model_glass
 from .materials import nearest_materials as nearest_materials
 from .materials import refractive_index as refractive_index
 from .optics import plane_detector as plane_detector

@@ -11,8 +11,7 @@ import numpy as np
 
 from odak import _validate
 from odak._array import Array
-from odak.catalog.dispersion import Material
-from odak.catalog.materials import material, refractive_index
+from odak.catalog.materials import Material, material, refractive_index
 from odak.raytracing import arguments
 from odak.raytracing.boundary import intersect_w_circle, intersect_w_sphere, intersect_w_surface, refract
 from odak.raytracing.primitives import bring_plane_to_origin, define_circle, define_plane, define_sphere

@@ -9,7 +9,7 @@ import torch
 
 from odak import ArgumentWarning, catalog
 from odak.catalog import materials
-from odak.catalog.dispersion import LINE_C, LINE_D, LINE_F
+from odak.catalog.materials import LINE_C, LINE_D, LINE_F
 
 # Published n_d and V_d: Schott data sheets; Malitson 1965 and 1963; Dodge 1984; Malitson 1964.
 PUBLISHED = {
@@ -349,7 +349,7 @@ LD 0.4 2.0
 
 
 def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
-    from odak.catalog import material_files
+    from odak.catalog import materials
 
     monkeypatch.setattr(materials, "_found", {})
     path = tmp_path / "mine.agf"
@@ -365,7 +365,7 @@ def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
     assert catalog.material("HANDBOOK").index(wave) == pytest.approx(handbook)
     path.write_text(AGF.replace("1.5168 64.17 0 1\n", "1.6168 64.17 0 1\n"))
     with pytest.raises(ValueError, match=r"SELL states nd = 1.6168 but its formula gives 1.5168"):
-        material_files.read_agf(path)
+        materials.read_agf(path)
     entry = tmp_path / "Malitson.yml"
     entry.write_text(
         "REFERENCES: |\n    I. H. Malitson, J. Opt. Soc. Am. 55, 1205 (1965)\nDATA:\n  - type: formula 1\n"
@@ -377,4 +377,4 @@ def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
     assert catalog.material("Malitson").relative_to == "vacuum"
     entry.write_text("DATA:\n  - type: tabulated n\n")
     with pytest.raises(ValueError, match="must contain formula 1, 2, 3 or 5"):
-        material_files.read_entry(entry)
+        materials.read_entry(entry)

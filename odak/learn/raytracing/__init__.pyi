@@ -16,7 +16,9 @@ from .boundary import intersect_w_triangle_batch as intersect_w_triangle_batch
 from .boundary import reflect as reflect
 from .boundary import refract as refract
 from .detector import detector as detector
+from .mesh import MeshHit as MeshHit
 from .mesh import planar_mesh as planar_mesh
+from .mesh import triangle_mesh as triangle_mesh
 from .primitives import bring_plane_to_origin as bring_plane_to_origin
 from .primitives import center_of_triangle as center_of_triangle
 from .primitives import cylinder_function as cylinder_function
@@ -54,5 +56,3 @@ from .surfaces import Toroid as Toroid
 from .surfaces import ZernikeFreeform as ZernikeFreeform
 from .surfaces import intersect_parametric as intersect_parametric
 from .surfaces import intersect_w_sag as intersect_w_sag
-from .triangles import MeshHit as MeshHit
-from .triangles import triangle_mesh as triangle_mesh

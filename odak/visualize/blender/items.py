@@ -10,7 +10,7 @@ import numpy as np
 from PIL import ImageColor
 
 from odak import _array, _validate
-from odak.catalog.dispersion import Material as CatalogMaterial
+from odak.catalog.materials import Material as CatalogMaterial
 from odak.catalog.materials import refractive_index
 from odak.tools.transformation import rotation_matrix
 from odak.visualize._arrays import linear_light, real_array

@@ -6,10 +6,10 @@ import torch
 
 from odak.learn.perception import (
     cone_fundamentals,
+    display_color,
     illuminant_d65,
     individual_cone_fundamentals,
     metameric_failure,
-    observers,
     sample_observers,
 )
 
@@ -45,7 +45,7 @@ def test_formulas_of_stockman_and_rider():
 def test_population_has_the_published_deviations(monkeypatch):
     # Asano et al. (2016), table 5, step 2, from what each person's cones are made of.
     given = []
-    monkeypatch.setattr(observers, "individual_cone_fundamentals", lambda _, *made: given.append(made) or WAVES[:1])
+    monkeypatch.setattr(display_color, "individual_cone_fundamentals", lambda _, *made: given.append(made) or WAVES[:1])
     sample_observers(2000, [550.0], seed=3)
     made = torch.tensor([[lens, macula, *density, *shift] for lens, macula, density, shift in given])
     mean = torch.tensor([1.7649, 0.35, 0.5, 0.5, 0.4, 1.0, 1.0, 1.0])

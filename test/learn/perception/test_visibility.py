@@ -12,10 +12,10 @@ from odak.learn.perception import (
     CSFLoss,
     MetamericLossUniform,
     VisibilityLoss,
+    csf,
     foveated_budget,
     highest_frequency,
     srgb_to_lab,
-    visibility,
 )
 
 NARROW = {"real_image_width": 0.01, "real_viewing_distance": 1.0}
@@ -63,7 +63,7 @@ def grating(cycles, amplitude, size=64):
 def test_losses_of_gratings_follow_the_contrast_sensitivity(cycles, monkeypatch):
     target = torch.full((1, 1, 64, 64), 0.5, dtype=torch.float64)
     # An eye that sees as sharply everywhere as at the gaze.
-    monkeypatch.setattr(visibility, "HALVING", 1e9)
+    monkeypatch.setattr(csf, "HALVING", 1e9)
     view = {"real_image_width": 0.05, "real_viewing_distance": 1.0}
     found = VisibilityLoss(**view, masking=0.0)(target + grating(cycles, 1e-3), target)
     expected = CSFLoss(**view)(target + grating(cycles, 1e-3), target)

@@ -7,12 +7,12 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odak.learn.raytracing import refract, triangle_mesh, triangle_search
+from odak.learn.raytracing import mesh, refract, triangle_mesh
 from odak.raytracing import RayStatus
 
 BACKENDS = [
     "torch",
-    pytest.param("embree", marks=pytest.mark.skipif(not triangle_search.has_embree(), reason="no embreex")),
+    pytest.param("embree", marks=pytest.mark.skipif(not mesh.has_embree(), reason="no embreex")),
 ]
 
 
@@ -86,16 +86,16 @@ def test_many_triangles_agree_with_brute_force_whatever_the_budget():
 
 def test_search_holds_to_its_budget(monkeypatch):
     lists = []
-    children = triangle_search._children
+    children = mesh._children
 
     def spy(table, beam, best, ray, node):
         lists.append(len(ray))
         return children(table, beam, best, ray, node)
 
-    monkeypatch.setattr(triangle_search, "_children", spy)
+    monkeypatch.setattr(mesh, "_children", spy)
     budget = 2**20
     triangle_mesh(*icosphere(3), memory_budget=budget).intersect(random_rays(5000, 0))
-    assert max(lists) * triangle_search.PAIR_BYTES * triangle_search.BRANCHES <= budget
+    assert max(lists) * mesh.PAIR_BYTES * mesh.BRANCHES <= budget
     assert len(lists) > 20
 
 
@@ -319,9 +319,9 @@ def test_moved_vertices_refit_the_same_hierarchy():
 def test_every_face_is_in_one_leaf():
     for count in (1, 4, 5, 33, 1000):
         vertices, faces = soup(count, count)
-        leaves = triangle_search.sort_faces(vertices, faces)
+        leaves = mesh.sort_faces(vertices, faces)
         assert sorted(leaves[leaves >= 0].tolist()) == list(range(count))
-        assert len(leaves).bit_count() == 1 and leaves.shape[1] <= triangle_search.LEAF
+        assert len(leaves).bit_count() == 1 and leaves.shape[1] <= mesh.LEAF
 
 
 @pytest.mark.parametrize("normals", ["flat", "smooth"])
@@ -344,7 +344,7 @@ def test_threads_and_graphs_change_nothing(normals):
             torch.testing.assert_close(getattr(hit, name), getattr(found[0], name), rtol=0, atol=0, equal_nan=True)
 
 
-@pytest.mark.skipif(not triangle_search.has_embree(), reason="no embreex")
+@pytest.mark.skipif(not mesh.has_embree(), reason="no embreex")
 def test_embree_finds_what_the_search_finds():
     vertices, faces = icosphere(4, torch.float32)
     rays = random_rays(20_000, 17, dtype=torch.float32)
@@ -355,7 +355,7 @@ def test_embree_finds_what_the_search_finds():
 
 
 def test_missing_embree_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(triangle_search, "has_embree", lambda: False)
+    monkeypatch.setattr(mesh, "has_embree", lambda: False)
     vertices, faces = icosphere(0, torch.float32)
     with pytest.raises(ImportError, match=r"pip install odak\[mesh\]"):
         triangle_mesh(vertices, faces, backend="embree")

@@ -7,8 +7,7 @@ from typing import Any, NamedTuple, SupportsComplex, cast
 
 from odak import _validate
 from odak._array import Array, complex_dtype, namespace
-from odak.catalog.dispersion import Material
-from odak.catalog.materials import MICROMETRES, material, refractive_index
+from odak.catalog.materials import MICROMETRES, Material, material, refractive_index
 from odak.jones.thin_films import stack_response
 from odak.raytracing.components import terms
 

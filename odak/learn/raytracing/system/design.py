@@ -7,8 +7,7 @@ import torch
 
 from odak import _validate
 from odak.catalog import material, nearest_materials
-from odak.catalog.dispersion import cauchy_through, model_glass
-from odak.catalog.materials import MICROMETRES
+from odak.catalog.materials import MICROMETRES, cauchy_through, model_glass
 from odak.learn.raytracing.system.operands import (
     Operand,
     View,

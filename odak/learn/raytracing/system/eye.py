@@ -10,7 +10,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 
 from odak import _validate
-from odak.catalog.dispersion import Material
+from odak.catalog.materials import Material
 from odak.learn._tensors import tensor
 from odak.learn.raytracing.system.analysis import wavefront
 from odak.learn.raytracing.system.surfaces import optical_system, surface

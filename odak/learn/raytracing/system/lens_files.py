@@ -14,8 +14,15 @@ import numpy as np
 import torch
 
 from odak import _validate
-from odak.catalog.dispersion import Material, model_glass
-from odak.catalog.materials import MICROMETRES, glass_makers, load_materials, material, nearest_materials  # noqa: F401
+from odak.catalog.materials import (  # noqa: F401
+    MICROMETRES,
+    Material,
+    glass_makers,
+    load_materials,
+    material,
+    model_glass,
+    nearest_materials,
+)
 from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields

@@ -6,8 +6,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
-from odak.catalog.dispersion import Material
-from odak.catalog.materials import absorption_coefficient
+from odak.catalog.materials import Material, absorption_coefficient
 from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace

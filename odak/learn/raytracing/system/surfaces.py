@@ -11,8 +11,7 @@ import torch
 
 from odak import _validate
 from odak._array import is_readable
-from odak.catalog.dispersion import Material
-from odak.catalog.materials import MICROMETRES, refractive_index
+from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement

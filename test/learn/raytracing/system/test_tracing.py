@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from odak.catalog.dispersion import Material
+from odak.catalog.materials import Material
 from odak.learn.raytracing.system import Rays, fused, launch, load_system, optical_system, surface, trace, trace_fields
 from odak.learn.raytracing.system.fused import Trace, plain
 from odak.learn.raytracing.system.sequence import Layout, Numbers
