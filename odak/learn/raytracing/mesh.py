@@ -1,7 +1,7 @@
 """Meshes of triangles: intersections with many rays, without gaps, and height maps; differentiable throughout.
 
-The nearest triangle ahead of a ray is found by a bounding volume hierarchy, or by Embree. Its distance, point and normal
-are then computed with gradients in the rays and the vertices.
+The nearest triangle ahead of a ray is found by a bounding volume hierarchy, or by Embree. Its distance, point and
+normal are then computed with gradients in the rays and the vertices.
 """
 
 import importlib.util
