@@ -132,6 +132,11 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.perception.visibility": "odak.learn.perception.csf",
     "odak.learn.raytracing.triangle_search": "odak.learn.raytracing.mesh",
     "odak.learn.raytracing.triangles": "odak.learn.raytracing.mesh",
+    "odak.learn.raytracing.system.curved_rays": "odak.learn.raytracing.system.sequence",
+    "odak.learn.raytracing.system.huygens": "odak.learn.raytracing.system.waves",
+    "odak.learn.raytracing.system.analysis_figures": "odak.learn.raytracing.system.drawing",
+    "odak.learn.tools.checkpoints": "odak.learn.tools.file",
+    "odak.tools.images": "odak.tools.file",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a

@@ -16,7 +16,7 @@ from odak import tools
 from odak.learn.models import save_weights, train
 from odak.learn.raytracing.system import load_system, save_system, write_zmx
 from odak.learn.tools import save_torch_tensor
-from odak.learn.tools.checkpoints import write_checkpoint
+from odak.learn.tools.file import write_checkpoint
 from odak.learn.wave import training
 from odak.tools import asset, paths
 

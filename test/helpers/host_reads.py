@@ -12,32 +12,27 @@ FOLDER = Path(odak.__file__).parent / "learn"
 REASONS = {
     "files, figures and reports are made by the processor": """
         perception/quality: _pooled eccentricity_report
-        raytracing/mesh: save_heights_as_PLY
+        raytracing/mesh: read_PLY save_heights_as_PLY write_PLY
         raytracing/system/automatic: _stage automatic_design
         raytracing/system/design: report
-        raytracing/system/analysis_figures: *
         raytracing/system/drawing: *
         raytracing/system/reports: *
         raytracing/system/lens_files: *
-        raytracing/triangles: read_PLY write_PLY
         tools/file: *
         tools/function: __array__
         tools/models: fit
         wave/gaussians/spatial: _points
         wave/gaussians/splat_files: save_splats
         wave/training: _show _take_up fingerprint go
-        tools/checkpoints: set_randomness
         wave/display_models: capture count display_camera fit_display of registration
     """,
     "an argument is refused, or its kind decides on the way, once per call": """
         models/hologram_networks: _planes
         perception/color_vision_deficiency: _checked_severity
-        perception/csf: _check_range unified_pupil_diameter
-        perception/display_color: _checked_axis spectrum_to_xyz
+        perception/csf: _check_range highest_frequency unified_pupil_diameter
+        perception/display_color: _checked_axis individual_cone_fundamentals metameric_failure spectrum_to_xyz
         perception/metameric: _metamer
-        perception/observers: individual_cone_fundamentals metameric_failure
         perception/quality: _require_positive
-        perception/visibility: highest_frequency
         raytracing/system/design: __init__ _now
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated
@@ -46,8 +41,7 @@ REASONS = {
         raytracing/system/pupils: _far
         raytracing/system/surfaces: _any _fields _image _optional is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
-        raytracing/triangle_search: components
-        raytracing/triangles: _checked_faces _checked_vertices
+        raytracing/mesh: _checked_faces _checked_vertices components
         tools/matrix: slice_rgbd_targets
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
@@ -64,7 +58,7 @@ REASONS = {
         models/gaussians: _compact_runs initialize_from_image
         perception/foveation: __init__ _strips level_weights
         perception/quality: _split
-        perception/visibility: foveated_budget
+        perception/csf: foveated_budget
         raytracing/boundary: intersect_w_triangle_batch
         raytracing/detector: _axes
         raytracing/mesh: _faces init_heights
@@ -77,7 +71,7 @@ REASONS = {
         wave/loss: geometric_targets
     """,
     "what was kept from an earlier call is compared with what is needed": """
-        perception/visibility: _sensitivities
+        perception/csf: _sensitivities
     """,
     "numbers of NumPy or constants, which are on the CPU": """
         perception/color: _column rows tone_map
@@ -89,19 +83,18 @@ REASONS = {
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """
         raytracing/boundary: _picked
         raytracing/system/fused: _intersect _newton _on_sheet _run blocks work
-        raytracing/triangle_search: embree_scene nearest_faces_by_embree
+        raytracing/mesh: embree_scene nearest_faces_by_embree
         tools/matrix: _gaussian_lines
         wave/propagators: holograms
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
         raytracing/surfaces: _search plain
         raytracing/system/automatic: _nearer
-        raytracing/system/curved_rays: _adjoint
+        raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/design: restarts
         raytracing/system/eye: accommodation_response
         raytracing/system/optimise: least_squares
         raytracing/system/pupils: _continuation _differences _solve aimed solve_pairs
-        raytracing/system/sequence: axis_signs
         wave/display_models: _match_brightness _numbers _refine cost
         wave/training: step
     """,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from PIL import Image
 
-from odak.tools import images
+from odak.tools import file
 from odak.tools.file import load_image, resize_image, save_image
 
 CHANNELS = {2: 3, 4: 2, 6: 4}
@@ -197,7 +197,7 @@ def test_a_failing_encoder_leaves_the_old_file(tmp_path, monkeypatch, name, shap
         (image if depth == 16 else stream).write(b"half of")
         raise OSError("disk full")
 
-    monkeypatch.setattr(*((images, "_write_deep_png") if depth == 16 else (Image.Image, "save")), fail)
+    monkeypatch.setattr(*((file, "_write_deep_png") if depth == 16 else (Image.Image, "save")), fail)
     with pytest.raises(ValueError, match=rf"Failed to save image '.*{name}': disk full"):
         save_image(path, np.zeros(shape), color_depth=depth)
     assert path.read_bytes() == b"old"

@@ -14,7 +14,8 @@ from tqdm import tqdm
 from odak import _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.learn._tensors import checked_device
-from odak.learn.tools.checkpoints import (
+from odak.learn.tools.device import advising_on_memory
+from odak.learn.tools.file import (
     own_randomness,
     randomness,
     read_checkpoint,
@@ -22,7 +23,6 @@ from odak.learn.tools.checkpoints import (
     taking_up,
     write_checkpoint,
 )
-from odak.learn.tools.device import advising_on_memory
 from odak.tools.paths import validate_path
 
 __all__ = ["TrainingHistory", "train"]

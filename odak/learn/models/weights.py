@@ -9,7 +9,7 @@ from torch import nn
 
 from odak._validate import texts
 from odak.learn._tensors import checked_device
-from odak.learn.tools.checkpoints import first_line, read_torch_file
+from odak.learn.tools.file import first_line, read_torch_file
 from odak.tools.paths import replacing, validate_path
 
 EXTENSIONS = (".pt", ".pth")

@@ -10,8 +10,7 @@ import numpy as np
 from odak import _validate
 from odak.catalog.materials import MICROMETRES
 from odak.tools.asset import read_mesh
-from odak.tools.file import validate_path
-from odak.tools.images import read_levels
+from odak.tools.file import read_levels, validate_path
 from odak.visualize import _arrays
 from odak.visualize._arrays import coded_light, linear_light
 from odak.visualize.blender.items import Item, diffuse, emission, glass, linear_color, metal, pair, positive, three

@@ -12,7 +12,7 @@ import numpy as np
 
 from odak import _validate
 from odak._array import Array
-from odak.tools.images import read_levels
+from odak.tools.file import read_levels
 from odak.tools.paths import validate_path
 from odak.visualize._arrays import image, to_numpy
 from odak.visualize.plotly import figure_style, figures

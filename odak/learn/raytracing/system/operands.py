@@ -10,7 +10,6 @@ import torch
 from odak import _validate
 from odak.catalog import glass_makers, material, material_names
 from odak.learn.raytracing.system.analysis import Wavefront, distortion, lateral_color, wavefront
-from odak.learn.raytracing.system.huygens import huygens_point_spread_function, modulation_at
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.pupils import launch, pupil_of
 from odak.learn.raytracing.system.surfaces import (
@@ -21,6 +20,7 @@ from odak.learn.raytracing.system.surfaces import (
     wavelength_shares,
 )
 from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
+from odak.learn.raytracing.system.waves import huygens_point_spread_function, modulation_at
 from odak.raytracing.surfaces import EvenAsphere, Sag
 
 

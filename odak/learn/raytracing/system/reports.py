@@ -12,24 +12,22 @@ from matplotlib.figure import Figure
 from odak import _validate
 from odak.catalog.materials import MICROMETRES
 from odak.learn.raytracing.system.analysis import paraxial_points, spot_diagram, wavefront
-from odak.learn.raytracing.system.analysis_figures import (
-    footprint_figure,
-    image_figure,
-    polarisation_figure,
-    seidel_figure,
-    through_focus_figure,
-    wavefront_figure,
-)
 from odak.learn.raytracing.system.drawing import (
     fans_figure,
     field_figure,
     field_label,
+    footprint_figure,
     image_aperture,
+    image_figure,
     image_unit,
     layout_figure,
+    polarisation_figure,
+    seidel_figure,
     spots_figure,
+    through_focus_figure,
     transfer_figure,
     unit_of,
+    wavefront_figure,
 )
 from odak.learn.raytracing.system.lens_files import system_to_dict
 from odak.learn.raytracing.system.paraxial import first_order, seidel_sums

@@ -7,9 +7,8 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _array, _torch_private, _validate
-from odak.learn.raytracing.system.curved_rays import points_within
 from odak.learn.raytracing.system.fused import Trace
-from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace
+from odak.learn.raytracing.system.sequence import HIT, flat_arguments, placement, plain_trace, points_within
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     checked_prescription,

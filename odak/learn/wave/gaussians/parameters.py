@@ -8,8 +8,7 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn.tools.checkpoints import first_line
-from odak.learn.tools.file import save_torch_tensor, torch_load
+from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
 from odak.tools.paths import validate_path
 
 EXTENSIONS = (".pth", ".pt")
