@@ -71,7 +71,7 @@ def tensor_seeds(folder):
         ".pt",
         saved(torch.sparse_coo_tensor(torch.tensor([[0, 2]]), torch.tensor([1.0, 2.0]), (3,), check_invariants=True)),
     )
-    from odak.learn.wave.gaussians.spatial import NAMES
+    from odak.learn.wave.gaussians.sets import NAMES
 
     shapes = [(2, 4), *[(2, 3)] * 4, (2,), (2, 2)]
     yield ".pt", saved({name: torch.rand(shape) for name, shape in zip(NAMES, shapes, strict=True)})

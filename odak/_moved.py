@@ -25,8 +25,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.lensless.models": "odak.learn.lensless.speckle_tracking",
     "odak.learn.models.adaptive_convolution": "odak.learn.models.adaptive",
     "odak.learn.models.components": (
-        "odak.learn.models.convolutions",
-        "odak.learn.models.attention",
+        "odak.learn.models.layers",
         "odak.learn.models.adaptive",
         "odak.learn.models.perceptrons",
     ),
@@ -81,7 +80,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.perception.util": ("odak.learn._tensors", "odak.learn.tools.matrix"),
     "odak.manager.failures": "odak.manager.distribute",
     "odak.visualize.blender.libblend": "odak.visualize.blender.commands",
-    "odak.visualize.blender.locate": "odak.visualize.blender.process",
+    "odak.visualize.blender.locate": "odak.visualize.blender.scenes",
     "odak.visualize.blender.materials": "odak.visualize.blender.items",
     "odak.visualize.blender.render_materials": "odak.visualize.blender.items",
     "odak.visualize.blender.server": "odak.visualize.blender.commands",
@@ -137,6 +136,18 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.raytracing.system.analysis_figures": "odak.learn.raytracing.system.drawing",
     "odak.learn.tools.checkpoints": "odak.learn.tools.file",
     "odak.tools.images": "odak.tools.file",
+    "odak.learn.models.weights": "odak.learn.models.training",
+    "odak.learn.models.attention": "odak.learn.models.layers",
+    "odak.learn.models.convolutions": "odak.learn.models.layers",
+    "odak.learn.wave.gaussians.parameters": "odak.learn.wave.gaussians.sets",
+    "odak.learn.wave.gaussians.flat": "odak.learn.wave.gaussians.sets",
+    "odak.learn.wave.gaussians.spatial": "odak.learn.wave.gaussians.sets",
+    "odak.jones.elements": "odak.jones.calculus",
+    "odak.jones.stokes_vectors": "odak.jones.calculus",
+    "odak.visualize.blender.meshes": "odak.visualize.blender.items",
+    "odak.visualize.blender.process": "odak.visualize.blender.scenes",
+    "odak.visualize.plotly.browser": "odak.visualize.plotly.figures",
+    "odak.visualize.plotly.figure_style": "odak.visualize.plotly.figures",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a

@@ -66,7 +66,6 @@ LEARN = {
 }
 # Modules of one name that are not the two faces of one thing, and the reason why they share it.
 SHARED_NAMES = {
-    "elements": "optical elements of polarisation, of waves and of ray tracing",
     "gaussians": "networks of Gaussians; scenes of Gaussians in wave optics",
     "loss": "losses of images; losses of holograms",
     "models": "networks; models of displays",

@@ -12,8 +12,7 @@ from typing import Any
 from odak import _array, _validate
 from odak._array import Array, cast, is_array, namespace, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
-from odak.jones.elements import check_angle, matrix_on_axes, retarder, stack_matrix
-from odak.jones.stokes_vectors import stokes
+from odak.jones.calculus import check_angle, matrix_on_axes, retarder, stack_matrix, stokes
 from odak.jones.thin_films import check_stack, stack_response
 from odak.wave.transfer_functions import pitches
 

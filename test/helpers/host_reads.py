@@ -21,7 +21,7 @@ REASONS = {
         tools/file: *
         tools/function: __array__
         tools/models: fit
-        wave/gaussians/spatial: _points
+        wave/gaussians/sets: _points
         wave/gaussians/splat_files: save_splats
         wave/training: _show _take_up fingerprint go
         wave/display_models: capture count display_camera fit_display of registration
@@ -45,7 +45,7 @@ REASONS = {
         tools/matrix: slice_rgbd_targets
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
-        wave/gaussians/spatial: prune
+        wave/gaussians/sets: prune
         wave/holograms: _checked_target _starting_phase
         wave/loss: _checked_geometry _checked_picture
         wave/optimizers/multi_color: _start_from

@@ -6,7 +6,7 @@ import pytest
 @pytest.fixture(autouse=True, scope="session")
 def _close_the_browser():
     yield
-    module = sys.modules.get("odak.visualize.plotly.browser")
+    module = sys.modules.get("odak.visualize.plotly.figures")
     if module is not None:
         module.close_browser()
 

@@ -18,7 +18,7 @@ from processes import is_running, wait_for
 
 from odak import DeviceWarning
 from odak.visualize import blender
-from odak.visualize.blender import process as blender_process
+from odak.visualize.blender import scenes as blender_process
 
 # Stands in for a Python with bpy: answers the question for it, and does what the variable PRETEND says otherwise.
 PRETENDER = """#!/bin/sh

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from odak.catalog import plano_convex_lens
-from odak.visualize.blender import meshes, scene
+from odak.visualize.blender import items, scene
 
 
 def volume(vertices, faces):
@@ -34,7 +34,7 @@ def assert_normals_belong_to_faces(mesh, least=0.99):
 def test_sphere():
     errors = []
     for segments in (64, 128):
-        ball = meshes.sphere_mesh(2.5, segments)
+        ball = items.sphere_mesh(2.5, segments)
         assert np.allclose(np.linalg.norm(ball.vertices, axis=-1), 2.5)
         assert np.allclose(ball.normals * 2.5, ball.vertices)
         assert_normals_belong_to_faces(ball)
@@ -48,8 +48,8 @@ def test_sphere():
 def test_tubes_have_the_volume_of_their_prisms_whatever_their_direction(random):
     starts, ends = random.normal(size=(2, 50, 3))
     starts[:3], ends[:3] = 0, np.eye(3)
-    tubes = meshes.tube_mesh(starts, ends, 0.03, 8)
-    bare = meshes.tube_mesh(starts, ends, 0.03, 8, shaded=False)
+    tubes = items.tube_mesh(starts, ends, 0.03, 8)
+    bare = items.tube_mesh(starts, ends, 0.03, 8, shaded=False)
     assert bare.normals is None and len(bare.vertices) == 50 * 16
     assert np.allclose(bare.vertices[bare.faces], tubes.vertices[tubes.faces])
     section = 8 / 2 * 0.03**2 * math.sin(2 * math.pi / 8)
@@ -61,7 +61,7 @@ def test_tubes_have_the_volume_of_their_prisms_whatever_their_direction(random):
 
 
 def test_disc_faces_up():
-    disc = meshes.disc_mesh(3.0, 200)
+    disc = items.disc_mesh(3.0, 200)
     assert np.allclose(flat_normals(disc.vertices, disc.faces), [0, 0, 1])
     a, b, c = (disc.vertices[disc.faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2
@@ -136,6 +136,6 @@ def test_impossible_lenses_are_refused(arguments, words):
 
 def test_grid_front_is_columns_times_rows():
     x, y = np.meshgrid(np.linspace(-1, 1, 5), np.linspace(-2, 2, 4))
-    mesh = meshes.grid_mesh(np.stack((x, y, 0 * x), -1))
+    mesh = items.grid_mesh(np.stack((x, y, 0 * x), -1))
     assert np.allclose(flat_normals(mesh.vertices, mesh.faces), [0, 0, 1])
     assert np.allclose(mesh.uv, np.stack(((x + 1) / 2, (y + 2) / 4), -1).reshape(-1, 2))

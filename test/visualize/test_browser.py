@@ -15,10 +15,10 @@ from processes import is_running, wait_for
 from odak.learn.raytracing.system import load_system
 from odak.visualize.plotly import (
     BrowserNotFoundError,
-    browser,
     close_browser,
     detectorshow,
     field_show,
+    figures,
     find_browser,
     plot2dshow,
     plotshow,
@@ -170,12 +170,12 @@ def test_many_figures_share_one_browser(tmp_path):
     picture = detectorshow(shape=[300, 300])
     picture.add_field(np.ones((4, 4), complex))
     pixels(picture, tmp_path)
-    tool = browser._shared._tool
+    tool = figures._shared._tool
     for _ in range(3):
         pixels(picture, tmp_path)
-    assert browser._shared._tool is tool
+    assert figures._shared._tool is tool
     close_browser()
-    assert browser._shared._tool is None
+    assert figures._shared._tool is None
     close_browser()
 
 
@@ -185,7 +185,7 @@ def test_a_browser_that_was_lost_is_started_again(tmp_path):
     picture = plotshow(shape=[300, 200])
     picture.add_plot([0.0, 1.0])
     pixels(picture, tmp_path)
-    browser._shared._tool.subprocess.kill()
+    figures._shared._tool.subprocess.kill()
     assert (pixels(picture, tmp_path) != WHITE).any()
 
 

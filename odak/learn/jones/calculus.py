@@ -1,13 +1,16 @@
 """Jones and Mueller calculus of tensors, by the formulas of :mod:`odak.jones`."""
 
-from odak.jones import elements, stokes_vectors
-from odak.jones.elements import apply_matrix, cascade, linearpolarizer, reverse
-from odak.jones.stokes_vectors import (
+from odak.jones import calculus
+from odak.jones.calculus import (
     PolarizationEllipse,
+    apply_matrix,
+    cascade,
     degree_of_polarization,
     field_from_stokes,
+    linearpolarizer,
     mueller,
     polarization_ellipse,
+    reverse,
     stokes,
     stokes_ellipse,
 )
@@ -37,13 +40,13 @@ __all__ = [
     "stokes_ellipse",
 ]
 
-circular_polarizer = torch_face(elements.circular_polarizer)
-depolarizer = torch_face(stokes_vectors.depolarizer)
-diattenuator = torch_face(elements.diattenuator)
-electricfield = torch_face(elements.electricfield)
-half_wave_plate = torch_face(elements.half_wave_plate)
-mirror = torch_face(elements.mirror)
-polarizer = torch_face(elements.polarizer)
-quarter_wave_plate = torch_face(elements.quarter_wave_plate)
-retarder = torch_face(elements.retarder)
-rotator = torch_face(elements.rotator)
+circular_polarizer = torch_face(calculus.circular_polarizer)
+depolarizer = torch_face(calculus.depolarizer)
+diattenuator = torch_face(calculus.diattenuator)
+electricfield = torch_face(calculus.electricfield)
+half_wave_plate = torch_face(calculus.half_wave_plate)
+mirror = torch_face(calculus.mirror)
+polarizer = torch_face(calculus.polarizer)
+quarter_wave_plate = torch_face(calculus.quarter_wave_plate)
+retarder = torch_face(calculus.retarder)
+rotator = torch_face(calculus.rotator)

@@ -17,8 +17,7 @@ from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, tensor, trainable
 from odak.learn.models._inputs import features
-from odak.learn.models.training import train
-from odak.learn.models.weights import EXTENSIONS, load_weights, save_weights
+from odak.learn.models.training import EXTENSIONS, load_weights, save_weights, train
 from odak.learn.tools.function import evaluate_3d_gaussians
 from odak.log import logger as _log
 from odak.tools.paths import validate_path

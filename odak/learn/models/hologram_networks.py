@@ -11,7 +11,7 @@ from odak import _validate
 from odak._array import phasor
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import trainable
-from odak.learn.models.weights import load_weights
+from odak.learn.models.training import load_weights
 from odak.learn.tools.matrix import plane_indices, plane_masks
 from odak.wave.propagation import propagate_beam, propagate_within_window
 

@@ -16,7 +16,7 @@ from torch import nn
 from odak import _validate
 from odak.learn.models._inputs import activation_module, channels, images, kernel
 from odak.learn.models.adaptive import spatially_adaptive_module
-from odak.learn.models.convolutions import (
+from odak.learn.models.layers import (
     convolution_layer,
     double_convolution,
     downsample_layer,

@@ -10,13 +10,22 @@ from torch import nn
 from odak import _validate
 from odak.learn._tensors import checked_device
 from odak.learn.models._inputs import channels, images
-from odak.learn.models.training import TrainingHistory, errors, train, weighted_errors
+from odak.learn.models.training import (
+    EXTENSIONS,
+    TrainingHistory,
+    errors,
+    load_weights,
+    read_state,
+    save_weights,
+    set_state,
+    train,
+    weighted_errors,
+)
 from odak.learn.models.unets import (
     spatially_adaptive_unet,
     spatially_varying_kernel_generation_model,
     unet,
 )
-from odak.learn.models.weights import EXTENSIONS, load_weights, read_state, save_weights, set_state
 from odak.tools.file import check_directory, load_dictionary
 from odak.tools.paths import validate_path
 

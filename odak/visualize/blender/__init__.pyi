@@ -12,8 +12,8 @@ from .items import diffuse as diffuse
 from .items import emission as emission
 from .items import glass as glass
 from .items import metal as metal
-from .process import Blender as Blender
-from .process import BlenderError as BlenderError
-from .process import BlenderNotFoundError as BlenderNotFoundError
-from .process import find_blender as find_blender
+from .scenes import Blender as Blender
+from .scenes import BlenderError as BlenderError
+from .scenes import BlenderNotFoundError as BlenderNotFoundError
+from .scenes import find_blender as find_blender
 from .scenes import scene as scene

@@ -13,15 +13,23 @@ from odak.tools.asset import read_mesh
 from odak.tools.file import read_levels, validate_path
 from odak.visualize import _arrays
 from odak.visualize._arrays import coded_light, linear_light
-from odak.visualize.blender.items import Item, diffuse, emission, glass, linear_color, metal, pair, positive, three
-from odak.visualize.blender.meshes import (
+from odak.visualize.blender.items import (
+    Item,
     Mesh,
     Profile,
+    diffuse,
     disc_mesh,
+    emission,
+    glass,
     grid_mesh,
     lens_mesh,
+    linear_color,
+    metal,
+    pair,
+    positive,
     profile_mesh,
     sphere_mesh,
+    three,
     tube_mesh,
 )
 

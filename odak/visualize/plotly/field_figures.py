@@ -15,7 +15,7 @@ from odak._array import Array
 from odak.tools.file import read_levels
 from odak.tools.paths import validate_path
 from odak.visualize._arrays import image, to_numpy
-from odak.visualize.plotly import figure_style, figures
+from odak.visualize.plotly import figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
 __all__ = ["detectorshow", "field_show", "plot2dshow"]
@@ -211,16 +211,16 @@ class _Images(Figure):
 
     def __init__(self, rows: int, cols: int, titles: list, row_titles: list, settings: dict, **spacing):
         figure = make_subplots(rows=rows, cols=cols, **spacing)
-        figure_style.place_titles(figure, titles, row_titles, cols)
+        figures.place_titles(figure, titles, row_titles, cols)
         super().__init__(figure, settings)
-        self._domains = figure_style.domains(figure)
+        self._domains = figures.domains(figure)
         self._rows, self._cells = rows, (rows, cols)
 
     def update_layout(self) -> None:
         """Apply the settings to the figure; done before it is shown or saved."""
         super().update_layout()
         fit = self.settings["height"] is None
-        figure_style.place_images(self.fig, self._domains, rows=self._rows, fit_height=fit)
+        figures.place_images(self.fig, self._domains, rows=self._rows, fit_height=fit)
 
     def _add(self, field, quantity: Quantity, scale, row: int, column: int, showscale: bool, **options) -> None:
         """Add one image of a field."""
@@ -242,8 +242,8 @@ class _Images(Figure):
             name=bar,
         )
         self.fig.add_trace(trace, row=row, col=column)
-        figure_style.square_pixels(self.fig, self.fig.data[-1], origin)
-        figure_style.name_axes(self.fig, self.fig.data[-1], panel.labels if any(panel.labels) else unlabelled)
+        figures.square_pixels(self.fig, self.fig.data[-1], origin)
+        figures.name_axes(self.fig, self.fig.data[-1], panel.labels if any(panel.labels) else unlabelled)
 
 
 class plot2dshow(_Images):
@@ -478,7 +478,7 @@ class detectorshow(_Images):
             raise ValueError("at least one of show_amplitude, show_phase, show_intensity, show_spectrum must be true")
         count = len(self._quantities)
         if wrap is None:
-            each = (width - margin[0] - margin[1]) / (cols * count) - figure_style.BAR_SPACE
+            each = (width - margin[0] - margin[1]) / (cols * count) - figures.BAR_SPACE
             wrap = 2 if count > 2 and each < NARROWEST else count
         self._across = min(_validate.whole("wrap", wrap, minimum=1), count)
         self._down = math.ceil(count / self._across)
@@ -486,8 +486,8 @@ class detectorshow(_Images):
             "title": figures.text("title", title),
             "subplot titles": figures.texts("subplot_titles", subplot_titles),
             "row titles": figures.texts("row_titles", row_titles),
-            "color scale": figure_style.SEQUENTIAL_SCALE,
-            "phase color scale": figure_style.CYCLIC_SCALE,
+            "color scale": figures.SEQUENTIAL_SCALE,
+            "phase color scale": figures.CYCLIC_SCALE,
             "sub column no": count,
             "column number": cols * count,
             "row number": rows,
@@ -502,7 +502,7 @@ class detectorshow(_Images):
         }
         titles = self._titles(settings["subplot titles"], wanted, rows, cols)
         size = width, height or width
-        spacing = figure_style.spacing(rows * self._down, cols * self._across, size, margin)
+        spacing = figures.spacing(rows * self._down, cols * self._across, size, margin)
         row_titles = [text for title in settings["row titles"][:rows] for text in (title, *[""] * (self._down - 1))]
         super().__init__(rows * self._down, cols * self._across, titles, row_titles, settings, **spacing)
         self._cells = rows, cols
@@ -613,7 +613,7 @@ def field_show(
     quantities: Sequence[str] | None = None,
     title: str | None = None,
     labels: Sequence[str] = (),
-    color_scale: str = figure_style.SEQUENTIAL_SCALE,
+    color_scale: str = figures.SEQUENTIAL_SCALE,
     size: int = 480,
     origin: str = "upper",
     filename: str | os.PathLike | None = None,
@@ -689,8 +689,8 @@ def field_show(
         labels = [f"Field {i + 1}" for i in range(len(stack))] if len(stack) > 1 else [""]
     rows, columns = stack.shape[1:]
     across = len(chosen) if len(chosen) < 3 else 2
-    wide = max(columns * size / max(rows, columns), 120) + figure_style.BAR_SPACE
-    width = across * wide + (across - 1) * figure_style.COLUMN_GAP + MARGIN[0] + MARGIN[1]
+    wide = max(columns * size / max(rows, columns), 120) + figures.BAR_SPACE
+    width = across * wide + (across - 1) * figures.COLUMN_GAP + MARGIN[0] + MARGIN[1]
     slides = layout == "slider" and len(stack) > 1
     figure = detectorshow(
         row_titles=[""] if slides else labels,

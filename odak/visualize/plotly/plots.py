@@ -8,7 +8,7 @@ import numpy as np
 from odak import _validate
 from odak._array import Array
 from odak.visualize._arrays import image, real_array
-from odak.visualize.plotly import figure_style, figures
+from odak.visualize.plotly import figures
 from odak.visualize.plotly.field_figures import MAXIMUM_SIDE, ORIGINS, averaged, reduction
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 
@@ -70,7 +70,7 @@ class surfaceshow(Figure):
         labels, types = figures.texts("labels", labels, 3), figures.texts("types", types, 3)
         settings = {
             "title": figures.text("title", title),
-            "color scale": figure_style.HEIGHT_SCALE,
+            "color scale": figures.HEIGHT_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
             "width": shape[0],
             "height": shape[1],
@@ -193,10 +193,10 @@ class plotshow(Figure):
         titles, labels = figures.texts("subplot_titles", subplot_titles), figures.texts("labels", labels, 2)
         shape = figures.numbers("shape", shape, 2, positive=True)
         figure = make_subplots(rows=rows, cols=cols)
-        figure_style.place_titles(figure, titles[: rows * cols], [], cols)
+        figures.place_titles(figure, titles[: rows * cols], [], cols)
         settings = {
             "subplot titles": titles,
-            "color scale": figure_style.SEQUENTIAL_SCALE,
+            "color scale": figures.SEQUENTIAL_SCALE,
             "font size": _validate.whole("font_size", font_size, minimum=1),
             "x label": labels[0],
             "y label": labels[1],
@@ -207,7 +207,7 @@ class plotshow(Figure):
             "maximum side": MAXIMUM_SIDE,
         }
         super().__init__(figure, settings)
-        self._domains = figure_style.domains(figure)
+        self._domains = figures.domains(figure)
         self._cells = rows, cols
 
     def add_plot(
@@ -280,7 +280,7 @@ class plotshow(Figure):
         self.fig.update_xaxes(title={"text": settings["x label"]})
         self.fig.update_yaxes(title={"text": settings["y label"]})
         super().update_layout()
-        figure_style.place_images(self.fig, self._domains, settings["colorbar length"])
+        figures.place_images(self.fig, self._domains, settings["colorbar length"])
 
 
 def add_image(figure: Figure, values, row: int, col: int, showscale: bool, origin: str, label: str = ""):
@@ -302,7 +302,7 @@ def add_image(figure: Figure, values, row: int, col: int, showscale: bool, origi
         colorbar={"title": {"text": label}},
     )
     figure.fig.add_trace(trace, row=row, col=col)
-    figure_style.square_pixels(figure.fig, figure.fig.data[-1], origin)
+    figures.square_pixels(figure.fig, figure.fig.data[-1], origin)
     return figure.fig.data[-1]
 
 

@@ -10,7 +10,7 @@ from odak import _validate
 from odak._array import Array
 from odak.visualize import _arrays
 from odak.visualize._arrays import to_numpy
-from odak.visualize.plotly import figure_style, figures
+from odak.visualize.plotly import figures
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
 from odak.visualize.plotly.plots import surface_grid
 
@@ -133,7 +133,7 @@ class SceneFigure(Figure):
         titles = {f"{a}axis": {"title": {"text": text}} for a, text in zip(AXES, settings["labels"], strict=True)}
         self.fig.update_scenes({**aspect, **titles})
         super().update_layout()
-        figure_style.place_scene_bars(self.fig)
+        figures.place_scene_bars(self.fig)
 
     def image_size(self) -> tuple[float, float]:
         """Return width and height of images: those of the settings, or 800 × 700 for each scene."""
@@ -721,7 +721,7 @@ def system_show(
         frames = list(zip(*(to_numpy("frames", value) for value in system.frames()), strict=True))
     _draw_surfaces(figure, system, frames, paths)
     for i, (field, lines) in enumerate(zip(system.fields, paths, strict=True)):
-        colour = figure_style.COLORS[i % len(figure_style.COLORS)]
+        colour = figures.COLORS[i % len(figures.COLORS)]
         figure.add_path(lines, color=colour, show_legend=True, label=f"field {_field_name(field, system)}")
     _frame_from_the_side(figure)
     if filename is not None:
@@ -806,7 +806,7 @@ def _frame_from_the_side(figure) -> None:
     width, height = figure.image_size()
     left, right, bottom, top = figure.settings["margin"]
     size = width - left - right, height - bottom - top
-    camera, ranges = figure_style.camera_towards(points, VIEW, (0.0, 1.0, 0.0), size)
+    camera, ranges = figures.camera_towards(points, VIEW, (0.0, 1.0, 0.0), size)
     axes: dict[str, dict] = {f"{a}axis": {"range": span} for a, span in zip("xyz", ranges, strict=True)}
     # Seen from the side the x axis is foreshortened: its numbers would overlap.
     axes["xaxis"] |= {"nticks": 3}

@@ -7,7 +7,7 @@ import torch
 from torch.nn import functional as F
 
 from odak.learn import models
-from odak.learn.models import attention
+from odak.learn.models import layers
 
 
 @pytest.fixture(autouse=True)
@@ -79,7 +79,7 @@ def test_non_local_layer(channels, bottleneck, rows, monkeypatch):
     layer = settled(models.non_local_layer(channels, bottleneck))
     x = 2 * picture(2, channels, 4, 3)
     if rows:
-        monkeypatch.setattr(attention, "_SCORE_BYTES", rows * 2 * 12 * 8)
+        monkeypatch.setattr(layers, "_SCORE_BYTES", rows * 2 * 12 * 8)
     assert torch.allclose(layer(x), non_local(layer, x))
 
 
@@ -88,7 +88,7 @@ def test_non_local_layer_in_parts_has_the_same_gradients(monkeypatch):
     x = picture(2, 3, 2, 3).requires_grad_()
     inputs = [x, *layer.parameters()]
     whole = torch.autograd.grad(layer(x).square().sum(), inputs)
-    monkeypatch.setattr(attention, "_SCORE_BYTES", 4 * 2 * 6 * 8)
+    monkeypatch.setattr(layers, "_SCORE_BYTES", 4 * 2 * 6 * 8)
     parts = torch.autograd.grad(layer(x).square().sum(), inputs)
     assert all(torch.allclose(*pair) for pair in zip(whole, parts, strict=True))
     assert torch.autograd.gradcheck(layer, (x,), fast_mode=True)

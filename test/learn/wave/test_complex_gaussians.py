@@ -20,7 +20,7 @@ from odak.learn.wave import (
     complex_gaussians,
     propagate_beam,
 )
-from odak.learn.wave.gaussians import parameters
+from odak.learn.wave.gaussians import sets
 
 WAVELENGTHS = [639e-9, 532e-9, 473e-9]
 NAMES = ["means_2d", "pre_act_scales", "pre_act_rotation", "colours", "pre_act_phase", "pre_act_opacities"]
@@ -110,7 +110,7 @@ def test_activations():
     assert bool((gaussians(7, merge_opacity=True).apply_activations()[3] == 1).all())
     # In single precision a tiny negative phase would be rounded up to 2π.
     tiny = torch.tensor([-1e-9, 1.0], requires_grad=True)
-    wrapped = parameters.wrapped(tiny)
+    wrapped = sets.wrapped(tiny)
     assert wrapped.tolist() == [0, 1]
     assert torch.autograd.grad(wrapped.sum(), tiny)[0].tolist() == [1, 1]
 

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from odak.learn.wave import complex_3d_gaussians
-from odak.learn.wave.gaussians.spatial import NAMES
+from odak.learn.wave.gaussians.sets import NAMES
 
 PLANES = Namespace(num_planes=2)
 

@@ -1,9 +1,9 @@
-from .flat import Scene2D as Scene2D
-from .flat import complex_2d_gaussians as complex_2d_gaussians
 from .scene import Scene as Scene
-from .spatial import STEFunction as STEFunction
-from .spatial import StraightThroughEstimator as StraightThroughEstimator
-from .spatial import complex_3d_gaussians as complex_3d_gaussians
+from .sets import Scene2D as Scene2D
+from .sets import STEFunction as STEFunction
+from .sets import StraightThroughEstimator as StraightThroughEstimator
+from .sets import complex_2d_gaussians as complex_2d_gaussians
+from .sets import complex_3d_gaussians as complex_3d_gaussians
 from .splat_files import ColmapView as ColmapView
 from .splat_files import Splats as Splats
 from .splat_files import load_colmap as load_colmap

@@ -10,8 +10,8 @@ from odak import _validate
 from odak._array import is_readable
 from odak.learn._tensors import rows_of, shaped, tensor
 from odak.learn.tools.transformation import PerspectiveCamera
-from odak.learn.wave.gaussians import parameters as shared
-from odak.learn.wave.gaussians.spatial import complex_3d_gaussians
+from odak.learn.wave.gaussians import sets as shared
+from odak.learn.wave.gaussians.sets import complex_3d_gaussians
 from odak.learn.wave.gaussians.splatting import FAINTEST, Tiling, composite_gaussians, finer_tiling
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.volume import disc
