@@ -7,7 +7,7 @@ import torch
 from measure import interleave
 from wave_optics import row
 
-from odak.learn.models.adaptive import modulated_convolution
+from odak.learn.models.unets import modulated_convolution
 
 # Channels before and after, rows and columns: steps down of the spatially adaptive U-Net from a 1080p picture.
 STEPS = [(8, 15, 540, 960), (16, 31, 270, 480), (64, 127, 67, 120)]

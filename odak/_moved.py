@@ -23,10 +23,10 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.tools.nonuniform": "odak.tools.matrix",
     "odak.tools.markdown": "odak.tools.texts",
     "odak.learn.lensless.models": "odak.learn.lensless.speckle_tracking",
-    "odak.learn.models.adaptive_convolution": "odak.learn.models.adaptive",
+    "odak.learn.models.adaptive_convolution": "odak.learn.models.unets",
     "odak.learn.models.components": (
         "odak.learn.models.layers",
-        "odak.learn.models.adaptive",
+        "odak.learn.models.unets",
         "odak.learn.models.perceptrons",
     ),
     "odak.learn.models.models": ("odak.learn.models.perceptrons", "odak.learn.models.unets"),
@@ -148,6 +148,10 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.visualize.blender.process": "odak.visualize.blender.scenes",
     "odak.visualize.plotly.browser": "odak.visualize.plotly.figures",
     "odak.visualize.plotly.figure_style": "odak.visualize.plotly.figures",
+    "odak.learn.models.adaptive": "odak.learn.models.unets",
+    "odak.cli.options": "odak.cli.app",
+    "odak.cli.pictures": "odak.cli.report",
+    "odak.learn.tools.device": "odak.learn._tensors",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a

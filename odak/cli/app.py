@@ -1,4 +1,4 @@
-"""Commands of the command line, their messages and their exit codes.
+"""Commands of the command line, their options, their messages and their exit codes.
 
 Exit codes: 0 success, 1 unexpected failure, 2 the command line or a file that it names cannot be used, 130 interrupted
 by Ctrl-C.
@@ -13,11 +13,414 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from odak.cli import options
 from odak.cli.job import GREY_WAVELENGTH, InputError, Job, find_preset
 
 if TYPE_CHECKING:
     from odak.cli import files
+from typing import Any
+
+from odak.cli.job import (
+    COLOUR_WAVELENGTHS,
+    INITIAL_PHASES,
+    LEARNING_RATE,
+    METHODS,
+    PRESETS,
+    SHIPPED_IMAGES,
+    SOLVERS,
+    parse_length,
+    parse_pitch,
+)
+
+LENGTH = "LENGTH"
+
+
+def length(text: str | float) -> float:
+    """Parse a length; raise the exception that typer reports as a usage error."""
+    try:
+        return parse_length(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def pitch(text: str | float) -> float | tuple[float, float]:
+    """Parse a pixel pitch; raise the exception that typer reports as a usage error."""
+    try:
+        return parse_pitch(text)
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from None
+
+
+def _complete(names):
+    """Return a function that completes one of some names."""
+    return lambda incomplete: [name for name in names if name.casefold().startswith(incomplete.casefold())]
+
+
+def _propagation_types(incomplete: str) -> list[str]:
+    from odak.wave.methods import PROPAGATION_TYPES
+
+    return _complete((*PROPAGATION_TYPES, "auto"))(incomplete)
+
+
+_COLOURS = ", ".join(f"{value * 1e9:g}nm" for value in COLOUR_WAVELENGTHS)
+
+Images = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[IMAGE]...",
+        help="Picture file, folder of pictures, or name of a picture that comes with odak: "
+        + ", ".join(sorted(SHIPPED_IMAGES))
+        + ". Its stored values, 0 to 1, are the target intensity; no display gamma is removed. It is resized to the "
+        "largest size that fits the resolution and padded with black.",
+        show_default="photo",
+    ),
+]
+Output = Annotated[Path, typer.Option("--output", "-o", help="Folder to write to; created if it does not exist.")]
+Wavelengths = Annotated[
+    list[float] | None,
+    typer.Option(
+        "--wavelength",
+        "-w",
+        parser=length,
+        metavar=LENGTH,
+        help="Wavelength, in metres or with a unit (532nm); give it three times for red, green and blue. If it is "
+        "given once, or with --grey, one hologram of the picture's brightness is computed.",
+        show_default=f"{GREY_WAVELENGTH * 1e9:g}nm; colour pictures: {_COLOURS}",
+    ),
+]
+Grey = Annotated[bool, typer.Option("--grey", help="Compute one hologram of the brightness of a colour picture.")]
+PixelPitch = Annotated[
+    # Typer calls the parser of an option, and shows its type as the metavar says.
+    Any,
+    typer.Option(
+        parser=pitch,
+        metavar=f"{LENGTH}[,{LENGTH}]",
+        help="Pixel pitch of the modulator, in metres or with a unit (8um); two of them, with a comma, where that of "
+        "rows differs from that of columns (8um,6.4um).",
+        show_default="8um",
+    ),
+]
+Resolution = Annotated[
+    tuple[int, int], typer.Option(metavar="ROWS COLUMNS", help="Resolution of the modulator in pixels.")
+]
+Distance = Annotated[
+    float,
+    typer.Option(
+        "--distance",
+        "-d",
+        parser=length,
+        metavar=LENGTH,
+        help="Distance from modulator to picture, in metres or with a unit (15cm).",
+        show_default="15cm",
+    ),
+]
+Preset = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Commercial modulator that sets pixel pitch, resolution and bits unless these options are given: "
+        + ", ".join(PRESETS)
+        + ".",
+        autocompletion=_complete(PRESETS),
+    ),
+]
+Watch = Annotated[bool, typer.Option("--watch", help="Wait for new and changed pictures in the folders, until Ctrl-C.")]
+Tiles = Annotated[
+    bool,
+    typer.Option(
+        "--tiles",
+        help="Read, compute and evaluate in chunks stored on disk, for pictures larger than memory: TIFF, .npy and "
+        "Zarr, with one modulator pixel per picture pixel unless --resolution is given. An interrupted run is resumed. "
+        "With --cluster local, worker processes write to disk what does not fit in memory.",
+    ),
+]
+Planes = Annotated[
+    int, typer.Option(metavar="COUNT", help="Number of depth planes, to which the depth map assigns the pixels.")
+]
+DepthMap = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PICTURE",
+        help="Grey picture of the depth: 0 (black) is the first plane, nearest to the modulator, 1 the last.",
+        show_default="its own for the picture 'scene'",
+    ),
+]
+VolumeDepth = Annotated[
+    float,
+    typer.Option(
+        parser=length,
+        metavar=LENGTH,
+        help="Distance from the first plane to the last, centred at --distance.",
+        show_default="4mm",
+    ),
+]
+Frames = Annotated[
+    int | None,
+    typer.Option(
+        metavar="COUNT",
+        help="Number of patterns shown in rapid sequence, whose images the eye averages: for each colour (sgd) or for "
+        "all colours together (multi-color).",
+        show_default="sgd: 1; multi-color: one for each colour",
+    ),
+]
+Method = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(METHODS),
+        autocompletion=_complete(METHODS),
+        help="sgd: gradient descent; gs: Gerchberg-Saxton; double-phase: no iterations, verified through the half-band "
+        "Fourier filter that such holograms need; network: one pass of a trained network, for planes at distances at "
+        "which the light of a pixel covers 5 to 75 pixels; multiplane: one pattern for each colour, for all planes; "
+        "multi-color: patterns that are each lit by all colours, with source powers that are optimised too.",
+        show_default="sgd; multiplane for more than one plane",
+    ),
+]
+PropagationType = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help="Propagation method of the computation, or 'auto'.",
+        autocompletion=_propagation_types,
+    ),
+]
+Iterations = Annotated[
+    int, typer.Option(metavar="COUNT", help="Number of iterations (all methods except double-phase and network).")
+]
+LearningRate = Annotated[
+    float | None,
+    typer.Option(
+        metavar="RADIANS",
+        help="Step size in radians of Adam (sgd, multiplane, multi-color).",
+        show_default=str(LEARNING_RATE),
+    ),
+]
+Optimizer = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(SOLVERS),
+        autocompletion=_complete(SOLVERS),
+        help="Solver of the method sgd. L-BFGS reaches the quality of Adam in half as many iterations or fewer.",
+        show_default="lbfgs; adam with --learning-rate or --tiles",
+    ),
+]
+Scale = Annotated[
+    bool,
+    typer.Option(
+        help="Optimise the brightness of the image as well (methods with a step size) instead of reproducing the "
+        "stored values: 10 dB better on the picture 'photo', because less light must be directed outside the image."
+    ),
+]
+InitialPhase = Annotated[
+    str | None,
+    typer.Option(
+        metavar="|".join(INITIAL_PHASES),
+        autocompletion=_complete(INITIAL_PHASES),
+        help="Initial phase of the hologram, or of the picture with the method double-phase: zero (flat), normal noise "
+        "of 0.3 rad (slight), a lens whose focal length is twice the distance (quadratic), normal noise of 1 rad "
+        "(normal), uniform noise over 2 pi (uniform). With sgd also the double phase of the picture, or ten "
+        "accelerated iterations of Gerchberg-Saxton (gs).",
+        show_default="gs with sgd, flat with the method double-phase, uniform with the method gs, none with the method "
+        "network, otherwise slight",
+    ),
+]
+Seed = Annotated[int, typer.Option(help="Seed of the random initial phases.")]
+Grating = Annotated[
+    bool, typer.Option(help="Add a binary grating (pi on every second column) to the pattern that is saved.")
+]
+Bits = Annotated[int, typer.Option(help="Bits per pixel of the modulator, 1 to 16; above 8 the file is a 16-bit PNG.")]
+FillFactor = Annotated[
+    float | None,
+    typer.Option(
+        metavar="RATIO",
+        help="Fill factor of the square pixels, the emitting share of their area. The holograms are computed for such "
+        "pixels and an aperture that passes one diffraction order; images and report are averages over pixel areas.",
+        show_default="pixels are points, and images are sampled at points",
+    ),
+]
+Device = Annotated[str, typer.Option(help="auto (the GPU if there is one), cpu, cuda, cuda:1, ...")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show no progress and no summary; warnings and errors still go to stderr.")
+]
+
+# --- Clusters
+Cluster = Annotated[
+    str | None,
+    typer.Option(
+        metavar="local|ADDRESS",
+        help="Compute the pictures on worker processes of this machine (local), or on those of a Dask scheduler, such "
+        "as tls://10.0.0.1:8786. The results of each picture are written to a folder of its name.",
+        show_default="one picture after another in this process",
+    ),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(
+        metavar="COUNT", help="Number of worker processes.", show_default="one per GPU, or per core if there is no GPU"
+    ),
+]
+Retries = Annotated[int, typer.Option(metavar="COUNT", help="Number of times that a failed picture is computed again.")]
+Again = Annotated[
+    bool,
+    typer.Option("--again", help="Compute results that exist already again, and replace others without asking."),
+]
+Address = Annotated[str, typer.Argument(metavar="ADDRESS", help="Address of a scheduler, such as tls://10.0.0.1:8786.")]
+Threads = Annotated[
+    int | None,
+    typer.Option(
+        metavar="COUNT", help="Number of threads of each worker.", show_default="the cores divided by the workers"
+    ),
+]
+MemoryLimit = Annotated[
+    float | None,
+    typer.Option(
+        metavar="GIB",
+        help="Memory of a worker in GiB, above which it is restarted.",
+        show_default="the memory divided by the workers",
+    ),
+]
+Name = Annotated[str | None, typer.Option(metavar="NAME", help="Name of the workers, to which a number is appended.")]
+Timeout = Annotated[
+    float, typer.Option(metavar="SECONDS", help="Longest time to wait for the scheduler and the workers.")
+]
+CaFile = Annotated[
+    str | None, typer.Option("--tls-ca-file", metavar="FILE", help="Certificate of the certificate authority.")
+]
+Cert = Annotated[str | None, typer.Option("--tls-cert", metavar="FILE", help="This machine's certificate.")]
+Key = Annotated[
+    str | None, typer.Option("--tls-key", metavar="FILE", help="Private key of this machine's certificate.")
+]
+TrustedNetwork = Annotated[
+    bool,
+    typer.Option(
+        "--trusted-network",
+        help="Accept plain TCP from other machines: everybody on that network can then run code here.",
+    ),
+]
+
+# --- Metamers
+EyeboxImages = Annotated[
+    list[str] | None,
+    typer.Argument(
+        metavar="[IMAGE]...",
+        help="Picture file, or name of a picture that comes with odak: "
+        + ", ".join(sorted(SHIPPED_IMAGES))
+        + "; one for all places of the pupil, or one for each.",
+        show_default="photo",
+    ),
+]
+OneWavelength = Annotated[
+    float,
+    typer.Option(
+        "--wavelength",
+        "-w",
+        parser=length,
+        metavar=LENGTH,
+        help="Wavelength, in metres or with a unit.",
+        show_default=f"{GREY_WAVELENGTH * 1e9:g}nm",
+    ),
+]
+PupilDistance = Annotated[
+    float,
+    typer.Option(
+        "--distance",
+        "-d",
+        parser=length,
+        metavar=LENGTH,
+        help="Distance from the modulator, or its image by an eyepiece, to the pupil, in metres or with a unit.",
+        show_default="10cm",
+    ),
+]
+Places = Annotated[
+    tuple[int, int],
+    typer.Option(metavar="ROWS COLUMNS", help="Number of places of the pupil, one above and beside another."),
+]
+Spacing = Annotated[
+    float,
+    typer.Option(
+        parser=length,
+        metavar=LENGTH,
+        help="Distance of neighbouring places of the pupil; at most half a pupil for "
+        "pictures without gaps between them.",
+        show_default="2mm",
+    ),
+]
+Pupil = Annotated[float, typer.Option(parser=length, metavar=LENGTH, help="Diameter of the pupil.", show_default="2mm")]
+EyeboxFrames = Annotated[
+    int,
+    typer.Option(
+        "--frames", metavar="COUNT", help="Number of patterns shown one after another, which the eye averages."
+    ),
+]
+MetamerImage = Annotated[
+    str,
+    typer.Argument(
+        metavar="[IMAGE]",
+        help="Picture file, or name of a picture that comes with odak: " + ", ".join(sorted(SHIPPED_IMAGES)) + ".",
+    ),
+]
+Gaze = Annotated[
+    tuple[float, float],
+    typer.Option(
+        metavar="X Y", help="Gaze position, 0 to 1 from the left and from the top; may lie outside the picture."
+    ),
+]
+Width = Annotated[
+    float,
+    typer.Option("--width", parser=length, metavar=LENGTH, help="Width of the picture, in metres or with a unit."),
+]
+ViewingDistance = Annotated[
+    float,
+    typer.Option(
+        "--distance", "-d", parser=length, metavar=LENGTH, help="Distance of the eye, in metres or with a unit."
+    ),
+]
+Alpha = Annotated[float, typer.Option(metavar="RATIO", help="Growth of the eye's pooling regions with eccentricity.")]
+PoolingMode = Annotated[
+    str,
+    typer.Option(
+        metavar="quadratic|linear",
+        help="Growth of the pooling regions with eccentricity in radians.",
+        autocompletion=_complete(("quadratic", "linear")),
+    ),
+]
+Levels = Annotated[int, typer.Option(metavar="COUNT", help="Number of levels of the pyramid, 2 or more.")]
+Orientations = Annotated[
+    int, typer.Option(metavar="COUNT", help="Number of orientations of the pyramid's bands, 1 or more.")
+]
+Refinements = Annotated[
+    int,
+    typer.Option(
+        metavar="COUNT",
+        help="Number of evaluations of the metameric loss in the optimisation; 0 gives noise of matched statistics.",
+    ),
+]
+Joint = Annotated[
+    bool,
+    typer.Option(
+        "--joint", help="Match statistics across channels, orientations and scales too: keeps edges, takes longer."
+    ),
+]
+NominalWidth = Annotated[
+    bool,
+    typer.Option("--nominal-width", help="Pool over regions as wide as --alpha says, not 1.7 to 1.9 times as wide."),
+]
+NoiseSeed = Annotated[int, typer.Option(help="Seed of the noise.")]
+
+# --- Lenses
+Glasses = Annotated[
+    list[Path] | None,
+    typer.Option(metavar="FILE", help="Glass catalogue (.agf), .json or .yml to read first; may be repeated."),
+]
+FocalLength = Annotated[
+    float | None,
+    typer.Option(parser=length, metavar=LENGTH, help="Focal length, in metres or with a unit (50mm)."),
+]
+Track = Annotated[
+    float | None, typer.Option(parser=length, metavar=LENGTH, help="Largest length from the first vertex to the image.")
+]
+Back = Annotated[
+    float | None, typer.Option(parser=length, metavar=LENGTH, help="Least distance from the last vertex to the image.")
+]
+
 
 BAD_INPUT, FAILURE, INTERRUPTED = 2, 1, 130
 
@@ -90,42 +493,42 @@ def _start(
 )
 def hologram(
     context: typer.Context,
-    images: options.Images = None,
-    output: options.Output = Job.output,
-    wavelength: options.Wavelengths = None,
-    grey: options.Grey = Job.grey,
-    pixel_pitch: options.PixelPitch = Job.pixel_pitch,
-    resolution: options.Resolution = Job.resolution,
-    distance: options.Distance = Job.distance,
-    planes: options.Planes = Job.planes,
-    depth_map: options.DepthMap = Job.depth_map,
-    volume_depth: options.VolumeDepth = Job.volume_depth,
-    frames: options.Frames = Job.frames,
-    method: options.Method = Job.method,
-    propagation_type: options.PropagationType = Job.propagation_type,
-    iterations: options.Iterations = Job.iterations,
-    learning_rate: options.LearningRate = Job.learning_rate,
-    optimizer: options.Optimizer = Job.optimizer,
-    scale: options.Scale = Job.scale,
-    initial_phase: options.InitialPhase = Job.initial_phase,
-    seed: options.Seed = Job.seed,
-    grating: options.Grating = Job.grating,
-    bits: options.Bits = Job.bits,
-    fill_factor: options.FillFactor = Job.fill_factor,
-    preset: options.Preset = Job.preset,
-    device: options.Device = Job.device,
-    quiet: options.Quiet = Job.quiet,
-    again: options.Again = False,
-    watch: options.Watch = False,
-    tiles: options.Tiles = Job.tiles,
-    cluster: options.Cluster = None,
-    workers: options.Workers = None,
-    retries: options.Retries = 1,
-    timeout: options.Timeout = 60.0,
-    tls_ca_file: options.CaFile = None,
-    tls_cert: options.Cert = None,
-    tls_key: options.Key = None,
-    trusted_network: options.TrustedNetwork = False,
+    images: Images = None,
+    output: Output = Job.output,
+    wavelength: Wavelengths = None,
+    grey: Grey = Job.grey,
+    pixel_pitch: PixelPitch = Job.pixel_pitch,
+    resolution: Resolution = Job.resolution,
+    distance: Distance = Job.distance,
+    planes: Planes = Job.planes,
+    depth_map: DepthMap = Job.depth_map,
+    volume_depth: VolumeDepth = Job.volume_depth,
+    frames: Frames = Job.frames,
+    method: Method = Job.method,
+    propagation_type: PropagationType = Job.propagation_type,
+    iterations: Iterations = Job.iterations,
+    learning_rate: LearningRate = Job.learning_rate,
+    optimizer: Optimizer = Job.optimizer,
+    scale: Scale = Job.scale,
+    initial_phase: InitialPhase = Job.initial_phase,
+    seed: Seed = Job.seed,
+    grating: Grating = Job.grating,
+    bits: Bits = Job.bits,
+    fill_factor: FillFactor = Job.fill_factor,
+    preset: Preset = Job.preset,
+    device: Device = Job.device,
+    quiet: Quiet = Job.quiet,
+    again: Again = False,
+    watch: Watch = False,
+    tiles: Tiles = Job.tiles,
+    cluster: Cluster = None,
+    workers: Workers = None,
+    retries: Retries = 1,
+    timeout: Timeout = 60.0,
+    tls_ca_file: CaFile = None,
+    tls_cert: Cert = None,
+    tls_key: Key = None,
+    trusted_network: TrustedNetwork = False,
 ) -> None:
     """Compute the holograms of pictures; the parameters are those of :class:`odak.cli.job.Job`."""
     values = dict(locals())
@@ -192,17 +595,17 @@ def _single(job: Job, again: bool, workers: int | None) -> dict:
     "`dask scheduler --protocol tls --host ADDRESS --tls-ca-file ... --tls-cert ... --tls-key ...`."
 )
 def worker(
-    address: options.Address,
-    workers: options.Workers = None,
-    threads: options.Threads = None,
-    memory_limit: options.MemoryLimit = None,
-    name: options.Name = None,
-    timeout: options.Timeout = 60.0,
-    tls_ca_file: options.CaFile = None,
-    tls_cert: options.Cert = None,
-    tls_key: options.Key = None,
-    trusted_network: options.TrustedNetwork = False,
-    quiet: options.Quiet = False,
+    address: Address,
+    workers: Workers = None,
+    threads: Threads = None,
+    memory_limit: MemoryLimit = None,
+    name: Name = None,
+    timeout: Timeout = 60.0,
+    tls_ca_file: CaFile = None,
+    tls_cert: Cert = None,
+    tls_key: Key = None,
+    trusted_network: TrustedNetwork = False,
+    quiet: Quiet = False,
 ) -> None:
     """Join a cluster; see :func:`odak.cli.cluster.join`."""
     with _messages():
@@ -249,22 +652,22 @@ def certificates(
     "report.json."
 )
 def metamer(
-    image: options.MetamerImage = "photo",
-    output: options.Output = Path("metamer"),
-    gaze: options.Gaze = (0.5, 0.5),
-    width: options.Width = 0.6,
-    distance: options.ViewingDistance = 0.7,
-    alpha: options.Alpha = 0.2,
-    mode: options.PoolingMode = "quadratic",
-    levels: options.Levels = 5,
-    orientations: options.Orientations = 2,
-    iterations: options.Refinements = 40,
-    joint: options.Joint = False,
-    nominal_width: options.NominalWidth = False,
-    seed: options.NoiseSeed = 0,
-    device: options.Device = "auto",
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    image: MetamerImage = "photo",
+    output: Output = Path("metamer"),
+    gaze: Gaze = (0.5, 0.5),
+    width: Width = 0.6,
+    distance: ViewingDistance = 0.7,
+    alpha: Alpha = 0.2,
+    mode: PoolingMode = "quadratic",
+    levels: Levels = 5,
+    orientations: Orientations = 2,
+    iterations: Refinements = 40,
+    joint: Joint = False,
+    nominal_width: NominalWidth = False,
+    seed: NoiseSeed = 0,
+    device: Device = "auto",
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Make a metamer; the parameters are those of :class:`odak.cli.metamer.MetamerJob`."""
     values = dict(locals())
@@ -288,23 +691,23 @@ def metamer(
     "with what an eye sees from each place, by exact propagation of the saved patterns, and report.json."
 )
 def eyebox(
-    images: options.EyeboxImages = None,
-    output: options.Output = Path("eyebox"),
-    wavelength: options.OneWavelength = GREY_WAVELENGTH,
-    pixel_pitch: options.PixelPitch = 8e-6,
-    distance: options.PupilDistance = 0.1,
-    resolution: options.Resolution = (512, 512),
-    places: options.Places = (1, 3),
-    spacing: options.Spacing = 2e-3,
-    pupil: options.Pupil = 2e-3,
-    frames: options.EyeboxFrames = 2,
-    iterations: options.Iterations = 60,
-    learning_rate: options.LearningRate = 0.2,
-    seed: options.Seed = 0,
-    bits: options.Bits = 8,
-    device: options.Device = "auto",
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    images: EyeboxImages = None,
+    output: Output = Path("eyebox"),
+    wavelength: OneWavelength = GREY_WAVELENGTH,
+    pixel_pitch: PixelPitch = 8e-6,
+    distance: PupilDistance = 0.1,
+    resolution: Resolution = (512, 512),
+    places: Places = (1, 3),
+    spacing: Spacing = 2e-3,
+    pupil: Pupil = 2e-3,
+    frames: EyeboxFrames = 2,
+    iterations: Iterations = 60,
+    learning_rate: LearningRate = 0.2,
+    seed: Seed = 0,
+    bits: Bits = 8,
+    device: Device = "auto",
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Compute a hologram for an eyebox; the parameters are those of :class:`odak.cli.eyebox_views.EyeboxJob`."""
     values = dict(locals())
@@ -330,16 +733,16 @@ def eyebox(
 )
 def trace(
     system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json or .zmx file.")],
-    output: options.Output = Path("trace"),
+    output: Output = Path("trace"),
     rings: Annotated[int, typer.Option(metavar="COUNT", help="Number of rings of rays in the pupil, 1 to 100.")] = 6,
     aim: Annotated[
         str,
         typer.Option(metavar="paraxial|real", help="Pupil that the rays are aimed at: the paraxial or the real one."),
     ] = "paraxial",
-    glasses: options.Glasses = None,
+    glasses: Glasses = None,
     figures: Annotated[str, typer.Option(metavar="png|svg|pdf", help="File format of the figures.")] = "png",
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Trace a system; see :mod:`odak.cli.trace`."""
     with _messages():
@@ -372,8 +775,8 @@ def design(
     system: Annotated[
         str | None, typer.Argument(metavar="[SYSTEM]", help="Name of a sample, or a .json or .zmx file.")
     ] = None,
-    output: options.Output = Path("design"),
-    focal_length: options.FocalLength = None,
+    output: Output = Path("design"),
+    focal_length: FocalLength = None,
     f_number: Annotated[float | None, typer.Option(metavar="RATIO", help="Focal length over entrance pupil.")] = None,
     field: Annotated[
         float | None,
@@ -384,8 +787,8 @@ def design(
         typer.Option(metavar="COUNT|NAMES", help="1 to 6, or materials and the stop: N-LAK33B,stop,SF5,N-LAK33B."),
     ] = None,
     aspheric_terms: Annotated[int, typer.Option(metavar="COUNT", help="Terms r^4, r^6, ... of curved surfaces.")] = 0,
-    track: options.Track = None,
-    back: options.Back = None,
+    track: Track = None,
+    back: Back = None,
     distortion: Annotated[
         float | None,
         typer.Option(metavar="RATIO", help="Largest distortion.", show_default="0.02, or that of the SYSTEM if larger"),
@@ -403,14 +806,14 @@ def design(
         int | None, typer.Option(metavar="COUNT", help="Steps of each run.", show_default="15; with a SYSTEM 40")
     ] = None,
     seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the random starts.")] = 0,
-    glasses: options.Glasses = None,
+    glasses: Glasses = None,
     substitute: Annotated[
         str | None,
         typer.Option(metavar="MAKERS", help="Vary the glasses, then take the nearest of these makers: schott,ohara."),
     ] = None,
     zmx: Annotated[bool, typer.Option("--zmx", help="Write lens.zmx, a Zemax file, too.")] = False,
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Design a lens; the parameters are those of :class:`odak.cli.lens_design.DesignJob`."""
     values = dict(locals()) | {"glasses": glasses or ()}
@@ -442,10 +845,10 @@ def design(
 )
 def simulate(
     config: Annotated[Path | None, typer.Argument(metavar="CONFIG", help="TOML or JSON file of the bench.")] = None,
-    output: options.Output = Path("bench"),
+    output: Output = Path("bench"),
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of the file.")] = False,
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Simulate a bench; see :mod:`odak.cli.simulate`."""
     with _messages():
@@ -476,7 +879,7 @@ def simulate(
 )
 def calibrate(
     step: Annotated[str, typer.Argument(metavar="STEP", help="What to measure.")],
-    output: options.Output = Path("calibration"),
+    output: Output = Path("calibration"),
     modulator: Annotated[str, typer.Option(metavar="NAME", help="Driver of the modulator.")] = "simulated",
     camera: Annotated[str, typer.Option(metavar="NAME", help="Driver of the camera.")] = "simulated",
     polariser: Annotated[str | None, typer.Option(metavar="NAME", help="Driver of the polariser's mount.")] = None,
@@ -499,8 +902,8 @@ def calibrate(
             metavar="FILE", help="File that holds the calibration results, .npz or .h5.", show_default="in the folder"
         ),
     ] = None,
-    quiet: options.Quiet = False,
-    again: options.Again = False,
+    quiet: Quiet = False,
+    again: Again = False,
 ) -> None:
     """Calibrate a table; see :mod:`odak.cli.calibrate`."""
     with _messages():

@@ -13,9 +13,9 @@ import torch
 from tqdm import tqdm
 
 from odak import _validate
-from odak.cli import files, pictures
+from odak.cli import files
 from odak.cli.job import GREY_WAVELENGTH, SMALLEST_SIDE, InputError, image_path, warn_of_samples
-from odak.cli.report import find_device, psnr, versions
+from odak.cli.report import find_device, picture_panel, psnr, sheet, versions
 from odak.cli.target import fit, fitting_size, read_picture, to_grey
 from odak.learn import wave
 from odak.learn.wave.holograms import best_scale
@@ -205,14 +205,14 @@ def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
     wanted = targets.expand(len(places), -1, -1).double()
     views = seen * best_scale(seen.reshape(1, -1), wanted.reshape(1, -1)).reshape(())
     quality = [psnr(view, target) for view, target in zip(views, wanted, strict=True)]
-    panels = [[pictures.picture_panel("Picture", target[None].cpu()) for target in targets]]
+    panels = [[picture_panel("Picture", target[None].cpu()) for target in targets]]
     captions = [
         f"Pupil at {1e3 * y:.3g}, {1e3 * x:.3g} mm: {value:.1f} dB"
         for (y, x), value in zip(places, quality, strict=True)
     ]
-    shown = [pictures.picture_panel(caption, view[None].cpu()) for caption, view in zip(captions, views, strict=True)]
+    shown = [picture_panel(caption, view[None].cpu()) for caption, view in zip(captions, views, strict=True)]
     panels += [shown[k : k + job.places[1]] for k in range(0, len(shown), job.places[1])]
-    files.write_png(folder / "views.png", pictures.sheet(panels))
+    files.write_png(folder / "views.png", sheet(panels))
     report = {
         "command": "eyebox",
         "psnr_db": psnr(views, wanted),

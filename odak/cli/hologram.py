@@ -14,7 +14,7 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
-from odak.cli import files, pictures, report
+from odak.cli import files, report
 from odak.cli.job import (
     COMPUTED_PHASES,
     LEARNING_RATE,
@@ -79,7 +79,7 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         result = (_compute_volume if volume else _compute_plane)(job, target, folder, names, device)
         images, phases = result.pop("images"), result.pop("phases")
         quality = report.overall(target, images, result["channels"])
-        files.write_png(folder / "reconstruction.png", pictures.to_image(images))
+        files.write_png(folder / "reconstruction.png", report.to_image(images))
         files.write_png(folder / "comparison.png", comparison(job, target, images, phases, names, quality))
     summary = {
         **quality,
@@ -159,22 +159,22 @@ def comparison(job: Job, target: Target, images, phases, names: list[str], quali
     psnr = "" if quality["psnr_db"] is None else f", PSNR {quality['psnr_db']:.1f} dB"
     where = "in focus" if job.planes > 1 else f"at {job.distance * 1e3:.4g} mm"
     first = [
-        pictures.picture_panel("Target", target.intensity),
-        pictures.picture_panel(f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
+        report.picture_panel("Target", target.intensity),
+        report.picture_panel(f"Reconstruction {where}{psnr}, SSIM {quality['ssim']:.3f}", images),
     ]
-    difference = pictures.difference_panel("Reconstruction minus target", images - target.intensity)
+    difference = report.difference_panel("Reconstruction minus target", images - target.intensity)
     patterns = [
-        pictures.phase_panel(f"Hologram: phase on the modulator, {name}, {job.bits} bit", phase)
+        report.phase_panel(f"Hologram: phase on the modulator, {name}, {job.bits} bit", phase)
         for name, phase in list(zip(names, phases, strict=True))[:3]
     ]
     rows = [first, [difference, *patterns]] if len(patterns) == 1 else [[*first, difference], patterns]
     return _sheet(job, rows)
 
 
-def _sheet(job: Job, rows: list[list[pictures.Panel]]):
+def _sheet(job: Job, rows: list[list[report.Panel]]):
     """Return panels of images and patterns in rows, with the shape and size that they have on the modulator."""
     dy, dx = job.pitches
-    return pictures.sheet(rows, job.resolution[1] * dx, dy / dx)
+    return report.sheet(rows, job.resolution[1] * dx, dy / dx)
 
 
 def _verification(job: Job, target: Target) -> dict:
@@ -746,6 +746,6 @@ def _focal_stack(job: Job, planes: list[dict], wanted: torch.Tensor, images: tor
     for plane, target, image in zip(planes, wanted, images, strict=True):
         known = [channel["psnr_in_focus_db"] for channel in plane["channels"]]
         quality = "" if None in known else f", in focus {sum(known) / len(known):.1f} dB"
-        rows[0].append(pictures.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
-        rows[1].append(pictures.picture_panel(f"Reconstruction{quality}", image))
+        rows[0].append(report.picture_panel(f"Target at {plane['distance'] * 1e3:.4g} mm", target))
+        rows[1].append(report.picture_panel(f"Reconstruction{quality}", image))
     return _sheet(job, rows)

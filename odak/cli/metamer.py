@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
-from odak.cli import files, pictures
+from odak.cli import files, report
 from odak.cli.job import InputError, image_path
 from odak.cli.report import decibels, find_device, versions
 from odak.cli.target import read_picture
@@ -185,11 +185,11 @@ def _write(folder, picture, metamer, pooling, width) -> None:
     # A map of doublings: black is one pixel, white the largest region.
     levels = torch.log2(pooling.clamp_min(1))[None]
     shade = levels / levels.max().clamp_min(1e-6)
-    files.write_png(folder / NAMES[0], pictures.to_image(metamer[0]))
-    files.write_png(folder / NAMES[1], pictures.to_image(shade))
+    files.write_png(folder / NAMES[0], report.to_image(metamer[0]))
+    files.write_png(folder / NAMES[1], report.to_image(shade))
     panels = [
-        pictures.picture_panel("Picture", picture[0].cpu()),
-        pictures.picture_panel("Metamer", metamer[0].cpu()),
-        pictures.picture_panel(f"Pooling, 1 (black) to {float(pooling.max()):.3g} px", shade.cpu()),
+        report.picture_panel("Picture", picture[0].cpu()),
+        report.picture_panel("Metamer", metamer[0].cpu()),
+        report.picture_panel(f"Pooling, 1 (black) to {float(pooling.max()):.3g} px", shade.cpu()),
     ]
-    files.write_png(folder / NAMES[2], pictures.sheet([panels], width))
+    files.write_png(folder / NAMES[2], report.sheet([panels], width))

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from odak import _validate, wave
-from odak.cli import files, pictures, report
+from odak.cli import files, report
 from odak.cli.job import InputError, check_wavelength, did_you_mean, parse_length, warn_of_samples
 from odak.wave.methods import PROPAGATION_TYPES
 from odak.wave.transfer_functions import pitches
@@ -484,9 +484,9 @@ def _write(folder: Path, name: str, field: np.ndarray, bench: dict) -> dict:
     largest = float(intensity.max())
     shade = torch.as_tensor(intensity / (largest or 1.0))[None]
     panels = [
-        pictures.picture_panel(f"{name}: intensity, white is {largest:.4g}", shade),
-        pictures.phase_panel(f"{name}: phase", torch.as_tensor(np.angle(field))),
+        report.picture_panel(f"{name}: intensity, white is {largest:.4g}", shade),
+        report.phase_panel(f"{name}: phase", torch.as_tensor(np.angle(field))),
     ]
     dy, dx = pitches(bench["pixel_pitch"])
-    files.write_png(folder / f"{name}.png", pictures.sheet([panels], bench["resolution"][1] * dx, dy / dx))
+    files.write_png(folder / f"{name}.png", report.sheet([panels], bench["resolution"][1] * dx, dy / dx))
     return {"name": name, "peak": largest, "peak_position": position, "centroid": centroid}

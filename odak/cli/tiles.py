@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from odak.cli import files, hologram, pictures, report
+from odak.cli import files, hologram, report
 from odak.cli.job import COLOUR_WAVELENGTHS, GREY_WAVELENGTH, SMALLEST_SIDE, InputError, Job, image_path, pattern_name
 from odak.cli.target import LUMINANCE, Target, fitting_size, read_picture
 from odak.wave import hologram_in_chunks, propagate_beam
@@ -240,7 +240,7 @@ def _write_pictures(job: Job, target: Target, folder: Path, stems: list[str], ch
     whole = Target(target.path, torch.from_numpy(target.intensity.compute()), target.window, target.wavelengths)
     window = (slice(None), *target.window)
     ssim = report.ssim(images[window], whole.intensity[window])
-    files.write_png(folder / "reconstruction.png", pictures.to_image(images))
+    files.write_png(folder / "reconstruction.png", report.to_image(images))
     phases = [files.phase_of(grey.double(), job.bits) for grey in greys]
     names = [f"{stem}.png" for stem in stems]
     sheet = hologram.comparison(job, whole, images, phases, names, {**quality, "ssim": ssim})

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image, ImageOps
 
-from odak.cli import main, pictures
+from odak.cli import main, report
 from odak.cli.job import PRESETS, parse_length
 
 
@@ -374,7 +374,7 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
     assert left == 16
     # The phase below the reconstruction, in the colours of its bar, which begins and ends alike.
     phase = pixels(tmp_path / "hologram_532nm.png") * (2 * np.pi / 256)
-    colours = np.kron(pictures._coloured(phase / (2 * np.pi), pictures.PHASE_COLOURS), np.ones((3, 3, 1)))
+    colours = np.kron(report._coloured(phase / (2 * np.pi), report.PHASE_COLOURS), np.ones((3, 3, 1)))
     lower = next(
         row
         for row in range(top + rows, sheet.shape[0] - rows)
@@ -387,15 +387,15 @@ def test_comparison_has_four_panels_with_scales(grey_file, tmp_path):
 @given(st.lists(st.text("abc MW_.", min_size=1, max_size=90), min_size=4, max_size=4), st.integers(4, 700))
 @settings(max_examples=30)
 def test_captions_stay_within_their_panels(captions, width):
-    panels = [pictures.picture_panel(caption, torch.zeros(1, 8, width)) for caption in captions]
-    cell = max(width * max(1, pictures.NARROWEST // width), pictures.NARROWEST)
-    font, _ = pictures._typeset(captions, cell)
+    panels = [report.picture_panel(caption, torch.zeros(1, 8, width)) for caption in captions]
+    cell = max(width * max(1, report.NARROWEST // width), report.NARROWEST)
+    font, _ = report._typeset(captions, cell)
     for caption in captions:
-        broken = pictures._broken(caption, font, cell).split("\n")
+        broken = report._broken(caption, font, cell).split("\n")
         assert all(font.getlength(line) <= cell for line in broken) and "".join(broken).replace(
             " ", ""
         ) == caption.replace(" ", "")
-    assert pictures.sheet([panels[:2], panels[2:]]).width == 2 * (cell + 16) + 16
+    assert report.sheet([panels[:2], panels[2:]]).width == 2 * (cell + 16) + 16
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))

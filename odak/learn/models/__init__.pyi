@@ -1,5 +1,3 @@
-from .adaptive import spatially_adaptive_convolution as spatially_adaptive_convolution
-from .adaptive import spatially_adaptive_module as spatially_adaptive_module
 from .gaussians import gaussian_2d as gaussian_2d
 from .gaussians import gaussian_3d_volume as gaussian_3d_volume
 from .gaussians import gaussians_2d as gaussians_2d
@@ -31,6 +29,8 @@ from .training import TrainingHistory as TrainingHistory
 from .training import load_weights as load_weights
 from .training import save_weights as save_weights
 from .training import train as train
+from .unets import spatially_adaptive_convolution as spatially_adaptive_convolution
+from .unets import spatially_adaptive_module as spatially_adaptive_module
 from .unets import spatially_adaptive_unet as spatially_adaptive_unet
 from .unets import spatially_varying_kernel_generation_model as spatially_varying_kernel_generation_model
 from .unets import unet as unet

@@ -18,8 +18,7 @@ from tqdm import tqdm
 from odak import _validate
 from odak._validate import texts
 from odak._warnings import ConvergenceWarning, warn
-from odak.learn._tensors import checked_device
-from odak.learn.tools.device import advising_on_memory
+from odak.learn._tensors import advising_on_memory, checked_device
 from odak.learn.tools.file import (
     first_line,
     own_randomness,

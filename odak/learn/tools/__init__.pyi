@@ -1,4 +1,5 @@
-from .device import get_device as get_device
+from odak.learn._tensors import get_device as get_device
+
 from .file import load_image as load_image
 from .file import resize as resize
 from .file import save_image as save_image

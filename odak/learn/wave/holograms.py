@@ -14,8 +14,7 @@ from tqdm import tqdm
 from odak import _validate
 from odak._array import phasor
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
-from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, trainable
-from odak.learn.tools.device import get_device
+from odak.learn._tensors import checked_device, floating, get_device, in_own_precision, tensor, trainable
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam

@@ -10,8 +10,7 @@ from torch import nn
 from odak import _validate
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
-from odak.learn._tensors import checked_device, checked_generator, in_own_precision, tensor
-from odak.learn.tools.device import get_device
+from odak.learn._tensors import checked_device, checked_generator, get_device, in_own_precision, tensor
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.wave.transfer_functions import checked_pitch, pitches
 

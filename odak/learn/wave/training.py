@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from odak import _validate
 from odak._warnings import ArgumentWarning, ConvergenceWarning, warn
-from odak.learn.tools.device import advising_on_memory
+from odak.learn._tensors import advising_on_memory
 from odak.learn.tools.file import read_checkpoint, taking_up, write_checkpoint
 
 _log = logging.getLogger("odak")

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from torch.nn import functional as F
 
 from odak.learn import models
-from odak.learn.models import adaptive
-from odak.learn.models.adaptive import modulated_convolution
+from odak.learn.models import unets
+from odak.learn.models.unets import modulated_convolution
 
 
 @pytest.fixture(autouse=True)
@@ -54,7 +54,7 @@ OPTIONS = [(3, 1, 1), (3, 2, 1), (2, 1, 0), (5, 3, 2), (1, 1, 0)]
 @pytest.mark.parametrize("limit", [1 << 24, 1, 700, 4000])
 @pytest.mark.parametrize(("size", "stride", "padding"), OPTIONS)
 def test_the_convolution_and_its_gradients_in_parts_of_any_size(size, stride, padding, limit, monkeypatch):
-    monkeypatch.setattr(adaptive, "_CPU_BYTES", limit)
+    monkeypatch.setattr(unets, "_CPU_BYTES", limit)
     x, weight = normal(3, 2, 7, 6), normal(4, 2, size, size)
     tensors = [tensor.requires_grad_() for tensor in (x, factors_of(x, size, stride, padding), weight)]
     result = modulated_convolution(*tensors, stride, padding)

@@ -11,8 +11,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _validate
-from odak.learn._tensors import floating, rows_of, shaped, tensor, trainable
-from odak.learn.tools.device import get_device
+from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, trainable
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
 from odak.learn.tools.transformation import quaternion_to_rotation_matrix
 from odak.learn.wave.gaussians.splat_files import load_splats, view_colours
