@@ -7,8 +7,8 @@ inputs are kept.
 
 References
 ----------
-Ronneberger, Fischer and Brox 2015 (MICCAI); Xu et al. 2020 (SqueezeSegV3, equation 3); Zheng, Zhan, Shi, Cakmakci and Akşit 2024 (SIGGRAPH Asia Technical
-Communications).
+Ronneberger, Fischer and Brox 2015 (MICCAI); Xu et al. 2020 (SqueezeSegV3, equation 3); Zheng, Zhan, Shi, Cakmakci and
+Akşit 2024 (SIGGRAPH Asia Technical Communications).
 """
 
 import itertools
