@@ -6,6 +6,7 @@ PyTorch is imported for CUDA only, since the environments of other libraries nee
 import pathlib
 import re
 import resource
+import statistics
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +14,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of one task: the best and the median of its runs."""
+    """Seconds of one task: those of its runs in their order, the best and the median."""
 
-    best: float
-    median: float
+    runs: tuple[float, ...]
+
+    @property
+    def best(self) -> float:
+        """Return the least of them."""
+        return min(self.runs)
+
+    @property
+    def median(self) -> float:
+        """Return the middle one."""
+        return statistics.median(self.runs)
 
 
 def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
@@ -30,7 +40,7 @@ def measure(task: Callable, runs: int = 9, device: str = "cpu") -> Timing:
         task()
         wait()
         seconds.append(time.perf_counter() - start)
-    return Timing(min(seconds), sorted(seconds)[len(seconds) // 2])
+    return Timing(tuple(seconds))
 
 
 def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -> dict[str, Timing]:
@@ -45,7 +55,7 @@ def interleave(tasks: dict[str, Callable], runs: int = 9, device: str = "cpu") -
             wait()
             if turn:
                 seconds[name].append(time.perf_counter() - start)
-    return {name: Timing(min(values), sorted(values)[len(values) // 2]) for name, values in seconds.items()}
+    return {name: Timing(tuple(values)) for name, values in seconds.items()}
 
 
 def _waiting_for(device: str) -> Callable:

@@ -1,9 +1,11 @@
 """Perception benchmarks: the metameric loss against its bare convolutions, the blur against its bare MIP chain, colour.
 
 Bare convolutions are one conv2d per filter and level, forward and back, with nothing between them: no mirrored borders,
-no squares, no pooling, no statistics, no colours. A memory pass reads a tensor and writes a new one.
+no squares, no pooling, no statistics, no colours. A memory pass reads a tensor and writes a new one. Measures of
+quality and L*a*b* are held against their formulas written down and against piq, kornia and torchmetrics if installed.
 """
 
+import importlib.util
 import json
 import subprocess
 import sys
@@ -132,6 +134,87 @@ def colour(device: str) -> Iterator[dict]:
             yield row(f"{name}, 1080p", timings[name].best, floors["power"], "1 power", None)
 
 
+def measures(device: str) -> Iterator[dict]:
+    """Yield SSIM, MS-SSIM and L*a*b*, alone and with their gradient, against the formulas and other libraries."""
+    one = torch.rand(PICTURE, device=device)
+    two = (one + torch.rand_like(one)) / 2
+    window = _window(one)
+    tasks: dict[str, dict[str, Callable]] = {
+        "SSIM": {"ours": perception.SSIM(), "formula": lambda a, b: _ssim(a, b, window)[0].mean()},
+        "MS-SSIM": {"ours": perception.MSSSIM(), "formula": lambda a, b: _ms_ssim(a, b, window)},
+        "sRGB to L*a*b*": {"ours": lambda a, _: perception.srgb_to_lab(a), "formula": lambda a, _: _lab(a)},
+    }
+    if _installed("piq"):
+        import piq
+
+        tasks["SSIM"]["piq"] = partial(piq.ssim, downsample=False)
+        tasks["MS-SSIM"]["piq"] = piq.multi_scale_ssim
+    if _installed("kornia"):
+        import kornia
+
+        tasks["SSIM"]["kornia"] = lambda a, b: kornia.metrics.ssim(a, b, 11).mean()
+        tasks["sRGB to L*a*b*"]["kornia"] = lambda a, _: kornia.color.rgb_to_lab(a)
+    if _installed("torchmetrics"):
+        from torchmetrics.functional import image
+
+        tasks["SSIM"]["torchmetrics"] = partial(image.structural_similarity_index_measure, data_range=1.0)
+        tasks["MS-SSIM"]["torchmetrics"] = partial(image.multiscale_structural_similarity_index_measure, data_range=1.0)
+    followed = one.clone().requires_grad_()
+    for name, ways in tasks.items():
+        for kind in ("", ", forward and back"):
+
+            def call(way, back=bool(kind)):
+                result = way(followed if back else one, two)
+                if back:
+                    torch.autograd.grad(result, followed, torch.ones_like(result))
+
+            timings = interleave({peer: partial(call, way) for peer, way in ways.items()}, 5, device)
+            for peer in list(ways)[1:]:
+                yield row(f"{name}{kind}, 1080p", timings["ours"].best, timings[peer].best, peer, 1.0)
+
+
+def _installed(library: str) -> bool:
+    return importlib.util.find_spec(library) is not None
+
+
+def _window(like: torch.Tensor) -> torch.Tensor:
+    line = torch.exp(-(torch.arange(-5.0, 6.0, device=like.device) ** 2) / (2 * 1.5**2))
+    window = line[:, None] * line / line.sum() ** 2
+    return window.expand(like.shape[1], 1, 11, 11)
+
+
+def _ssim(one: torch.Tensor, two: torch.Tensor, window: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return SSIM and the structure term of each channel, by five windowed means."""
+
+    def mean(picture):
+        return functional.conv2d(picture, window, groups=len(window))
+
+    a, b = mean(one), mean(two)
+    variance_a, variance_b, covariance = mean(one * one) - a * a, mean(two * two) - b * b, mean(one * two) - a * b
+    structure = (2 * covariance + 0.03**2) / (variance_a + variance_b + 0.03**2)
+    whole = (2 * a * b + 0.01**2) / (a * a + b * b + 0.01**2) * structure
+    return whole.mean((-2, -1)), structure.mean((-2, -1))
+
+
+def _ms_ssim(one: torch.Tensor, two: torch.Tensor, window: torch.Tensor) -> torch.Tensor:
+    whole, structure = _ssim(one, two, window)
+    result = structure.relu() ** 0.0448
+    for weight in (0.2856, 0.3001, 0.2363, 0.1333):
+        one, two = functional.avg_pool2d(one, 2), functional.avg_pool2d(two, 2)
+        whole, structure = _ssim(one, two, window)
+        result = result * (whole if weight == 0.1333 else structure).relu() ** weight
+    return result.mean()
+
+
+def _lab(image: torch.Tensor) -> torch.Tensor:
+    """Return L*a*b* of sRGB in the precision of the input."""
+    light = torch.where(image > 0.04045, ((image + 0.055) / 1.055) ** 2.4, image / 12.92)
+    to_xyz = [[0.4339, 0.3762, 0.1899], [0.2127, 0.7152, 0.0721], [0.0178, 0.1095, 0.8727]]
+    relative = torch.einsum("ij,bjhw->bihw", torch.tensor(to_xyz, device=image.device), light)
+    x, y, z = torch.where(relative > 0.008856, relative ** (1 / 3), 7.787 * relative + 4 / 29).unbind(1)
+    return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], 1)
+
+
 def memory(device: str) -> Iterator[dict]:
     """Yield the peak memory of the loss and its gradient, above what a process holds after import, in pictures."""
     for side in SIDES:
@@ -183,4 +266,4 @@ def _there_and_back(function: Callable, image: torch.Tensor) -> None:
 
 
 # Memory first: a process inherits the peak of the one that starts it.
-ALL = (memory, metameric_loss, kept_target, blur, colour)
+ALL = (memory, metameric_loss, kept_target, blur, colour, measures)

@@ -14,6 +14,8 @@ from odak.wave import clear_kernel_cache
 WAVELENGTH, DISTANCE, PITCH = 532e-9, 0.15, 8e-6
 SHAPE = (1080, 1920)
 PADDED = tuple(2 * n for n in SHAPE)
+SQUARES = (64, 128, 256, 384, 512, 640, 768, 896, 1536)
+BATCHES = ((64, 128, 128), (16, 256, 256))
 
 
 def row(task: str, ours: float, floor: float, floor_name: str, bound: float | None, **more) -> dict:
@@ -49,8 +51,7 @@ def propagation(device: str) -> Iterator[dict]:
 
 def sizes(device: str) -> Iterator[dict]:
     """Yield padded propagations of small fields and batches, alone and with their gradient, against bare FFTs."""
-    squares = ((side, side) for side in (64, 128, 256, 384, 512, 640, 768, 896, 1536))
-    for shape in (*squares, (64, 128, 128), (16, 256, 256)):
+    for shape in (*((side, side) for side in SQUARES), *BATCHES):
         field = torch.randn(shape, dtype=torch.complex64, device=device)
         followed = field.clone().requires_grad_()
         padded = torch.randn(*shape[:-2], *(2 * n for n in shape[-2:]), dtype=torch.complex64, device=device)
@@ -192,6 +193,24 @@ def memory(device: str) -> Iterator[dict]:
     }
 
 
+def point_sources(device: str) -> Iterator[dict]:
+    """Yield the field of a thousand point sources at a thousand points against the formula written down."""
+    sources, targets = (torch.rand(1000, 3, dtype=torch.float64, device=device) for _ in range(2))
+    targets[:, 2] += 10.0
+    number = 2 * torch.pi / WAVELENGTH
+    for dtype in (torch.complex64, torch.complex128):
+        field = torch.randn(1000, dtype=dtype, device=device)
+
+        def formula(field=field):
+            distances = (targets[:, None] - sources).norm(dim=-1)
+            return (field.abs() * torch.exp(1j * (number * distances + field.angle())) / distances**2).sum(-1)
+
+        tasks = {"formula": formula, "ours": lambda field=field: wave.propagate_field(sources, targets, field, number)}
+        timings = interleave(tasks, 9, device)
+        name = f"1000 point sources at 1000 points, {str(dtype).removeprefix('torch.')}"
+        yield row(name, timings["ours"].best, timings["formula"].best, "formula", 1.0)
+
+
 def import_time(device: str) -> Iterator[dict]:
     """Yield the time that `import odak` adds to an interpreter that has loaded numpy."""
     times = {}
@@ -201,4 +220,4 @@ def import_time(device: str) -> Iterator[dict]:
     yield {"task": "import odak, seconds above numpy", "ours_s": added, "floor": "1 s", "ratio": added, "bound": 0.1}
 
 
-ALL = (import_time, memory, impulse_response, propagation, sizes, vector_fields_and_media, hologram)
+ALL = (import_time, memory, impulse_response, propagation, sizes, vector_fields_and_media, point_sources, hologram)

@@ -1,5 +1,6 @@
 """The history of the benchmarks: stored runs, and the comparison of times."""
 
+import importlib
 import json
 import runpy
 import sys
@@ -9,6 +10,7 @@ from pathlib import Path
 import documentation
 import pytest
 import torch
+from emulated_device import NAME, EmulatedDevice
 
 import odak
 
@@ -81,3 +83,46 @@ def test_runs_are_stored_compared_and_drawn(script, monkeypatch, tmp_path, capsy
 def test_stored_runs_can_be_read(file):
     stored = json.loads(file.read_text(encoding="utf-8"))
     assert stored["rows"] and all(row["ratio"] > 0 and row["task"] for row in stored["rows"])
+
+
+# Sizes in which each benchmark takes little time, and what the emulation itself can do: not all gradients, since those
+# that are not defined become zeros on the device. Memory and import are measured in processes of their own.
+ON_A_DEVICE = {
+    "wave_optics": (
+        {"SHAPE": (40, 60), "PADDED": (80, 120), "SQUARES": (64,), "BATCHES": ((3, 32, 32),)},
+        ("impulse_response", "propagation", "sizes", "point_sources", "hologram"),
+    ),
+    "perception": ({"SIDES": (64,), "PICTURE": (1, 3, 48, 64)}, ("blur", "colour")),
+    "rays": ({"COUNT": 100}, ("flat", "curved", "interfaces")),
+    "tools": ({"SHAPE": (32, 32), "SPLINES": [8, 8], "POINTS": 100}, ("bspline", "rotation", "sampling")),
+    "gaussians": ({"NUMBER": 50, "SIDE": 32}, ("occlusion",)),
+    "triangles": ({"RAYS": 200, "TRIANGLES": 200, "MANY": 300}, ("nearest_hits", "dense")),
+    "adaptive_convolution": ({"STEPS": [(4, 7, 16, 20)]}, ("convolution",)),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::odak.SamplingWarning")
+@pytest.mark.parametrize("group", ON_A_DEVICE)
+def test_benchmarks_run_on_a_device(group, monkeypatch):
+    """All tensors of a benchmark are made where they are measured: no GPU is needed to know that it runs on one."""
+    sizes, names = ON_A_DEVICE[group]
+    monkeypatch.syspath_prepend(SCRIPT.parent)
+    # Modules that hold what is set below are removed again at the end.
+    for name in ("measure", "wave_optics", group):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    measure = importlib.import_module("measure")
+
+    def once(task, *_):
+        task()
+        return measure.Timing((1.0,))
+
+    monkeypatch.setattr(measure, "measure", once)
+    monkeypatch.setattr(measure, "interleave", lambda tasks, *_, **__: {name: once(tasks[name]) for name in tasks})
+    module = importlib.import_module(group)
+    for name, value in sizes.items():
+        monkeypatch.setattr(module, name, value)
+    for name in names:
+        with EmulatedDevice():
+            rows = list(getattr(module, name)(NAME))
+        assert rows and all(row["ratio"] > 0 for row in rows)
