@@ -13,7 +13,7 @@ _ORIGIN = (0.0, 0.0)
 
 @dataclass(frozen=True)
 class Aperture:
-    """Base class of apertures: a region of the x–y plane that passes rays, or obscures them.
+    """Base class of apertures: a region of the x–y plane that transmits rays, or obscures them.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ class Aperture:
         object.__setattr__(self, "obscures", _validate.flag("obscures", self.obscures))
 
     def passes(self, x: Array, y: Array) -> Array:
-        """Return which points let rays pass, bool."""
+        """Return whether rays at points x, y pass, bool."""
         inside = self.contains(x - self.center[0], y - self.center[1])
         return ~inside if self.obscures else inside
 
     def contains(self, x: Array, y: Array) -> Array:
-        """Return which points, from the centre, lie in the region, bool."""
+        """Return whether points x, y, relative to the centre, lie in the region, bool."""
         raise NotImplementedError(f"{type(self).__name__} must define contains(x, y)")
 
     def reach(self) -> float:
@@ -48,7 +48,7 @@ class Aperture:
         return 0.0 if self.obscures else math.hypot(*self.center) + max(math.hypot(*point) for point in self.outline())
 
     def outline(self, count: int = 64) -> list[tuple[float, float]]:
-        """Return points of the rim, from the centre."""
+        """Return points of the edge, relative to the centre."""
         raise NotImplementedError(f"{type(self).__name__} must define outline(count)")
 
     def scaled(self, factor: float) -> "Aperture":
@@ -82,7 +82,7 @@ class EllipticAperture(Aperture):
     sizes: ClassVar[tuple[str, ...]] = ("half_width", "half_height")
 
     def contains(self, x: Array, y: Array) -> Array:
-        """Return which points lie in the ellipse."""
+        """Return whether points lie in the ellipse."""
         return (x / self.half_width) ** 2 + (y / self.half_height) ** 2 <= 1
 
     def outline(self, count: int = 64) -> list[tuple[float, float]]:
@@ -106,7 +106,7 @@ class RectangularAperture(EllipticAperture):
     """
 
     def contains(self, x: Array, y: Array) -> Array:
-        """Return which points lie in the rectangle."""
+        """Return whether points lie in the rectangle."""
         return (abs(x) <= self.half_width) & (abs(y) <= self.half_height)
 
     def outline(self, count: int = 64) -> list[tuple[float, float]]:
@@ -141,7 +141,7 @@ class CircularAperture(Aperture):
             raise ValueError(f"inner must be below the radius, {self.radius:g}, got {self.inner:g}")
 
     def contains(self, x: Array, y: Array) -> Array:
-        """Return which points lie in the ring."""
+        """Return whether points lie in the ring."""
         squared = x * x + y * y
         return (squared <= self.radius**2) & (squared >= self.inner**2)
 
@@ -175,7 +175,7 @@ class PolygonAperture(Aperture):
         object.__setattr__(self, "corners", corners)
 
     def contains(self, x: Array, y: Array) -> Array:
-        """Return which points lie in the polygon, by the parity of the crossings of its rim along x."""
+        """Return whether points lie in the polygon: a line along x crosses its edges an odd number of times."""
         inside: Any = (x != x) & (y != y)
         for (xa, ya), (xb, yb) in zip(self.corners, (*self.corners[1:], self.corners[0]), strict=True):
             if ya != yb:
@@ -189,7 +189,7 @@ class PolygonAperture(Aperture):
 
 @dataclass(frozen=True)
 class CombinedAperture:
-    """Several apertures, all of which a ray must pass: a mirror's rim, its hole and the vanes in front of it.
+    """Several apertures, all of which a ray must pass, such as the edge of a mirror, its hole and the vanes before it.
 
     Parameters
     ----------
@@ -200,7 +200,7 @@ class CombinedAperture:
     parts: Sequence[Aperture]
 
     def passes(self, x: Array, y: Array) -> Array:
-        """Return which points let rays pass all apertures, bool."""
+        """Return whether rays at points x, y pass all apertures, bool."""
         passed = self.parts[0].passes(x, y)
         for part in self.parts[1:]:
             passed = passed & part.passes(x, y)

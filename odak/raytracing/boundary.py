@@ -24,7 +24,8 @@ def reflect(input_ray: Array, normal: Array) -> Array:
     input_ray : array
         ``[2, 3]`` or ``[m, 2, 3]``.
     normal : array
-        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, of any length and sign. One serves many rays, and the reverse.
+        Normals as rays, ``[2, 3]`` or ``[m, 2, 3]``, of any length and sign. A single normal or ray
+        is broadcast.
 
     Returns
     -------
@@ -62,7 +63,7 @@ def refract(vector: Array, normvector: Array, n1: float | Array, n2: float | Arr
     vector : array
         Rays, ``[2, 3]`` or ``[m, 2, 3]``.
     normvector : array
-        Normals as rays, of any length and sign; one serves many rays, and the reverse.
+        Normals as rays, of any length and sign; a single normal or ray is broadcast.
     n1 : float or array
         Refractive index before the surface, a number or ``[m]``.
     n2 : float or array
@@ -100,7 +101,7 @@ def refracted_rays(vector, normvector, n1, n2):
 
 
 def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: complex | Array) -> Fresnel:
-    """Return the Fresnel coefficients of rays at surfaces, as amplitudes and as shares of the power.
+    """Return the Fresnel coefficients of rays at surfaces, for the amplitude and for the power.
 
     Parameters
     ----------
@@ -111,7 +112,7 @@ def fresnel_coefficients(ray: Array, normal: Array, n1: float | Array, n2: compl
     n1 : float or array
         Real refractive index before the surface.
     n2 : float, complex or array
-        Index behind it; a positive imaginary part absorbs.
+        Index behind it; a positive imaginary part describes absorption.
 
     Returns
     -------
@@ -152,8 +153,8 @@ def intersect_w_surface(ray: Array, points: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple of array
-        Normals as rays (where the plane is hit, unit normal), ``[2, 3]`` or ``[m, 2, 3]``, and distances ``[m]``,
-        without sign. NaN for rays along the plane.
+        Normals as rays (where the plane is hit, unit normal), ``[2, 3]`` or ``[m, 2, 3]``, and absolute distances
+        ``[m]``. NaN for rays along the plane.
 
     Examples
     --------
@@ -228,7 +229,7 @@ def intersect_w_circle(ray: Array, circle: Sequence) -> tuple[Array, Array]:
 
 
 def intersect_w_triangle(ray: Array, triangle: Array) -> tuple:
-    """Intersect rays with triangles, ahead of the start or behind it; their rims belong to them.
+    """Intersect rays with triangles, ahead of the start or behind it; edges are part of a triangle.
 
     Parameters
     ----------
@@ -291,7 +292,7 @@ def get_sphere_normal(point: Array, sphere: Array) -> Array:
 
 
 def get_cylinder_normal(point: Array, cylinder: Array) -> Array:
-    """Return the rays from the axis of a cylinder outwards through points of it.
+    """Return the outward normals of a cylinder at points of it, as rays from its axis.
 
     Parameters
     ----------
@@ -303,7 +304,7 @@ def get_cylinder_normal(point: Array, cylinder: Array) -> Array:
     Returns
     -------
     array
-        ``[2, 3]`` for one, else ``[m, 2, 3]``. Each starts at its point's foot on the axis.
+        ``[2, 3]`` for one, else ``[m, 2, 3]``. Each starts at the projection of its point onto the axis.
 
     Examples
     --------
@@ -486,7 +487,7 @@ def intersection_kernel_for_parametric_surfaces(
     ray : array
         ``[2, 3]`` or ``[m, 2, 3]``.
     parametric_surface : object
-        Handed on to `surface_function`.
+        Passed to `surface_function`.
     surface_function : callable
         ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``, zero on the surface.
 
@@ -565,14 +566,14 @@ def intersect_parametric(
     ray : array
         ``[2, 3]`` or ``[m, 2, 3]``.
     parametric_surface : object
-        Handed on to both functions.
+        Passed to both functions.
     surface_function : callable
         ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
         signs on its sides.
     surface_normal_function : callable
         Takes the same and returns normals as rays.
     target_error : float
-        Largest |surface_function| that counts as on the surface.
+        Largest |surface_function| of a point that is accepted as on the surface.
     iter_no_limit : int
         Largest number of refinements.
 
@@ -589,8 +590,9 @@ def intersect_parametric(
 
     Notes
     -----
-    Distances from 1e-6 to 1e7, each a tenth beyond the one before, are searched for a change of sign or a smallest
-    magnitude that hides two; a bracketed secant with bisection (regula falsi, Illinois) then closes in, ray by ray.
+    Distances from 1e-6 to 1e7, each 10 % larger than the previous one, are searched for a change of sign, or for a
+    minimum of the magnitude between two changes of sign. A bracketed secant method with bisection then refines the
+    root of each ray.
 
     Examples
     --------
@@ -608,7 +610,7 @@ def intersect_parametric(
         return _errors_and_points(distance, rays[rows], parametric_surface, surface_function)[0]
 
     bracket = _first_bracket(error_at, len(rays), target_error)
-    distance = _close_in(error_at, bracket, target_error, limit)
+    distance = _refine_roots(error_at, bracket, target_error, limit)
     hit = np.isfinite(distance)
     if not hit.any():
         missed = np.full((len(rays), 2, 3), np.nan)
@@ -636,7 +638,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
         dip = (np.abs(error_now) <= np.abs(error_before)) & (np.abs(error_now) < np.abs(error_after)) & ~change
         dip &= ~leaving & (now > 0)
         if dip.any():
-            found[:, rows[dip]] = _bottom(error_at, before[dip], after[dip], now[dip], rows[dip])
+            found[:, rows[dip]] = _root_near_minimum(error_at, before[dip], after[dip], now[dip], rows[dip])
         keep = np.isnan(found[0, rows])
         before, error_before = now[keep], error_now[keep]
         rows, now, error_now = rows[keep], after[keep], error_after[keep]
@@ -644,7 +646,7 @@ def _first_bracket(error_at: Callable, count: int, target: float) -> np.ndarray:
     return found
 
 
-def _bottom(error_at: Callable, low, high, inside, rows) -> np.ndarray:
+def _root_near_minimum(error_at: Callable, low, high, inside, rows) -> np.ndarray:
     """Find a change of sign near the smallest error between `low` and `high`; NaN where there is none."""
     low, high, start = low.copy(), high.copy(), low
     sign = np.sign(error_at(inside, rows))
@@ -661,7 +663,7 @@ def _bottom(error_at: Callable, low, high, inside, rows) -> np.ndarray:
     return np.where(np.isnan(crossed), np.nan, np.stack((start, crossed)))
 
 
-def _close_in(error_at: Callable, bracket: np.ndarray, target: float, limit: int) -> np.ndarray:
+def _refine_roots(error_at: Callable, bracket: np.ndarray, target: float, limit: int) -> np.ndarray:
     """Return the roots within brackets ``[2, m]`` to `target`, NaN where there is no bracket or no convergence."""
     result = np.full(bracket.shape[1], np.nan)
     rows = np.flatnonzero(np.isfinite(bracket[0]))

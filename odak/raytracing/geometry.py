@@ -84,7 +84,7 @@ def barycentric(point, triangle):
 
 
 def is_on_triangle(point, p0, p1, p2):
-    """Return whether points, projected onto a triangle, lie within it or on its rim: same-side test of all edges."""
+    """Return whether points, projected onto a triangle, lie within it or on its edges: same-side test of all edges."""
     return on_same_side(point, p0, p1, p2) & on_same_side(point, p1, p0, p2) & on_same_side(point, p2, p0, p1)
 
 
@@ -161,7 +161,7 @@ def edge_areas(a, b, c):
 
 
 def encloses(u, v, w):
-    """Return whether the ray lies within the triangle or on its rim; false for a triangle parallel to the ray."""
+    """Return whether the ray lies within the triangle or on its edges; false for a triangle parallel to the ray."""
     xp = namespace(u, v, w)
     least, most = xp.minimum(xp.minimum(u, v), w), xp.maximum(xp.maximum(u, v), w)
     # Both hold when all three are zero.

@@ -17,7 +17,7 @@ class Fresnel(NamedTuple):
     reflected_s, reflected_p, transmitted_s, transmitted_p : array
         Amplitude coefficients, complex ``[...]``.
     reflectance_s, reflectance_p, transmittance_s, transmittance_p : array
-        Shares of the power, real ``[...]``. Each pair adds up to 1.
+        Fractions of the power, real ``[...]``. Each pair adds up to 1.
     """
 
     reflected_s: Any
@@ -67,16 +67,16 @@ def refract_directions(direction, normal, n1, n2):
     angle for n1 < n2 and totally reflected otherwise.
     """
 
-    def bend(*arrays):
+    def refract_with_status(*arrays):
         out, through, exists = refracted(*arrays)
         status = status_array(through, RayStatus.TOTAL_INTERNAL_REFLECTION)
         return vec.join(out), status - namespace(exists).astype(~exists, status.dtype)
 
-    return in_pieces(bend, (1, 1, 0, 0), direction, normal, n1, n2)
+    return in_pieces(refract_with_status, (1, 1, 0, 0), direction, normal, n1, n2)
 
 
 def refracted(direction, normal, n1, n2) -> tuple:
-    """Return the components of :func:`refract_directions`, which rays go through, and which exist."""
+    """Return the components of :func:`refract_directions`, which rays are transmitted, and which exist."""
     # NaN must be avoided if the indices require gradients, as if the rays do.
     xp, direction, normal, kept, differentiable = vec.lines(direction, normal, n1, n2)
     squared, length = vec.dot(normal, normal), vec.dot(direction, direction)

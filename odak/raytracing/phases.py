@@ -95,7 +95,7 @@ class RadialGrating(Phase):
 
     Notes
     -----
-    The phase is 2π·m·f·r. Its gradient has no direction at the centre, where rays go straight on.
+    The phase is 2π·m·f·r. Its gradient has no direction at the centre, where rays are not deflected.
     """
 
     frequency: Any = 0.0
@@ -125,10 +125,10 @@ class HologramPhase(Phase):
     Notes
     -----
     Between samples the phase is that of cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is exact for
-    polynomials of second degree and has continuous derivatives. The 16 samples about a ray are unwrapped from the
+    polynomials of second degree and has continuous derivatives. The 16 samples around a ray are unwrapped from the
     nearest one: differences of adjacent samples are taken within ±π, which holds for a phase without aliasing. The
     optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives the
-    continuous one, for wavefronts. Rays exist up to the last sample but one, and those beyond are vignetted.
+    continuous one, for wavefronts. Rays exist up to the last sample but one; those beyond are vignetted.
     """
 
     phase: Any = ((0.0,) * 4,) * 4
@@ -157,14 +157,14 @@ class HologramPhase(Phase):
         xp = namespace(phase)
         rows, columns = phase.shape
         middle = xp.stack([phase[rows // 2, :]])
-        line = middle + _turns(middle, 1, columns // 2)
+        line = middle + _unwrapping(middle, 1, columns // 2)
         start = phase + (line - middle)
-        return cls(start + _turns(start, 0, rows // 2), pitch, order)
+        return cls(start + _unwrapping(start, 0, rows // 2), pitch, order)
 
     def cycles(self, x: Array, y: Array) -> tuple:
         """Return the phase over 2π and its derivatives."""
         rows, columns = self.phase.shape[-2:]
-        (i, weight_x, slope_x), (j, weight_y, slope_y) = (
+        (i, weight_x, derivative_x), (j, weight_y, derivative_y) = (
             _keys_weights(value / self.pitch + n // 2, n) for value, n in ((x, columns), (y, rows))
         )
         samples = self._samples(i, j, x, y)
@@ -172,13 +172,13 @@ class HologramPhase(Phase):
         for a in range(4):
             for b in range(4):
                 value = value + samples[b][a] * weight_x[a] * weight_y[b]
-                along_x = along_x + samples[b][a] * slope_x[a] * weight_y[b]
-                along_y = along_y + samples[b][a] * weight_x[a] * slope_y[b]
+                along_x = along_x + samples[b][a] * derivative_x[a] * weight_y[b]
+                along_y = along_y + samples[b][a] * weight_x[a] * derivative_y[b]
         scale = self.order / (2 * vec.PI)
         return scale * value, scale * along_x / self.pitch, scale * along_y / self.pitch
 
     def _samples(self, i, j, x, y) -> list:
-        """Return the 4 × 4 samples about cells (i, j), without jumps."""
+        """Return the 4 × 4 samples about cells (i, j), unwrapped from the sample (i, j)."""
         columns = self.phase.shape[-1]
         take = grid_reader(self.phase, x + y)
         place = [[(j + b) * columns + i + a for a in range(-1, 3)] for b in range(-1, 3)]
@@ -186,10 +186,10 @@ class HologramPhase(Phase):
         # From the sample (0, 0) along its row, then along each column.
         for line, order in ((found[1], (2, 3)), (found[1], (0,))):
             for a in order:
-                line[a] = _next_to(line[a], line[a - 1 if a > 1 else a + 1])
+                line[a] = _nearest_branch(line[a], line[a - 1 if a > 1 else a + 1])
         for a in range(4):
             for b in (2, 3, 0):
-                found[b][a] = _next_to(found[b][a], found[b - 1 if b > 1 else b + 1][a])
+                found[b][a] = _nearest_branch(found[b][a], found[b - 1 if b > 1 else b + 1][a])
         return found
 
     def covers(self, x: Array, y: Array) -> Any:
@@ -208,17 +208,17 @@ class HologramPhase(Phase):
             (self.phase[..., rows, columns - 1], self.phase[..., rows, columns + 1]),
             (self.phase[..., rows - 1, columns], self.phase[..., rows + 1, columns]),
         )
-        first, second = (sum(_next_to(value, middle) - middle for value in pair) * scale for pair in pairs)
+        first, second = (sum(_nearest_branch(value, middle) - middle for value in pair) * scale for pair in pairs)
         return first, second
 
 
-def _next_to(value, neighbour):
+def _nearest_branch(value, neighbour):
     """Return a phase with a multiple of 2π added that brings it within π of its neighbour."""
     xp = namespace(value, neighbour)
     return value - 2 * vec.PI * xp.round((value - neighbour) / (2 * vec.PI))
 
 
-def _turns(phase, axis: int, middle: int):
+def _unwrapping(phase, axis: int, middle: int):
     """Return the multiples of 2π that make a phase continuous along an axis, 0 in the middle."""
     xp = namespace(phase)
     n = phase.shape[axis]
@@ -240,13 +240,13 @@ def _keys_weights(place, count: int):
         u * (1 + u * (4 - 3 * u)) / 2,
         u * u * (u - 1) / 2,
     )
-    slopes = (
+    derivatives = (
         -(u - 1) * (3 * u - 1) / 2,
         u * (9 * u - 10) / 2,
         (1 + u * (8 - 9 * u)) / 2,
         u * (3 * u - 2) / 2,
     )
-    return xp.astype(cell, xp.int64), weights, slopes
+    return xp.astype(cell, xp.int64), weights, derivatives
 
 
 @dataclass(frozen=True)
@@ -270,9 +270,9 @@ class RadialPhase(Phase):
     def cycles(self, x: Array, y: Array) -> tuple:
         """Return the phase over 2π and its derivatives."""
         scale, squared = self.order / (2 * vec.PI), (x * x + y * y) / (self.radius * self.radius)
-        value, slope = polynomial_in(squared, self.coefficients)
-        slope = 2 * scale * slope / (self.radius * self.radius)
-        return scale * value, slope * x, slope * y
+        value, derivative = polynomial_in(squared, self.coefficients)
+        factor = 2 * scale * derivative / (self.radius * self.radius)
+        return scale * value, factor * x, factor * y
 
     def curvatures(self) -> tuple:
         """Return the second derivatives at the vertex."""

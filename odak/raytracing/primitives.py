@@ -8,7 +8,7 @@ from odak._array import Array, namespace
 from odak.raytracing import arguments, geometry
 from odak.tools.transformation import apply_matrix, rotation_matrix
 
-# Corners of a plane before it is tilted; the last one stays at the plane's point.
+# Corners of a plane without tilt; the last one coincides with the point of the plane.
 PLANE_CORNERS = ((10.0, 10.0, 0.0), (0.0, 10.0, 0.0), (0.0, 0.0, 0.0))
 _NONE = (0.0, 0.0, 0.0)
 
@@ -56,13 +56,13 @@ def bring_plane_to_origin(
     point : array
         ``[3]`` or ``[m, 3]``.
     plane : array or None
-        Not used; kept for older calls.
+        Ignored; accepted for compatibility with earlier versions.
     shape : sequence of float, default: (10.0, 10.0)
-        Not used; kept for older calls.
+        Ignored; accepted for compatibility with earlier versions.
     center : sequence of float or array
-        Where the plane's centre is.
+        Centre of the plane.
     angles : sequence of float or array
-        The plane's rotation in degrees about X, Y and Z.
+        Rotation of the plane in degrees about X, Y and Z.
     mode : str
         Order of the rotations, as in :func:`odak.tools.rotate_point`.
 
@@ -108,7 +108,7 @@ def center_of_triangle(triangle: Array) -> Array:
 
 
 def is_it_on_triangle(pointtocheck: Array, point0: Array, point1: Array, point2: Array) -> bool | Array:
-    """Return whether a point, projected along the normal of a triangle, lies within it or on its rim.
+    """Return whether a point, projected along the normal of a triangle, lies within it or on one of its edges.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def define_sphere(center: Sequence[float] | Array, radius: float | Array) -> Arr
     Returns
     -------
     array
-        ``[4]`` for one sphere, else ``[m, 4]``; one centre serves many radii, and the reverse.
+        ``[4]`` for one sphere, else ``[m, 4]``; a single centre or a single radius is broadcast.
 
     Examples
     --------
@@ -241,7 +241,7 @@ def define_cylinder(
     Returns
     -------
     array
-        ``[7]`` for one cylinder, else ``[m, 7]``; one of each argument serves many of the others.
+        ``[7]`` for one cylinder, else ``[m, 7]``; single arguments are broadcast.
 
     Examples
     --------
@@ -296,7 +296,7 @@ def split_cylinder(cylinder) -> tuple[Any, Any, Any]:
 
 
 def _rows(center, radius, **more):
-    """Return centres, radii and what follows as rows ``[m, ...]``; one of each serves many of the others."""
+    """Return centres, radii and what follows as rows ``[m, ...]``; single ones are broadcast."""
     xp = namespace(center)
     center = arguments.listed("center", center, (3,), "[3] or [m, 3]")
     columns = {"center": center, "radius": xp.reshape(radius, (-1, 1)), **more}

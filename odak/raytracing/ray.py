@@ -20,7 +20,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> Any:
     x0y0z0 : array
         Start, ``[3]`` or ``[m, 3]``.
     abg : array
-        Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``. Their cosines are taken as they are; a
+        Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``. Their cosines are not normalised; a
         warning is issued where the sum of their squares is not 1.
 
     Returns
@@ -36,7 +36,7 @@ def create_ray(x0y0z0: Array, abg: Array) -> Any:
     Warns
     -----
     AccuracyWarning
-        If a direction's length is not 1 within 0.05 %: distances along such a ray count lengths of its direction.
+        If a direction's length is not 1 within 0.05 %: distances along such a ray are in units of that length.
 
     Examples
     --------
@@ -70,14 +70,14 @@ def warn_unless_unit(name: str, cosines) -> None:
 
 
 def create_ray_from_two_points(x0y0z0: Array, x1y1z1: Array) -> Array:
-    """Return rays that start at the first points and head to the second ones.
+    """Return rays from the first points towards the second ones.
 
     Parameters
     ----------
     x0y0z0 : array
-        Starts, ``[3]`` or ``[m, 3]``; one start serves many ends.
+        Starts, ``[3]`` or ``[m, 3]``; a single start is broadcast.
     x1y1z1 : array
-        Points that the rays head to, ``[3]`` or ``[m, 3]``; one end serves many starts.
+        Points towards which the rays run, ``[3]`` or ``[m, 3]``; a single point is broadcast.
 
     Returns
     -------
@@ -156,7 +156,7 @@ def create_ray_from_all_pairs(x0y0z0: Array, x1y1z1: Array) -> Array:
 
 
 def propagate_a_ray(ray: Array, distance: float | Array) -> Array:
-    """Return rays whose starts have moved along their directions; the directions stay.
+    """Return rays whose starts are moved along their directions; the directions are unchanged.
 
     Parameters
     ----------
@@ -213,14 +213,14 @@ def get_points_along_a_ray_segment(ray: Array, distances: Array) -> Array:
 
 
 def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[Array, Array]:
-    """Return the common point of two lines and how far along each of the rays it lies.
+    """Return the intersection of two lines, and its distance along each of the rays.
 
     Parameters
     ----------
     ray0 : array
         First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
     ray1 : array
-        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; a single ray is broadcast.
 
     Returns
     -------
@@ -230,7 +230,7 @@ def calculate_intersection_of_two_rays(ray0: Array, ray1: Array) -> tuple[Array,
 
     Notes
     -----
-    Lines count as skew where they pass each other by more than 1e-5 of the distance between their starts, plus 1e-8.
+    Lines are taken as skew where they are farther apart than 1e-5 of the distance between their starts, plus 1e-8.
 
     Examples
     --------
@@ -255,13 +255,13 @@ def find_nearest_points(ray0: Array, ray1: Array) -> tuple[Array, Array]:
     ray0 : array
         First ray, ``[2, 3]``, or a batch ``[m, 2, 3]``.
     ray1 : array
-        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; one of either serves many of the other.
+        Second ray, ``[2, 3]``, or a batch ``[m, 2, 3]``; a single ray is broadcast.
 
     Returns
     -------
     tuple of array
-        Points ``[3]`` on ray0 and ray1, or ``[m, 3]``; both are the crossing where the lines meet. For parallel lines:
-        ray0's start and its foot on ray1.
+        Points ``[3]`` on ray0 and ray1, or ``[m, 3]``; both are the intersection of lines that intersect. For
+        parallel lines: ray0's start and its projection onto ray1.
 
     Examples
     --------
@@ -284,7 +284,7 @@ def _pair(ray0, ray1):
     return ray0[..., 0, :], ray0[..., 1, :], ray1[..., 0, :], ray1[..., 1, :]
 
 
-# The phase of samples of less power is not defined well enough.
+# Fraction of the largest power below which the phase of a sample is not used.
 THRESHOLD = 1e-6
 
 
@@ -294,9 +294,9 @@ class FieldRays(NamedTuple):
     Attributes
     ----------
     ray : array
-        ``[..., rows, columns, 2, 3]``: the sample's place, x along columns and y along rows, and the direction
-        cosines. Directions of dark samples, of those without a bright neighbour along one of the axes, and of waves
-        that decay are NaN.
+        ``[..., rows, columns, 2, 3]``: the position of the sample, x along columns and y along rows, and the direction
+        cosines. Directions of dark samples, of those without a bright neighbour along one of the axes, and of
+        evanescent waves are NaN.
     power : array
         Squared amplitude, ``[..., rows, columns]``.
     path : array
@@ -336,7 +336,7 @@ def rays_from_field(
     z : float
         Position of the field's plane along the axis.
     threshold : float
-        Samples with less power than this share of the largest one's are dark.
+        Samples whose power is below this fraction of the largest one are treated as dark.
 
     Returns
     -------
@@ -374,7 +374,7 @@ def rays_from_field(
     real, imag = xp.real(field), xp.imag(field)
     power = real * real + imag * imag
     lit = power > threshold * xp.max(power, axis=(-2, -1), keepdims=True)
-    (v, known_v), (u, known_u) = (_slope(real, imag, lit, axis) for axis in (-2, -1))
+    (v, known_v), (u, known_u) = (_phase_difference(real, imag, lit, axis) for axis in (-2, -1))
     v, u = (wavelength / (2 * math.pi * pitch) * slope for pitch, slope in zip(pitches, (v, u), strict=True))
     rest = 1 - u * u - v * v
     exists = known_u & known_v & (rest > 0)
@@ -396,7 +396,7 @@ def _angle(real, imag, where):
     return xp.atan2(xp.where(where, imag, 0.0), xp.where(where, real, 1.0))
 
 
-def _slope(real, imag, lit, axis: int):
+def _phase_difference(real, imag, lit, axis: int):
     """Return the increase of the phase between adjacent samples along an axis, and where it is defined."""
     xp = _array.namespace(real)
     count = real.shape[axis]
@@ -411,7 +411,7 @@ def _slope(real, imag, lit, axis: int):
     both = part(lit, 0, count - 1) & part(lit, 1, count)
     step = _angle(a * c + b * d, a * d - b * c, both)
     still, none = xp.zeros_like(part(real, 0, 1)), xp.zeros_like(part(lit, 0, 1))
-    # The steps from each sample to the next and from the one before, and those beyond them on either side.
+    # Differences to the next and from the previous sample, and the differences beyond them on either side.
     ahead, has_ahead = joined(step, still), joined(both, none)
     past, has_past = joined(still, step), joined(none, both)
     if count < 2:

@@ -431,7 +431,7 @@ JUST_NOTICEABLE = 2.3
 # Slope of threshold elevation over the contrast of the mask: Legge and Foley, J. Opt. Soc. Am. 70, 1458 (1980).
 MASKING = 0.6
 _LUMINANCE = (0.2126, 0.7152, 0.0722)
-# Middle of an octave band, as a share of its upper end; and of the high-pass residual.
+# Middle of an octave band, as a fraction of its upper end; and of the high-pass residual.
 BAND, RESIDUAL = 0.5, 0.85
 
 

@@ -849,7 +849,7 @@ LENS = (
 )
 MACULAR_SCALE, LENS_SCALE = 1.0050048550, 1.0091871745
 LOG_START, LOG_STEP = 2.556302500767287267, 0.1187666467581842301
-# Shares of the two common variants of the L pigment, the distance between their peaks in nanometres, and the factor
+# Fractions of the two common variants of the L pigment, the distance between their peaks in nanometres, and the factor
 # that gives the mean of the two the maximum 1.
 SHARES, VARIANT, L_SCALE = (0.56, 0.44), -2.70, 1.000935055234848
 MACULAR_PEAK, LENS_AT_400, DENSITIES = 0.35, 1.7649, (0.5, 0.5, 0.4)

@@ -550,7 +550,7 @@ def is_blocked(picture: torch.Tensor) -> bool:
 
 
 class Sampler:
-    """A linear map of planes: a share of the plane itself and of coarser levels, enlarged.
+    """A linear map of planes: a weighted sum of the plane itself and of coarser levels, enlarged.
 
     Parameters
     ----------
@@ -708,7 +708,7 @@ class Strip(NamedTuple):
     rows : slice
         The rows.
     fine : torch.Tensor
-        Share of level 0 ``[rows, 1, W]``.
+        Weight of level 0 ``[rows, 1, W]``.
     parts : tuple
         For each further level that counts here: its index among the coarse ones, its rows, the matrix that enlarges
         them, and its share ``[rows, 1, 1, W]``.
@@ -732,7 +732,7 @@ class Strip(NamedTuple):
 
 
 def level_weights(lod: torch.Tensor) -> torch.Tensor:
-    """Return the share of each level in each pixel ``[levels, H, W]``, no more levels than are needed."""
+    """Return the weight of each level in each pixel ``[levels, H, W]``, no more levels than are needed."""
     lod = lod.clamp(max=max(lod.shape).bit_length() - 1)
     levels = torch.arange(int(torch.ceil(lod.max())) + 1, dtype=lod.dtype, device=lod.device)
     return (1 - (lod - levels[:, None, None]).abs()).clamp_min(0)

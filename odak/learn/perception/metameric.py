@@ -36,8 +36,8 @@ RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
 METAMER_ITERATIONS = 40
 # With statistics of pairs: how many times as many evaluations are made without them first, and how many with them.
 WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
-# Displacements by which a metamer starts: their deviation as a share of the pooling size, and at most as a share of the
-# distance over which they vary; this distance as a share of a pixel of the last low-pass.
+# Displacements by which a metamer starts: their deviation as a fraction of the pooling size, and at most as a fraction
+# of the distance over which they vary; this distance as a fraction of a pixel of the last low-pass.
 DISPLACEMENT, LARGEST_SLOPE, GRAIN = 0.2, 0.5, 0.25
 # Before the descent the local statistics of the bands are brought to those of the picture so many times, and deviations
 # increased at most by so much at a time.
@@ -1226,7 +1226,7 @@ def statistics_maps(
     masks : sequence of torch.Tensor or None
         How much each pixel counts ``[H, W]``, for each group.
     others : sequence of torch.Tensor
-        Maps that are compared as they are, times their own masks, first of all the last low-pass.
+        Maps that are compared without pooling, times their own masks, first of all the last low-pass.
 
     Returns
     -------

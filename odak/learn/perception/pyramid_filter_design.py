@@ -53,7 +53,7 @@ def band_amplitude(n_orientations: int) -> float:
 
 
 def steering(n_orientations: int, angles: np.ndarray) -> np.ndarray:
-    """Return the shares of the K products cosⁱθ·sin^(K−1−i)θ in a·cosᴷ⁻¹(θ − angle).
+    """Return the coefficients of the K products cosⁱθ·sin^(K−1−i)θ in a·cosᴷ⁻¹(θ − angle).
 
     Parameters
     ----------

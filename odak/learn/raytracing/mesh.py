@@ -84,7 +84,7 @@ def sort_faces(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
 
 
 def fit(vertices: torch.Tensor, faces: torch.Tensor, leaves: torch.Tensor) -> Tree:
-    """Return the tree over sorted leaves for vertices as they are now; triangles without area are left out."""
+    """Return the tree over sorted leaves for the current vertices; triangles without area are left out."""
     vertices = vertices.detach()
     low, high = vertices.double().amin(dim=0), vertices.double().amax(dim=0)
     centre = (low + high) / 2
@@ -93,9 +93,9 @@ def fit(vertices: torch.Tensor, faces: torch.Tensor, leaves: torch.Tensor) -> Tr
     corners = to_frame(vertices, centre, scale)[faces[leaves.clamp(min=0)]]
     solid = (leaves >= 0) & triangle_normal(corners).isfinite().all(dim=-1)
     held = torch.where(solid[..., None, None], corners, torch.nan)
-    turns = torch.stack([held[..., ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)])
+    orders = torch.stack([held[..., ((z + 1) % 3, (z + 2) % 3, z)] for z in range(3)])
     # [axis, leaf, slot, corner, component] → [component, corner, slot, axis, leaf]
-    table = turns.permute(4, 3, 2, 0, 1).reshape(9 * solid.shape[1], 3 * len(solid))
+    table = orders.permute(4, 3, 2, 0, 1).reshape(9 * solid.shape[1], 3 * len(solid))
     return Tree(centre, scale, leaves.t().contiguous(), table, _box_tables(corners, solid))
 
 
@@ -196,11 +196,11 @@ def _beam(start, direction, first, leaving) -> Beam:
     single = direction.float()
     # No infinite slope: its product with a side at zero would be NaN.
     slope = 1 / torch.copysign(torch.maximum(single.abs(), 1e-20 * length(single)), single)
-    # Of −0, too: its box is entered by the far side.
+    # −0 counts as negative, too: its box is entered by the far side.
     octant = (slope < 0).mul(torch.tensor([[1], [2], [4]], device=slope.device)).sum(dim=0)
     slabs = torch.cat((slope, -start.float() * slope, first.float()[None]))
-    turn = turn_of(axis)
-    start, direction = turned(start, turn), turned(direction, turn)
+    order = permutation_of(axis)
+    start, direction = permuted(start, order), permuted(direction, order)
     return Beam(start, torch.stack((*shear_of(direction), direction[2])), axis, octant, slabs, first, leaving)
 
 
@@ -211,7 +211,7 @@ def dominant_axis(direction: torch.Tensor) -> torch.Tensor:
     return torch.maximum(second.long(), 2 * third.long())
 
 
-def turn_of(axis: torch.Tensor) -> torch.Tensor:
+def permutation_of(axis: torch.Tensor) -> torch.Tensor:
     """Return the places in flat components ``[3·m]`` with the component `axis`, ``[m]``, last, in cyclic order.
 
     A choice of components by torch.where takes several times as long.
@@ -222,9 +222,9 @@ def turn_of(axis: torch.Tensor) -> torch.Tensor:
     return (torch.stack((first, second, axis)) * count + torch.arange(count, device=axis.device)).reshape(-1)
 
 
-def turned(vectors: torch.Tensor, turn: torch.Tensor) -> torch.Tensor:
-    """Return vectors ``[3, m]`` with their components in the order of :func:`turn_of`."""
-    return vectors.reshape(-1).index_select(0, turn).reshape(3, -1)
+def permuted(vectors: torch.Tensor, order: torch.Tensor) -> torch.Tensor:
+    """Return vectors ``[3, m]`` with their components in the order of :func:`permutation_of`."""
+    return vectors.reshape(-1).index_select(0, order).reshape(3, -1)
 
 
 def _search(tree: Tree, beam: Beam, cap: int) -> torch.Tensor:
@@ -349,7 +349,7 @@ class Frame(NamedTuple):
 def components(rays: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return starts and directions ``[3, m]`` of rays ``[m, 2, 3]``, and which are rays ``[m]``.
 
-    What is not finite or has no direction is replaced: no gradient of other rays turns NaN by it.
+    Rays that are not finite or have no direction are replaced, so that they cannot make gradients of other rays NaN.
     """
     parts = torch.stack(rays.reshape(-1, 6).unbind(1)).unflatten(0, (2, 3))
     direction = parts[1]
@@ -416,11 +416,11 @@ def evaluate(frame: Frame, table: torch.Tensor, faces: torch.Tensor, normals, st
     if near.requires_grad:
         # A ray that misses far away must not overflow: its gradient would be NaN.
         near = torch.where(face >= 0, near, 0.0)
-    turn = turn_of(dominant_axis(direction))
+    order = permutation_of(dominant_axis(direction))
     chosen = face.clamp(min=0)
     *corners, normal = torch.stack(table.index_select(0, chosen).unbind(1)).unflatten(0, (4, 3))
-    along, near = turned(direction, turn), turned(near, turn)
-    seen = [sheared(turned(corner, turn), near, shear_of(along)) for corner in corners]
+    along, near = permuted(direction, order), permuted(near, order)
+    seen = [sheared(permuted(corner, order), near, shear_of(along)) for corner in corners]
     areas = edge_areas(*seen)
     total = areas[0] + areas[1] + areas[2]
     hit = (face >= 0) & (total != 0)
@@ -430,8 +430,8 @@ def evaluate(frame: Frame, table: torch.Tensor, faces: torch.Tensor, normals, st
     place = weights[0] * corners[0] + weights[1] * corners[1] + weights[2] * corners[2]
     point = (place.double() / frame.scale + frame.centre[:, None]).to(near.dtype)
     if normals is not None:
-        known, shares = torch.where(hit[:, None, None], normals[faces[chosen]], 1.0), torch.where(hit, weights, 1.0)
-        normal = geometry.unit((shares.t()[..., None] * known).sum(dim=1)).t()
+        known, weights = torch.where(hit[:, None, None], normals[faces[chosen]], 1.0), torch.where(hit, weights, 1.0)
+        normal = geometry.unit((weights.t()[..., None] * known).sum(dim=1)).t()
     void = torch.where(hit, 0.0, torch.nan).to(near.dtype)
     # NaN for rays without a hit, whose gradients are zero.
     distance, point, normal, weights = (

@@ -113,7 +113,7 @@ define_cylinder = torch_face(
     Returns
     -------
     torch.Tensor
-        ``[m, 7]``; one of each argument serves many of the others.
+        ``[m, 7]``; single arguments are broadcast.
 
     Examples
     --------
@@ -151,7 +151,7 @@ define_sphere = torch_face(
     Returns
     -------
     torch.Tensor
-        ``[m, 4]``; one centre serves many radii, and the reverse.
+        ``[m, 4]``; a single centre or a single radius is broadcast.
 
     Examples
     --------

@@ -168,7 +168,7 @@ def create_ray(xyz: torch.Tensor, abg: torch.Tensor, direction: bool = False) ->
     xyz : torch.Tensor
         Starts, ``[3]`` or ``[m, 3]``.
     abg : torch.Tensor
-        Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``; one row serves many starts, and the reverse.
+        Angles to the x, y and z axes in degrees, ``[3]`` or ``[m, 3]``; a single row is broadcast.
     direction : bool
         Take `abg` as direction cosines.
 

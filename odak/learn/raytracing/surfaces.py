@@ -158,7 +158,7 @@ intersect_parametric = torch_face(
     Parameters
     ----------
     parametric_surface : object
-        Handed on to both functions, with whatever tensors the surface is to be differentiated by.
+        Passed to both functions, with the tensors with respect to which the surface is differentiated.
     surface_function : callable
         ``surface_function(points [m, 3], parametric_surface)`` returns ``[m]``: zero on the surface, with opposite
         signs on its sides, in torch operations.

@@ -479,7 +479,7 @@ def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6
 def encircled_energy(
     found: Any, radii: Any = None, wavelength_weights: Sequence[float] | None = None
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the share of the energy within circles about the centroid of an image of a point.
+    """Return the fraction of the energy within circles about the centroid of an image of a point.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from odak.raytracing.components import terms
 
 
 class Amplitudes(NamedTuple):
-    """Amplitude coefficients whose squared moduli are shares of the power of a ray.
+    """Amplitude coefficients whose squared moduli are fractions of the power of a ray.
 
     Attributes
     ----------

@@ -415,8 +415,8 @@ def transfer_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Fi
     -------
     matplotlib.figure.Figure
         Two panels: modulation over frequency (full lines tangential, dashed ones sagittal, black the limit of
-        diffraction), and the share of the energy within a radius. Of systems with more than a wavelength of aberration
-        both are those of the rays, as the titles say.
+        diffraction), and the fraction of the energy within a radius. For systems with more than a wavelength of
+        aberration both are those of the rays, as the titles say.
 
     Raises
     ------
@@ -738,7 +738,7 @@ def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure
     -------
     matplotlib.figure.Figure
         The ideal grid is grey, the real one blue. The illuminance is that of a uniform Lambertian object relative to
-        the axis; dashed, the share of the rays through the pupil that apertures let pass. The last panel is left out
+        the axis; dashed, the fraction of the rays through the pupil that apertures let pass. The last panel is left out
         with a single wavelength.
 
     Examples
@@ -936,7 +936,7 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
     system : optical_system
         The system.
     found : ToleranceResult or Sensitivity
-        From :func:`tolerance`: the share of the systems whose merits are below a value, for each field and for all
+        From :func:`tolerance`: the fraction of the systems whose merits are below a value, for each field and for all
         of them. From :func:`sensitivity`: bars of the root mean square of the merits over that as drawn. Merits are
         taken to be lengths, as those of :func:`rms_spot`.
     limit : float, optional

@@ -437,7 +437,7 @@ def _radial_transfer(frequency, wave, diameter, accommodation, vergence):
     count = min(MOST_SAMPLES, max(LEAST_SAMPLES, 2 * math.ceil(SAMPLES_PER_WAVE * steepest)))
     line = (torch.arange(2 * count, dtype=torch.float64) - count) * (width / count)
     pupil = _pupil(line[:, None], line, width / count, [wave], diameter, accommodation, vergence)[0]
-    # The autocorrelation over the pupil's area. At zero the squares of the shares on the rim would make it too small.
+    # The autocorrelation over the pupil's area. At zero the squares of the weights on the edge would make it too small.
     transfer = torch.fft.ifft(torch.fft.fft2(pupil, norm="ortho").abs().square().sum(0)).real[: count + 1]
     transfer = transfer / (pupil.abs().sum() / len(line))
     transfer[0] = 1.0
@@ -464,7 +464,7 @@ def _pupil(y, x, pitch, waves, diameter, accommodation, vergence, direction=(0.0
     # Distance of such light from the axis.
     radius = (y**2 + x**2 - along**2).clamp_min(0).sqrt()
     edge = diameter / 2e3
-    # Samples on the rim count by the share of them that lies inside.
+    # Samples on the edge are weighted by the fraction of their area inside.
     share = ((edge - radius) / pitch + 0.5).clamp(0, 1)
     lag = eye_wavefront(radius.clamp(max=edge), waves, diameter, accommodation, vergence)
     cycles = lag / torch.tensor(waves, dtype=torch.float64, device=lag.device)[:, None, None]

@@ -29,7 +29,7 @@ class PointSpreadMap(NamedTuple):
     Attributes
     ----------
     kernels : torch.Tensor
-        Shares of the power of a point in the pixels about its image, ``[C, rows, columns, K, K]``. The middle pixel,
+        Fractions of the power of a point in the pixels about its image, ``[C, rows, columns, K, K]``. The middle pixel,
         K // 2, lies on the chief ray of the reference wavelength. Each adds up to the illumination, less what falls
         beside the K × K pixels.
     illumination : torch.Tensor
@@ -90,7 +90,7 @@ def point_spread_map(
     pitch : float
         Of its pixels, in the system's unit.
     grid : sequence of int
-        Points along y and x at which the functions are computed, from rim to rim.
+        Points along y and x at which the functions are computed, from edge to edge.
     kernel : int
         Pixels along each side of a function, odd.
     kind : str
@@ -250,7 +250,7 @@ def ideal_points(undistort: torch.Tensor, real: torch.Tensor) -> torch.Tensor:
 
 
 def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return intersections of rays with the sensor, ``[W, F, P, 2]``, and their shares of the power, ``[W, F, P]``."""
+    """Return intersections of rays with the sensor ``[W, F, P, 2]``, and their fractions of the power ``[W, F, P]``."""
     rays = launch(system, "rings", count, **options)
     found = trace(system, rays, prescription=options["prescription"])
     place = torch.stack([torch.where(found.arrived, value, 0.0) for value in (found.x, found.y)], -1)
@@ -259,7 +259,7 @@ def _ray_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tenso
 
 
 def _ring_weights(count: int) -> torch.Tensor:
-    """Return the areas of the pupil represented by points of rings: those of the rim count half."""
+    """Return the areas of the pupil represented by points of rings: those of the edge are weighted by one half."""
     weights = torch.ones(1 + 3 * count * (count + 1), dtype=torch.float64)
     weights[-6 * count :] = 0.5 - 0.125 / count
     weights[0] = 0.75
@@ -267,7 +267,7 @@ def _ring_weights(count: int) -> torch.Tensor:
 
 
 def _diffraction_samples(system, count: int, options) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return the samples of diffraction images: their places and shares of the power."""
+    """Return the samples of diffraction images: their positions and fractions of the power."""
     spread = point_spread_function(system, 8 * count, 16 * count, **options)
     n = spread.intensity.shape[-1]
     line = torch.arange(n, dtype=torch.float64, device=spread.pitch.device) - n // 2
@@ -328,7 +328,7 @@ def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tenso
     Notes
     -----
     Between the points of the grid the functions are interpolated bilinearly at the source: the picture times each
-    point's weights is convolved with its function, in Fourier space. Beyond its rim the picture goes on with the
+    point's weights is convolved with its function, in Fourier space. Beyond its edge the picture is continued with the
     values there.
 
     Examples

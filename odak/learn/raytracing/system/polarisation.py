@@ -34,7 +34,7 @@ class PolarizedRays(NamedTuple):
     incoming, outgoing : torch.Tensor
         Unit directions in front and behind, ``[..., 3]``.
     absorption : torch.Tensor
-        Share of the power that the media let pass, ``[...]``; not part of the matrices.
+        Fraction of the power that the media let pass, ``[...]``; not part of the matrices.
 
     Examples
     --------
@@ -61,7 +61,7 @@ class PolarizedRays(NamedTuple):
 
     @property
     def transmittance(self) -> torch.Tensor:
-        """Share of the power of unpolarised light that arrives, ``[...]``; 0 for rays that are lost."""
+        """Fraction of the power of unpolarised light that arrives, ``[...]``; 0 for rays that are lost."""
         power = self.jones.abs().square().sum((-2, -1)) / 2 * self.absorption
         return torch.where(self.traced.arrived, power, 0.0)
 
@@ -181,14 +181,14 @@ class _Record:
     def __call__(self, passage: Passage) -> None:
         """Multiply by the matrix of a surface, or change the frame."""
         if passage.action == "break":
-            turn = self._axes(passage.turned).mT
-            self._multiply(turn.to(self.matrix.dtype), turn)
+            rotation = self._axes(passage.change).mT
+            self._multiply(rotation.to(self.matrix.dtype), rotation)
             return
         if passage.action == "bend":
-            frame, turn = passage.turned
+            frame, rotation = passage.change
             axes = self._axes(frame)
-            turn = axes.mT @ turn @ axes
-            self._multiply(turn.to(self.matrix.dtype), turn)
+            rotation = axes.mT @ rotation @ axes
+            self._multiply(rotation.to(self.matrix.dtype), rotation)
             self.absorption = self.absorption * self._passed(passage.length)
             return
         item = self.system.surfaces[passage.place] if passage.place < len(self.system.surfaces) else None
@@ -199,13 +199,13 @@ class _Record:
             return
         k, out, normal = (torch.stack(torch.broadcast_tensors(*way), -1) for way in passage[2:5])
         s = _across(k, normal)
-        p, turned = torch.linalg.cross(k, s), torch.linalg.cross(out, s)
+        p, p_out = torch.linalg.cross(k, s), torch.linalg.cross(out, s)
         if item.own_phase is not None:
-            rotation = _turn(k, out, item.reflects)
+            rotation = _rotation_between(k, out, item.reflects)
             self._multiply(rotation.to(self.matrix.dtype), rotation)
             return
         along = out[..., :, None] * k[..., None, :]
-        a, b = (s[..., :, None] * s[..., None, :], turned[..., :, None] * p[..., None, :])
+        a, b = (s[..., :, None] * s[..., None, :], p_out[..., :, None] * p[..., None, :])
         side = -1.0 if item.reflects else 1.0
         coefficients = self._coefficients(item, passage, k, out, normal)
         matrix = sum(c[..., None, None] * part for c, part in zip(coefficients, (a, b), strict=True)) + along
@@ -231,7 +231,7 @@ class _Record:
         return found[:2] if item.reflects else found[2:]
 
     def _passed(self, length):
-        """Return the share of the power that the medium in front of a surface lets pass."""
+        """Return the fraction of the power that the medium in front of a surface lets pass."""
         if not isinstance(self.medium, Material):
             return 1.0
         return torch.exp(-absorption_coefficient(self.medium, self.wavelength, self.system.unit) * length.abs())
@@ -249,8 +249,8 @@ def _across(k, normal):
     return torch.where(oblique, across / torch.where(oblique, size, 1.0).sqrt(), other)
 
 
-def _turn(k, out, reflects: bool):
-    """Return the matrices that take directions to others: rotations in their plane, or reflections."""
+def _rotation_between(k, out, reflects: bool):
+    """Return the matrices that map directions to others: rotations in their plane, or reflections."""
     one = torch.eye(3, dtype=k.dtype, device=k.device)
     if reflects:
         apart = out - k

@@ -21,7 +21,9 @@ from odak.raytracing.intersections import RayStatus
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersection
 
 
-def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, turns: bool = False) -> tuple:
+def arrive(
+    gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, transport: bool = False
+) -> tuple:
     """Return rays at their intersections with the next surface behind a graded-index medium.
 
     Parameters
@@ -38,8 +40,8 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
         Shape of the surface.
     sign : int
         Sign of the direction cosine along z with which rays arrive.
-    turns : bool
-        Find out how polarisation turns and how far rays go, see :func:`transported`.
+    track : bool
+        Compute the rotation of the polarisation and the length of the rays, see :func:`transported`.
 
     Returns
     -------
@@ -85,7 +87,7 @@ def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign
             late = torch.where(usable, -error, 0.0) / torch.where(usable, slope, 1.0)
             end, time = _short_step(field, end, late), time + late
     arrived = arrived & exists
-    carried = transported(gradient, base, start, torch.where(arrived, time, 0.0), found.steps) if turns else None
+    carried = transported(gradient, base, start, torch.where(arrived, time, 0.0), found.steps) if track else None
     index = vec.dot(tuple(end[3:6]), tuple(end[3:6]))
     index = torch.where(index > 0, index, 1.0).sqrt()
     point, direction = frame.enter(tuple(end[:3]), tuple(end[i] / index for i in range(3, 6)))
@@ -127,8 +129,8 @@ def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torc
         # The component of the bend along the ray drops out of the product.
         velocity = torch.linalg.cross(change[:3] / size, change[3:6] / size, dim=0)
         columns = state[7:16].unflatten(0, (3, 3))
-        turned = torch.linalg.cross(velocity[:, None].expand_as(columns), columns, dim=0)
-        return torch.cat([change, turned.flatten(0, 1), size[None]])
+        rotated = torch.linalg.cross(velocity[:, None].expand_as(columns), columns, dim=0)
+        return torch.cat([change, rotated.flatten(0, 1), size[None]])
 
     one = torch.eye(3, dtype=start.dtype, device=start.device).reshape(9, *(1,) * (start.ndim - 1))
     state = torch.cat([start, one.expand(9, *start.shape[1:]), torch.zeros_like(start[:1])])
@@ -395,9 +397,9 @@ class Passage(NamedTuple):
         Indices on both sides.
     length : torch.Tensor
         Distance from the surface before.
-    turned : Frame or tuple, optional
-        Of a break the change of the frame. Of a "bend", the way through a graded medium, the frame of the axis in that
-        of the medium, and rotations of the field ``[..., 3, 3]`` in the latter.
+    change : Frame or tuple, optional
+        For a break, the change of the frame. For a "bend", the path through a graded medium: the frame of the axis in
+        that of the medium, and rotations of the field ``[..., 3, 3]`` in the latter.
     """
 
     place: int
@@ -408,7 +410,7 @@ class Passage(NamedTuple):
     before: Any = None
     behind: Any = None
     length: Any = None
-    turned: Any = None
+    change: Any = None
 
 
 def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None = None) -> State:
@@ -460,9 +462,9 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             place = placement(shift[..., i, :], tilt[..., i, :], layout.orders[i])  # type: ignore[index]
             if action == "break":
                 if frames is not None:
-                    place = frames.turn(place, layout.orders[i])
+                    place = frames.change(place, layout.orders[i])
                 if record is not None:
-                    record(Passage(i, action, turned=place))
+                    record(Passage(i, action, change=place))
                 if medium is None:
                     point, direction = place.enter(point, direction)
                 else:
@@ -471,7 +473,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             if medium is None:
                 point, direction = place.enter(point, direction)
         if frames is not None:
-            frames.note()
+            frames.append()
         n1 = index[..., i]
         if medium is not None:
             here = medium.frame if place is None else medium.frame.then(place)
@@ -480,7 +482,7 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             status = _with_event(status, arrived, RayStatus.NOT_CONVERGED)
             path = path + torch.where(status == HIT, length, 0.0)
             if record is not None and carried is not None:
-                record(Passage(i, "bend", turned=(medium.frame, carried[0]), length=carried[1]))
+                record(Passage(i, "bend", change=(medium.frame, carried[0]), length=carried[1]))
         # A ray must arrive from the side that its surface is passed from.
         moves = direction[2] * sign > 64 * torch.finfo(dtype).eps
         status = _with_event(status, moves, RayStatus.MISS)
@@ -583,8 +585,8 @@ class Frame(NamedTuple):
 
     def leave(self, point, direction):
         """Return points and directions of this frame in the outer frame."""
-        turned = tuple(vec.dot(row, point) for row in self.matrix)
-        point = tuple(a + b for a, b in zip(turned, self.origin, strict=True))
+        rotated = tuple(vec.dot(row, point) for row in self.matrix)
+        point = tuple(a + b for a, b in zip(rotated, self.origin, strict=True))
         return point, tuple(vec.dot(row, direction) for row in self.matrix)
 
     def then(self, other: "Frame") -> "Frame":
@@ -633,11 +635,11 @@ class Frames:
         """Go on along the axis."""
         self.here = self.here.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance)))
 
-    def note(self) -> None:
-        """Note the frame of a surface."""
+    def append(self) -> None:
+        """Append the frame of a surface."""
         self.found.append(self.here)
 
-    def turn(self, place: Frame, order) -> Frame:
+    def change(self, place: Frame, order) -> Frame:
         """Change to the frame of a coordinate break, or back to that of an earlier surface; return the change."""
         if isinstance(order, int):
             place = self.here.inverse().then(self.found[order])
@@ -709,11 +711,11 @@ def axis_signs(shift, tilt, actions, orders, distances) -> list[int] | None:
         frames.move(distances[i].detach().double().cpu())
         place = placement(shift[i], tilt[i], orders[i])
         if action == "break":
-            place, broken = frames.turn(place, orders[i]), True
+            place, broken = frames.change(place, orders[i]), True
             _, direction = place.enter(direction, direction)
             signs.append(1)
             continue
-        frames.note()
+        frames.append()
         _, local = place.enter(direction, direction)
         along = float(local[2])
         if abs(along) < 1e-3 or (not broken and along * parity < 0):

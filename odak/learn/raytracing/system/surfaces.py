@@ -41,7 +41,7 @@ class _Parameters(torch.nn.Module):
             _hold(self, field.name, value)
 
     def build(self) -> Any:
-        """Return the shape or phase, made of the parameters as they are."""
+        """Return the shape or phase with the current parameters."""
         return self.kind(*(getattr(self, field.name) for field in fields_of(self.kind)))
 
 
@@ -56,7 +56,7 @@ class _Films(torch.nn.Module):
         _hold(self, "thicknesses", _validate.real("coating.thicknesses", values) if len(values) else values)
 
     def build(self) -> Coating:
-        """Return the coating, made of the thicknesses as they are."""
+        """Return the coating with the current thicknesses."""
         return Coating(self.media, self.thicknesses, self.substrate)
 
 
@@ -203,7 +203,7 @@ class surface(torch.nn.Module):
 
     @property
     def shape(self) -> Shape:
-        """Shape of the surface, made of its numbers as they are."""
+        """Shape of the surface, with its current parameters."""
         if self.own_shape is not None:
             return self.own_shape.build()
         if self.coefficients.numel():
@@ -212,17 +212,17 @@ class surface(torch.nn.Module):
 
     @property
     def phase(self) -> Phase | None:
-        """Diffractive phase on the surface, made of its numbers as they are."""
+        """Diffractive phase on the surface, with its current parameters."""
         return None if self.own_phase is None else self.own_phase.build()
 
     @property
     def gradient(self) -> Gradient | None:
-        """Graded index of the medium behind the surface, made of its numbers as they are."""
+        """Graded index of the medium behind the surface, with its current parameters."""
         return None if self.own_gradient is None else self.own_gradient.build()
 
     @property
     def coating(self) -> Coating | None:
-        """Thin films on the surface, of the thicknesses as they are; may be assigned."""
+        """Thin films on the surface, with their current thicknesses; may be assigned."""
         return None if self.own_coating is None else self.own_coating.build()
 
     @coating.setter
@@ -978,10 +978,10 @@ class optical_system(torch.nn.Module):
             frames.move(numbers.distance[0, i])
             place = placement(shift[0, i], tilt[0, i], None if item is None else item.order)
             if item is not None and is_break(item):
-                frames.turn(place, item.order)
+                frames.change(place, item.order)
                 place = frames.here
             else:
-                frames.note()
+                frames.append()
                 place = frames.here.then(place) if own else frames.here
             one = numbers.distance[0, i]
             rotations.append(torch.stack([torch.stack([v + 0 * one for v in row]) for row in place.matrix]))

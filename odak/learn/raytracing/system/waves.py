@@ -152,7 +152,7 @@ class RayMap:
         return PlaneRays._make([*met, found.status])
 
     def samples(self, aim: str) -> torch.Tensor:
-        """Return places ``[..., P, 2]`` all over the pupil, its rim included."""
+        """Return places ``[..., P, 2]`` all over the pupil, its edge included."""
         points = pupil_samples("rings", RINGS, device=self.pupil.reach.device)
         return points if aim == "paraxial" else self._aimed(points)
 
@@ -318,7 +318,7 @@ def pupil_image(system, samples: int, size: int, options: dict, amplitudes: Call
     line = (torch.arange(samples, dtype=torch.float64) - samples // 2) * step
     y, x = torch.meshgrid(line, line, indexing="ij")
     radius = (x * x + y * y).sqrt()
-    # Pixels on the rim count by the share of them that lies inside.
+    # Pixels on the edge are weighted by the fraction of their area inside.
     share = ((1 - radius) / step + 0.5).clamp(0, 1)
     inside = share > 0
     points = torch.stack([x[inside], y[inside]], -1)
@@ -786,7 +786,7 @@ def _samples(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: boo
 
 
 def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: str, grid: _Grid):
-    """Return the share of each sample that lies inside the pupil, and the area of the plane per area of the pupil."""
+    """Return the fraction of each sample inside the pupil, and the area of the plane per area of the pupil."""
     (xa, ya), (xb, yb), middle = rays.derivatives(places)
     # No tube without the ray itself and its neighbours; a dummy keeps NaN out of the gradients.
     near = (torch.stack(middle, -1).detach() - target).abs().amax(-1) < 1e-3 * grid.pitch
@@ -863,7 +863,7 @@ def huygens_point_spread_function(
     step = 2 / samples
     line = (torch.arange(samples, dtype=torch.float64) - (samples - 1) / 2) * step
     y, x = torch.meshgrid(line, line, indexing="ij")
-    # Cells on the rim count by the share of them that lies inside.
+    # Cells on the edge are weighted by the fraction of their area inside.
     share = ((1 - (x * x + y * y).sqrt()) / step + 0.5).clamp(0, 1)
     inside = share > 0
     points = torch.cat([torch.zeros(1, 2, dtype=torch.float64), torch.stack([x[inside], y[inside]], -1)])
