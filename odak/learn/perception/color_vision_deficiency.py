@@ -470,7 +470,7 @@ def _contrast_lost(image, simulated_image, patch_size, stride, epsilon):
 
 
 def _colour_lost(image, simulated_image, kernel_size, sigma):
-    # The blur is linear: one of the difference does for two.
+    # The blur is linear: the difference is blurred once, instead of both pictures.
     return blur_gaussian(image - simulated_image, (kernel_size, kernel_size), (sigma, sigma)).abs().mean()
 
 

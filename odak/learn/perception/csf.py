@@ -673,7 +673,7 @@ class VisibilityLoss(nn.Module):
         scales = self._sensitivities(image, gaze, mean)
         total = self._visible((shown - wanted) / mean, wanted.detach() / mean, [brightness for brightness, _ in scales])
         if image.shape[1] == 3 and self.colour:
-            # Colours of the cube alone have a Lab value.
+            # Only colours of the cube have a value in Lab.
             one, two = (srgb_to_lab(picture.clamp(0, 1))[:, 1:] for picture in (image, target))
             total = total + self.colour * self._visible(one - two, two.detach(), [colours for _, colours in scales])
         return 2 * total / (image.shape[0] * image.shape[-2:].numel())
@@ -690,7 +690,7 @@ class VisibilityLoss(nn.Module):
         total = 0.0
         for level, (band, masking, scale) in enumerate(bands):
             seen = scale * band
-            # Each level's numbers are twice as large for one contrast as those of the level before.
+            # For the same contrast, the values of a level are twice those of the previous level.
             if self.masking and level < len(scales) - 1:
                 contrast = scale * masking / 2 ** max(0, level - 1)
                 seen = seen / (1 + contrast**2) ** (self.masking / 2)
@@ -724,7 +724,7 @@ class VisibilityLoss(nn.Module):
         for level, share in levels:
             view = (gaze, sizes[level], self.real_image_width, self.real_viewing_distance)
             angle, _ = make_eccentricity_distance_maps(*view, dtype=torch.float64, device=picture.device)
-            # What is left below the octaves counts as the lowest frequency of the picture, and as a uniform colour.
+            # The residual below the octaves is treated as the lowest frequency of the picture, and as a uniform colour.
             frequency = 1 / (max(rows, columns) * pitch) if share is None else share / 2**level / (2 * pitch)
             scaled = frequency * (1 + torch.rad2deg(angle) / HALVING)
             size = math.sqrt(width * height)

@@ -1009,7 +1009,7 @@ def sample_observers(number: int, wavelengths: torch.Tensor | Sequence[float] = 
 
 
 class MetamericFailure(NamedTuple):
-    """How people see a match that the standard observer accepts.
+    """Differences that individual observers see in a match of the standard observer.
 
     Attributes
     ----------

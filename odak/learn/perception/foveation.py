@@ -24,7 +24,7 @@ from odak._torch_private import is_plain_on_cpu
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 
 MODES = ("quadratic", "linear")
-# Limit of the angle for cones that graze the screen or point behind it.
+# Largest angle of a cone, for cones that are tangent to the screen or point behind it.
 STEEPEST = math.pi / 2 - 1e-3
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
 # enough that calls cost little.
@@ -416,7 +416,7 @@ def make_equi_pooling_size_map_lod(
 
 
 def _geometry(real_image_width, real_viewing_distance):
-    """Return the width of a picture and the distance of the eye; as they are if they may need a gradient."""
+    """Return the width of a picture and the distance of the eye; tensors that require a gradient are kept."""
     lengths = {"real_image_width": real_image_width, "real_viewing_distance": real_viewing_distance}
     return tuple(_number(_validate.number(name, value, positive=True)) for name, value in lengths.items())
 
@@ -427,7 +427,7 @@ def _number(value):
 
 
 def _place(name, value) -> tuple:
-    """Return two finite numbers; a copy, so that a list changed afterwards changes nothing here."""
+    """Return two finite numbers as a copy, so that later changes of a list have no effect."""
     try:
         x, y = _validate.several(name, value.reshape(-1) if _array.is_array(value) else value, 2)
     except ValueError as error:
@@ -583,7 +583,7 @@ class Sampler:
         return _Sampled.apply(image.flatten(0, 1).movedim(0, 1), self, False).movedim(1, 0).reshape(image.shape)
 
     def plainly(self, image: torch.Tensor) -> torch.Tensor:
-        """Return the same by operations of torch that are differentiable."""
+        """Return the sampled pictures by differentiable operations of torch."""
         raise NotImplementedError
 
     def coarse(self, first: torch.Tensor) -> list[torch.Tensor]:
@@ -670,7 +670,7 @@ class UniformSampler(Sampler):
 
 
 class Level(NamedTuple):
-    """How a level of the chain is made of the one before, and enlarged.
+    """Operations that compute a level of the chain from the previous one, and enlarge it.
 
     Attributes
     ----------
@@ -701,7 +701,7 @@ class Level(NamedTuple):
 
 
 class Strip(NamedTuple):
-    """Some rows of a picture and what their levels are made of.
+    """A strip of rows of a picture, and the rows of the levels that contribute to it.
 
     Attributes
     ----------
@@ -719,7 +719,7 @@ class Strip(NamedTuple):
     parts: tuple[tuple[int, slice, torch.Tensor, torch.Tensor], ...]
 
     def add(self, total: torch.Tensor, coarse: Sequence[torch.Tensor], memory: torch.Tensor) -> None:
-        """Add the coarse levels' parts to `total` ``[rows, n, P, W]``, in place, using memory of the same size."""
+        """Add the coarse levels' contributions to `total` ``[rows, n, P, W]`` in place, with memory of the same size."""
         for index, window, matrix, share in self.parts:
             torch.mm(matrix, coarse[index][window].flatten(1), out=memory.flatten(1))
             total.addcmul_(memory, share)
@@ -817,7 +817,7 @@ def _new_level(size, rows, coarse, across, dtype):
 
 
 def _strips(weights, levels, step):
-    # In one reading of all strips.
+    # All numbers are read from the device at once.
     counts = torch.stack([part.flatten(1).any(1) for part in weights.split(step, 1)], 1).tolist()
     shares = weights[:, :, None]
     strips = []
@@ -1154,7 +1154,7 @@ class BlurLoss(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the loss was last moved to."""
+        """Device of the loss."""
         return self._place.device
 
     def blur_image(self, image: torch.Tensor, gaze: Sequence[float]) -> torch.Tensor:

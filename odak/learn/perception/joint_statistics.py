@@ -1,4 +1,4 @@
-"""Statistics of pairs of steerable bands, across channels, orientations, scales and places; textures made from them."""
+"""Statistics of pairs of steerable bands, across channels, orientations, scales and places; texture synthesis."""
 
 import contextlib
 import itertools
@@ -17,7 +17,7 @@ from odak.learn.perception.pyramids import SpatialSteerablePyramid, pad_image_fo
 POWER_FLOOR = 1e-7
 # Shifts (rows, columns) to the four neighbours on one side.
 NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))
-# Half of the shifts within 7 x 7 pixels: the other half gives the same numbers.
+# Half of the shifts within 7 x 7 pixels: the other half gives the same values.
 TEXTURE_SHIFTS = tuple((i, j) for i in range(4) for j in range(-3, 4) if i > 0 or j > 0)
 TEXTURE_ITERATIONS = 300
 # Weights in the distance of textures: moments of pixels, few numbers, against bands, many.
@@ -96,7 +96,7 @@ def joint_maps(
 
 
 def _pairs_within(channels, count):
-    """Return which values of a level pair up, as numbers of two values: across channels, and across orientations.
+    """Return the pairs of values of a level, as indices of both: across channels, and across orientations.
 
     Orientation k of channel c is value c·K + k; the moduli follow.
     """
@@ -111,7 +111,7 @@ def _pairs_within(channels, count):
 
 
 def _pairs_across(channels, count):
-    """Return which values of a level and of the next coarser one pair up: moduli, and bands with doubled phases."""
+    """Return the pairs of values of a level and the next coarser one: moduli, and bands with doubled phases."""
     moduli, last = channels * count, (channels + 1) * count
     scales = [(moduli + k, last + k) for k in range(count)]
     phases = [(k, last + part * count + k) for part in (1, 2) for k in range(count)]
@@ -247,7 +247,7 @@ def _moments(values):
     between = (covariance / (scale[:, :, None] * scale[:, None]))[:, upper[0], upper[1]]
     relative = (values - _mean(values)) / deviation[..., None, None]
     third, fourth = ((relative**order).mean((-2, -1)) for order in (3, 4))
-    # Scaled so that a change of shape counts about as much as one of the deviation.
+    # Scaled so that a change of shape has about the weight of a change of the deviation.
     return between, third * deviation / 3, (fourth - 3) * deviation / 12
 
 

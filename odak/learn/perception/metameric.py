@@ -34,15 +34,15 @@ RADIAL_OFFSET, RADIAL_POWER = 1.1, 4
 RMS_FLOOR, VARIANCE_FLOOR = 1e-6, 1e-7
 # Evaluations of the distance by which a metamer is made.
 METAMER_ITERATIONS = 40
-# With statistics of pairs: how many times as many evaluations are made without them first, and how many with them.
+# Numbers of evaluations relative to those above if statistics of pairs are matched: first without, then with them.
 WITHOUT_PAIRS, WITH_PAIRS = 2, 0.25
 # Displacements by which a metamer starts: their deviation as a fraction of the pooling size, and at most as a fraction
 # of the distance over which they vary; this distance as a fraction of a pixel of the last low-pass.
 DISPLACEMENT, LARGEST_SLOPE, GRAIN = 0.2, 0.5, 0.25
-# Before the descent the local statistics of the bands are brought to those of the picture so many times, and deviations
-# increased at most by so much at a time.
+# Number of times that the local statistics of the bands are matched to those of the picture before the descent, and the
+# largest factor by which a deviation is increased at a time.
 RESCALINGS, LARGEST_GAIN = 4, 4.0
-# Weight of the squared distance from the bounds. Nearly all pixels of hard edges are at their bounds.
+# Weight of the squared distance from the bounds. Nearly all pixels at sharp edges are at their bounds.
 OUTSIDE_WEIGHT = 1e-4
 # Bounds of a local gamut: channels of Y′CrCb and their factors, each alone and two at a time. Differences of colour
 # vary several times less than brightness.
@@ -52,9 +52,9 @@ SLABS = tuple(((channel, 1.0 if channel == 0 else CHROMA),) for channel in range
     for one, two in ((0, 1), (0, 2), (1, 2))
     for sign in (1, -1)
 )
-# Clipping to one bound can break another: so many times at the end, after which less than 0.001 is outside.
+# Number of final clippings to all bounds in turn: clipping to one bound can violate another; less than 0.001 remains.
 CLIPPINGS = 5
-# Pixels: smaller pooling regions would only take memory.
+# Smallest pooling region in pixels; smaller ones would take memory without an effect.
 FINEST = 1 / 64
 
 
@@ -80,7 +80,7 @@ class _StatisticsLoss(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the loss was last moved to."""
+        """Device of the loss."""
         return self._place.device
 
     def visualise_loss_map(self, image_stats: list[torch.Tensor]) -> None:
@@ -120,7 +120,7 @@ class _StatisticsLoss(nn.Module):
         return rgb_2_ycrcb(picture) if picture.shape[1] == 3 and colourspace.upper() == "RGB" else picture
 
     def _target_statistics(self, picture, colourspace, where):
-        """Return a target padded and converted, its statistics, and these as :meth:`_distance` reads them.
+        """Return a target padded and converted, its statistics, and these in the form that :meth:`_distance` takes.
 
         The last is None where they are not computed in strips; otherwise both share their memory.
         """
@@ -145,7 +145,7 @@ class _StatisticsLoss(nn.Module):
         return total / (2 * sum(bands.shape[2] for bands in groups) + len(others))
 
     def _maker(self, channels):
-        """Return the pyramid, made anew where channels or orientations have changed."""
+        """Return the pyramid, constructed again where channels or orientations have changed."""
         maker = self.pyramid_maker
         if maker is None or (maker.n_channels, maker.n_orientations) != (channels, self.n_orientations):
             maker = SpatialSteerablePyramid(False, channels, 5, self.n_orientations, "cropped", self.device)
@@ -183,7 +183,7 @@ class _StatisticsLoss(nn.Module):
                     metamer = rescaled(groups, statistics_maps(groups, *rest), statistics, maker, LARGEST_GAIN)
                 for pairs, count in metamer_stages(iterations, self.joint):
                     compared = partial(distance, pairs=pairs)
-                    # Unweighted, the descent of pairs ends two to three times as far.
+                    # Without weights, the descent of pairs ends at two to three times the distance.
                     steepness = STEEPNESS if self.joint else 0.0
                     metamer = descended(metamer, gamut.clipped, compared, count, progress, steepness, OUTSIDE_WEIGHT)
                 for _ in range(CLIPPINGS):
@@ -849,7 +849,7 @@ class MetamerMSELoss(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the loss was last moved to."""
+        """Device of the loss."""
         return self.metameric_loss.device
 
     def gen_metamer(
@@ -1056,7 +1056,7 @@ def local_statistics(bands: torch.Tensor, sampler: Sampler) -> torch.Tensor:
 
 
 def as_maps(statistics: torch.Tensor, shape: torch.Size) -> list[torch.Tensor]:
-    """Return mean, deviation of each band ``[B, C, H, W]`` in turn, as views of statistics ``[H, 2, B·C·K, W]``."""
+    """Return mean and deviation of each band ``[B, C, H, W]`` alternately: views of statistics ``[H, 2, B·C·K, W]``."""
     maps = statistics.unflatten(2, shape[:3]).permute(2, 3, 4, 1, 0, 5)
     return [maps[:, :, band, kind] for band in range(shape[2]) for kind in range(2)]
 
@@ -1103,7 +1103,7 @@ class _Distance(torch.autograd.Function):
     def backward(context, outer):
         bands, gradient = context.saved_tensors
         if torch.is_grad_enabled():
-            # Derivatives of the gradient are wanted: computed again by differentiable operations.
+            # The gradient is differentiated: it is computed again by differentiable operations.
             sampler, mask, target = context.rest
             found = torch.stack([_planes(statistic) for statistic in pooled(bands, sampler)], 1)
             found = found if mask is None else found * mask[:, None, None]
@@ -1112,7 +1112,7 @@ class _Distance(torch.autograd.Function):
 
 
 def _planes(bands):
-    """Return bands ``[B, C, K, H, W]`` as planes ``[H, P, W]``, without a copy where their memory is laid out so."""
+    """Return bands ``[B, C, K, H, W]`` as planes ``[H, P, W]``, without a copy where the memory layout permits."""
     return bands.permute(3, 0, 1, 2, 4).flatten(1, 3).contiguous()
 
 
@@ -1145,7 +1145,7 @@ def _moments(strip, planes, coarse, result, memory):
 
 
 def _compare(planes, sampler, weights, target, gradient):
-    """Return the distances of each strip of some planes; write the gradient if there is room for one."""
+    """Return the distances of each strip of some planes; write the gradient where memory for it is given."""
     moments, errors, memory = (_memory(sampler, planes) for _ in range(3))
     coarse, values = _coarse(planes, sampler), []
     totals = [] if gradient is None else [torch.zeros_like(level) for level in coarse]
@@ -1283,7 +1283,7 @@ def matched_noise(
 
 
 def displaced(image: torch.Tensor, levels: torch.Tensor, cell: int, seed: int = 0) -> torch.Tensor:
-    """Return a picture whose pixels come from random places nearby, the farther away the larger the pooling regions.
+    """Return a picture whose pixels come from random positions nearby, at distances that grow with the pooling regions.
 
     Parameters
     ----------
@@ -1337,7 +1337,7 @@ def rescaled(
     maker: SpatialSteerablePyramid,
     largest_gain: float = math.inf,
 ) -> torch.Tensor:
-    """Return the picture of a pyramid after bringing the mean and the deviation of its bands to given values.
+    """Return the picture of a pyramid after setting the mean and the deviation of its bands to given values.
 
     Parameters
     ----------
@@ -1427,7 +1427,7 @@ class LocalGamut:
         self._low, self._high = local_range(self._along(picture), levels)
 
     def clipped(self, colours: torch.Tensor) -> torch.Tensor:
-        """Return colours brought within each bound in turn, which can leave them slightly outside of others."""
+        """Return colours clipped to each bound in turn, after which they can be slightly outside of others."""
         if not self._coloured:
             return colours.maximum(self._low).minimum(self._high)
         planes, bounds = list(colours.unbind(1)), zip(self._low.unbind(1), self._high.unbind(1), strict=True)

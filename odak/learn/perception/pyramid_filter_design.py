@@ -1,4 +1,4 @@
-"""Design of the small filters of a spatial steerable pyramid: least squares on its response, not tables of taps.
+"""Design of the small filters of a spatial steerable pyramid: least squares on the response, instead of tables of taps.
 
 Every band of K orientations is a mixture of the same K filters, one per product cosⁱθ·sin^(K−1−i)θ. They are even or
 odd along each axis and one another's transposes, so that few numbers are unknown and the bank is exactly steerable.
@@ -14,7 +14,7 @@ import numpy as np
 
 # Taps of the usual banks, designed once.
 KEPT = ("data", "steerable_pyramid_taps.json")
-# Points per axis of the grid of frequencies on which the responses are asked for.
+# Points per axis of the grid of frequencies on which the responses are prescribed.
 GRID = 24
 FOOT = 0.55
 # Weight of the distance from the ideal response relative to flatness; see the notes.
@@ -341,7 +341,7 @@ class _Problem:
         return scale * np.concatenate(residuals), scale * np.concatenate(jacobians)
 
     def quadratic_cost(self, taps):
-        """Return the cost of the filters' sums and of the distance from the ideal responses, but for a constant."""
+        """Return the cost of the filters' sums and of the distance from the ideal responses, up to a constant."""
         return taps @ self.normal @ taps - 2 * taps @ self.pulled + self.constant
 
     def _quadratic(self):
@@ -362,7 +362,7 @@ class _Problem:
         for i in range(self.count):
             mirrored = i > (self.count - 1) // 2 and 2 * i != self.count - 1
             product = maps[3 + (self.count - 1 - i if mirrored else i)]
-            # x and y change places: rows grow downwards, hence both flips.
+            # x and y are exchanged; both axes are flipped because rows grow downwards.
             products.append(np.ascontiguousarray(product.T[::-1, ::-1]) if mirrored else product)
         products = np.array(products)
         bands = np.tensordot(steering(self.count, orientations(self.count)), products, 1)

@@ -294,7 +294,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     @property
     def device(self) -> torch.device:
-        """Where the filters are."""
+        """Device of the filters."""
         return self.filt_h0.device
 
     @property
@@ -408,7 +408,7 @@ class SpatialSteerablePyramid(nn.Module):
         return correlate(low, _quadrature_taps(*self._bank(), low.dtype, low.device))
 
     def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
-        """Return the picture of a pyramid, which stays as it is.
+        """Return the picture of a pyramid, which is not modified.
 
         Parameters
         ----------
@@ -454,7 +454,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _apply(self, function, recurse=True):
         super()._apply(function, recurse)
-        # Designed anew, taps have the full precision that they were moved to.
+        # The taps are designed again, so that they have the full precision of the new dtype.
         self._build(self.filt_h0.dtype, self.filt_h0.device)
         return self
 
@@ -477,7 +477,7 @@ class SpatialSteerablePyramid(nn.Module):
             )
 
     def _smallest_side(self, n_levels) -> int:
-        """Return the smallest side of a picture that has so many levels.
+        """Return the smallest side of a picture for a number of levels.
 
         It is longer than a filter reaches, where the filter is used: the first ones at full size, the others down to
         the last level that has bands.
@@ -530,7 +530,7 @@ class SpatialSteerablePyramid(nn.Module):
 
 @functools.lru_cache(maxsize=64)
 def _unsteered(size, count, kind, bilinear):
-    """Return the matrix ``[K, K]`` and the filters ``[K, k, k]`` that turn bands into parts of one symmetry and back.
+    """Return the matrix ``[K, K]`` and the filters ``[K, k, k]`` that convert bands to parts of one symmetry and back.
 
     With filters b = S·m of parts m, Σₖ b̃ₖ∗yₖ = Σᵢ m̃ᵢ∗(Sᵀ·y)ᵢ for any bands y and transposed filters b̃, m̃: the
     matrix is Sᵀ.
@@ -637,7 +637,7 @@ class FrequencySteerablePyramid(nn.Module):
         return pyramid
 
     def reconstruct_from_pyramid(self, pyramid: Pyramid) -> torch.Tensor:
-        """Return the picture of a pyramid, which stays as it is; differentiable.
+        """Return the picture of a pyramid, which is not modified; differentiable.
 
         Parameters
         ----------
@@ -753,7 +753,7 @@ def _spread(spectrum, size):
     return nn.functional.pad(rows, (0, size[1] // 2 + 1 - spectrum.shape[-1]))
 
 
-# A vector register's worth of results is computed as so many output channels.
+# Number of output channels, whose results fill one vector register.
 LANES = 16
 
 
@@ -791,7 +791,7 @@ def correlate(image: torch.Tensor, taps: torch.Tensor, stride: int = 1) -> torch
 
 
 class _Correlation(torch.autograd.Function):
-    """The linear map; its gradient is the adjoint's value and the other way round."""
+    """The linear map; its gradient is the value of the adjoint, and vice versa."""
 
     @staticmethod
     def forward(image, taps, stride):
@@ -862,7 +862,7 @@ def _shifted(filters, lanes, step):
 
 
 def _phases(filt, stride):
-    """Return the parts of a filter that meet each phase of the pixels, turned round."""
+    """Return the parts of a filter for each phase of the pixels, reversed along both axes."""
     room = -filt.shape[-1] % stride
     parts = functional.pad(filt, (0, room, 0, room)).unflatten(1, (-1, stride)).unflatten(0, (-1, stride))
     return parts.permute(1, 3, 0, 2).flatten(0, 1).flip(-2, -1)

@@ -459,7 +459,7 @@ def _hyab(one, two):
 
 
 def _redistributed(distance):
-    """Return differences of colour in 0 … 1, most of it for those that are not extreme."""
+    """Return differences of colour mapped to 0 … 1, most of which is used for those that are not extreme."""
     corners = constant(((0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), distance.dtype, distance.device)[:, :, None, None]
     largest = _hyab(*_hunt_lab(corners).chunk(2)).reshape(()) ** 0.7
     none = distance <= 0
@@ -1231,7 +1231,7 @@ class LPIPS(_Wrapper):
 
 @contextlib.contextmanager
 def _quietly():
-    """Keep the deprecation warnings of other packages from the caller."""
+    """Suppress the deprecation warnings of other packages."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield

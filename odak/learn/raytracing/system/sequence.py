@@ -21,9 +21,7 @@ from odak.raytracing.intersections import RayStatus
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape, intersection
 
 
-def arrive(
-    gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, transport: bool = False
-) -> tuple:
+def arrive(gradient: Gradient, base, frame, point, direction, shape: Shape, sign: int, track: bool = False) -> tuple:
     """Return rays at their intersections with the next surface behind a graded-index medium.
 
     Parameters
