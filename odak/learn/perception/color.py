@@ -23,7 +23,7 @@ BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
 P3_PRIMARIES = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))
 PRIMARIES = {"BT.709": BT709_PRIMARIES, "BT.2020": BT2020_PRIMARIES, "Display P3": P3_PRIMARIES}
 
-# The coordinates of D65 are published with several roundings. The first two are those of the library's earlier releases.
+# The coordinates of D65 are published with several roundings. The first two are those of earlier releases.
 XYZ_WHITE = (0.950456, 1.0, 1.088754)
 LAB_WHITE = (0.31271 / 0.32902, 1.0, (1 - 0.31271 - 0.32902) / 0.32902)
 IEC_WHITE = (0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290)
