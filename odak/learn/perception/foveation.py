@@ -719,7 +719,7 @@ class Strip(NamedTuple):
     parts: tuple[tuple[int, slice, torch.Tensor, torch.Tensor], ...]
 
     def add(self, total: torch.Tensor, coarse: Sequence[torch.Tensor], memory: torch.Tensor) -> None:
-        """Add the contributions of coarse levels to `total` ``[rows, n, P, W]`` in place, in memory of the same size."""
+        """Add the contributions of coarse levels to `total` ``[rows, n, P, W]`` in place, with `memory` of its size."""
         for index, window, matrix, share in self.parts:
             torch.mm(matrix, coarse[index][window].flatten(1), out=memory.flatten(1))
             total.addcmul_(memory, share)
