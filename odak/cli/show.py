@@ -155,18 +155,15 @@ def _table(report: dict) -> str:
     shown.pop(FINGERPRINT, None)
     definitions = report.get("definitions")
     told = definitions if isinstance(definitions, dict) else {}
+    notes = {name: f"<small>{html.escape(text)}</small>" for name, text in told.items() if isinstance(text, str)}
     rows = [(name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in shown.items()]
     rows += [("warning", str(text)) for text in report.get("warnings", [])]
     cells = "".join(
-        f"<tr><td>{html.escape(name.replace('_', ' '))}{_small(told.get(name))}</td>"
+        f"<tr><td>{html.escape(name.replace('_', ' '))}{notes.get(name, '')}</td>"
         f"<td{' class=wide' if len(text) > 20 else ''}>{html.escape(text)}</td></tr>"
         for name, text in rows
     )
     return f"<table>{cells}</table>"
-
-
-def _small(text: Any) -> str:
-    return f"<small>{html.escape(text)}</small>" if isinstance(text, str) else ""
 
 
 def _kind(path: Path) -> str:

@@ -447,7 +447,7 @@ def sphere_hits(ray, sphere):
 
 
 def cylinder_hits(ray, cylinder):
-    """Return the same as :func:`sphere_hits` for cylinders; normals start at the foot of the point on the axis."""
+    """Return the same as :func:`sphere_hits` for cylinders; normals start at the projections of points onto the axis."""
     ray, cylinder = _validate.reals(ray=ray, cylinder=cylinder)
     ray, (center, radius, axis) = arguments.rays("ray", ray), split_cylinder(cylinder)
     arguments.one_or_each("cylinder", radius.shape, ray)
@@ -464,13 +464,13 @@ def cylinder_hits(ray, cylinder):
 
 
 def _batches(**given):
-    """Return sets of rays ``[m, 2, 3]`` that fit together."""
+    """Return sets of rays ``[m, 2, 3]`` whose lengths broadcast."""
     batches = {name: arguments.rays(name, v) for name, v in zip(given, _validate.reals(**given), strict=True)}
     _validate.fitting(**batches)
     return tuple(batches.values())
 
 
-# Distances at which the sign of the error is tested: from 1e-6 to 1e7, each larger by a tenth than the one before.
+# Distances at which the sign of the error is tested: from 1e-6 to 1e7, each 10 % larger than the previous one.
 _FIRST, _LAST, _GROWTH = 1e-6, 1e7, 1.1
 _GOLDEN = (np.sqrt(5) - 1) / 2
 

@@ -89,7 +89,7 @@ def is_on_triangle(point, p0, p1, p2):
 
 
 def nearest_on_lines(start0, direction0, start1, direction1):
-    """Return how far along each of two lines their nearest points lie, in lengths of the directions; ``[...]`` both.
+    """Return the parameters of the nearest points of two lines, in units of the lengths of the directions, ``[...]``.
 
     For parallel lines the first is 0 and the second that of the foot of the perpendicular from `start0`.
     """
@@ -106,7 +106,7 @@ def nearest_on_lines(start0, direction0, start1, direction1):
 
 
 def crossing_of_lines(start0, direction0, start1, direction1):
-    """Return how far along each of two lines ``[..., 3]`` they cross, and whether they do, all ``[...]``.
+    """Return the parameters of the intersection of two lines ``[..., 3]``, and whether they intersect, all ``[...]``.
 
     Lines cross unless they are parallel, or pass each other by more than 1e-5 of the distance between their starts plus
     1e-8 plus the rounding error: directions are often given to seven digits.

@@ -105,5 +105,3 @@ def test_results_have_the_shape_of_all_arguments():
 def test_wrong_use_names_the_argument():
     with pytest.raises(ValueError, match="thicknesses must be two fewer than indices"):
         thin_film_stack(WAVELENGTH, [1, 1.38, 1.52], [])
-    with pytest.raises(ValueError, match="polarization"):
-        thin_film_stack(WAVELENGTH, [1, 1.5], [], 0.0, "x")

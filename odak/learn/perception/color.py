@@ -824,7 +824,9 @@ def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     shift = 2 * math.pi * torch.where(wide, torch.where(total < 2 * math.pi, 1.0, -1.0), 0.0).to(total.dtype)
     mean_hue = torch.where(coloured, (total + shift) / 2, total)
     lightness, chroma = (l1 + l2) / 2, (c1 + c2) / 2
-    terms = ((l2 - l1) / _lightness_scale(lightness), (c2 - c1) / (1 + 0.045 * chroma),
+    square = (lightness - 50) ** 2
+    lightness_scale = 1 + 0.015 * square / (20 + square).sqrt()
+    terms = ((l2 - l1) / lightness_scale, (c2 - c1) / (1 + 0.045 * chroma),
              hue_step / (1 + 0.015 * chroma * _hue_weight(mean_hue)))  # fmt: skip
     squares = sum(term**2 for term in terms) + _rotation(mean_hue, chroma) * terms[1] * terms[2]
     return root(squares.clamp_min(0)).unsqueeze(-3)
@@ -834,11 +836,6 @@ def _pair(first, second):
     first, second = as_pictures("first", first), as_pictures("second", second)
     _validate.fitting(first=first, second=second)
     return first, second
-
-
-def _lightness_scale(lightness):
-    square = (lightness - 50) ** 2
-    return 1 + 0.015 * square / (20 + square).sqrt()
 
 
 def _hue_weight(hue):

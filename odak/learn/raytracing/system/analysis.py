@@ -69,7 +69,7 @@ def spot_diagram(
     prescription: Prescription | None = None,
     **options: Any,
 ) -> Spots:
-    """Return where the rays of each field point land in the image plane.
+    """Return the intersections of the rays of each field point with the image plane.
 
     Parameters
     ----------
@@ -310,7 +310,7 @@ def axial_color(system: Any, wavelengths: Any = None, prescription: Prescription
 def distortion_grid(
     system: Any, points: int = 11, prescription: Prescription | None = None, **options: Any
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Return where the chief rays of a square grid of field points land, and where they would without distortion.
+    """Return the image points of the chief rays of a square grid of field points, with and without distortion.
 
     Parameters
     ----------
@@ -353,7 +353,7 @@ def distortion_grid(
 
 
 class Footprint(NamedTuple):
-    """Points where rays meet a surface.
+    """Intersections of rays with a surface.
 
     Attributes
     ----------
@@ -383,7 +383,7 @@ def footprint(
     prescription: Prescription | None = None,
     **options: Any,
 ) -> Footprint:
-    """Return where the rays of each field point meet a surface.
+    """Return the intersections of the rays of each field point with a surface.
 
     Parameters
     ----------

@@ -38,14 +38,14 @@ RANGE, LIOU_BRENNAN_RANGE = (0.365, 1.014), (0.38, 0.75)
 VITREOUS, RETINA = 16.3203, -12.0
 REFERENCE = 589.3e-9
 WAVELENGTHS = (630e-9, 532e-9, 450e-9)
-# Terms of the wavefront in squared radii, and rays by which they are found.
+# Number of terms of the wavefront in squared radii, and of the rays to which they are fitted.
 TERMS, RAYS = 6, 24
 # Band of frequencies, in cycles per degree, whose contrast drives accommodation.
 DRIVE = (4.0, 8.0)
 TRIED = tuple(step / 4 for step in range(25))
-# Samples across the pupil, and for each wave of path from its middle to its rim.
+# Samples across the pupil, and for each wave of path from its centre to its edge.
 LEAST_SAMPLES, MOST_SAMPLES, SAMPLES_PER_WAVE = 256, 2048, 8
-# Pixels beyond the blur that pictures are continued by.
+# Pixels by which pictures are continued beyond the extent of the blur.
 MARGIN = 8
 
 
@@ -560,7 +560,7 @@ def _kept_transfer(*arguments):
 
 
 class RetinalField(NamedTuple):
-    """Light on the retina of a field that enters the eye.
+    """Field on the retina, for a field that enters the eye.
 
     Attributes
     ----------

@@ -306,7 +306,7 @@ def _splat(offsets: torch.Tensor, shares: torch.Tensor, kernel: int) -> torch.Te
 
 
 def simulate_image(picture: torch.Tensor, spread: PointSpreadMap) -> torch.Tensor:
-    """Return the irradiance on a sensor: a picture, distorted, blurred and lit as the lens does it.
+    """Return the irradiance on a sensor: a picture, with the distortion, blur and relative illumination of the lens.
 
     Parameters
     ----------

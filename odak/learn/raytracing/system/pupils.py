@@ -234,7 +234,7 @@ def _far(fields, distance, px, py) -> Rays:
 
 
 def _near(system, fields, bend, sx, sy) -> Rays:
-    """Return rays of near points whose slopes are those given less the field's own towards the pupil's centre."""
+    """Return rays of near points; the given slopes are relative to those of the field towards the pupil's centre."""
     sx, sy = sx - bend * fields[..., 0], sy - bend * fields[..., 1]
     w = 1 / (1 + sx * sx + sy * sy).sqrt()
     x, y = (fields[..., i].expand(sx.shape) for i in range(2))
@@ -334,7 +334,7 @@ def _continued(system, errors, middle, x, y, found, step, radius):
 
 
 def _continuation(errors, x, y, idle, step, radius, way):
-    """Return coordinates followed from s = 0 to s = 1 in steps that adapt to each ray, and which rays came through."""
+    """Return coordinates followed from s = 0 to s = 1 in steps that adapt to each ray, and which rays were found."""
     s, length = torch.zeros_like(x), torch.full_like(x, 0.25)
     x, y, good = _solve(errors, x, y, step, radius, *way(s))
     idle = idle | ~good

@@ -124,7 +124,7 @@ def transported(gradient: Gradient, base, start, time, count: int) -> tuple[torc
     def field(state):
         change = rays(state[:7])
         size = change[6].clamp_min(1e-300).sqrt()
-        # The component of the bend along the ray drops out of the product.
+        # The component of the curvature along the ray does not contribute to the product.
         velocity = torch.linalg.cross(change[:3] / size, change[3:6] / size, dim=0)
         columns = state[7:16].unflatten(0, (3, 3))
         rotated = torch.linalg.cross(velocity[:, None].expand_as(columns), columns, dim=0)
@@ -206,7 +206,7 @@ def _adjoint(kind, end, time, base, parameters, gradient, needed) -> list:
     weight = gradient[6]
 
     def product(state, place, given):
-        """Return aᵀf but for the part that depends on the direction alone, and the derivatives of n²."""
+        """Return aᵀf without the part that depends on the direction alone, and the derivatives of n²."""
         value, *slopes = kind(*given[1:]).squared(*place, given[0])
         return weight * value + sum(state[i + 9] * slope / 2 for i, slope in enumerate(slopes)), slopes
 
@@ -630,7 +630,7 @@ class Frames:
         self.here, self.found = IDENTITY, []
 
     def move(self, distance) -> None:
-        """Go on along the axis."""
+        """Move the frame along the axis."""
         self.here = self.here.then(Frame(IDENTITY.matrix, (0.0, 0.0, distance)))
 
     def append(self) -> None:

@@ -367,7 +367,7 @@ def is_break(item: Any) -> bool:
 
 
 def is_glass(surfaces: Any, i: int) -> bool:
-    """Say whether there is glass behind surface `i`; behind a coordinate break the medium is that in front of it."""
+    """Return whether there is glass behind surface `i`; behind a coordinate break the medium is that in front of it."""
     while i >= 0 and is_break(surfaces[i]):
         i -= 1
     return i >= 0 and not surfaces[i].reflects and surfaces[i].material != "air"
@@ -615,7 +615,7 @@ class Prescription(NamedTuple):
         rows = (*batch, wavelengths)
 
         def spread(value, own: int):
-            """Give `value` the wavelengths' axis and the batch's, and make rows of them."""
+            """Return `value` with the axes of the wavelengths and of the batch, combined to one."""
             tail = value.shape[value.ndim - own :]
             value = value.reshape(*value.shape[: value.ndim - own], 1, *tail)
             return value.expand(*rows, *tail).reshape(math.prod(rows), *tail)

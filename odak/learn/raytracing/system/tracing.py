@@ -108,7 +108,7 @@ class Traced(NamedTuple):
 
     @property
     def arrived(self) -> torch.Tensor:
-        """Whether the ray got through, bool."""
+        """Whether the ray reached the last surface, bool."""
         return self.status == HIT
 
     def to_tensor(self) -> torch.Tensor:

@@ -34,7 +34,7 @@ from odak.raytracing.intersections import RayStatus
 PLANES = ("axis", "chief")
 # Extent of the grid over that of the field.
 MARGIN = 1.1
-# Samples at a time: some ten rays each.
+# Samples computed at a time, with some ten rays each.
 PIECE = 1 << 18
 # Rays of the first estimate of the map, and the degree of its polynomials.
 RINGS, DEGREE = 10, 7
@@ -91,7 +91,7 @@ class RayMap:
         self.numbers, self.reference = numbers.at(place), numbers.at(system.reference)
         self.pupil = entrance_pupil(system, prescription=self.reference)
         self.field = field.reshape(1, 1, 2)
-        # Decentre and size of the vignetted pupil, in whose unit disc the places are.
+        # Decentre and size of the vignetted pupil, on whose unit disc the coordinates are given.
         factors = pupil_factors(system, self.field[0])
         self.shift: Any = 0.0 if factors is None else factors[0, :2]
         self.size: Any = 1.0 if factors is None else 1 - factors[0, 2:]
@@ -128,7 +128,7 @@ class RayMap:
         return through_places(self.system, self.field, self.pupil, *coordinates)
 
     def __call__(self, places: torch.Tensor, vignetting: bool = False) -> PlaneRays:
-        """Return where rays meet the plane.
+        """Return the intersections of rays with the plane.
 
         Parameters
         ----------
@@ -157,7 +157,7 @@ class RayMap:
         return points if aim == "paraxial" else self._aimed(points)
 
     def _aimed(self, points: torch.Tensor) -> torch.Tensor:
-        """Return places of rays that meet the stop at given points; those not found are left out of the pupil."""
+        """Return pupil coordinates of rays through points of the stop; rays not found are left out."""
         found = aimed(self.system, self.reference, self.pupil, self.shift + self.size * points, self.field)
         centers = places_of(self.pupil, torch.zeros(1, 2, dtype=points.dtype, device=points.device))
         reach = self.pupil.reach[..., None, None, None]
@@ -165,7 +165,7 @@ class RayMap:
         return ((torch.stack(parts, -1) - self.shift) / self.size).nan_to_num(posinf=0.0, neginf=0.0)
 
     def in_stop(self, places: torch.Tensor, aim: str) -> torch.Tensor:
-        """Return the coordinates by which the pupil ends at 1: of the paraxial pupil, or of the stop itself."""
+        """Return the coordinates whose radius is 1 at the edge of the pupil: the paraxial pupil or the stop."""
         if aim == "paraxial":
             return places
         radius = self.pupil.stop_radius[..., None, None, None]
@@ -180,7 +180,7 @@ class RayMap:
         return *by, [(value[..., 0, :] + value[..., 1, :]) / 2 for value in (x, y)]
 
     def radius(self, places: torch.Tensor, aim: str):
-        """Return the radius that ends at 1 at the pupil's rim, and its derivatives by the two pupil coordinates."""
+        """Return the radius that is 1 at the edge of the pupil, and its derivatives by the two pupil coordinates."""
         radius = self._length(places, aim)
         if aim == "paraxial":
             return radius, *(value / radius for value in places.unbind(-1))
@@ -193,7 +193,7 @@ class RayMap:
         return self.in_stop(places, aim).square().sum(-1).clamp(min=1e-12).sqrt()
 
     def solve(self, target: torch.Tensor, guess: torch.Tensor) -> torch.Tensor:
-        """Return the places whose rays meet the points `target`, ``[P, 2]`` of the plane."""
+        """Return the pupil coordinates of the rays through the points `target`, ``[P, 2]``, of the plane."""
 
         def missed(x, y):
             met = self(torch.stack([x, y], -1))
@@ -715,7 +715,7 @@ def _place(name: str, value: Any, count: int, default: int) -> int:
 
 
 def _exit_pupil(system, prescription):
-    """Return where the paraxial exit pupil stands."""
+    """Return the position of the paraxial exit pupil."""
     found = first_order(system, prescription=prescription).exit_pupil_distance
     if not bool(torch.isfinite(found).all()) or float(found.detach().abs().max()) > 1e6 * _length(system):
         raise ValueError("distance must be given: the exit pupil is at infinity")
@@ -764,7 +764,7 @@ def _grid(rays: RayMap, aim: str, shape, pitch, wavelength: float) -> _Grid:
 
 
 def _sign(rays: RayMap, places: torch.Tensor) -> torch.Tensor:
-    """Return the sign of the map's Jacobian, ``[..., 1]``; raise if rays cross: then a place has several of them."""
+    """Return the sign of the map's Jacobian, ``[..., 1]``; raise if rays cross, so that several reach one point."""
     (xa, ya), (xb, yb), _ = rays.derivatives(places)
     signs = torch.sign(xa * yb - xb * ya).nan_to_num()
     if bool(((signs > 0).any(-1) & (signs < 0).any(-1)).any()):
@@ -788,17 +788,17 @@ def _samples(rays: RayMap, grid: _Grid, chosen, guess, aim: str, vignetting: boo
 def _tube_area(rays: RayMap, places: torch.Tensor, target: torch.Tensor, aim: str, grid: _Grid):
     """Return the fraction of each sample inside the pupil, and the area of the plane per area of the pupil."""
     (xa, ya), (xb, yb), middle = rays.derivatives(places)
-    # No tube without the ray itself and its neighbours; a dummy keeps NaN out of the gradients.
+    # The area is undefined without the ray itself and its neighbours; a placeholder keeps NaN out of the gradients.
     near = (torch.stack(middle, -1).detach() - target).abs().amax(-1) < 1e-3 * grid.pitch
     whole = near & torch.isfinite(xa + ya + xb + yb)
     xa, yb, ya, xb = (torch.where(whole, v, d) for v, d in ((xa, 1.0), (yb, 1.0), (ya, 0.0), (xb, 0.0)))
     area = xa * yb - xb * ya
     radius, ra, rb = rays.radius(places, aim)
-    # How fast that radius grows across the plane: its derivatives by the pupil's coordinates, turned by the map.
+    # Gradient of that radius in the plane: its derivatives by the pupil's coordinates, times the Jacobian of the map.
     growth = safe_sqrt((ra * yb - rb * ya).square() + (rb * xa - ra * xb).square())
     growth = growth / torch.where(area == 0, 1.0, area).abs()
     share = ((1 - radius) / (growth * grid.pitch).clamp(min=1e-12) + 0.5).clamp(0, 1)
-    # Beyond the rim the map may fold over; samples there do not belong to the pupil.
+    # Beyond the edge the map may fold over; samples there do not belong to the pupil.
     return torch.where(whole & (area * grid.sign > 0), share, 0.0), area.abs()
 
 

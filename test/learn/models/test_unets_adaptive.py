@@ -310,13 +310,6 @@ def test_shapes_that_do_not_meet_are_named(make, picture, factors, named):
         make()(torch.rand(picture), torch.rand(factors))
 
 
-def test_what_cannot_work_is_refused_at_construction():
-    with pytest.raises(ValueError, match="output_channels must be at least 2"):
-        models.spatially_adaptive_module(output_channels=1)
-    with pytest.raises(ValueError, match="padding must be at least 0"):
-        models.spatially_adaptive_convolution(padding=-1)
-
-
 @pytest.mark.cuda
 def test_the_weight_stays_one_parameter_on_a_gpu():
     layer = models.spatially_adaptive_module().cuda()
