@@ -447,7 +447,7 @@ def sphere_hits(ray, sphere):
 
 
 def cylinder_hits(ray, cylinder):
-    """Return the same as :func:`sphere_hits` for cylinders; normals start at the projections of points onto the axis."""
+    """Return the same as :func:`sphere_hits` for cylinders; normals start at projections of points onto the axis."""
     ray, cylinder = _validate.reals(ray=ray, cylinder=cylinder)
     ray, (center, radius, axis) = arguments.rays("ray", ray), split_cylinder(cylinder)
     arguments.one_or_each("cylinder", radius.shape, ray)
