@@ -123,7 +123,10 @@ def to_line_from_first(field, line: Line):
     xp = _array.namespace(field)
     n = field.shape[line.axis]
     shifted = field * phasor_of_cycles(-line.first / line.period * centred(field, n, line.axis), field.dtype)
-    spectrum = xp.fft.fft(shifted, n=line.period, axis=line.axis)
+    # Zeros are appended, and samples transformed, fastest along the last axis.
+    along = shifted if line.axis == -1 else xp.matrix_transpose(shifted)
+    spectrum = xp.fft.fft(along, n=line.period, axis=-1)
+    spectrum = spectrum if line.axis == -1 else xp.matrix_transpose(spectrum)
     if line.count > line.period:
         # A line longer than the period goes round once more.
         spectrum = xp.concat([spectrum] * -(-line.count // line.period), axis=line.axis)
@@ -221,7 +224,7 @@ def spectrum_at(field, cycles_y, cycles_x):
     taps = _TAPS["complex128" if field.dtype == xp.complex128 else "complex64"]
     sizes = [_fine_size(n, taps) for n in field.shape[-2:]]
     for axis, size in zip((-2, -1), sizes, strict=True):
-        field = _wrap(field / _window_transform(field, axis, size, taps), axis, size)
+        field = _wrap(field * _window_compensation(field, axis, size, taps), axis, size)
     fine = xp.fft.fftn(field, axes=(-2, -1))
     rows = _nearby(cycles_y, sizes[0], taps, field)
     columns = _nearby(cycles_x, sizes[1], taps, field)
@@ -231,7 +234,7 @@ def spectrum_at(field, cycles_y, cycles_x):
 def compensated(field):
     """Return a field divided along its last axis by the transform of the window that interpolates its spectrum."""
     taps = _taps_of_steps(field.dtype)
-    return field / _window_transform(field, -1, _fine_size(field.shape[-1], taps), taps)
+    return field * _window_compensation(field, -1, _fine_size(field.shape[-1], taps), taps)
 
 
 def spectrum_along(field, cycles):
@@ -505,16 +508,22 @@ def _window(t, taps: int):
     return xp.exp(2.3 * taps * (xp.sqrt(xp.maximum(1 - t**2, 1e-12 + 0 * t)) - 1))
 
 
-def _window_transform(field, axis: int, size: int, taps: int):
-    """Return the window's Fourier transform at the field's samples, by Gauss–Legendre quadrature."""
-    xp = _array.namespace(field)
-    count = field.shape[axis]
+def _window_compensation(field, axis: int, size: int, taps: int):
+    """Return one over the window's Fourier transform at the field's samples along an axis."""
+    values = _array.namespace(field).asarray(
+        _compensation_of_samples(field.shape[axis], size, taps), device=_array.device_of(field)
+    )
+    values = _array.namespace(field).astype(values, _array.real_dtype(field))
+    return _array.namespace(field).reshape(values, (-1, 1) if axis == -2 else (1, -1))
+
+
+@functools.lru_cache(maxsize=64)
+def _compensation_of_samples(count: int, size: int, taps: int) -> np.ndarray:
+    """Return one over the window's Fourier transform at samples, by Gauss–Legendre quadrature."""
     nodes, weights = _quadrature()
     samples = np.arange(count) - count // 2
     cosines = np.cos(np.pi * taps / size * nodes[:, None] * samples)
-    values = taps / 2 * (weights * _window(nodes, taps)) @ cosines
-    values = xp.astype(xp.asarray(values, device=_array.device_of(field)), field.dtype)
-    return xp.reshape(values, (-1, 1) if axis == -2 else (1, -1))
+    return 2 / (taps * ((weights * _window(nodes, taps)) @ cosines))
 
 
 def _wrap(field, axis: int, size: int):

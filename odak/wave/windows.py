@@ -81,7 +81,9 @@ def column(value, grid: Grid):
 def to_window(spectrum, lines: tuple[Line, Line], window: Window, grid: Grid):
     """Return the field on the window that has this spectrum."""
     ratios = [None if window.dx is None else a / b for a, b in zip(window.pitch(grid), grid.pitch, strict=True)]
-    for line, ratio, count in zip(lines, ratios, window.shape, strict=True):
+    # The axis that becomes shortest first.
+    axes = sorted(zip(lines, ratios, window.shape, strict=True), key=lambda axis: axis[2] / axis[0].count)
+    for line, ratio, count in axes:
         spectrum = from_line(spectrum, line, ratio, count)
     return spectrum
 
