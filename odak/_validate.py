@@ -86,15 +86,32 @@ def constant(name: str, value, *, positive: bool = False, nonzero: bool = False,
     A tensor that requires a gradient is reported by an AccuracyWarning: the result will not depend on it.
     """
     value = number(name, real(name, value, nonzero=nonzero), positive=positive, least=least)
-    if not is_torch(value):
-        return float(value)
-    if value.requires_grad and sys.modules["torch"].is_grad_enabled():
-        warn(
-            f"{name} requires a gradient, which is lost here: it is taken as a plain number; pass a number, or "
-            "value.detach(), if no gradient is wanted",
-            AccuracyWarning,
-        )
-    return float(value.detach())
+    (value,) = constants(**{name: value})
+    return float(value)
+
+
+def constants(**values) -> tuple:
+    """Return arguments without their derivatives, in the order given.
+
+    Tensors that require a gradient are reported by an AccuracyWarning, in lists and tuples too: the result will not
+    depend on them. What is no tensor stays as it is.
+    """
+
+    def plain(name, value):
+        if isinstance(value, (list, tuple)):
+            parts = [plain(name, part) for part in value] if any(map(is_torch, value)) else value
+            return tuple(parts) if isinstance(value, tuple) else parts
+        if not is_torch(value):
+            return value
+        if value.requires_grad and sys.modules["torch"].is_grad_enabled():
+            warn(
+                f"{name} requires a gradient, which is lost here: it is taken as a plain number; pass a number, or "
+                "value.detach(), if no gradient is wanted",
+                AccuracyWarning,
+            )
+        return value.detach()
+
+    return tuple(plain(name, value) for name, value in values.items())
 
 
 def numbers(value) -> list[float]:

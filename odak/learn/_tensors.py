@@ -2,6 +2,7 @@
 
 import difflib
 import functools
+import inspect
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import ParamSpec, TypeVar, overload
@@ -390,3 +391,28 @@ def advising_on_memory(advice: str) -> Iterator[None]:
         raise torch.cuda.OutOfMemoryError(
             f"The memory of the GPU is not sufficient; {advice}. Message of torch: {error}"
         ) from error
+
+
+def takes_constants(*names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return a decorator by which named arguments carry no derivative, and report one that is required.
+
+    It stands in front of decorators that change whether gradients are recorded.
+    """
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        signature = inspect.signature(function)
+
+        @functools.wraps(function)
+        def run(*args: P.args, **options: P.kwargs) -> R:
+            try:
+                given = signature.bind(*args, **options)
+            except TypeError:
+                # The function's own error names what is missing.
+                return function(*args, **options)
+            numbers = {name: given.arguments[name] for name in names if name in given.arguments}
+            given.arguments.update(zip(numbers, _validate.constants(**numbers), strict=True))
+            return function(*given.args, **given.kwargs)
+
+        return run
+
+    return decorated

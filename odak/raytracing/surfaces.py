@@ -1046,6 +1046,7 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     Two differentiable steps of Newton's method follow the iteration. By the implicit function theorem the first step
     gives the first derivatives of the distance, the second step the second and third derivatives.
     """
+    (aperture,) = _validate.constants(aperture=aperture)
     if isinstance(shape, Plane) and aperture is None and select != "ahead":
         found = closed_forms.vertex_plane(start, direction)
         return found, status_array(found.hit)

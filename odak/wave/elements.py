@@ -956,6 +956,7 @@ def dammann_grating(
     >>> [round(float(orders[m]), 2) for m in (-1, 0, 1)], round(float(orders[0] + 2 * orders[1]), 2)
     ([0.22, 0.22, 0.22], 0.66)
     """
+    period, dx, offset = _validate.constants(period=period, dx=dx, offset=offset)
     xp = _validate.library("xp", xp)
     periods = _validate.several("period", pitches(period, "period"), 2, positive=True)
     counts = [_validate.integer("orders", n, minimum=1) for n in pitches(orders, "orders")]

@@ -582,6 +582,8 @@ def check_geometry(k, distance, dx, wavelength, batch: tuple[int, ...] | None = 
             )
     if k is None:
         return
+    if not (_array.is_torch(wavelength) and wavelength.requires_grad):
+        _validate.constants(k=k)
     _validate.real("k", k)
     if not (_array.is_readable(k) and _array.is_readable(wavelength)):
         return

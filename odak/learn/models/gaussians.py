@@ -208,6 +208,7 @@ class gaussian_2d(nn.Module):
         torch.Tensor
             ``[..., N]``.
         """
+        (residual,) = _validate.constants(residual=residual)
         x, y = _coordinates(x, y)
         cosine, sine = self.rotations.cos(), self.rotations.sin()
         u = (x * cosine - y * sine + self.offsets[0]) / self.widths[0]
@@ -835,6 +836,7 @@ class gaussian_3d_volume(nn.Module):
         FloatingPointError
             If the loss is not finite.
         """
+        scheduler_power, max_norm = _validate.constants(scheduler_power=scheduler_power, max_norm=max_norm)
         epochs = _validate.integer("number_of_epochs", number_of_epochs)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
         _validate.real("learning_rate", learning_rate, positive=True)

@@ -175,6 +175,7 @@ def train(
     >>> round(line.weight.item(), 2), round(line.bias.item(), 2), history.finished
     (3.0, 1.0, True)
     """
+    learning_rate, max_norm = _validate.constants(learning_rate=learning_rate, max_norm=max_norm)
     if not isinstance(model, nn.Module):
         raise TypeError(f"model must be a torch.nn.Module, got {type(model).__name__}")
     for name, value in (("loss", loss), ("optimizer", optimizer), ("scheduler", scheduler), ("callback", callback)):

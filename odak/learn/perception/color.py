@@ -267,6 +267,7 @@ def rgb_to_linear_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     >>> round(rgb_to_linear_rgb(torch.full((3, 1, 1), 0.5)).max().item(), 4)
     0.214
     """
+    (threshold,) = _validate.constants(threshold=threshold)
     return srgb_decoded(as_pictures("image", image))
 
 
@@ -302,6 +303,7 @@ def linear_rgb_to_rgb(image: torch.Tensor, threshold: float = 0.0031308) -> torc
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.0, 0.5, 1.0]
     """
+    (threshold,) = _validate.constants(threshold=threshold)
     _validate.number("threshold", threshold, positive=True)
     return srgb_encoded(as_pictures("image", image), float(threshold))
 
@@ -337,6 +339,7 @@ def linear_rgb_to_xyz(image: torch.Tensor, *, white: Sequence[float] = XYZ_WHITE
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.9505, 1.0, 1.0888]
     """
+    (white,) = _validate.constants(white=white)
     return mix(_xyz_matrices(white)[0], as_pictures("image", image))
 
 
@@ -370,6 +373,7 @@ def xyz_to_linear_rgb(image: torch.Tensor, *, white: Sequence[float] = XYZ_WHITE
     >>> [round(value, 2) for value in result.flatten().tolist()]
     [1.0, 1.0, 1.0]
     """
+    (white,) = _validate.constants(white=white)
     return mix(_xyz_matrices(white)[1], as_pictures("image", image))
 
 

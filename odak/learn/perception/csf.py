@@ -212,6 +212,7 @@ class CSFLoss(nn.Module):
         black_luminance: float = 0.1,
         encoding: str = "sRGB",
     ):
+        (real_viewing_distance,) = _validate.constants(real_viewing_distance=real_viewing_distance)
         super().__init__()
         self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
         self.real_viewing_distance = float(
@@ -542,6 +543,9 @@ def foveated_budget(
     >>> bool(sum(ring.samples for ring in rings) < 0.5 * 540 * 960)
     True
     """
+    gaze, real_image_width, real_viewing_distance = _validate.constants(
+        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    )
     rows, columns = _validate.size("image_pixel_size", image_pixel_size)
     if not isinstance(edges, (list, tuple)):
         raise TypeError(f"edges must be a sequence of numbers, got {type(edges).__name__}")
@@ -623,6 +627,7 @@ class VisibilityLoss(nn.Module):
         colour: float = 1.0,
         masking: float = MASKING,
     ) -> None:
+        (real_viewing_distance,) = _validate.constants(real_viewing_distance=real_viewing_distance)
         super().__init__()
         self.real_image_width = _validate.constant("real_image_width", real_image_width, positive=True)
         self.real_viewing_distance = float(
@@ -662,6 +667,7 @@ class VisibilityLoss(nn.Module):
         ValueError, TypeError
             If the pictures cannot be compared or are too small for the octaves.
         """
+        (gaze,) = _validate.constants(gaze=gaze)
         check_loss_inputs("VisibilityLoss", image, target)
         as_pictures("image", image, None), as_pictures("target", target, None)
         pictures: dict[str, Any] = {"VisibilityLoss ERROR: image": image, "VisibilityLoss ERROR: target": target}

@@ -483,6 +483,7 @@ class display_color_hvs(nn.Module):
         ValueError, TypeError
             If the shapes differ, or the pictures do not have P channels of real floats.
         """
+        (gaze,) = _validate.constants(gaze=gaze)
         as_pictures("input_image", input_image, len(self.lms_tensor))
         as_pictures("ground_truth", ground_truth, len(self.lms_tensor))
         _validate.alike(input_image=input_image, ground_truth=ground_truth)
@@ -552,6 +553,7 @@ class display_color_hvs(nn.Module):
         ValueError, TypeError
             If the wavelength is not a positive number or the values are not 301 finite ones.
         """
+        (wavelength,) = _validate.constants(wavelength=wavelength)
         _validate.number("wavelength", wavelength, positive=True)
         if len(_validate.numbers(_validate.real("function", function))) != LAST - FIRST + 1:
             raise ValueError(
@@ -906,6 +908,7 @@ def individual_cone_fundamentals(
     >>> bool((individual_cone_fundamentals(waves) - cone_fundamentals(waves)).abs().max() < 0.02)
     True
     """
+    densities, shifts = _validate.constants(densities=densities, shifts=shifts)
     nm = torch.as_tensor(_validate.real("wavelengths", wavelengths), dtype=torch.float64)
     if nm.ndim != 1 or not len(nm) or float(nm.min()) < AXIS[0] or float(nm.max()) > AXIS[-1]:
         raise ValueError(f"wavelengths must be a list of numbers from 390 to 780 nanometres, got {wavelengths!r:.80}")

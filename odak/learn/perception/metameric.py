@@ -598,6 +598,7 @@ class MetamericLossUniform(_StatisticsLoss):
         ValueError, TypeError
             If the picture does not fit the pyramid, or the size is below 1/64.
         """
+        (pooling_size,) = _validate.constants(pooling_size=pooling_size)
         _validate.image("image", image, axes=4)
         _validate.number("pooling_size", pooling_size, positive=True, least=FINEST)
         return statistics_maps(*self._parts(image, pooling_size))

@@ -666,6 +666,9 @@ def eccentricity_report(
     >>> [round(ring.psnr.item(), 1) for ring in report.rings]
     [inf, 22.8]
     """
+    gaze, real_image_width, real_viewing_distance = _validate.constants(
+        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    )
     predictions, targets = _checked(predictions, targets, WINDOW, data_range)
     size = tuple(predictions.shape[-2:])
     masks = ring_masks(size, gaze, edges, real_image_width, real_viewing_distance, device=predictions.device)
@@ -727,6 +730,9 @@ def ring_masks(
     >>> tuple(masks.shape), bool((masks[0] & masks[1]).any())
     ((2, 32, 32), False)
     """
+    gaze, real_image_width, real_viewing_distance = _validate.constants(
+        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    )
     size = _validate.size("size", size)
     limits = _validate.numbers(_validate.real("edges", edges))
     if len(limits) < 2 or limits[0] < 0 or any(low >= high for low, high in itertools.pairwise(limits)):
@@ -873,6 +879,7 @@ def content_aware_contrast_ratio(
     >>> round(content_aware_contrast_ratio(picture)["max_contrast_ratio"], 4)
     0.5
     """
+    pooling_percentile, eps = _validate.constants(pooling_percentile=pooling_percentile, eps=eps)
     pictures = _lightness(image, lightness_channel)
     _validate.number("eps", eps, least=0)
     side = _validate.integer("window_size", window_size, minimum=3)

@@ -4,6 +4,7 @@ from typing import Any
 
 import torch
 
+from odak import _validate
 from odak._array import is_readable
 from odak.learn._face import torch_face
 from odak.learn._tensors import reals_of
@@ -310,6 +311,7 @@ def intersect_w_sphere(
     >>> intersect_w_sphere(ray, define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0])))[2]
     tensor([2.])
     """
+    learning_rate, error_threshold = _validate.constants(learning_rate=learning_rate, error_threshold=error_threshold)
     ray, sphere = reals_of(ray=ray, sphere=sphere)
     return _picked(*core.sphere_hits(ray, sphere))
 

@@ -614,6 +614,7 @@ class triangle_mesh:
         ValueError
             If a shape is wrong.
         """
+        (minimum_distance,) = _validate.constants(minimum_distance=minimum_distance)
         vertices, rays = reals_of(vertices=self.vertices, rays=rays)
         if rays.shape[-2:] != (2, 3):
             raise ValueError(f"rays must be [2, 3] or [..., 2, 3], got {tuple(rays.shape)}")

@@ -94,7 +94,7 @@ def _intersect_parametric(
     target_error=0.00000001,
     iter_no_limit=100000,
 ):
-    _validate.number("target_error", target_error, positive=True)
+    target_error = _validate.constant("target_error", target_error, positive=True)
     _validate.function("surface_function", surface_function)
     _validate.function_or_none("surface_normal_function", surface_normal_function)
     batch = arguments.rays("ray", ray).shape[:-2]

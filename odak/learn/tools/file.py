@@ -157,6 +157,7 @@ def save_image(
     >>> [round(value, 6) for value in image[0].tolist()]
     [0.0, 0.2, 1.0]
     """
+    cmin, cmax = _validate.constants(cmin=cmin, cmax=cmax)
     image = _as_array(img)
     if image.ndim == 4:
         if len(image) != 1:

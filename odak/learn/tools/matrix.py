@@ -94,6 +94,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     >>> quantize(torch.tensor([0.0, 0.3, 0.5, 1.0]), bits=2).tolist()
     [0, 1, 2, 3]
     """
+    (limits,) = _validate.constants(limits=limits)
     if not isinstance(image_field, torch.Tensor) or image_field.is_complex():
         kind = getattr(image_field, "dtype", type(image_field).__name__)
         raise TypeError(f"image_field must be a real tensor, got {kind}")
@@ -385,6 +386,7 @@ def circular_binary_mask(
     >>> circular_binary_mask(5, 5, 2.0).sum().item()
     9.0
     """
+    r, offset_x, offset_y = _validate.constants(r=r, offset_x=offset_x, offset_y=offset_y)
     for name, value in (("r", r), ("offset_x", offset_x), ("offset_y", offset_y)):
         _validate.real(name, value)
     device = checked_device("device", device)
@@ -470,6 +472,7 @@ def slice_rgbd_targets(
     >>> masks[:, 0, 0].tolist()
     [[1, 0, 0], [0, 1, 1]]
     """
+    (depth_plane_positions,) = _validate.constants(depth_plane_positions=depth_plane_positions)
     for name, value in (("target", target), ("depth", depth)):
         if not isinstance(value, torch.Tensor):
             raise TypeError(f"{name} must be a tensor, got {type(value).__name__}")

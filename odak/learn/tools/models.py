@@ -167,6 +167,7 @@ class multi_layer_perceptron(torch.nn.Module):
         ValueError
             If the output does not have the shape of `y_values`.
         """
+        (learning_rate,) = _validate.constants(learning_rate=learning_rate)
         rate = _validate.real("learning_rate", learning_rate)
         if rate < 0:
             raise ValueError(f"learning_rate must be at least 0, got {learning_rate}")

@@ -696,6 +696,7 @@ def fit_display(
     >>> fit.uncertainties["distance"].shape
     torch.Size([1])
     """
+    (learning_rate,) = _validate.constants(learning_rate=learning_rate)
     if not isinstance(model, display_model):
         raise TypeError(f"model must be a display_model, got {type(model).__name__}")
     if not isinstance(captures, Captures):
@@ -773,6 +774,7 @@ def display_hologram(
     >>> tuple(levels.shape), levels.dtype
     ((16, 16), torch.uint8)
     """
+    (positions,) = _validate.constants(positions=positions)
     if not isinstance(model, display_model):
         raise TypeError(f"model must be a display_model, got {type(model).__name__}")
     places = [float(place) for place in _validate.several("positions", positions)]
@@ -855,6 +857,7 @@ def display_camera(
     >>> tuple(capture(torch.zeros(16, 16)).shape)
     (16, 16)
     """
+    (dark,) = _validate.constants(dark=dark)
     rows, columns = model.shape
     y, x = model._places()
     points = np.stack(np.meshgrid(x, y), axis=-1)

@@ -9,13 +9,14 @@ import torch
 
 from odak import _validate
 from odak._array import cast
-from odak.learn._tensors import floating, tensor
+from odak.learn._tensors import floating, takes_constants, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
 from odak.wave.transfer_functions import pitches
 from odak.wave.viewing import eye_transfer, seen_through
 
 
+@takes_constants("wavelength", "distance", "pixel_pitch", "pupil_diameter", "focus", "learning_rate")
 @torch.inference_mode(False)
 def eyebox_hologram(
     targets: torch.Tensor,

@@ -14,7 +14,15 @@ from tqdm import tqdm
 from odak import _validate
 from odak._array import phasor
 from odak._warnings import AccuracyWarning, ArgumentWarning, warn
-from odak.learn._tensors import checked_device, floating, get_device, in_own_precision, tensor, trainable
+from odak.learn._tensors import (
+    checked_device,
+    floating,
+    get_device,
+    in_own_precision,
+    takes_constants,
+    tensor,
+    trainable,
+)
 from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
@@ -122,6 +130,7 @@ def accepts_descent_form(function: Callable) -> Callable:
 
 
 @accepts_older_form
+@takes_constants("wavelength", "distance", "pixel_pitch", "learning_rate")
 @torch.inference_mode(False)
 def stochastic_gradient_descent(
     target: torch.Tensor,
@@ -416,6 +425,7 @@ def _starting_phase(target, shape, initial_phase, seed) -> torch.Tensor:
 
 
 @accepts_descent_form
+@takes_constants("distance", "dx", "wavelength", "slm_range")
 @torch.no_grad()
 def gerchberg_saxton(
     field: torch.Tensor,
@@ -505,6 +515,7 @@ def gerchberg_saxton(
     )
 
 
+@takes_constants("wavelength", "distance", "dx")
 @torch.no_grad()
 def point_wise(
     target: torch.Tensor,
@@ -641,6 +652,7 @@ def shift_w_double_phase(
     return encode_double_phase(field)
 
 
+@takes_constants("wavelength", "distance", "pixel_pitch")
 @torch.no_grad()
 def double_phase_hologram(
     target: torch.Tensor,

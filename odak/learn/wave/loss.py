@@ -255,6 +255,7 @@ class FocalTargets(nn.Module):
         generator: torch.Generator | None = None,
     ) -> tuple[tuple[torch.Tensor, torch.Tensor], ...]:
         """Return three pairs to compare: images, images inside the plane's mask, images weighed by the target."""
+        (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         for name, value in (("image", image), ("target", target)):
             if not isinstance(value, torch.Tensor) or value.is_complex():
                 raise TypeError(f"{name} must be a real tensor, got {getattr(value, 'dtype', type(value).__name__)}")
@@ -548,6 +549,9 @@ class multiplane_loss(FocalTargets):
         pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
     ):
+        weights, distances, wavelengths, pixel_pitch = _validate.constants(
+            weights=weights, distances=distances, wavelengths=wavelengths, pixel_pitch=pixel_pitch
+        )
         super().__init__(
             target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, reduction,
             device, generator, distances, wavelengths, pixel_pitch, numerical_aperture,
@@ -706,6 +710,9 @@ class perceptual_multiplane_loss(FocalTargets):
         pixel_pitch: float | Sequence[float] | None = None,
         numerical_aperture: float | None = None,
     ):
+        distances, wavelengths, pixel_pitch = _validate.constants(
+            distances=distances, wavelengths=wavelengths, pixel_pitch=pixel_pitch
+        )
         super().__init__(
             target_image, target_depth, blur_ratio, target_blur_size, number_of_planes, multiplier, scheme, reduction,
             device, generator, distances, wavelengths, pixel_pitch, numerical_aperture,

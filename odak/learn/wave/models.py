@@ -166,6 +166,7 @@ class holobeam_multiholo(nn.Module):
         TrainingHistory
             Losses of the epochs, and which was best.
         """
+        (learning_rate,) = _validate.constants(learning_rate=learning_rate)
         folder = validate_path(directory)
         every = _validate.integer("save_at_every", save_at_every, minimum=1)
         epochs = _validate.integer("number_of_epochs", number_of_epochs)

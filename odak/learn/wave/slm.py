@@ -405,6 +405,7 @@ class temporal_modulator(torch.nn.Module):
         lit: Sequence[float] = (0.0, 1.0),
         time_samples: int = 4,
     ):
+        (lit,) = _validate.constants(lit=lit)
         super().__init__()
         self.frame_time = _validate.constant("frame_time", frame_time, positive=True)
         self.response_time = _validate.constant("response_time", response_time)

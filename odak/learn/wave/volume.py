@@ -318,6 +318,7 @@ class display_volume(torch.nn.Module):
         ValueError, TypeError
             If the mask does not fit, a length is not positive, or an iris is given beside another stop.
         """
+        (aperture_size,) = _validate.constants(aperture_size=aperture_size)
         padded = self.padded_shape
         device = self.aperture.device if "aperture" in self._buffers else None
         if (iris_radius is None) != (iris_focal_length is None):

@@ -41,6 +41,19 @@ def test_maps_of_the_visual_field(chart):
     assert torch.autograd.gradcheck(chart, (number(0.3), number(0.6), number(0.31), number(0.42)), fast_mode=True)
 
 
+def ones():
+    return torch.ones(4, 4, dtype=torch.complex64)
+
+
+def focal_targets(pitch):
+    geometry = {"number_of_planes": 2, "wavelengths": [5e-7], "distances": [0.0, 2e-3]}
+    return wave.multiplane_loss(torch.ones(1, 4, 4), torch.ones(4, 4), pixel_pitch=pitch, **geometry)
+
+
+def optimised(distance, pitch):
+    return wave.stochastic_gradient_descent(torch.ones(4, 4), 5e-7, distance, pitch, n_iteration=1, progress=False)
+
+
 @pytest.mark.parametrize(
     ("name", "call"),
     [
@@ -49,6 +62,13 @@ def test_maps_of_the_visual_field(chart):
         ("dx", lambda v: wave.pupil_function([4, 4], v, 5e-7, 0.1)),
         ("alpha", lambda v: perception.RadiallyVaryingBlur().blur(torch.ones(1, 1, 8, 8), v)),
         ("centre", lambda v: perception.RadiallyVaryingBlur().blur(torch.ones(1, 1, 8, 8), centre=(v, 0.5))),
+        ("distance", lambda v: wave.gerchberg_saxton(torch.ones(4, 4, dtype=torch.complex64), 1, v, 8e-6, 5e-7)),
+        ("dx", lambda v: wave.point_wise(torch.ones(4, 4), 5e-7, 3e-3, (8e-6, v), None, lens_size=3)),
+        ("pixel_pitch", lambda v: optimised(3e-3, v / 375)),
+        ("distance", lambda v: optimised(v, 8e-6)),
+        ("period", lambda v: wave.dammann_grating((4, 4), v, 1e-5)),
+        ("pixel_pitch", lambda v: focal_targets(v / 375)),
+        ("k", lambda v: wave.propagate_beam(ones(), v * (2 * torch.pi / 3e-3 / 5e-7), 1e-4, 8e-6, 5e-7)),
     ],
 )
 def test_a_gradient_that_is_lost_is_reported(name, call):

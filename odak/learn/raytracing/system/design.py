@@ -471,6 +471,7 @@ class lens_design:
         ValueError
             If rays are lost at the start.
         """
+        (tolerance,) = _validate.constants(tolerance=tolerance)
         history: list[float] = []
         _validate.integer("rounds", rounds, minimum=1)
         _validate.function_or_none("callback", callback)

@@ -17,6 +17,7 @@ from PIL import Image
 
 from odak import _validate
 from odak.catalog.materials import MICROMETRES
+from odak.learn._tensors import takes_constants
 from odak.learn.raytracing.system.analysis import (
     Spots,
     axial_color,
@@ -551,6 +552,7 @@ def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) 
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
+@takes_constants("frequency")
 @torch.no_grad()
 def through_focus_figure(
     system: Any, shifts: Any = None, frequency: float | None = None, aim: str = "paraxial"

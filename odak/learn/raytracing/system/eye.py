@@ -765,6 +765,7 @@ def accommodation_response(
     >>> bool(abs(found.vergence - 2.0) < 0.2)
     True
     """
+    (pitch,) = _validate.constants(pitch=pitch)
     tried = [_accommodation(one, "accommodations") for one in _numbers("accommodations", accommodations)]
     steps = [b - a for a, b in itertools.pairwise(tried)]
     if len(tried) < 3 or min(steps) <= 0 or max(steps) - min(steps) > 1e-6 * max(steps):

@@ -321,6 +321,7 @@ def polarized_point_spread_function(
     >>> tuple(image.intensity.shape)
     (3, 3, 64, 64)
     """
+    (polarization,) = _validate.constants(polarization=polarization)
     states = [(1.0, 0.0), (0.0, 1.0)] if polarization is None else [_jones_vector(polarization)]
     options = {"prescription": prescription, "fields": fields, "aim": aim}
 

@@ -153,6 +153,7 @@ class surface(torch.nn.Module):
         if isinstance(radius, torch.nn.Parameter):
             _hold(self, "radius_value", radius)
         elif curvature is None:
+            (radius,) = _validate.constants(radius=radius)
             value = float(number_or_infinity("radius", radius))
             if value == 0:
                 raise ValueError(f"radius must not be 0, got {value}")
@@ -894,6 +895,7 @@ class optical_system(torch.nn.Module):
         if self.reference >= count:
             raise ValueError(f"reference must be below the number of wavelengths, {count}, got {self.reference}")
         self.fields = _fields(fields)
+        (object_distance,) = _validate.constants(object_distance=object_distance)
         self.object_distance = float(number_or_infinity("object_distance", object_distance))
         if not self.object_distance > 0:
             raise ValueError(f"object_distance must be positive or infinite, got {object_distance}")

@@ -325,6 +325,7 @@ class Scene:
         tuple of torch.Tensor
             As from :meth:`splat`.
         """
+        (bg_colour,) = _validate.constants(bg_colour=bg_colour)
         width, height = two_sizes(img_size, "img_size")
         if width <= 0 and height <= 0:
             height, width = self.pad_size

@@ -506,6 +506,7 @@ class complex_3d_gaussians(nn.Module):
         *,
         seed: int | None = None,
     ):
+        (densepoint_scatter,) = _validate.constants(densepoint_scatter=densepoint_scatter)
         super().__init__()
         if not isinstance(init_type, str) or init_type not in _INIT_TYPES:
             raise ValueError(f"init_type must be one of {', '.join(map(repr, _INIT_TYPES))}; got {init_type!r}")
@@ -645,6 +646,7 @@ class complex_3d_gaussians(nn.Module):
         >>> len(gaussians.prune())
         9
         """
+        (largest_scale,) = _validate.constants(largest_scale=largest_scale)
         least_opacity = _validate.constant("least_opacity", least_opacity)
         if not 0 <= least_opacity <= 1:
             raise ValueError(f"least_opacity must be 0 to 1, got {least_opacity}")

@@ -205,6 +205,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
         weights : sequence of float or dict
             Weights of the image loss, the intensity loss and the phase losses, see :meth:`optimize`.
         """
+        (weights,) = _validate.constants(weights=weights)
         return super().gradient_descent(number_of_iterations, weights)
 
     def optimize(  # type: ignore[override]
@@ -225,6 +226,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
             Phases ``[F, m, n]``, not quantised, the intensities they give ``[F, D, C, ms, ns]``, source amplitudes
             ``[F, C]``, channel powers ``[F, C]``, and the brightness of the targets.
         """
+        (weights,) = _validate.constants(weights=weights)
         phases = self.gradient_descent(number_of_iterations, weights)
         powers = self.propagator.get_laser_powers().detach()
         images = self._shown(phases)

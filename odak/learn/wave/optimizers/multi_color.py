@@ -284,6 +284,7 @@ class multi_color_hologram_optimizer:
         noise_ratio : float
             Standard deviation of that noise relative to the range of the target, default 1e-3.
         """
+        weights, noise_ratio = _validate.constants(weights=weights, noise_ratio=noise_ratio)
         iterations = _validate.integer("number_of_iterations", number_of_iterations, minimum=1)
         self.weights = loss_weights(weights, WEIGHTS | {"eyebox": 0.0})
         self._eyebox = checked_eyebox(eyebox)
@@ -352,6 +353,7 @@ class multi_color_hologram_optimizer:
         ValueError, TypeError
             If an argument is outside its range, naming it.
         """
+        weights, noise_ratio = _validate.constants(weights=weights, noise_ratio=noise_ratio)
         weights = loss_weights(weights, WEIGHTS)
         phases = self.gradient_descent(number_of_iterations, weights, inject_noise, eyebox, noise_ratio)
         if bits is not None:
@@ -416,6 +418,7 @@ class multi_color_hologram_optimizer:
         torch.Tensor
             The loss; that of a given function is summed over colours.
         """
+        (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         inject_noise, generator = (
             _validate.flag("inject_noise", inject_noise), checked_generator("generator", generator),
         )  # fmt: skip
@@ -482,6 +485,7 @@ class multi_color_hologram_optimizer:
         diameter : float
             Diameter of the disc in samples of the spectrum.
         """
+        offset, diameter = _validate.constants(offset=offset, diameter=diameter)
         phase = _validate.image("phase", floating("phase", phase))
         if not phase.numel():
             raise ValueError(f"phase must not be empty, got {list(phase.shape)}")
