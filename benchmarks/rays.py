@@ -12,8 +12,8 @@ from measure import interleave
 from wave_optics import row
 
 from odak.learn import raytracing as rt
-from odak.raytracing import batches, intersections
-from odak.raytracing.components import along, dot, minus, scaled, without
+from odak.raytracing import batches, boundary, intersections
+from odak.raytracing.components import along, dot, minus, scaled, split, without
 
 COUNT, BOUND = 10**6, 4.0
 DTYPES = (torch.float32, torch.float64)
@@ -32,11 +32,11 @@ def flat(device: str) -> Iterator[dict]:
             device,
             plane=(partial(rt.intersect_w_surface, ray, corners), _bare(partial(_plane, **plane), (1, 6), *rays)),
             triangle=(
-                partial(intersections.triangle, *rays, corners),
+                partial(boundary.plane_hits, ray, corners, intersections.on_triangle, (corners,), (2,)),
                 _bare(partial(_triangle, corners=corners, **plane), (1, 6, 1), *rays),
             ),
             disc=(
-                partial(intersections.disc, *rays, centre, normal, centre, radius),
+                partial(boundary.plane_hits, ray, corners, _within, (centre, radius), (1, 0)),
                 _bare(partial(_disc, radius=radius, **plane), (1, 6, 1), *rays),
             ),
         )
@@ -55,14 +55,27 @@ def curved(device: str) -> Iterator[dict]:
             device,
             sphere=(partial(rt.intersect_w_sphere, ray, ball), _bare(partial(_sphere, **middle), (6, 6, 1), *rays)),
             cylinder=(
-                partial(intersections.cylinder, *rays, centre, radius, axis),
+                partial(_hits, intersections.cylinder, (1, 1, 1, 0, 1), *rays, centre, radius, axis),
                 _bare(partial(_cylinder, a=axis.unbind(), **middle), (1, 3, 3), *rays),
             ),
             conic=(
-                partial(intersections.conic, low, rays[1], curvature, constant),
+                partial(_hits, _on_conic, (1, 1, 0, 0), low, rays[1], curvature, constant),
                 _bare(partial(_conic, curvature=curvature, k=1 + constant), (1, 3, 3), low, rays[1]),
             ),
         )
+
+
+def _hits(form: Callable, ranks: tuple[int, ...], *arrays):
+    return batches.in_pieces(lambda *pieces: intersections.as_hit(form(*pieces)), ranks, *arrays)
+
+
+def _on_conic(*arrays):
+    return intersections.conic(*arrays)[0]
+
+
+def _within(found: intersections.Intersection, centre: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
+    arm = minus(found.point, split(centre))
+    return found.hit & (dot(arm, arm) <= radius * radius)
 
 
 def interfaces(device: str) -> Iterator[dict]:

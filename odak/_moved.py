@@ -152,6 +152,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.wave.spots": "odak.wave.phase_retrieval",
     "odak.wave.utils": "odak.wave.fields",
     "odak.wave.vector": "odak.wave.fields",
+    "odak.raytracing.closed_forms": "odak.raytracing.intersections",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a

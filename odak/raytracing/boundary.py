@@ -9,7 +9,7 @@ import numpy as np
 from odak import _array, _validate
 from odak._array import Array, namespace, placement
 from odak._warnings import ConvergenceWarning, warn
-from odak.raytracing import arguments, closed_forms, geometry, interfaces
+from odak.raytracing import arguments, geometry, interfaces, intersections
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.interfaces import Fresnel
@@ -397,7 +397,7 @@ def plane_hits(ray, triangle, limit: Callable | None = None, limits: Sequence = 
     """
 
     def hits(ray, centre, normal, *limits):
-        found = closed_forms.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
+        found = intersections.plane(ray[..., 0, :], ray[..., 1, :], centre, normal)
         given = (vec.join(found.point, found.normal), found.distance)
         return given if limit is None else (*given, limit(found, *limits))
 
@@ -439,7 +439,7 @@ def sphere_hits(ray, sphere):
     arguments.one_or_each("sphere", sphere.shape[:-1], ray)
 
     def hits(ray, sphere):
-        found = closed_forms.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
+        found = intersections.sphere(ray[..., 0, :], ray[..., 1, :], sphere[..., :3], sphere[..., 3])
         rays = vec.join(found.point, vec.split(ray[..., 1, :]))
         return rays, vec.join(vec.split(sphere[..., :3]), found.normal), found.distance, found.hit
 
@@ -453,7 +453,7 @@ def cylinder_hits(ray, cylinder):
     arguments.one_or_each("cylinder", radius.shape, ray)
 
     def hits(ray, center, radius, axis):
-        found = closed_forms.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
+        found = intersections.cylinder(ray[..., 0, :], ray[..., 1, :], center, radius, axis)
         # NaN of rays that miss must not reach the gradient of the radius.
         outward = tuple(namespace(ray).where(found.hit, value, 0.0) for value in found.normal)
         foot = vec.along(found.point, -radius, outward)

@@ -1,21 +1,226 @@
-"""Intersections of rays with planes, triangles, discs, spheres, cylinders and conics, on plain arrays of any rank.
+"""Closed-form intersections of rays with planes, spheres, cylinders and conics, their records and their statuses.
 
-Starts and directions are ``[..., 3]`` and broadcast against the surfaces' arrays, so that rays ``[m, 1, 3]`` and
-surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance counts lengths of the direction.
-Every result is a :class:`Hit`. A ray without an intersection has NaN distance, point and normal, and zero gradients.
-
-The formulas are implemented in :mod:`odak.raytracing.closed_forms`. Large batches are evaluated piece by piece, unless
-derivatives are recorded.
+Starts and directions are ``[..., 3]``, or tuples of three components, and broadcast against the surfaces' arrays, so
+that rays ``[m, 1, 3]`` and surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance is in
+units of the length of its direction. A ray without an intersection has NaN distance, point and normal, and zero gradients.
 """
 
 from enum import IntEnum
 from typing import Any, NamedTuple
 
 from odak._array import namespace
-from odak.raytracing import closed_forms
+from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.components import join
-from odak.raytracing.geometry import barycentric
+from odak.raytracing.geometry import barycentric, epsilon
+
+
+class Intersection(NamedTuple):
+    """Distance, components of point and normal, and which rays hit; NaN elsewhere."""
+
+    distance: Any
+    point: tuple
+    normal: tuple
+    hit: Any
+
+
+def plane(start, direction, point, normal) -> Intersection:
+    """Intersect rays with planes through `point` with `normal`; the distance is signed, negative behind the start.
+
+    A ray parallel to the plane within two units of rounding is a miss. The normal is returned as given.
+    """
+    xp, start, direction, kept, differentiable = vec.lines(start, direction, point, normal)
+    given = vec.split(normal)
+    # The normal of a degenerate triangle is NaN; a null vector is parallel to every ray.
+    real = vec.split(xp.where(xp.isfinite(normal), normal, 0.0)) if differentiable else given
+    slope = vec.dot(real, direction)
+    limit = ((2 * epsilon(slope)) ** 2 * vec.dot(real, real)) * vec.dot(direction, direction)
+    hit = kept & (slope * slope > limit)
+    distance = vec.quotient(vec.dot(real, vec.minus(vec.split(point), start)), slope, hit, differentiable)
+    hit = hit & (abs(distance) < xp.inf)
+    distance = vec.placeholder(distance, hit, differentiable)
+    place = vec.along(start, distance, direction)
+    return Intersection(
+        vec.nan_outside(distance, hit, differentiable), vec.nan_outside(place, hit, differentiable), given, hit
+    )
+
+
+def vertex_plane(start, direction) -> Intersection:
+    """Intersect rays with the plane z = 0, ahead or behind."""
+    xp, start, direction, kept, differentiable = vec.lines(start, direction)
+    hit = kept & (direction[2] != 0)
+    distance = vec.quotient(-start[2], direction[2], hit, differentiable)
+    x, y, z = vec.along(start, distance, direction)
+    zero = 0 * z
+    return _result(distance, (x, y, zero), (zero, zero, zero + 1), hit & (abs(distance) < xp.inf), differentiable)
+
+
+def on_triangle(flat: Intersection, corners):
+    """Return which of the rays that intersect the planes of triangles intersect the triangles."""
+    return flat.hit & encloses(*barycentric(flat.point, corners))
+
+
+def encloses(u, v):
+    """Return whether barycentric coordinates lie within their triangle: u ≥ 0, v ≥ 0, u + v < 1."""
+    return (u >= 0) & (v >= 0) & (u + v < 1)
+
+
+def _result(distance, place, normal, hit, differentiable) -> Intersection:
+    distance, place, normal = (vec.nan_outside(value, hit, differentiable) for value in (distance, place, normal))
+    return Intersection(distance, place, normal, hit)
+
+
+def sphere(start, direction, centre, radius) -> Intersection:
+    """Intersect rays with spheres at the nearest point ahead, the exit for a start inside; outward normals.
+
+    Notes
+    -----
+    The discriminant is r² − |f − (f·d)d|², f = start − centre, which is accurate for distant starts (Haines, Günther
+    and Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a
+    hit.
+    """
+    xp, start, direction, kept, differentiable = vec.lines(start, direction, centre, radius)
+    centre = vec.split(centre)
+    arm, squared = vec.minus(start, centre), vec.dot(direction, direction)
+    noise = epsilon(squared) * vec.dot(centre, centre) ** 0.5
+    distance, hit = nearest_ahead(xp, squared, arm, direction, radius, kept & (squared > 0), noise, differentiable)
+    place = vec.along(start, distance, direction)
+    normal = vec.unit(vec.minus(place, centre), differentiable)
+    return _result(distance, place, normal, hit, differentiable)
+
+
+def cylinder(start, direction, centre, radius, axis) -> Intersection:
+    """Intersect rays with infinite cylinders about lines through `centre` along `axis`; outward normals.
+
+    The intersection is the nearest point ahead. A ray along the axis misses.
+    """
+    xp, start, direction, kept, differentiable = vec.lines(start, direction, centre, radius, axis)
+    centre, axis = vec.split(centre), vec.unit(vec.split(axis), False)
+    arm, across = vec.without(vec.minus(start, centre), axis), vec.without(direction, axis)
+    squared = vec.dot(across, across)
+    moving = kept & (squared > (4 * epsilon(squared)) ** 2 * vec.dot(direction, direction))
+    noise = epsilon(squared) * vec.dot(centre, centre) ** 0.5
+    distance, hit = nearest_ahead(xp, squared, arm, across, radius, moving, noise, differentiable)
+    place = vec.along(start, distance, direction)
+    normal = vec.unit(vec.without(vec.minus(place, centre), axis), differentiable)
+    return _result(distance, place, normal, hit, differentiable)
+
+
+def nearest_ahead(xp, squared, arm, direction, radius, moving, noise, differentiable: bool):
+    """Return the nearest positive t with |arm + t·direction| = radius, and whether there is one.
+
+    Parameters
+    ----------
+    xp : module
+        Array namespace.
+    squared : array
+        direction·direction.
+    arm, direction : tuple of array
+        Components.
+    radius : array
+        Radius.
+    moving : array
+        Rays to consider; the others miss.
+    noise : array
+        Rounding error of the arm that comes from coordinates far from the origin.
+    differentiable : bool
+        Whether derivatives are taken.
+
+    Notes
+    -----
+    A start within a few rounding errors of the surface counts as a point of the surface: its root is exactly 0 and
+    thus not ahead, so that a reflected or refracted ray does not intersect the surface that it leaves.
+    """
+    half = vec.dot(arm, direction)
+    foot = vec.along(arm, -vec.quotient(half, squared, moving, differentiable), direction)
+    discriminant = squared * (radius * radius - vec.dot(foot, foot))
+    inward = vec.dot(arm, arm)
+    reach = inward**0.5 + abs(radius)
+    height = inward - radius * radius
+    height = xp.where(abs(height) <= 8 * reach * (epsilon(squared) * reach + noise), 0.0, height)
+    # The root of larger magnitude has no cancellation; the other one follows from their product.
+    q = -(half + xp.copysign(vec.square_root(discriminant, differentiable), half))
+    first = vec.quotient(q, squared, moving, differentiable)
+    second = vec.quotient(height, q, q != 0, differentiable)
+    near, far = xp.minimum(first, second), xp.maximum(first, second)
+    distance = xp.where(near > 0, near, far)
+    hit = moving & (discriminant >= 0) & (distance > 0) & (distance < xp.inf)
+    return vec.placeholder(distance, hit, differentiable), hit
+
+
+def conic(start, direction, curvature, constant, aperture=None, select: str = "ahead") -> tuple[Intersection, Any]:
+    """Intersect rays with the sheet of a conic of revolution that passes through the origin with its axis along z.
+
+    Parameters
+    ----------
+    start, direction : array or tuple
+        ``[..., 3]``, or tuples of three components.
+    curvature, constant : array
+        Curvature at the vertex and conic constant: c(x² + y² + (1 + k)z²) = 2z.
+    aperture : array, optional
+        Distance from the axis beyond which the surface ends.
+    select : str
+        Which of two intersections: "ahead", the nearest in front of the start; "vertex", ahead or behind, the nearest
+        to the vertex plane; "through", ahead or behind, the one at which the ray passes from the side of −z to that of
+        +z if its direction has a positive z component, and back otherwise.
+
+    Returns
+    -------
+    tuple
+        The :class:`Intersection` with normals that point to +z, and which rays intersect the sheet, within the aperture
+        or not. A start within rounding of the sheet, measured by its coordinates and the aperture, is not a hit.
+    """
+    line = vec.lines(start, direction, curvature, constant, aperture)
+    xp, start, direction, kept, differentiable = line
+    (x, y, z), (dx, dy, dz), k = start, direction, 1 + constant
+    squared = vec.dot(direction, direction)
+    moving = kept & (squared > 0)
+    # From the point nearest to the vertex, so that a distant start causes no loss of precision.
+    offset = vec.quotient(-vec.dot(start, direction), squared, moving, differentiable)
+    x, y, z = vec.along(start, offset, direction)
+    a = curvature * (dx * dx + dy * dy + k * (dz * dz))
+    b = curvature * (x * dx + y * dy + k * (z * dz)) - dz
+    c = curvature * (x * x + y * y + k * (z * z)) - 2 * z
+    discriminant = b * b - a * c
+    q = -(b + xp.copysign(vec.square_root(discriminant, differentiable), b))
+    candidates = []
+    moving = moving & (discriminant >= 0)
+    for upper, lower in ((q, a), (c, q)):
+        exists = moving & (lower != 0)
+        t = vec.quotient(upper, lower, exists, differentiable)
+        height = z + t * dz
+        on_sheet = exists & (1 - (k * curvature) * height > 0) & (abs(t) < xp.inf)
+        across = None if aperture is None else (x + t * dx) ** 2 + (y + t * dy) ** 2
+        candidates.append((t + offset, on_sheet, height, across))
+    (t1, on1, z1, r1), (t2, on2, z2, r2) = candidates
+    if select == "through":
+        # The derivative of z − sag along the ray has the sign of b at the first root, the opposite one at the second.
+        first = (b >= 0) == (dz > 0)
+        on1, on2 = on1 & first, on2 & ~first
+    if select == "ahead":
+        leaving = _starts_on(start, curvature, k, aperture)
+        nearer = on1 & (abs(t1) <= abs(t2))
+        on1, on2 = on1 & (t1 > 0) & ~(leaving & nearer), on2 & (t2 > 0) & ~(leaving & ~nearer)
+    order = t1 <= t2 if select == "ahead" else abs(z1) <= abs(z2)
+    sheet = on1 | on2
+    if aperture is not None:
+        on1, on2 = on1 & (r1 <= aperture * aperture), on2 & (r2 <= aperture * aperture)
+    hit = on1 | on2
+    distance = vec.placeholder(xp.where(on1 & (order | ~on2), t1, t2), hit, differentiable)
+    place = vec.along(start, distance, direction)
+    x, y, z = place
+    normal = vec.unit((-curvature * x, -curvature * y, 1 - (k * curvature) * z), differentiable)
+    return _result(distance, place, normal, hit, differentiable), sheet
+
+
+def _starts_on(start, curvature, k, aperture):
+    """Return which starts lie on a conic's sheet within rounding."""
+    x, y, z = start
+    terms = (curvature * (x * x + y * y), (curvature * k) * (z * z), -2 * z)
+    # Near the vertex the rounding error of the start is relative to the size of the aperture, not to its own
+    # coordinates.
+    size = sum(abs(term) for term in terms) + (0.0 if aperture is None else 2 * aperture)
+    return abs(sum(terms)) <= 16 * epsilon(terms[2]) * size
 
 
 class RayStatus(IntEnum):
@@ -76,99 +281,24 @@ def status_array(hit, otherwise: RayStatus = RayStatus.MISS):
     return missed if int(otherwise) == 1 else missed * int(otherwise)
 
 
-def plane(start, direction, point, normal) -> Hit:
-    """Intersect rays with planes through `point` with `normal`; the distance is signed, negative behind the start.
-
-    A ray parallel to the plane within two units of rounding is a miss. The normal is returned as given.
-    """
-    return in_pieces(lambda *a: as_hit(closed_forms.plane(*a)), (1, 1, 1, 1), start, direction, point, normal)
-
-
-def triangle(start, direction, corners) -> Hit:
-    """Intersect rays with triangles ``[..., 3, 3]`` on either side.
-
-    The edges p0p1 and p0p2 belong to a triangle, p1p2 does not. Hits behind the start count: the distance is signed. A
-    ray that misses the triangle has the normal of its plane.
-    """
-    return in_pieces(lambda *a: as_hit(closed_forms.triangle(*a)), (1, 1, 2), start, direction, corners)
-
-
 def within(point, known, corners):
     """Return whether the points that are `known` lie on triangles: u ≥ 0, v ≥ 0, u + v < 1."""
 
     def inside(point, known, corners):
         place = namespace(point).where(known[..., None], point, 0.0)
-        return known & closed_forms.encloses(*barycentric(place, corners))
+        return known & encloses(*barycentric(place, corners))
 
     return in_pieces(inside, (1, 0, 2), point, known, corners)
 
 
-def disc(start, direction, point, normal, centre, radius) -> Hit:
-    """Intersect rays with a plane within `radius` of `centre`; other rays miss. The distance is signed."""
-    ranks, arrays = (1, 1, 1, 1, 1, 0), (start, direction, point, normal, centre, radius)
-    return in_pieces(lambda *a: as_hit(closed_forms.disc(*a)), ranks, *arrays)
-
-
-def sphere(start, direction, centre, radius) -> Hit:
-    """Intersect rays with spheres at the nearest point ahead, the exit for a start inside; outward normals.
-
-    Notes
-    -----
-    The discriminant is r² − |f − (f·d)d|², f = start − centre, which is accurate for distant starts (Haines, Günther
-    and Akenine-Möller, Ray Tracing Gems (2019), chapter 7). A start that lies on the sphere within rounding is not a
-    hit.
-    """
-    return in_pieces(lambda *a: as_hit(closed_forms.sphere(*a)), (1, 1, 1, 0), start, direction, centre, radius)
-
-
-def cylinder(start, direction, centre, radius, axis) -> Hit:
-    """Intersect rays with infinite cylinders about lines through `centre` along `axis`; outward normals.
-
-    The nearest point ahead counts.
-
-    A ray along the axis misses.
-    """
-    ranks, arrays = (1, 1, 1, 0, 1), (start, direction, centre, radius, axis)
-    return in_pieces(lambda *a: as_hit(closed_forms.cylinder(*a)), ranks, *arrays)
-
-
-def conic(start, direction, curvature, constant, aperture=None, ahead=True) -> Hit:
-    """Intersect rays with the sheet of a conic of revolution that passes through the origin with its axis along z.
-
-    Parameters
-    ----------
-    start, direction : array
-        ``[..., 3]``.
-    curvature, constant : array
-        Curvature at the vertex and conic constant: c(x² + y² + (1 + k)z²) = 2z.
-    aperture : array, optional
-        Distance from the axis beyond which the surface ends.
-    ahead : bool
-        Take the nearest point ahead of the start; otherwise, ahead or behind, the one nearest to the vertex plane.
-
-    Returns
-    -------
-    Hit
-        Normals point to +z. A ray that intersects the sheet only beyond the aperture is VIGNETTED. A start within
-        rounding of the sheet, measured by its coordinates and the aperture, is not a hit.
-    """
-
-    def closed_form(start, direction, curvature, constant, aperture):
-        select = "ahead" if ahead else "vertex"
-        found, sheet = closed_forms.conic(start, direction, curvature, constant, aperture, select)
-        return as_hit(found, conic_status(found, sheet))
-
-    return in_pieces(closed_form, (1, 1, 0, 0, 0), start, direction, curvature, constant, aperture)
-
-
-def conic_status(found: closed_forms.Intersection, sheet):
-    """Return statuses of :func:`odak.raytracing.closed_forms.conic`: VIGNETTED on the sheet beyond the aperture."""
+def conic_status(found: Intersection, sheet):
+    """Return statuses of :func:`odak.raytracing.intersections.conic`: VIGNETTED on the sheet beyond the aperture."""
     status = status_array(found.hit)
     beyond = int(RayStatus.VIGNETTED) - int(RayStatus.MISS)
     return status + namespace(sheet).astype(sheet & ~found.hit, status.dtype) * beyond
 
 
-def as_hit(found: closed_forms.Intersection, status=None) -> Hit:
+def as_hit(found: Intersection, status=None) -> Hit:
     """Return a :class:`Hit` with the components of its vectors joined."""
     distance, point, normal, hit = found
     point, normal = join(point), join(normal)

@@ -8,7 +8,7 @@ import numpy as np
 
 from odak import _validate
 from odak._array import Array, cast, device_of, is_array, is_readable, is_torch, namespace
-from odak.raytracing import arguments, closed_forms
+from odak.raytracing import arguments, intersections
 from odak.raytracing import components as vec
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.components import terms
@@ -1034,12 +1034,12 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     aperture : float or array, optional
         Semi-diameter of the surface.
     select : str
-        "ahead", "vertex" or "through", as in :func:`odak.raytracing.closed_forms.conic`.
+        "ahead", "vertex" or "through", as in :func:`odak.raytracing.intersections.conic`.
 
     Returns
     -------
     tuple
-        :class:`odak.raytracing.closed_forms.Intersection` and int8 statuses; differentiable.
+        :class:`odak.raytracing.intersections.Intersection` and int8 statuses; differentiable.
 
     Notes
     -----
@@ -1048,11 +1048,11 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     """
     (aperture,) = _validate.constants(aperture=aperture)
     if isinstance(shape, Plane) and aperture is None and select != "ahead":
-        found = closed_forms.vertex_plane(start, direction)
+        found = intersections.vertex_plane(start, direction)
         return found, status_array(found.hit)
     curvature, conic = shape.base()
     if shape.closed_form:
-        found, sheet = closed_forms.conic(start, direction, curvature, conic, aperture, select)
+        found, sheet = intersections.conic(start, direction, curvature, conic, aperture, select)
         return found, conic_status(found, sheet)
     xp, start, direction, kept, differentiable = vec.lines(start, direction, aperture, *shape.parameters())
     kept = kept & xp.isfinite(sum(start) + sum(direction)) & (vec.dot(direction, direction) > 0)
@@ -1071,7 +1071,7 @@ def intersection(start, direction, shape: Shape, aperture=None, select: str = "a
     here = shape.sag(*(xp.where(hit, value, 0.0) for value in place[:2]))
     normal = vec.unit((-here.slope_x, -here.slope_y, xp.ones_like(here.slope_x)), differentiable)
     distance, place, normal = (vec.nan_outside(value, hit, True) for value in (distance, place, normal))
-    return closed_forms.Intersection(distance, place, normal, hit), status
+    return intersections.Intersection(distance, place, normal, hit), status
 
 
 def _without_graph(*values):
@@ -1097,8 +1097,8 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
     xp = namespace(*start, *direction)
     length = vec.dot(direction, direction) ** 0.5
     curvature, conic = shape.base()
-    seed, _ = closed_forms.conic(start, direction, curvature, conic, None, select)
-    flat = closed_forms.vertex_plane(start, direction)
+    seed, _ = intersections.conic(start, direction, curvature, conic, None, select)
+    flat = intersections.vertex_plane(start, direction)
     guess = xp.where(seed.hit, seed.distance, xp.where(flat.hit, flat.distance, 0.0))
     distance, found, crossed = newton(start, direction, shape, guess)
     x, y, _ = vec.along(start, distance, direction)

@@ -9,7 +9,7 @@ from odak._array import is_readable
 from odak.learn._face import torch_face
 from odak.learn._tensors import reals_of
 from odak.learn.raytracing.primitives import batched
-from odak.raytracing import arguments, closed_forms
+from odak.raytracing import arguments, intersections
 from odak.raytracing import boundary as core
 
 __all__ = [
@@ -50,7 +50,7 @@ def _triangle(_, ray, triangle):
 def _triangle_hits(ray, triangle) -> tuple:
     """Return normals ``[k, m, 2, 3]``, signed distances and membership ``[k, m]`` of m rays and k triangles."""
     triangle = _in_front(triangle, ray)
-    return core.plane_hits(ray, triangle, closed_forms.on_triangle, (triangle,), (2,))
+    return core.plane_hits(ray, triangle, intersections.on_triangle, (triangle,), (2,))
 
 
 def _in_front(triangle: torch.Tensor, ray: torch.Tensor) -> torch.Tensor:

@@ -1,12 +1,13 @@
 """Rays that should not be: no length, not normalised, parallel, none at all, arrays of many kinds; both faces."""
 
+import hits
 import numpy as np
 import pytest
 import torch
 
 import odak.raytracing as core
 from odak.learn import raytracing as rt
-from odak.raytracing import interfaces, intersections
+from odak.raytracing import interfaces
 from odak.raytracing.intersections import RayStatus
 
 F64 = torch.float64
@@ -27,12 +28,10 @@ def meetings(o, d, face):
     axis, z = face([0.0, 1, 0]), face([0.0, 0, 1])
     centre, radius, low = face([0.0, 0, 5]), face(2.0), o - face([0.0, 0, 5])
     return {
-        "plane": intersections.plane(o, d, centre, z),
-        "triangle": intersections.triangle(o, d, face([[-1.0, -1, 5], [2, -1, 5], [-1, 2, 5]])),
-        "disc": intersections.disc(o, d, centre, z, centre, radius),
-        "sphere": intersections.sphere(o, d, centre, radius),
-        "cylinder": intersections.cylinder(o, d, centre, radius, axis),
-        "conic": intersections.conic(low, d, face(0.1), face(-1.0), radius),
+        "plane": hits.plane(o, d, centre, z),
+        "sphere": hits.sphere(o, d, centre, radius),
+        "cylinder": hits.cylinder(o, d, centre, radius, axis),
+        "conic": hits.conic(low, d, face(0.1), face(-1.0), radius),
         "glass": interfaces.refract_directions(d, z, face(1.0), face(1.5)),
     }
 
@@ -62,8 +61,8 @@ def test_lost_rays_miss_and_leave_the_others_alone(name, face):
 @pytest.mark.parametrize("name", LOST)
 def test_lost_rays_leave_gradients_finite(name):
     rays, others = leaf([LOST[name], GOOD]), [leaf(2.0), leaf([0.0, 0, 5])]
-    hit = intersections.sphere(rays[:, 0], rays[:, 1], others[1], others[0])
-    plane = intersections.plane(rays[:, 0], rays[:, 1], others[1], tensor([0.0, 0, 1]))
+    hit = hits.sphere(rays[:, 0], rays[:, 1], others[1], others[0])
+    plane = hits.plane(rays[:, 0], rays[:, 1], others[1], tensor([0.0, 0, 1]))
     bent, _ = interfaces.refract_directions(rays[:, 1], hit.normal, 1.0, others[0])
     sum(v.nan_to_num().sum() for v in (*hit[:3], *plane[:2], bent)).backward()
     for value in (rays, *others):

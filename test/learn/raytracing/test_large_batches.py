@@ -1,12 +1,13 @@
 """Large batches go in pieces, and gradients are computed again: the same numbers, and little memory."""
 
+import hits
 import numpy as np
 import pytest
 import torch
 
 import odak.raytracing as core
 from odak.learn import raytracing as rt
-from odak.raytracing import batches, interfaces, intersections
+from odak.raytracing import batches, interfaces
 
 F64 = torch.float64
 CORNERS = np.asarray([[-3.0, -3, 5], [4, -2, 6], [0, 5, 5]])
@@ -22,14 +23,12 @@ def core_cases(random):
     o, d, z, one = rays[:, 0], rays[:, 1], np.asarray([0, 0, 5.0]), np.asarray(1.5)
     axis = np.asarray([0.6, 0, 0.8])
     return {
-        "plane": (intersections.plane, (o, d, z, axis)),
-        "triangle": (intersections.triangle, (o, d, CORNERS)),
-        "disc": (intersections.disc, (o, d, z, axis, z, one)),
-        "sphere": (intersections.sphere, (o, d, z, one)),
-        "sphere each": (intersections.sphere, (o, d, z + normals[:, 0], np.linspace(0.5, 2, 50))),
-        "spheres": (intersections.sphere, (o[:, None], d[:, None], z + normals[:3, 0], one)),
-        "cylinder": (intersections.cylinder, (o, d, z, one, axis)),
-        "conic": (intersections.conic, (o - z, d, np.asarray(0.2), np.asarray(-0.5), np.asarray(2.0))),
+        "plane": (hits.plane, (o, d, z, axis)),
+        "sphere": (hits.sphere, (o, d, z, one)),
+        "sphere each": (hits.sphere, (o, d, z + normals[:, 0], np.linspace(0.5, 2, 50))),
+        "spheres": (hits.sphere, (o[:, None], d[:, None], z + normals[:3, 0], one)),
+        "cylinder": (hits.cylinder, (o, d, z, one, axis)),
+        "conic": (hits.conic, (o - z, d, np.asarray(0.2), np.asarray(-0.5), np.asarray(2.0))),
         "reflect": (interfaces.reflect_directions, (d, normals[:, 1])),
         "refract": (interfaces.refract_directions, (d, normals[:, 1], 3.0, np.linspace(1.0, 2, 50))),
     }
