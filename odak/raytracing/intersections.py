@@ -2,7 +2,7 @@
 
 Starts and directions are ``[..., 3]``, or tuples of three components, and broadcast against the surfaces' arrays, so
 that rays ``[m, 1, 3]`` and surfaces ``[n, 3]`` give ``[m, n]``. Directions need not be unit vectors: a distance is in
-units of the length of its direction. A ray without an intersection has NaN distance, point and normal, and zero gradients.
+units of the length of its direction. Without an intersection, distance, point and normal are NaN, and gradients are 0.
 """
 
 from enum import IntEnum
