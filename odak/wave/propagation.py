@@ -156,7 +156,7 @@ def _method_for_field(field, method: Method, request: Request, error: float) -> 
     if _array.is_readable(field) and all(len(_validate.numbers(value)) == 1 for value in lengths):
         dy, dx, wavelength, distance = (_validate.numbers(value)[0] for value in lengths)
         report = sampling_report(
-            field.shape[-2:], (dy, dx), wavelength, distance, tolerance=request.tolerance, field=field
+            field.shape[-2:], (dy, dx), wavelength, distance, tolerance=request.tolerance, field=field, progress=False
         )
         method, error = method_named(report.recommended), report.predicted_error
     if error > request.tolerance:

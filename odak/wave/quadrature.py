@@ -12,6 +12,7 @@ by a reference (a far finer rule, or its closed form) and the squares of the dif
 
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import astuple, dataclass
 
 import numpy as np
@@ -285,10 +286,16 @@ def _decaying_tail(axis: Axis, transverse) -> np.ndarray:
     return 2 * axis.pitch * np.einsum("tn,tnl->tl", amplitude, np.cos(2 * np.pi * frequency[..., None] * places))
 
 
-def field_error(field: np.ndarray, axes: tuple[Axis, Axis], rules: tuple[Rule | None, Rule | None]) -> float:
+def field_error(
+    field: np.ndarray,
+    axes: tuple[Axis, Axis],
+    rules: tuple[Rule | None, Rule | None],
+    step: Callable[[], object] = lambda: None,
+) -> float:
     """Return the norm of the error that two rules make on a field, within its own window.
 
-    The difference to the reference is applied along one axis at a time, for each frequency of the other.
+    The difference to the reference is applied along one axis at a time, for each frequency of the other; `step` is
+    called after each of the two.
     """
     rows, columns = field.shape[-2:]
     total = 0.0
@@ -300,8 +307,15 @@ def field_error(field: np.ndarray, axes: tuple[Axis, Axis], rules: tuple[Rule | 
         lags = np.concatenate([difference, np.zeros_like(difference[:, :1]), difference[:, :0:-1]], axis=1)
         mirror = np.minimum(np.arange(count), count - np.arange(count))
         transfer = np.fft.fft(lags, axis=1)[mirror]
-        error = np.fft.ifft2(spectrum * (transfer.T if which == 0 else transfer))[..., :rows, :columns]
-        total += float(np.sum(np.abs(error) ** 2))
+        spectrum *= transfer.T if which == 0 else transfer
+        # Along the longer axis first, and the other one within the window alone.
+        error = (
+            np.fft.ifft(np.fft.ifft(spectrum, axis=-2)[..., :rows, :], axis=-1)[..., :columns]
+            if which
+            else np.fft.ifft(np.fft.ifft(spectrum, axis=-1)[..., :columns], axis=-2)[..., :rows, :]
+        )
+        total += float(np.sum(error.real**2 + error.imag**2))
+        step()
     return math.sqrt(total)
 
 

@@ -1,11 +1,12 @@
 """Sampling criteria of a propagation, and the method that they recommend."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 
 import numpy as np
+from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._array import Array
@@ -106,6 +107,7 @@ def sampling_report(
     zero_padding: bool = False,
     tolerance: float = TOLERANCE,
     field: Array | None = None,
+    progress: bool = True,
 ) -> SamplingReport:
     """Return the sampling criteria of a propagation, the method they recommend and a bound on its error.
 
@@ -126,6 +128,8 @@ def sampling_report(
     field : array, optional
         Field ``[..., *shape]`` whose spectrum decides. By default the whole band is filled evenly, as by a field of
         random phase.
+    progress : bool, default: True
+        Show a progress bar if it takes longer than a second, which large fields do.
 
     Returns
     -------
@@ -161,11 +165,13 @@ def sampling_report(
     distance = _validate.constant("distance", distance)
     tolerance = _validate.constant("tolerance", tolerance, positive=True)
     found = criteria(shape, (rows, columns), wavelength, distance, _validate.flag("zero_padding", zero_padding))
-    axes = axes_of(shape, (rows, columns), wavelength, distance)
+    axes, shown = axes_of(shape, (rows, columns), wavelength, distance), _validate.flag("progress", progress)
     if field is None:
         name, error = recommend((axes,), tolerance)
     else:
-        name, error = recommend_for_field(_checked_field(field, shape), axes, tolerance, distance)
+        # Propagation and two axes of each of two methods.
+        with tqdm(total=6, desc="sampling", unit="step", delay=1, leave=False, disable=not shown) as bar:
+            name, error = recommend_for_field(_checked_field(field, shape), axes, tolerance, distance, bar.update)
     met = "within" if error <= tolerance else "above"
     bound = f"at |z| = {abs(distance):.4g} m its relative error is at most {error:.1e}, {met} the tolerance"
     return SamplingReport(**asdict(found), recommended=name, reason=bound, tolerance=tolerance, predicted_error=error)
@@ -239,15 +245,18 @@ def _largest(errors) -> float:
     return max(errors, default=0.0) + ROUNDING["complex128"]
 
 
-def recommend_for_field(field: np.ndarray, axes: tuple[Axis, Axis], tolerance: float, distance: float):
-    """Return the method with the smallest error on a field, or the first within tolerance."""
+def recommend_for_field(
+    field: np.ndarray, axes: tuple[Axis, Axis], tolerance: float, distance: float, step: Callable[[], object]
+):
+    """Return the method with the smallest error on a field, or the first within tolerance; `step` counts parts."""
     rounding = ROUNDING[str(field.dtype)]
     if distance == 0:
         return LINEAR, rounding
     found = {}
     for name, rules in ((LINEAR, _rules(axes, tolerance)), (SAMPLED, (None, None))):
         size = float(np.linalg.norm(_propagated(field, axes, distance, name, tolerance)))
-        error = field_error(field, axes, rules)
+        step()
+        error = field_error(field, axes, rules, step)
         found[name] = (SAFETY * error / size if size else 0.0) + rounding
         if found[name] <= tolerance:
             return name, found[name]

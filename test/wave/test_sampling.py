@@ -229,3 +229,28 @@ def test_fields_of_one_row_or_column_propagate_over_any_distance(shape, random):
         waves = spectrum * np.exp(2j * np.pi * distance * axial) * np.outer(weights, weights) / 4
         found = odak.wave.propagate_beam(field, None, distance, 8e-6, 532e-9, "Linear Angular Spectrum")
         assert physics.relative_error(found, down @ waves @ across.T) < 1e-4
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_bar_counts_the_parts_of_a_report_of_a_field(shown, monkeypatch, random):
+    bars = []
+
+    class Bar:
+        def __init__(self, **options):
+            self.options, self.done = options, 0
+            bars.append(self)
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *error):
+            return None
+
+        def update(self):
+            self.done += 1
+
+    monkeypatch.setattr("odak.wave.sampling.tqdm", Bar)
+    field = np.exp(2j * np.pi * random.random((12, 10)))
+    # No method is below this tolerance: both are computed.
+    odak.wave.sampling_report(field.shape, 8e-6, 532e-9, 0.01, tolerance=1e-15, field=field, progress=shown)
+    assert [(bar.done, bar.options["total"], bar.options["disable"]) for bar in bars] == [(6, 6, not shown)]
