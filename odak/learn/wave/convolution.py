@@ -198,7 +198,7 @@ def _convolve_by_fields(field, kernel, adjoint, batch):
     def filter_part(part):
         results[part] = _convolve_whole(fields[part], kernel, adjoint, fields[part].shape[:-2])
 
-    _each_part(filter_part, len(fields), kernel.numel(), field)
+    _run_passes(_Pass(filter_part, len(fields), kernel.numel(), field))
     return result
 
 
@@ -242,14 +242,14 @@ def _filter_one(field, kernel, result, adjoint):
     A transform's result is fresh memory even when `out` is given, so the parts are small and copied where they go.
     """
     height, width = kernel.shape
-    lines = _rows_to_spectra(field, width)
+    lines = _lines(field, width)
 
     def filter_columns(part):
         column = _columns_to_spectra(lines, part, height, adjoint)
         _spectra_to_columns(column.mul_(kernel[:, part].mT), lines, part, adjoint)
 
-    _each_part(filter_columns, width, height, field, _COLUMNS)
-    _spectra_to_rows(lines, result)
+    columns = _Pass(filter_columns, width, height, field, _COLUMNS)
+    _run_passes(_rows_to_spectra(field, lines), columns, _spectra_to_rows(lines, result))
 
 
 def _scatter(group, adjoint):
@@ -259,7 +259,7 @@ def _scatter(group, adjoint):
     """
     field, first, _ = group[0]
     height, width = first.shape
-    lines = _rows_to_spectra(field, width)
+    lines = _lines(field, width)
     filtered = [_lines(field, width, index + 1) for index in range(len(group))]
 
     def filter_columns(part):
@@ -269,18 +269,16 @@ def _scatter(group, adjoint):
             torch.mul(column, kernel[:, part].mT, out=product)
             _spectra_to_columns(product, target, part, adjoint)
 
-    _each_part(filter_columns, width, height, field, _COLUMNS)
-    for (_, _, result), target in zip(group, filtered, strict=True):
-        _spectra_to_rows(target, result)
+    columns = _Pass(filter_columns, width, height, field, _COLUMNS)
+    back = (_spectra_to_rows(target, result) for (_, _, result), target in zip(group, filtered, strict=True))
+    _run_passes(_rows_to_spectra(field, lines), columns, *back)
 
 
 def _gather(group, adjoint):
     """Write the sum of several filtered fields into their one result; their spectra are summed."""
     _, first, result = group[0]
     height, width = first.shape
-    incoming = [
-        _rows_to_spectra(field, width, _lines(field, width, index + 1)) for index, (field, _, _) in enumerate(group)
-    ]
+    incoming = [_lines(field, width, index + 1) for index, (field, _, _) in enumerate(group)]
     lines = _lines(result, width)
 
     def filter_columns(part):
@@ -291,8 +289,9 @@ def _gather(group, adjoint):
             total = column.mul_(factor) if total is None else total.addcmul_(column, factor)
         _spectra_to_columns(total, lines, part, adjoint)
 
-    _each_part(filter_columns, width, height, result, _COLUMNS)
-    _spectra_to_rows(lines, result)
+    forth = (_rows_to_spectra(field, source) for (field, _, _), source in zip(group, incoming, strict=True))
+    columns = _Pass(filter_columns, width, height, result, _COLUMNS)
+    _run_passes(*forth, columns, _spectra_to_rows(lines, result))
 
 
 def _columns_to_spectra(lines, part: slice, height: int, adjoint) -> torch.Tensor:
@@ -302,8 +301,8 @@ def _columns_to_spectra(lines, part: slice, height: int, adjoint) -> torch.Tenso
     less: conj(F u) = N·F⁻¹ conj(u), and the copy of u may conjugate it on its way.
     """
     if adjoint:
-        return fft.ifft(_padded_columns(lines[:, part].conj(), height))
-    return fft.fft(_padded_columns(lines[:, part], height))
+        return fft.ifft(_padded(lines[:, part].conj().mT, height))
+    return fft.fft(_padded(lines[:, part].mT, height))
 
 
 def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
@@ -315,15 +314,15 @@ def _spectra_to_columns(spectra, lines, part: slice, adjoint) -> None:
         target[:, start : start + _COLUMNS] = columns[start : start + _COLUMNS].mT
 
 
-def _rows_to_spectra(field, width: int, lines: torch.Tensor | None = None) -> torch.Tensor:
-    """Return the transforms of a field's rows, continued by zeros to `width`, in the memory given or this thread's."""
-    lines = _lines(field, width) if lines is None else lines
+def _rows_to_spectra(field, lines: torch.Tensor) -> "_Pass":
+    """Return the pass that writes the transforms of a field's rows, continued by zeros, into `lines`."""
+    width = lines.shape[-1]
 
     def transform(part):
-        lines[part] = fft.fft(field[part], n=width)
+        rows = field[part]
+        lines[part] = fft.fft(rows if rows.shape[-1] == width else _padded(rows, width))
 
-    _each_part(transform, len(field), width, field)
-    return lines
+    return _Pass(transform, len(field), width, field)
 
 
 def _lines(field, width: int, index: int = 0) -> torch.Tensor:
@@ -337,45 +336,77 @@ def _lines(field, width: int, index: int = 0) -> torch.Tensor:
     return (_buffer(f"lines {index}", shape, field.dtype) if kept else field.new_empty(shape))[:, :width]
 
 
-def _spectra_to_rows(lines, result):
-    """Write the rows that have these transforms into `result`."""
+def _spectra_to_rows(lines, result) -> "_Pass":
+    """Return the pass that writes the rows that have these transforms into `result`."""
 
     def transform(part):
         result[part] = fft.ifft(lines[part])[:, : result.shape[-1]]
 
-    _each_part(transform, *lines.shape, lines)
+    return _Pass(transform, *lines.shape, lines)
 
 
-def _each_part(work: Callable, count: int, length: int, field, at_least: int = 1) -> None:
-    """Call `work` with slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each, on several threads.
+class _Pass:
+    """Calls of `work` with slices of `count` lines of `length` numbers, about `_BLOCK_BYTES` each.
 
-    A transform that torch shares out waits for all threads, beside other processes for milliseconds each time. Here
-    threads take one part after another, as many each if none is held up, and wait once, when none is left.
+    As many parts for each thread, which take one after another.
     """
-    threads, most = torch.get_num_threads(), max(at_least, _BLOCK_BYTES // (length * field.element_size()))
-    rounds = math.ceil(count / (most * threads))
-    step = math.ceil(count / (rounds * threads))
-    starts = collections.deque(range(0, count, step))
 
-    def take_parts():
-        while starts:
+    def __init__(self, work: Callable, count: int, length: int, field, at_least: int = 1) -> None:
+        threads, most = torch.get_num_threads(), max(at_least, _BLOCK_BYTES // (length * field.element_size()))
+        step = math.ceil(count / (math.ceil(count / (most * threads)) * threads))
+        self._work = work
+        self._parts = collections.deque(slice(start, min(start + step, count)) for start in range(0, count, step))
+        self.size = self._missing = len(self._parts)
+        self._changed = threading.Condition()
+
+    def run(self) -> None:
+        """Do parts until none is left, and return when those of other threads are done as well.
+
+        Nobody waits for a thread that has not begun, which may be at work for another call.
+        """
+        while self._parts:
             try:
-                start = starts.popleft()
+                part = self._parts.popleft()
             except IndexError:
                 # Another thread has taken the last one.
-                return
-            work(slice(start, min(start + step, count)))
+                break
+            try:
+                self._work(part)
+            except BaseException:
+                self._leave(self._missing)
+                raise
+            self._leave(1)
+        with self._changed:
+            self._changed.wait_for(lambda: self._missing <= 0)
 
-    for _ in each(take_parts, [()] * min(threads, len(starts))):
+    def _leave(self, count: int) -> None:
+        with self._changed:
+            self._missing -= count
+            if self._missing <= 0:
+                self._changed.notify_all()
+
+
+def _run_passes(*passes: _Pass) -> None:
+    """Do passes one after another on several threads.
+
+    A transform that torch shares out waits for all threads, beside other processes for milliseconds each time. Here
+    each thread transforms parts of its own, and they meet once between two passes.
+    """
+
+    def run():
+        for one in passes:
+            one.run()
+
+    for _ in each(run, [()] * min(torch.get_num_threads(), max(one.size for one in passes))):
         pass
 
 
-def _padded_columns(columns, height: int) -> torch.Tensor:
-    """Return columns as contiguous rows, continued by zeros to `height`."""
-    rows, count = columns.shape
-    block = _buffer("block", (count, height), columns.dtype)
-    block[:, :rows] = columns.mT
-    block[:, rows:] = 0
+def _padded(rows, length: int) -> torch.Tensor:
+    """Return rows, continued by zeros to `length`, in memory of this thread."""
+    count, own = rows.shape
+    block = _buffer("block", (count, length), rows.dtype)
+    block[:, :own] = rows
+    block[:, own:] = 0
     return block
 
 

@@ -1,8 +1,10 @@
 """The PyTorch operator: blocks, adjoint, transforms, threads and devices."""
 
+import itertools
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -180,6 +182,32 @@ def test_parts_on_several_threads(blocked, kernel, mode):
     with mode():
         result = convolution.convolve(field.clone().requires_grad_(mode is torch.enable_grad), factor)
     torch.testing.assert_close(result.detach(), expected, rtol=0, atol=1e-13)
+
+
+def test_a_part_that_fails_ends_the_call(blocked, monkeypatch):
+    field, factor = pair(12, 15)
+    torch.set_num_threads(2)
+    padded, calls = convolution._padded, itertools.count()
+
+    def failing(*arguments):
+        if next(calls) == 3:
+            raise MemoryError("of one part")
+        return padded(*arguments)
+
+    monkeypatch.setattr(convolution, "_padded", failing)
+    with pytest.raises(MemoryError, match="of one part"):
+        convolution.convolve(field, factor)
+    torch.testing.assert_close(convolution.convolve(field, factor), convolve_plainly(field, factor))
+
+
+def test_calls_from_several_threads_at_once(blocked):
+    field, factor = pair(12, 15)
+    torch.set_num_threads(2)
+    expected = convolve_plainly(field, factor)
+    with ThreadPoolExecutor(4) as callers:
+        results = callers.map(lambda number: convolution.convolve(number * field, factor), range(40))
+        for number, result in enumerate(results):
+            torch.testing.assert_close(result, number * expected, rtol=0, atol=1e-11)
 
 
 def test_a_batch_on_several_threads():
