@@ -342,7 +342,7 @@ def _spectra_to_rows(lines, result) -> "_Pass":
     def transform(part):
         result[part] = fft.ifft(lines[part])[:, : result.shape[-1]]
 
-    return _Pass(transform, *lines.shape, lines)
+    return _Pass(transform, len(lines), lines.shape[-1], lines)
 
 
 class _Pass:
