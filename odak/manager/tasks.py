@@ -379,13 +379,15 @@ def modules_of_current_folder() -> list[ModuleType]:
     here = current_folder()
     if here is None or not any(os.path.realpath(entry or ".") == here for entry in sys.path):
         return []
+    # Thousands of modules lie in some hundred folders, and each takes a question to the system for each level.
+    real = functools.cache(os.path.realpath)
     found = []
     for name, module in list(sys.modules.items()):
         file = getattr(module, "__file__", None)
         package = name.partition(".")[0]
         if file and package not in ("__main__", "odak"):
             levels = name.count(".") + (os.path.basename(file) == "__init__.py")
-            folder = os.path.dirname(os.path.realpath(file))
+            folder = real(os.path.dirname(file))
             for _ in range(levels):
                 folder = os.path.dirname(folder)
             if folder == here and getattr(module, "__name__", None) == name:
