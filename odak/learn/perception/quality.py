@@ -527,9 +527,9 @@ def _windowed(planes):
     axis = torch.arange(WINDOW, dtype=torch.float64, device=planes.device) - WINDOW // 2
     line = torch.exp(-(axis**2) / (2 * SIGMA**2))
     line = (line / line.sum()).to(planes.dtype)
-    # As channels of one picture, over which libraries vectorise: side by side in memory, which halves the time. In single
-    # precision one window is then as fast as two lines; in double precision, for which libraries have no such kernels,
-    # it takes many times as long.
+    # As channels of one picture, over which libraries vectorise: side by side in memory, which halves the time. In
+    # single precision one window is then as fast as two lines; in double precision, for which libraries have no such
+    # kernels, it takes many times as long.
     count, double = len(planes), planes.dtype == torch.float64
     channels = planes.transpose(0, 1)
     if planes.device.type == "cpu" and not double:
