@@ -93,20 +93,30 @@ def _processor() -> str:
 
 
 def last_stored(device: str) -> dict | None:
-    """Return the last run stored for a kind of device, None if there is none."""
+    """Return the last run stored for a kind of device, with rows of earlier ones that it lacks; None without any."""
+    last = None
     for file in sorted(HISTORY.glob("*.json"), reverse=True):
         run = json.loads(file.read_text(encoding="utf-8"))
-        if (run["device"] == "cpu") == (device == "cpu"):
-            return run
-    return None
+        if (run["device"] == "cpu") != (device == "cpu"):
+            continue
+        if last is None:
+            last = run
+        held = set(map(_name, last["rows"]))
+        last["rows"] += [row for row in run["rows"] if _name(row) not in held]
+    return last
+
+
+def _name(row: dict) -> tuple[str, str | None]:
+    """Return what a row is compared by: a task may have several floors."""
+    return row["task"], row.get("floor")
 
 
 def slower(run: dict, stored: dict | None) -> list[str]:
     """Return a line for each task whose ratio to its floor is more than a fifth above that of a stored run."""
     if stored is None:
         return []
-    former = {row["task"]: row["ratio"] for row in stored["rows"]}
-    found = [(row["task"], row["ratio"], former[row["task"]]) for row in run["rows"] if row["task"] in former]
+    former = {_name(row): row["ratio"] for row in stored["rows"]}
+    found = [(row["task"], row["ratio"], former[_name(row)]) for row in run["rows"] if _name(row) in former]
     lines = [f"slower: {task}: {now:.2f}, {then:.2f} before" for task, now, then in found if now > NOTEWORTHY * then]
     return [f"compared with {stored['commit']} of {stored['time']}: {len(lines)} of {len(found)} slower", *lines]
 

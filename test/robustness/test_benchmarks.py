@@ -38,6 +38,8 @@ def test_what_is_more_than_a_fifth_slower_is_named(script):
     found = script["slower"](run(a=1.3, b=1.1, c=0.5, new=9.0), run(a=1.0, b=1.0, c=1.0, gone=1.0))
     assert found == ["compared with abc of 2026-01-01: 1 of 3 slower", "slower: a: 1.30, 1.00 before"]
     assert script["slower"](run(a=1.0), None) == []
+    floors = [{"task": "a", "floor": floor, "ratio": ratio} for floor, ratio in (("one", 1.0), ("two", 9.0))]
+    assert script["slower"]({"rows": floors[:1]}, {**run(), "rows": floors})[0].endswith(": 0 of 1 slower")
 
 
 def test_the_last_run_of_the_same_kind_of_device(script, monkeypatch, tmp_path):
@@ -46,6 +48,9 @@ def test_the_last_run_of_the_same_kind_of_device(script, monkeypatch, tmp_path):
     monkeypatch.setitem(script["last_stored"].__globals__, "HISTORY", tmp_path)
     assert script["last_stored"]("cpu")["commit"] == "1"
     assert script["last_stored"]("cuda")["device"] == "NVIDIA"
+    for number, ratios in ((0, {"a": 1.0, "b": 2.0}), (1, {"b": 3.0})):
+        (tmp_path / f"{number}.json").write_text(json.dumps(run(**ratios)))
+    assert [(row["task"], row["ratio"]) for row in script["last_stored"]("cpu")["rows"]] == [("b", 3.0), ("a", 1.0)]
     about = script["about"]("cpu", 2)
     assert {"time", "commit", "machine", "cores", "torch", "threads"} <= set(about)
 
