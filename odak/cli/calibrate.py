@@ -231,9 +231,9 @@ def _phase(table: Table, known: Calibration) -> Found:
 
 def _regions(table: Table, known: Calibration) -> Found:
     there = (table.modulator, table.camera, known.wavelength, known.distance, known.registration)
-    tables, doubt = regions_with_uncertainty(*there)
+    tables, doubts = regions_with_uncertainty(*there, known.wavefront)
     ends = tables[..., -1]
-    found, uncertainties = _joined(known, {"regional_phases": doubt}, regional_phases=tables)
+    found, uncertainties = _joined(known, {"regional_phases": float(doubts.max())}, regional_phases=tables)
     return Found(
         found,
         {"phase_ranges": (ends.tolist(), "rad"), **uncertainties},

@@ -64,7 +64,7 @@ UNITS = {
 }
 # Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
 SPREAD_OF_RESPONSE = 0.01
-# Columns of level 0 beside the border of the two halves, and rows and columns of pixels that are evaluated at most.
+# Columns of other levels beside the border of the two halves, and rows and columns of pixels evaluated at most.
 GUARD, LARGEST_WINDOW = 3, 201
 # Rows and columns of pixels of a region at least.
 SMALLEST_REGION = 12
@@ -81,12 +81,14 @@ DEPTH, EVEN = 0.7, 0.02
 QUARTERS = np.arange(4) * (np.pi / 2)
 # Change of the wavefront in the last step, in radians, above which the measurement has not converged.
 UNSETTLED = 2 * np.pi / 20
-# Astigmatism and the shear of the registration change each other; a repetition leaves this share of their errors.
-COUPLING = 0.56
+# Range of the astigmatism that is tried on either side, in radians (root mean square).
+ASTIGMATISM = 2 * np.pi * 0.1
+# Share of the last change of the wavefront that is taken as its error.
+REST = 0.2
 # Uncertainties above which calibrate_table warns: rad, pixel, rad.
 LIMITS = {"phases": 0.03, "registration": 0.2, "wavefront": 2 * np.pi / 100}
-# Error of a wavefront in radians that is left without noise, a thousandth of a wavelength.
-SMALLEST_ERROR = 2 * np.pi / 1000
+# Error of a wavefront in radians that is left without noise, a five-hundredth of a wavelength.
+SMALLEST_ERROR = 2 * np.pi / 500
 # Error of the sharpest focus in units of the depth of focus, without aberration and noise.
 FOCUS = 0.04
 # Rows and columns of regions where the response varies.
@@ -244,14 +246,15 @@ def calibrate_table(
     wavelength: float,
     distance: float,
     *,
-    rounds: int = 4,
+    rounds: int = 2,
     regions: Sequence[int] | None = None,
 ) -> Calibration:
     """Calibrate an optical table: phase response, registration, wavefront, distance and illumination.
 
     Registration and wavefront depend on each other and are repeated: an aberration moves the spots of the registration,
-    and a wrong registration changes the wavefront's gradients. Each repetition reduces the errors that they cause in
-    each other, a shear and an astigmatism, to about half.
+    and a wrong registration changes the wavefront's gradients. A shear of the registration and an astigmatism, which
+    would cause each other, are separated by the sharpness of a focus on the axis, which depends on the astigmatism
+    alone.
 
     Parameters
     ----------
@@ -265,13 +268,13 @@ def calibrate_table(
         Nominal distance from the modulator to the camera in metres.
     rounds : int
         Number of measurements of the registration and the wavefront; up to twice as many as long as the wavefront
-        changes by more than a hundredth of a wavelength. The first takes five captures of the wavefront, the second six
-        and the others four, with two or three more at each exposure.
+        changes by more than a twentieth of a wavelength. The first takes 17 captures of the wavefront and the others
+        12, and about as many to set the exposures.
     regions : sequence of int, optional
-        Rows and columns of regions whose phase response is measured too, after the first registration, and used in the
-        other steps; a response that varies over the modulator acts as an aberration and shifts the image. The phases
-        are then the mean over the modulator. None, the default, measures 3 × 3 regions where the captures of the phase
-        response deviate by more than 1 % from those of levels with one phase at all pixels; (1, 1) measures none.
+        Rows and columns of regions whose phase response is measured too, after the second registration, and used in
+        the later steps; a response that varies over the modulator acts as an aberration and shifts the image. The
+        phases are then the mean over the modulator. None, the default, measures 3 × 3 regions where the captures of the
+        phase response deviate by more than 1 % from those of levels with one phase at all pixels; (1, 1) measures none.
 
     Returns
     -------
@@ -291,8 +294,8 @@ def calibrate_table(
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
     It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
     of the phases is what the captures deviate from those of one phase at all pixels, and the difference between the
-    results of the two halves of the modulator. The factors between residuals and uncertainties were chosen on simulated
-    tables: uncertainties are estimates, not bounds.
+    results of the two halves of the modulator; with regions, it is that of a mean of independent values. The factors
+    between residuals and uncertainties were chosen on simulated tables: uncertainties are estimates, not bounds.
 
     Examples
     --------
@@ -325,32 +328,40 @@ def calibrate_table(
     uncertainty = {"phases": doubt}
     response, regional = phases, None
     wavefront, change = np.zeros(modulator.shape), math.inf
-    low = _modes(modulator, 2)[[0, 1, _DEFOCUS]]
+    quadratic = _modes(modulator, 2)
+    low = quadratic[[0, 1, _DEFOCUS]]
     for turn in range(2 * rounds):
-        if turn >= rounds and change < LIMITS["wavefront"]:
+        if turn >= rounds and change < UNSETTLED:
             break
         registration = register_camera(*there, distance, response, wavefront=wavefront, middle=turn == 0)
-        if turn == 0 and regions != (1, 1):
-            regional, doubt = regions_with_uncertainty(*there, distance, registration, regions)
-            response = regional
-            down, across = (
-                _between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regional.shape[:2], strict=True)
+        # An aberration falsifies the first registration, and so where the regions are thought to be.
+        if turn == min(1, rounds - 1) and regions != (1, 1):
+            regional, doubts = regions_with_uncertainty(
+                *(*there, distance, registration, wavefront, regions), whole=phases
             )
-            phases = np.einsum("i,j,ijl->l", down, across, regional)
-            uncertainty = {"phases": doubt, "regional_phases": doubt}
+            response = regional
+            shares = np.multiply.outer(
+                *(_between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regions, strict=True))
+            )
+            phases = np.tensordot(shares, regional, axes=2)
+            # The errors of the regions are independent.
+            uncertainty = {"phases": float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
         known = (*there, distance, response, registration)
         if turn == 0:
             found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
-            distance, _ = distance_with_uncertainty(*known, wavefront=found, captures=1)
+            found = astigmatism_by_focus(*known, found)
         else:
-            found, doubt = wavefront_with_uncertainty(*known, iterations=3 if turn == 1 else 2, start=wavefront)
-        found = without(found, low)
+            found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront)
+            found = wavefront + without(found - wavefront, quadratic)
+        # Where the illumination is not symmetric, defocus shifts the sharpest astigmatism.
+        distance, _ = distance_with_uncertainty(*known, wavefront=found, captures=1)
+        known = (*there, distance, response, registration)
+        found = without(astigmatism_by_focus(*known, without(found, low)), low)
         change, wavefront = float((found - wavefront).std()), found
-    rest = change * COUPLING / (1 - COUPLING) if turn else 0.0
     # An error of the response of a region acts as an aberration, of the mean phase of a pattern. The factors here and
     # below are those that cover the errors of simulated tables with fringing fields.
     response_error = 0.4 * uncertainty.get("regional_phases", 0.0)
-    uncertainty["wavefront"] = math.hypot(1.5 * doubt, 1.5 * rest, SMALLEST_ERROR, response_error)
+    uncertainty["wavefront"] = math.hypot(1.5 * doubt, REST * change, SMALLEST_ERROR, response_error)
     distance, doubt = distance_with_uncertainty(*known, wavefront=wavefront)
     # The wavefront π/λ·(x² + y²)/f is that of a lens.
     y, x = _axes(modulator)
@@ -428,9 +439,11 @@ def measure_phase_response(
     -----
     Principal components of interferograms: Vargas, Antonio Quiroga and Belenguer, Opt. Lett. 36, 1326 (2011).
 
+    The levels measured are Chebyshev's points, because the response often bends most near the ends of its range.
+
     Fringing fields smooth the phase across the border of the two halves, over some tenths of a pixel, and nowhere else.
-    The response is then found too small, by 0.2 % and 1.5 % to 4 % on simulated panels of 100 to 150 pixels with
-    fringing of 0.2 and 0.4 pixels; the share of the border falls as the inverse of the number of pixels along a side.
+    The rows along the border alternately show the lowest and the highest level: the light that the border scatters has
+    opposite signs in the two cases where they are 2π apart, up to a sum of a constant and cos φ.
 
     Examples
     --------
@@ -441,7 +454,9 @@ def measure_phase_response(
     >>> bool(np.abs(phases - table.truth.phases).max() < 0.02)
     True
     """
-    return phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)[0]
+    phases, _, spread = phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)
+    _warn_of_deviations(spread)
+    return phases
 
 
 def phases_with_uncertainty(
@@ -453,7 +468,7 @@ def phases_with_uncertainty(
     """
     check_square_pixels(modulator, camera)
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
-    levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
+    levels = _measured_levels(top, samples)
     lens_phase(modulator, wavelength, distance)  # checks the lengths
     columns = modulator.shape[1]
     # The lens narrows the light of a half to two thirds, away from the border, whose fringing fields disturb.
@@ -465,8 +480,8 @@ def phases_with_uncertainty(
     away = x - side * size / 4
     lens = -2 * np.pi / wavelength * (side * away * shift / distance + (away**2 + y**2) / (2 * focal))
     deflected = nearest_levels(lens, np.arange(top + 1) * 2 * np.pi / (top + 1))
-    # Level 0 along the border, so that fringing fields smooth it in the same way everywhere.
-    deflected[:, columns // 2 - GUARD : columns // 2 + GUARD] = 0
+    border = np.s_[:, columns // 2 - GUARD : columns // 2 + GUARD]
+    deflected[border] = _guard(modulator, top)[border]
     reach = int(min(0.4 * size / camera.pitch + 1, (min(camera.shape) - 1) // 2))
     step = 1 + 2 * reach // LARGEST_WINDOW
     _read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
@@ -489,6 +504,21 @@ def phases_with_uncertainty(
     interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
     return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+
+
+def _guard(modulator: Modulator, top: int) -> np.ndarray:
+    """Return the levels beside the border of a part that shows one level g: 0 and the highest in alternate rows.
+
+    Fringing fields smooth the phase across that border, between 0 and φ(g) or between φ(g) and about 2π. The light that
+    this scatters has opposite signs in the two cases, up to a sum of a constant and cos φ.
+    """
+    return np.broadcast_to(np.arange(modulator.shape[0])[:, None] % 2 * top, modulator.shape).copy()
+
+
+def _measured_levels(top: int, samples: int) -> np.ndarray:
+    """Return the levels whose phases are measured, Chebyshev's points, which are denser at the ends of the range."""
+    count = _validate.integer("samples", samples, minimum=8)
+    return np.unique(np.rint(top / 2 * (1 - np.cos(np.pi * np.arange(count) / (count - 1)))).astype(int))
 
 
 def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
@@ -516,14 +546,18 @@ def _phases_of_interference(frames: np.ndarray) -> tuple[np.ndarray, float]:
     circle = axes * np.sqrt(sizes) @ axes.T @ (np.stack([x, y]) - centre[:, None])
     phases = np.unwrap(np.arctan2(circle[1], circle[0]))
     other = math.sqrt(max(values[-3] ** 2 - values[1] ** 2, 0)) / values[-2]
+    phases = phases - phases[0]
+    return phases if phases[-1] >= 0 else -phases, other
+
+
+def _warn_of_deviations(other: float) -> None:
+    """Warn if captures deviate much from those of levels with one phase at all pixels."""
     if other > 0.1:
         warn(
             f"the phase response is uncertain: captures deviate by {other:.0%} from those of levels with one phase at "
             "all pixels, because of fringing fields between them, or a response that varies over the panel or in time",
             AccuracyWarning,
         )
-    phases = phases - phases[0]
-    return phases if phases[-1] >= 0 else -phases, other
 
 
 def measure_regional_response(
@@ -533,6 +567,7 @@ def measure_regional_response(
     distance: float,
     registration: Registration,
     *,
+    wavefront: np.ndarray | float = 0.0,
     regions: Sequence[int] = (3, 3),
     samples: int = 15,
     captures: int = 4,
@@ -556,6 +591,8 @@ def measure_regional_response(
         Distance from the modulator to the camera in metres.
     registration : Registration
         Mapping of the camera, from :func:`register_camera`.
+    wavefront : numpy.ndarray or float
+        Aberration in radians, which displaces the light of a region.
     regions : sequence of int
         Rows and columns of regions, two or more in all, of at least 12 pixels along each side.
     samples : int
@@ -584,9 +621,8 @@ def measure_regional_response(
     >>> phases.shape, bool(abs(phases - table.truth.phases).max() < 0.1)
     ((1, 2, 256), True)
     """
-    return regions_with_uncertainty(modulator, camera, wavelength, distance, registration, regions, samples, captures)[
-        0
-    ]
+    there = (modulator, camera, wavelength, distance, registration)
+    return regions_with_uncertainty(*there, wavefront, regions, samples, captures)[0]
 
 
 def regions_with_uncertainty(
@@ -595,13 +631,16 @@ def regions_with_uncertainty(
     wavelength: float,
     distance: float,
     registration: Registration,
+    wavefront: np.ndarray | float = 0.0,
     regions: Sequence[int] = (3, 3),
     samples: int = 15,
     captures: int = 4,
-) -> tuple[np.ndarray, float]:
-    """Return the phase of each level in regions, and its uncertainty in radians.
+    whole: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the phase of each level in regions, and the uncertainty of each region in radians ``[rows, columns]``.
 
-    The parameters are those of :func:`measure_regional_response`.
+    The parameters are those of :func:`measure_regional_response`, and `whole` the phase of each level of the whole
+    modulator, less whose multiples the phases are interpolated between the levels that are measured.
     """
     check_square_pixels(modulator, camera)
     rows, columns = modulator.shape
@@ -616,17 +655,26 @@ def regions_with_uncertainty(
     if across == 1:
         turned = Registration(registration.homography[[1, 0, 2]], registration.distortion, registration.shape)
         there = (_Transposed(modulator), camera, wavelength, distance, turned)
-        found, uncertainty = regions_with_uncertainty(*there, (1, down), samples, captures)
-        return found.swapaxes(0, 1), uncertainty
+        found, uncertainty = regions_with_uncertainty(
+            *(*there, np.broadcast_to(wavefront, modulator.shape).T, (1, down), samples, captures, whole)
+        )
+        return found.swapaxes(0, 1), uncertainty.T
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
-    levels = np.unique(np.rint(np.linspace(0, top, _validate.integer("samples", samples, minimum=8))).astype(int))
+    levels = _measured_levels(top, samples)
     y, x = (
         [part * modulator.pitch for part in np.array_split(np.arange(n) - n // 2, parts)]
         for n, parts in ((rows, down), (columns, across))
     )
     number = np.repeat(np.arange(across), [len(part) for part in x])
     v, u = np.indices(registration.shape)
-    points = registration.plane_points(np.stack([u, v], axis=-1))
+    seen_at = registration.plane_points(np.stack([u, v], axis=-1))
+    slopes = np.gradient(np.broadcast_to(wavefront, modulator.shape), modulator.pitch)[::-1]
+    # Points x, y of the modulator whose light the aberration displaces to those of the camera's pixels.
+    points = seen_at
+    for _ in range(3):
+        at = [points[..., 1] / modulator.pitch + rows // 2, points[..., 0] / modulator.pitch + columns // 2]
+        bent = np.stack([map_coordinates(slope, at, order=1, mode="nearest") for slope in slopes], axis=-1)
+        points = seen_at - wavelength * distance / (2 * np.pi) * bent
     # Light of the edges spreads over about this width.
     spread = math.sqrt(wavelength * distance)
 
@@ -635,14 +683,16 @@ def regions_with_uncertainty(
         width = size - 2 * min(spread, 0.3 * size)
         return np.cos(np.pi * np.clip((values - ends.mean()) / width, -0.5, 0.5))
 
+    if whole is None:
+        whole = np.arange(top + 1.0)
     camera.region = None
-    phases, others = np.empty((down, across, top + 1)), []
+    phases, others = np.empty((down, across, top + 1)), np.empty((down, across))
     for column in range(across):
         beside = column + 1 if column + 1 < across else column - 1
         slope = 2 * np.pi / (wavelength * distance) * (x[column].mean() - x[beside].mean())
         deflected = np.rint(np.mod(slope * x[beside], 2 * np.pi) * (top + 1) / (2 * np.pi)).astype(int) % (top + 1)
         border = np.abs(np.arange(columns) - np.flatnonzero(number == beside).mean()) < len(x[beside]) / 2 + GUARD
-        pattern = np.zeros((rows, columns), dtype=int)
+        pattern = _guard(modulator, top)
         pattern[:, number == beside] = deflected
 
         def show(level: int, pattern=pattern, border=border) -> None:
@@ -661,10 +711,11 @@ def regions_with_uncertainty(
             frame = _averaged(camera, captures)
             frames.append([(weight * frame)[place] for weight, place in zip(weights, places, strict=True)])
         for row, seen in enumerate(zip(*frames, strict=True)):
-            found, other = _phases_of_interference(np.stack(seen))
-            phases[row, column] = CubicSpline(levels, found)(np.arange(top + 1))
-            others.append(other)
-    return phases, 1.5 * float(np.max(others))
+            found, others[row, column] = _phases_of_interference(np.stack(seen))
+            like = whole * (found @ whole[levels]) / (whole[levels] @ whole[levels])
+            phases[row, column] = like + CubicSpline(levels, found - like[levels])(np.arange(top + 1))
+    _warn_of_deviations(others.max())
+    return phases, others
 
 
 class _Transposed:
@@ -1088,6 +1139,55 @@ def measure_distance(
     return distance_with_uncertainty(*there, wavefront, span, samples, captures)[0]
 
 
+def astigmatism_by_focus(
+    modulator: Modulator,
+    camera: Camera,
+    wavelength: float,
+    distance: float,
+    phases: np.ndarray,
+    registration: Registration,
+    wavefront: np.ndarray,
+    captures: int = 1,
+) -> np.ndarray:
+    """Return a wavefront in radians with the astigmatism of the sharpest focus on the axis.
+
+    Unlike the displacements of the spots of lenslets, the sharpness does not depend on the registration. Its logarithm
+    is a parabola of the astigmatism, through three captures for each of the two directions.
+    """
+    modes = _modes(modulator, 2)
+    low = modes[[0, 1, _DEFOCUS]]
+    _read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
+    lens = lens_phase(modulator, wavelength, distance)
+
+    def show(surface: np.ndarray) -> None:
+        modulator.show(nearest_levels(lens - surface, phases))
+
+    # The focus of the right astigmatism may be three times as bright.
+    set_exposure(camera, partial(show, wavefront), level=0.25)
+    for mode in modes[[_DEFOCUS - 1, _DEFOCUS + 1]]:
+        mode = without(mode, low)
+        mode = mode * (ASTIGMATISM / mode.std())
+        values = []
+        for step in (-1, 0, 1):
+            show(wavefront + step * mode)
+            values.append(math.log(_sharpness(_averaged(camera, captures))))
+        below, middle, above = values
+        bend = below + above - 2 * middle
+        # Far from the peak, the curve is no parabola.
+        peak = np.clip((below - above) / (2 * bend), -2, 2) if bend < 0 else np.sign(above - below)
+        wavefront = wavefront + float(peak) * mode
+    camera.region = None
+    return wavefront
+
+
+def _sharpness(frame: np.ndarray) -> float:
+    """Return the mean intensity of a spot, weighted by itself, as a share of the light."""
+    # The mean of the middle half of the values is the floor: a median of counts is a whole number.
+    floor = np.sort(frame, axis=None)[frame.size // 4 : -(frame.size // 4)].mean()
+    light = np.clip(frame - floor, 0, None)
+    return float((light**2).sum() / light.sum() ** 2)
+
+
 def distance_with_uncertainty(
     modulator: Modulator,
     camera: Camera,
@@ -1114,9 +1214,7 @@ def distance_with_uncertainty(
 
     def sharpness(power: float) -> float:
         modulator.show(nearest_levels(lens_phase(modulator, wavelength, 1 / power) - correction, phases))
-        frame = _averaged(camera, captures)
-        frame = np.clip(frame - np.median(frame), 0, None)
-        return float((frame**2).sum() / frame.sum() ** 2)
+        return _sharpness(_averaged(camera, captures))
 
     sharpness(1 / distance)
     set_exposure(camera)
