@@ -74,8 +74,6 @@ SPREAD = 0.6
 SMALLEST_LENSLET = 1.6
 # Points at which the illumination is measured, as a share of the farthest that a pixel reaches, and phases of parts.
 ASIDE = 0.3
-# Standard deviations by which one of 64 parts is darker by chance on one of twenty tables.
-BY_CHANCE = 3.2
 # Mean share of the light that is missing in dark parts, above which a root mean square of about 1 % is missing.
 DUSTY = 1.5e-4
 # Share of the light that specks of dust absorb, and uncertainty of the illumination that is reported.
@@ -1393,16 +1391,15 @@ def illumination_with_uncertainty(
     system, left = np.concatenate(slopes), -misfit(fitted)
     inverse = np.linalg.pinv(system.T @ system, rcond=1e-6)
     deviation = (inverse @ (system.T @ left))[: cells * cells]
-    # Errors of a pattern are correlated among the pixels of the camera: their sums over patterns give the covariance.
-    scores = (system * left[:, None]).reshape(-1, part_pixels, system.shape[1]).sum(1)
-    sigma = np.linalg.norm(scores @ inverse, axis=0)[: cells * cells]
+    sigma = np.sqrt(np.diag(inverse)[: cells * cells] * left.var())
     whole = np.min([part.sizes for part in parts], axis=0) == np.bincount(cell.ravel())
-    dark = np.where(whole & (deviation < -BY_CHANCE * sigma), -deviation, 0)
+    dark = np.where(whole & (deviation < -4 * sigma), -deviation, 0)
     y, x = (np.broadcast_to(axis / half, modulator.shape) for axis in _axes(modulator))
     terms = np.stack([x**i * y**j for i, j in powers], axis=-1)
     surface = terms @ fitted[3:-3]
     largest = np.unravel_index(surface.argmax(), surface.shape)
     amplitude = np.exp(surface - surface[largest])
+    # Errors of a pattern are correlated among the pixels of the camera: their sums over patterns give the covariance.
     scores = (fit.jac * fit.fun[:, None]).reshape(-1, part_pixels, len(fitted)).sum(1)
     inner = np.linalg.pinv(fit.jac.T @ fit.jac)
     covariance = (inner @ (scores.T @ scores) @ inner)[3:-3, 3:-3]
