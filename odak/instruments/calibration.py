@@ -294,7 +294,7 @@ def calibrate_table(
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
     It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
     of the phases is what the captures deviate from those of one phase at all pixels, and the difference between the
-    results of the two halves of the modulator; with regions, it is that of a mean of independent values. The factors
+    results of the two halves of the modulator; with regions, it is twice that of a mean of independent values. The factors
     between residuals and uncertainties were chosen on simulated tables: uncertainties are estimates, not bounds.
 
     Examples
@@ -344,8 +344,8 @@ def calibrate_table(
                 *(_between_regions(n, parts).mean(0) for n, parts in zip(modulator.shape, regions, strict=True))
             )
             phases = np.tensordot(shares, regional, axes=2)
-            # The errors of the regions are independent.
-            uncertainty = {"phases": float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
+            # The errors of the regions are partly independent.
+            uncertainty = {"phases": 2 * float(np.linalg.norm(shares * doubts)), "regional_phases": float(doubts.max())}
         known = (*there, distance, response, registration)
         if turn == 0:
             found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
