@@ -294,8 +294,9 @@ def calibrate_table(
     The uncertainty of the wavefront comes from the fit to its gradients and from what further repetitions would change.
     It contributes to that of the distance, as a defocus, and the distance to that of the registration. The uncertainty
     of the phases is what the captures deviate from those of one phase at all pixels, and the difference between the
-    results of the two halves of the modulator; with regions, it is twice that of a mean of independent values. The factors
-    between residuals and uncertainties were chosen on simulated tables: uncertainties are estimates, not bounds.
+    results of the two halves of the modulator; with regions, it is twice that of a mean of independent values. The
+    factors between residuals and uncertainties were chosen on simulated tables: uncertainties are estimates, not
+    bounds.
 
     Examples
     --------
