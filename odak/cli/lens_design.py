@@ -308,10 +308,16 @@ def _from_plates(job: DesignJob, step: Callable[[], Any]):
     glasses = [name for name in materials if name != "stop"]
     lens.name = f"{len(glasses)} elements, {f:g} mm, f/{speed:g}, {2 * field:g}°"
     lens.source = f"designed by odak {versions()['odak']} from flat plates, seed {job.seed}"
+    starts = given.get("starts", 12 if job.aspheric_terms else 16)
     did = [
-        f"began with {given.get('starts', 16)} random bendings of flat plates of {', '.join(glasses)}",
+        f"began with {starts} random bendings of flat plates of {', '.join(glasses)}",
         f"grew aperture and field in {len(found.stages)} stages, to f/{speed:g} and {field:g} degrees",
-        f"held the focal length at {f:g} mm and the image at the paraxial focus, with a defocus as variable",
+        f"held the focal length at {f:g} mm; "
+        + (
+            "the image distance was a variable"
+            if job.aspheric_terms
+            else "the image at the paraxial focus, with a defocus as variable"
+        ),
     ]
     merit = [{"aperture": s.aperture, "field": s.field, "rms": finite(s.rms)} for s in found.stages]
     if job.substitute is not None:

@@ -575,11 +575,17 @@ def distortion(system: Any, prescription: Prescription | None = None, **options:
     options.setdefault("vignetting", False)
     chief = trace_fields(system, CENTRE, prescription=prescription, **options)
     ideal = paraxial_points(system, prescription, options.get("fields"))
+    return relative_deviation(torch.stack([chief.x[..., 0], chief.y[..., 0]], -1), ideal[..., None, :, :])
+
+
+def relative_deviation(points: torch.Tensor, ideal: torch.Tensor) -> torch.Tensor:
+    """Return the deviations of points ``[..., 2]`` from ideal ones along these, over their distances from the axis.
+
+    0 for ideal points on the axis.
+    """
     size = ideal.square().sum(-1)
     off = size > 0
-    found = torch.stack([chief.x[..., 0], chief.y[..., 0]], -1)
-    along = (found * ideal[..., None, :, :]).sum(-1) / torch.where(off, size, 1.0)[..., None, :]
-    return torch.where(off[..., None, :], along - 1, 0.0)
+    return torch.where(off, (points * ideal).sum(-1) / torch.where(off, size, 1.0) - 1, 0.0)
 
 
 def paraxial_points(system, prescription: Prescription | None = None, fields=None) -> torch.Tensor:

@@ -11,15 +11,14 @@ from odak import _validate
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand
-from odak.learn.raytracing.system.pupils import pupil_samples, trace_fields
-from odak.learn.raytracing.system.surfaces import optical_system, surface
+from odak.learn.raytracing.system.paraxial import matrix, signed_indices
+from odak.learn.raytracing.system.pupils import trace_fields
+from odak.learn.raytracing.system.surfaces import optical_system, reference_of, surface
 
 # Standard deviations of random curvatures of spheres and of aspheres in units of 1/focal length.
 SPREAD = (2.5, 1.2)
 # Steepest slopes of aspheres.
 STEEPEST = 1.2
-# Lenses of aspheres grow within a stage in steps, and at most this share of their designs goes on to the next stage.
-PARTS, KEPT = 2, 0.3
 # Distance of lost rays from the centroid in focal lengths.
 LOST = 0.1
 # Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
@@ -31,6 +30,19 @@ CURRICULUM = (
     (0.85, 0.9, 0.15, 3, 5),
     (1.0, 1.0, 0.09, 4, 6),
 )
+
+
+# Aspheres: shares of aperture and field at first, and the part of the way after which the field is full.
+LEAST, TURN = (0.2, 0.6), 0.4
+# Longest step along the way, how often it is halved, root mean square of the spots in focal lengths above which steps
+# become shorter, factor of the merit above which a step is repeated, and shares of the designs that are retained from
+# points of the way on.
+STEP, HALVINGS, ROUGH, WORST = 0.05, 4, 1.27e-3, 3.0
+CULLS = ((0.1, 0.67), (TURN, 0.42), (0.7, 0.25))
+# Shares of the beam at which slopes and edges are limited: where it will be as it grows, aspheres must not run away.
+BEAM, BEYOND = (0.5, 0.7, 0.85, 1.0), 1.1
+# Largest sine of angles of incidence; least element of the diagonal that damping is relative to.
+GRAZING, FLOOR = 0.8, 5e-9
 
 
 class Stage(NamedTuple):
@@ -101,9 +113,9 @@ def automatic_design(
     distortion: float = 0.02,
     chief_ray_angle: float | None = None,
     cover: tuple[Any, float] | None = None,
-    starts: int = 16,
+    starts: int | None = None,
     stages: int = 6,
-    iterations: int = 15,
+    iterations: int | None = None,
     polish: int = 6,
     seed: int = 0,
     unit: str = "mm",
@@ -142,12 +154,13 @@ def automatic_design(
         Largest angle of the chief rays in the image in degrees.
     cover : pair, optional
         Material and thickness of a plane plate in front of the image.
-    starts : int
-        Number of random bendings that the first stage begins with.
+    starts : int, optional
+        Number of random bendings that the first stage begins with; by default 16, of aspheres 12.
     stages : int
-        Number of steps in which aperture and field grow, 1 to 6; 1 begins with all of both.
-    iterations : int
-        Steps of Levenberg and Marquardt's method in each stage.
+        Number of steps in which aperture and field grow, 1 to 6; 1 begins with all of both. The way of aspheres from
+        the beginning of the same stage is divided into shorter steps of its own.
+    iterations : int, optional
+        Steps of Levenberg and Marquardt's method in each stage; by default 15, in each step of aspheres 6.
     polish : int
         Runs at the end in which the fields with the larger spots are given more weight.
     seed : int
@@ -173,10 +186,12 @@ def automatic_design(
     field grow to their full size. Here each stage is solved by least squares rather than by gradient
     descent, several designs side by side, the best of which go on.
 
-    Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. The variables of the
-    least squares are coefficients of combinations whose slopes are orthonormal over the beam, as Forbes proposed,
-    Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218. They are set free one after the other, and slopes above
-    1.2 within 1.15 times the radius of the beam are penalised. Rays that are lost when aspheres grow count as if they
+    Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. Their field grows
+    first, so that chief rays fill the rear surfaces, then the aperture, in steps that become shorter where the spots
+    become larger. The variables of the least squares are coefficients of combinations whose slopes are orthonormal over
+    the beam, as Forbes proposed, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; they are set free one after
+    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.1 times the radius of the beam
+    and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if they
     were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
 
     Examples
@@ -192,7 +207,9 @@ def automatic_design(
     if angle >= 80:
         raise ValueError(f"half_field must be below 80 degrees, got {half_field}")
     terms = _validate.integer("aspheric_terms", aspheric_terms)
-    starts, seed = _validate.integer("starts", starts, minimum=1), _validate.integer("seed", seed)
+    starts = _validate.integer("starts", (12 if terms else 16) if starts is None else starts, minimum=1)
+    iterations = (6 if terms else 15) if iterations is None else iterations
+    seed = _validate.integer("seed", seed)
     stages = _validate.integer("stages", stages, minimum=1)
     if stages > len(CURRICULUM):
         raise ValueError(f"stages must be at most {len(CURRICULUM)}, got {stages}")
@@ -215,102 +232,257 @@ def automatic_design(
     back = 0.1 * f if back is None else _validate.constant("back", back, least=0)
     system, bent, gaps = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)
     start = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)[0]
-    limit = 1 / (0.15 * f)
-    last = len(system.surfaces) - 1
-    variables = [
-        Variable("curvature", bent[1:], -limit, limit),
-        Variable("thickness", [i for i in gaps if i in bent[::2]], *glass),
-        Variable("thickness", [i for i in gaps if i not in bent[::2]], *air),
-        Variable("thickness", last, -0.1 * f, 0.1 * f),
-    ]
-    solves = [Solve("focal_length", bent[0], f), Solve("marginal_height", last)]
-    if terms:
-        # Limits of slopes take the place of those of curvatures, which are not variables by themselves.
-        variables[0] = Variable("curvature", bent[1:])
-        variables.append(Variable("coefficients", bent, terms=range(1, terms + 1)))
-    first = 0 if 0 in bent else min(bent)
-    between = list(range(first, last))
-    height = f * math.tan(math.radians(angle))
-    # Where the beam will be as it grows, aspheres must not have run away.
-    beyond = (1.15,) if terms else ()
-    within = (0.25, 0.5, 0.75, 1.0, *beyond) if terms else (0.5, 0.75, 1.0)
-    fixed = [
-        # The curvature that the focal length is solved by, in units of 1/f.
-        Operand(lambda _, p: f * p.curvature[..., bent[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-        Operand("edge_thickness", lower=edge, options={"surfaces": between, "shares": within}),
-        Operand("thickness", lower=back if cover is None else 0.3 * back, options={"surfaces": [last]}),
-    ]
-    if terms:
-        steep = {"surfaces": bent, "shares": (0.5, 0.7, 0.85, 1.0, *beyond)}
-        fixed.append(Operand("slope", weight=0.1 * f, lower=-STEEPEST, upper=STEEPEST, options=steep))
-    if angle:
-        fixed.append(Operand("distortion", weight=0.5 * height, lower=-0.9 * distortion, upper=0.9 * distortion))
-    if track is not None:
-        fixed.append(Operand("total_track", upper=_validate.constant("track", track), options={"first": first}))
-    if chief_ray_angle is not None:
-        fixed.append(Operand("chief_ray_angle", weight=0.002 * f, upper=chief_ray_angle))
+    asked = _Asked(
+        f, speed, angle, terms, glass, air, edge, back, track, distortion, chief_ray_angle, cover is not None
+    )
+    task = _Task(asked, system, bent, gaps, callback)
     generator = torch.Generator().manual_seed(seed)
-    values: Any = None
-    taken: list[Stage] = []
-
-    def set_stage(aperture: float, field: float, count: int) -> None:
-        system.aperture = aperture * f / speed
-        shares = [0.0] if not angle else [math.sqrt(k / (count - 1)) for k in range(count)]
-        system.fields = tuple((0.0, math.degrees(math.atan(math.tan(math.radians(angle)) * field * s))) for s in shares)
-
-    def describe(weights, rings: int, free: int = terms) -> lens_design:
-        # Aspheres may lose some rays when they grow: these return while the others are brought together.
-        spot = Operand("spot", options={"fields": weights} | ({"lost": LOST * f} if terms else {}))
-        # Turned, so that each ring has the two rays that are refracted most.
-        pupil = pupil_samples("rings", rings).flip(-1) if terms else "rings"
-        design = lens_design(system, [spot, *fixed], variables, solves=solves, pupil=pupil, count=rings)
-        for (_, term), column in zip(
-            design.places.get("coefficients", ()), design.columns.get("coefficients", ()), strict=True
-        ):
-            if term > free:
-                design.lower[column] = design.upper[column] = 0.0
-        return design
-
-    reached = (0.0, 0.0)
-    for number, (aperture, field, share, rings, count) in enumerate(CURRICULUM[-stages:]):
-        # Coefficients become variable one after the other, as the beam fills a larger part of the surfaces.
-        free = terms if number + 1 == stages else min(terms, number + 1)
-        before, parts = reached, PARTS if terms and number else 1
-        for part in range(1, parts + 1):
-            goal = (aperture, field)
-            if part < parts:
-                goal = tuple(a + part / parts * (b - a) for a, b in zip(before, goal, strict=True))
-            while reached != goal:
-                reached = _nearer(set_stage, describe, values, reached, goal, rings, count)
-                design = describe(None, rings, free)
-                if values is None:
-                    values = _random_starts(design, starts, SPREAD[bool(terms)] / f, generator)
-                values, loss = _run(design, values, iterations)
-                design.apply(values[loss.argmin()])
-                taken.append(_stage(system, *reached))
-                if callback is not None:
-                    callback(taken[-1])
-        share = min(share, KEPT) if terms else share
-        values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
-    weights = torch.ones(len(system.fields), dtype=torch.float64)
-    for _ in range(polish):
-        design = describe(weights.tolist(), rings)
-        values, loss = _run(design, values, 2 * iterations)
-        design.apply(values[loss.argmin()])
-        sizes = rms_spot(system, "rings", 8, vignetting=False).detach()
-        values = design.values[None]
-        weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
-        weights = weights / weights.square().mean().sqrt()
-    if polish:
-        taken.append(_stage(system, 1.0, 1.0))
-        if callback is not None:
-            callback(taken[-1])
+    grown = _grown_aspheres if terms else _grown_spheres
+    design = grown(task, starts, stages, iterations, polish, generator)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
         raise ValueError("rays are lost at the full aperture and field: try another seed")
     heights: Any = design.heights  # never None, since the operands limit the thickness of edges
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
-    return AutomaticResult(system, tuple(taken), start)
+    return AutomaticResult(system, tuple(task.stages), start)
+
+
+class _Asked(NamedTuple):
+    """What is asked of a lens: the checked arguments of :func:`automatic_design`."""
+
+    focal_length: float
+    f_number: float
+    half_field: float
+    terms: int
+    glass: Sequence[float]
+    air: Sequence[float]
+    edge: float
+    back: float
+    track: float | None
+    distortion: float
+    chief_ray_angle: float | None
+    covered: bool
+
+
+class _Task:
+    """A lens that grows: what is asked of it, its system and surfaces that may bend, and the stages so far."""
+
+    def __init__(self, asked: _Asked, system, bent: list[int], gaps: list[int], callback):
+        self.asked, self.system, self.bent, self.callback = asked, system, bent, callback
+        self.last = len(system.surfaces) - 1
+        self.first = 0 if 0 in bent else min(bent)
+        self.stages: list[Stage] = []
+        self.thicknesses = [
+            Variable("thickness", [i for i in gaps if i in bent[::2]], *asked.glass),
+            Variable("thickness", [i for i in gaps if i not in bent[::2]], *asked.air),
+        ]
+
+    def set_stage(self, aperture: float, field: float, shares) -> None:
+        """Set the aperture and, to some shares of the largest one, the fields."""
+        self.system.aperture = aperture * self.asked.focal_length / self.asked.f_number
+        largest = math.tan(math.radians(self.asked.half_field)) * field
+        shares = shares if self.asked.half_field else [0.0]
+        self.system.fields = tuple((0.0, math.degrees(math.atan(largest * s))) for s in shares)
+
+    def note(self, aperture: float, field: float) -> None:
+        """Append the system as it is to the stages, and call back."""
+        rms = rms_spot(self.system, "rings", 6, vignetting=False).detach()
+        self.stages.append(Stage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(self.system)))
+        if self.callback is not None:
+            self.callback(self.stages[-1])
+
+    def limits(self, shares: Sequence[float], edges: float = 1.0, bent: float | None = None) -> list[Operand]:
+        """Return the operands that keep the lens within its limits.
+
+        Parameters
+        ----------
+        shares : sequence of float
+            Shares of the beam's radius at which edges are limited.
+        edges : float
+            Weight of edges.
+        bent : float, optional
+            Weight of the distortion.
+        """
+        asked, f = self.asked, self.asked.focal_length
+        between = list(range(self.first, self.last))
+        image = asked.back * (0.3 if asked.covered else 1.0)
+        found = [
+            Operand("edge_thickness", weight=edges, lower=asked.edge, options={"surfaces": between, "shares": shares}),
+            Operand("thickness", weight=edges, lower=image, options={"surfaces": [self.last]}),
+        ]
+        if asked.half_field:
+            weight = 0.5 * f * math.tan(math.radians(asked.half_field)) if bent is None else bent
+            found.append(
+                Operand("distortion", weight=weight, lower=-0.9 * asked.distortion, upper=0.9 * asked.distortion)
+            )
+        if asked.track is not None:
+            track = _validate.constant("track", asked.track)
+            found.append(Operand("total_track", weight=edges, upper=track, options={"first": self.first}))
+        if asked.chief_ray_angle is not None:
+            found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=asked.chief_ray_angle))
+        return found
+
+
+def _grown_spheres(task: _Task, starts: int, stages: int, iterations: int, polish: int, generator) -> lens_design:
+    """Return the last design of spheres, whose aperture and field grew together."""
+    asked, system, bent, last = task.asked, task.system, task.bent, task.last
+    f = asked.focal_length
+    limit = 1 / (0.15 * f)
+    variables = [
+        Variable("curvature", bent[1:], -limit, limit),
+        *task.thicknesses,
+        Variable("thickness", last, -0.1 * f, 0.1 * f),
+    ]
+    solves = [Solve("focal_length", bent[0], f), Solve("marginal_height", last)]
+    fixed = [
+        # The curvature that the focal length is solved by, in units of 1/f.
+        Operand(lambda _, p: f * p.curvature[..., bent[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
+        *task.limits((0.5, 0.75, 1.0)),
+    ]
+
+    def describe(weights, rings: int) -> lens_design:
+        spot = Operand("spot", options={"fields": weights})
+        return lens_design(system, [spot, *fixed], variables, solves=solves, pupil="rings", count=rings)
+
+    values: Any = None
+    reached = (0.0, 0.0)
+    for aperture, field, share, rings, count in CURRICULUM[-stages:]:
+        shares = [math.sqrt(k / (count - 1)) for k in range(count)]
+        while reached != (aperture, field):
+            reached = _nearer(task, describe, values, reached, (aperture, field), rings, shares)
+            design = describe(None, rings)
+            if values is None:
+                values = _random_starts(design, starts, SPREAD[0] / f, generator)
+            values, loss, _ = _run(design, values, iterations)
+            design.apply(values[loss.argmin()])
+            task.note(*reached)
+        values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
+    return _polished(task, describe, design, values, rings, polish, 2 * iterations)
+
+
+def _polished(task: _Task, describe, design: lens_design, values, rings: int, polish: int, iterations: int):
+    """Return the design after runs in which the fields with the larger spots are given more weight."""
+    weights = torch.ones(len(task.system.fields), dtype=torch.float64)
+    for _ in range(polish):
+        design = describe(weights.tolist(), rings)
+        values, loss, _ = _run(design, design.values[None] if values is None else values, iterations)
+        design.apply(values[loss.argmin()])
+        sizes = rms_spot(task.system, "rings", 8, vignetting=False).detach()
+        values = design.values[None]
+        weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
+        weights = weights / weights.square().mean().sqrt()
+    if polish:
+        task.note(1.0, 1.0)
+    return design
+
+
+def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, polish: int, generator) -> lens_design:
+    """Return the last design of aspheres: the field grows first, then the aperture, in steps of adaptive length."""
+    asked, system, bent, last = task.asked, task.system, task.bent, task.last
+    f, terms = asked.focal_length, asked.terms
+    nearest = asked.back * (0.3 if asked.covered else 1.0)
+    behind = Variable("thickness", last, nearest, f)
+    beyond = (*BEAM, BEYOND)
+    shaped = [
+        Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": beyond}),
+        Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
+    ]
+    # Limits are soft while the lens grows, and firm at the end.
+    soft = [*task.limits((0.3, *beyond), edges=0.4, bent=0.044 * f), *shaped]
+    firm = [*task.limits((0.3, *beyond)), *shaped]
+    power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
+    shares = [(k / 8) ** 0.7 for k in range(9)]
+
+    def describe(weights, rings: int, free: int = terms, exact: bool = True) -> lens_design:
+        spot = Operand("spot", options={"fields": weights, "lost": LOST * f})
+        operands = [spot, *firm] if exact else [spot, power, *soft]
+        # Coefficients last, the higher ones behind the lower ones: a design with fewer of them has the first values.
+        variables = [Variable("curvature", bent[1:] if exact else bent), *task.thicknesses, behind]
+        variables += [Variable("coefficients", bent, terms=[term]) for term in range(1, free + 1)]
+        solves = [Solve("focal_length", bent[0], f)] if exact else []
+        return lens_design(system, operands, variables, solves=solves, pupil=_own_pupils(len(system.fields), rings))
+
+    def stage_at(way: float) -> tuple[float, float]:
+        """Return the shares of aperture and field."""
+        first, second = min(way / TURN, 1.0), max(way - TURN, 0.0) / (1 - TURN)
+        return LEAST[0] + (1 - LEAST[0]) * second, LEAST[1] + (1 - LEAST[1]) * first
+
+    def improved(values, damping, way: float, count: int):
+        """Return designs at a point of the way, their merits and dampings; None if rays are lost in all of them."""
+        task.set_stage(*stage_at(way), shares)
+        free = terms if way > TURN else min(terms, 1 + int(0.8 * terms * way / TURN))
+        design = describe(None, 4, free, exact=False)
+        if values is None:
+            values = _random_starts(design, starts, SPREAD[1] / f, generator)
+        values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
+        return design, _run(design, values, count, damping, FLOOR * f**2)
+
+    way, step = 1 - (stages - 1) / 5, STEP
+    design, found = improved(None, 0.1, way, 3 * iterations)
+    if found is None:
+        raise ValueError("rays are lost in all designs of the first stage: try another seed")
+    rough = 0.5 * len(system.fields) * (ROUGH * f) ** 2
+    rows = list(CULLS)
+    while True:
+        values, loss, damping = found
+        order = loss.argsort()
+        order = order[loss[order] <= max(rough, 20 * float(loss.min()))]
+        while rows and way >= rows[0][0]:
+            order = order[: max(1, math.ceil(rows.pop(0)[1] * starts))]
+        values, damping = values[order], damping[order].clamp(1e-5, 1e-1)
+        task.set_stage(*stage_at(way), shares)
+        design.apply(values[0])
+        task.note(*stage_at(way))
+        if way >= 1:
+            break
+        best = None
+        for attempt in range(HALVINGS + 1):
+            ahead = min(1.0, way + step / 2**attempt)
+            design, found = improved(values, damping, ahead, iterations)
+            if found is not None and not found[1].min() < rough:
+                design, found = improved(found[0], found[2], ahead, 2 * iterations)
+            if found is not None:
+                best = (ahead, design, found)
+                if found[1].min() < WORST * rough:
+                    break
+        if best is None:
+            raise ValueError(
+                f"rays are lost in all designs beyond shares {stage_at(way)} of aperture and field: try another seed"
+            )
+        way, design, found = best
+        merit = float(found[1].min())
+        step = min(STEP, 1.6 * step) if merit < rough and attempt == 0 else max(step / 2 ** (attempt + 1), STEP / 4)
+        # What was reached by the shortest step is all that is asked of the next ones.
+        rough = max(rough, merit / WORST)
+    return _polished(task, describe, design, None, 5, max(1, polish), 2 * iterations)
+
+
+def _relative_power(f: float) -> Callable:
+    """Return the operand of a system's power times a focal length."""
+
+    def power(system, prescription) -> torch.Tensor:
+        p = prescription.at(reference_of(system, prescription))
+        return -f * matrix(p, signed_indices(system, p), 0, len(system.surfaces)).c
+
+    return power
+
+
+def _own_pupils(fields: int, rings: int) -> torch.Tensor:
+    """Return points ``[F, P, 2]`` of a pupil for each field, in rings whose radii differ from field to field.
+
+    Rays of different fields then meet a surface at different heights, so that it cannot wave between them. The rim has
+    the two rays that are refracted most. No two points are mirror images, whose rays would be mirror images too.
+    """
+    arms = 5
+    ring, arm = torch.arange(1.0, rings + 1, dtype=torch.float64)[:, None], torch.arange(arms, dtype=torch.float64)
+    # Evenly filled for the last, largest field.
+    offset = (0.618034 * torch.arange(fields - 1, -1, -1, dtype=torch.float64))[:, None, None] % 1
+    radius = ((ring - 0.95 * offset) / rings).sqrt()
+    radius[:, -1] = 1.0
+    inner = (rings - ring) % 2
+    turn = math.pi * ((1 - inner) * arm / (arms - 1) + inner * (arm + 0.5) / arms)
+    side = 1 - 2 * ((ring + arm) % 2)
+    return torch.stack([radius * side * turn.sin(), radius * turn.cos()], -1).flatten(1, 2)
 
 
 def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
@@ -336,20 +508,20 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
     if cover is not None:
         gaps.append(len(row) - 1)
         row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
-    row[-1].thickness.fill_(f)
+    row[-1].thickness.fill_(f / 4 if terms else f)
     system = optical_system(row, 1.0, wavelengths=list(wavelengths), fields=[0.0], unit=unit)
     return system, bent, gaps
 
 
-def _nearer(set_stage, describe, values, here, goal, rings: int, count: int) -> tuple[float, float]:
+def _nearer(task: _Task, describe, values, here, goal, rings: int, shares) -> tuple[float, float]:
     """Set and return the fractions of aperture and field towards a goal at which a design loses no ray."""
     if values is None:
-        set_stage(*goal, count)
+        task.set_stage(*goal, shares)
         return goal
     way = 1.0
     for _ in range(6):
         tried = goal if way == 1.0 else (here[0] + way * (goal[0] - here[0]), here[1] + way * (goal[1] - here[1]))
-        set_stage(*tried, count)
+        task.set_stage(*tried, shares)
         design = describe(None, rings)
         with torch.no_grad():
             design.heights = design.clear_heights(values)
@@ -375,15 +547,19 @@ def _random_starts(design: lens_design, count: int, spread: float, generator) ->
     return torch.cat(found)[:count]
 
 
-def _run(design: lens_design, values: torch.Tensor, iterations: int):
-    """Return the ends of a run from several starts, and their merits; edges are judged where the beam is."""
-    for _ in range(2):
+def _run(design: lens_design, values: torch.Tensor, iterations: int, damping: Any = 1e-2, floor: float = 0.0):
+    """Return the ends of a run from several starts, their merits and dampings; edges are judged where the beam is."""
+    aspheres = "coefficients" in design.places
+    rounds = max(1, iterations // 3) if aspheres else 2
+    for _ in range(rounds):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
-        basis = _slope_basis(design) if "coefficients" in design.places else None
-        found = design._minimised(values, max(1, iterations // 2), damping=1e-2, basis=basis)
-        values = found.x
-    return values, found.loss
+            if aspheres and not bool(torch.isfinite(design.residuals(values)).all(-1).any()):
+                return None
+        basis = _slope_basis(design) if aspheres else None
+        found = design._minimised(values, max(1, iterations // rounds), damping=damping, basis=basis, floor=floor)
+        values, damping = found.x, found.damping if aspheres else damping
+    return values, found.loss, found.damping
 
 
 def _slope_basis(design: lens_design) -> torch.Tensor:
@@ -408,8 +584,3 @@ def _slope_basis(design: lens_design) -> torch.Tensor:
         scale = heights[:, place, None] ** (1 - powers) * torch.where(terms == 0, 2.0, 1.0)
         found[:, columns[:, None], columns] = scale[..., None] * functions
     return found
-
-
-def _stage(system, aperture: float, field: float) -> Stage:
-    rms = rms_spot(system, "rings", 6, vignetting=False).detach()
-    return Stage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(system))

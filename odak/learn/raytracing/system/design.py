@@ -488,14 +488,22 @@ class lens_design:
         return DesignResult(history[-1], tuple(history), found.converged, self.values)
 
     def _minimised(
-        self, starts, iterations: int, damping: float = 1e-2, tolerance: float = 1e-9, callback=None, basis=None
+        self,
+        starts,
+        iterations: int,
+        damping: Any = 1e-2,
+        tolerance: float = 1e-9,
+        callback=None,
+        basis=None,
+        floor=0.0,
     ):
         """Minimise from several starts ``[N, V]`` side by side, over their coefficients in the columns of a basis.
 
         The basis ``[N, V, V]`` must leave variables with bounds other than 0 and infinity as they are.
         """
         _validate.integer("iterations", iterations, minimum=1)
-        _validate.number("damping", damping, positive=True)
+        if not isinstance(damping, torch.Tensor):
+            _validate.number("damping", damping, positive=True)
         _validate.number("tolerance", tolerance, least=0)
 
         def losses(candidates):
@@ -520,6 +528,7 @@ class lens_design:
             tolerance=tolerance,
             callback=callback,
             ladder=LADDER,
+            floor=floor,
         )
         return found if basis is None else found._replace(x=(found.x[:, None] @ basis.mT)[:, 0])
 

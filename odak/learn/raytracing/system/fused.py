@@ -31,7 +31,7 @@ from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, radial_sag
 BLOCK_BYTES = 1 << 17
 # From this number on the rays of one system fill a block; below it, a block contains several systems.
 MANY = 4096
-STEPS = 12
+STEPS = 20
 
 
 class Element(NamedTuple):
@@ -380,7 +380,8 @@ def _intersect(x, y, u, v, w, e: Element, check: bool):
     cosine = root if e.sign > 0 else root.neg_()
     t = f.div_(g.add_(cosine))
     if e.kind is EvenAsphere:
-        t = _newton(x, y, u, v, w, t, e)
+        # A ray may pass its conic by and meet the asphere: it begins in the vertex plane.
+        t = _newton(x, y, u, v, w, t.nan_to_num_(0.0, 0.0, 0.0), e)
         if t is None:
             return None
     x.addcmul_(t, u)

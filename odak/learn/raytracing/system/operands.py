@@ -9,17 +9,24 @@ import torch
 
 from odak import _validate
 from odak.catalog import glass_makers, material, material_names
-from odak.learn.raytracing.system.analysis import Wavefront, distortion, lateral_color, wavefront
+from odak.learn.raytracing.system.analysis import (
+    Wavefront,
+    lateral_color,
+    paraxial_points,
+    relative_deviation,
+    wavefront,
+)
 from odak.learn.raytracing.system.paraxial import FirstOrder, first_order
 from odak.learn.raytracing.system.pupils import launch, pupil_of
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     field_shares,
     is_break,
+    layout_of,
     reference_of,
     wavelength_shares,
 )
-from odak.learn.raytracing.system.tracing import Traced, in_surface_frame, trace
+from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 from odak.learn.raytracing.system.waves import huygens_point_spread_function, modulation_at
 from odak.raytracing.surfaces import EvenAsphere, Sag
 
@@ -295,7 +302,8 @@ def _modulation(view: View, frequency: float, axis: str = "y", samples: int = 24
 
 def _distortion(view: View) -> torch.Tensor:
     """Relative distortion of all fields at the reference wavelength."""
-    return distortion(view.system, **view.options)[..., reference_of(view.system, view.prescription), :]
+    points = torch.stack([view.chief.x, view.chief.y], -1)
+    return relative_deviation(points, paraxial_points(view.system, view.prescription))
 
 
 def _lateral_color(view: View) -> torch.Tensor:
@@ -308,6 +316,51 @@ def _chief_ray_angle(view: View) -> torch.Tensor:
     chief = view.chief
     across = (chief.u.square() + chief.v.square()).clamp_min(1e-30).sqrt()
     return torch.rad2deg(torch.atan2(across, chief.w.abs()))
+
+
+def _incidence(view: View, surfaces: Any = None, count: int = 4) -> torch.Tensor:
+    """Sines of the angles between rays and normals at refracting surfaces, on the side where they are larger.
+
+    Rays of all fields at the reference wavelength through the centre of the pupil and `count` points of its rim. The
+    sine of a ray that is reflected totally would be larger than 1; rays that are lost count as 1.
+    """
+    system = view.system
+    p = view.prescription.at(reference_of(system, view.prescription))
+    layout = layout_of(system.surfaces, p, None, vignetting=False)
+    if not layout.standard or "reflect" in layout.actions:
+        raise ValueError("an operand of incidence needs refracting planes, conics and aspheres without tilts")
+    places = [i for i, action in enumerate(layout.actions[:-1]) if action == "refract"]
+    wanted = places if surfaces is None else _places(surfaces, len(layout.actions) - 1, ())
+    if not set(wanted) <= set(places):
+        raise ValueError(f"surfaces of an operand of incidence must refract, got {wanted}")
+    turn = torch.arange(count, dtype=torch.float64) * (2 * math.pi / count)
+    points = torch.cat([torch.zeros(1, 2, dtype=torch.float64), torch.stack([turn.sin(), turn.cos()], -1)])
+    rays = launch(system, points, **(view.options | {"prescription": p}))
+    # A batch of systems that end behind one surface after the other: directions behind all surfaces in one trace.
+    here = torch.tensor(places, device=p.thickness.device)[:, None]
+    order = torch.arange(p.thickness.shape[-1] + 1, device=here.device)
+    kept = (order[:-1] <= here).double()
+    ends = p._replace(
+        curvature=p.curvature[..., None, :] * kept,
+        conic=p.conic[..., None, :] * kept,
+        thickness=p.thickness[..., None, :] * kept,
+        coefficients=p.coefficients[..., None, :, :] * kept[..., None],
+        index=p.index[..., torch.minimum(order, here + 1)].movedim(-2, -3),
+    )
+    rays = Rays(
+        *(value[..., None, :, :, :].expand(*value.shape[:-3], len(places), *value.shape[-3:]) for value in rays)
+    )
+    behind = trace(system, rays, prescription=ends, vignetting=False)
+    along: Any = 0.0
+    for old, new in zip(rays[3:], behind[3:6], strict=True):
+        first = old.expand(new.shape)[..., :1, :, :, :]
+        along = along + torch.cat([first, new[..., :-1, :, :, :]], -4) * new
+    n1, n2 = (p.index[..., [i + side for i in places]].movedim(-1, -2)[..., None, None] for side in (0, 1))
+    # The change n₂d₂ − n₁d₁ is along the normal.
+    change = (n1 * n1 + n2 * n2 - 2 * n1 * n2 * along).clamp_min(1e-30).sqrt()
+    sine = torch.maximum(n1, n2) * (1 - along * along).clamp_min(1e-30).sqrt() / change
+    sine = torch.where(behind.arrived, sine, 1.0)
+    return sine[..., [places.index(i) for i in wanted], 0, :, :].flatten(-3)
 
 
 def _telecentricity(view: View) -> torch.Tensor:
@@ -340,6 +393,7 @@ OPERANDS: dict[str, Callable[..., torch.Tensor]] = {
     "distortion": _distortion,
     "edge_thickness": edge_thicknesses,
     "glass": _glass,
+    "incidence": _incidence,
     "lateral_color": _lateral_color,
     "modulation": _modulation,
     "slope": slopes,

@@ -140,12 +140,23 @@ def levenberg_marquardt(
 
 
 class LeastSquares(NamedTuple):
-    """How :func:`least_squares` ended: numbers ``[N, V]``, losses ``[N]``, their history, and whether it converged."""
+    """How :func:`least_squares` ended.
+
+    Attributes
+    ----------
+    x, loss, damping : torch.Tensor
+        Numbers ``[N, V]``, losses and dampings ``[N]``.
+    history : list of torch.Tensor
+        Losses at the start and after each step.
+    converged : bool
+        Whether nothing changed any more.
+    """
 
     x: torch.Tensor
     loss: torch.Tensor
     history: list[torch.Tensor]
     converged: bool
+    damping: torch.Tensor
 
 
 # Dampings tried at once, and the factors of the next one after steps that help and after steps that do not.
@@ -161,10 +172,11 @@ def least_squares(
     lower: Any = None,
     upper: Any = None,
     iterations: int,
-    damping: float = 1e-3,
+    damping: float | torch.Tensor = 1e-3,
     tolerance: float = 1e-10,
     callback: Callable | None = None,
     ladder: tuple = ONE,
+    floor: float = 0.0,
 ) -> LeastSquares:
     """Minimise half the sums of squares of N independent problems side by side, within bounds.
 
@@ -181,8 +193,8 @@ def least_squares(
         cut off at the bounds.
     iterations : int
         Steps at most.
-    damping : float
-        Damping of the first step, relative to the diagonal of JᵀJ.
+    damping : float or torch.Tensor
+        Damping of the first step, relative to the diagonal of JᵀJ; one or one for each problem ``[N]``.
     tolerance : float
         A problem ends when its loss or its numbers change by less than this, relatively.
     callback : callable, optional
@@ -198,7 +210,7 @@ def least_squares(
     """
     factors, relief, growth, rounds = ladder
     scales = torch.tensor(factors, dtype=x.dtype, device=x.device)
-    size = torch.full((len(x),), damping, dtype=x.dtype, device=x.device)
+    size = torch.as_tensor(damping, dtype=x.dtype, device=x.device).expand(len(x)).clone()
     low, high = (
         torch.full_like(x[0], side) if bound is None else bound for bound, side in ((lower, -inf), (upper, inf))
     )
@@ -216,7 +228,7 @@ def least_squares(
         jacobian = jacobian * free[:, None]
         normal = jacobian.mT @ jacobian
         diagonal = normal.diagonal(dim1=-2, dim2=-1)
-        least = (1e-12 * diagonal.amax(-1, keepdim=True)).clamp_min(1e-300)
+        least = (1e-12 * diagonal.amax(-1, keepdim=True)).clamp_min(max(floor, 1e-300))
         scale = torch.maximum(diagonal, least).rsqrt()
         levels, axes = torch.linalg.eigh(normal * scale[:, :, None] * scale[:, None])
         turned = (axes.mT @ (scale * slope * free)[..., None])[..., 0]
@@ -247,7 +259,7 @@ def least_squares(
         if (callback is not None and callback(number, loss)) or converged or number == iterations:
             break
         value, jacobian = linearised(x)
-    return LeastSquares(x, loss, history, converged)
+    return LeastSquares(x, loss, history, converged, size)
 
 
 def _linearised(residuals, parameters):

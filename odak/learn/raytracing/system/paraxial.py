@@ -207,8 +207,9 @@ def entrance_pupil(system, wavelength: float | None = None, prescription: Prescr
     by_image = system.aperture_type == "F-number" or (system.aperture_type == "NA" and system.at_infinity)
     check_media(system, p, None if by_image else system.stop)
     index = signed_indices(system, p)
-    whole = matrix(p, index, 0, len(system.surfaces))
     before = matrix(p, index, 0, system.stop, gap=True)
+    # An aperture in object space, of an object at infinity, does not depend on the surfaces behind the stop.
+    whole = matrix(p, index, 0, len(system.surfaces)) if by_image or not system.at_infinity else before
     n = index[..., 0]
     distance = n * before.b / before.a
     if system.at_infinity:

@@ -28,7 +28,7 @@ from odak.learn.raytracing.system import (
     tolerance,
     trace_fields,
 )
-from odak.learn.raytracing.system.operands import OPERANDS
+from odak.learn.raytracing.system.operands import OPERANDS, View, values_of
 from odak.raytracing import Toroid
 from odak.raytracing.phases import RadialPhase
 
@@ -180,6 +180,56 @@ def test_jacobians_are_exact(operand):
     both = torch.stack([1.001 * design.values, design.values])
     again = design.linearised(both)
     torch.testing.assert_close(again[1][1], jacobian, rtol=1e-8, atol=1e-8 * float(jacobian.abs().amax()))
+
+
+def test_angles_of_incidence_are_those_of_a_sphere_and_a_plate():
+    """Parallel rays meet a sphere at height y with the sine y/R; at both sides of a plate the sine is the field's."""
+    ball = optical_system([surface(40.0, thickness=3.0, material=1.5, stop=True), surface(thickness=60.0)], 20.0)
+    front = values_of(Operand("incidence", options={"surfaces": [0], "count": 2}), View(ball, ball.prescription()))
+    torch.testing.assert_close(front, torch.tensor([0.0, 0.25, 0.25], dtype=F64), rtol=1e-12, atol=1e-12)
+    plate = optical_system([surface(thickness=3.0, material=1.5), surface(thickness=10.0)], 2.0, fields=[30.0, 60.0])
+    sines = values_of(Operand("incidence"), View(plate, plate.prescription())).reshape(2, 2, 5)
+    expected = torch.tensor([0.5, 3**0.5 / 2], dtype=F64)[:, None].expand(2, 2, 5)
+    torch.testing.assert_close(sines, expected, rtol=1e-12, atol=0)
+    # Rays that are reflected totally behind a prism-like steep sphere count as 1.
+    steep = optical_system([surface(thickness=9.0, material=2.0), surface(-10.0, thickness=10.0)], 12.0)
+    lost = values_of(Operand("incidence", options={"surfaces": [1], "count": 2}), View(steep, steep.prescription()))
+    assert lost.tolist()[1:] == [1.0, 1.0]
+    mirror = optical_system([surface(-100.0, material="mirror", thickness=-50.0)], 10.0)
+    with pytest.raises(ValueError, match="incidence"):
+        values_of(Operand("incidence"), View(mirror, mirror.prescription()))
+
+
+def test_rays_that_pass_the_conic_of_an_asphere_by_are_traced_by_the_fused_kernel(monkeypatch):
+    """A paraboloid minus itself is a plane, which every ray meets; many of these rays do not meet the paraboloid."""
+
+    def plate(**front):
+        first = surface(thickness=3.0, material=1.5, stop=True, **front)
+        return optical_system([first, surface(thickness=5.0)], 2.0, fields=[0.0, 40.0])
+
+    monkeypatch.setattr(fused, "plain", None)
+    bowl = plate(curvature=2.0, conic=-1.0, coefficients=[-1.0, 0.0])
+    found, expected = (trace_fields(lens, "rings", 4) for lens in (bowl, plate()))
+    assert bool(found.arrived.all())
+    torch.testing.assert_close(found.y, expected.y, rtol=0, atol=1e-12)
+    torch.testing.assert_close(found.path, expected.path, rtol=0, atol=1e-12)
+    design = lens_design(bowl, "spot", [Variable("curvature", 0), Variable("coefficients", 0, terms=[0])])
+    # c/2 and the first coefficient are the same number of the surface.
+    by_curvature, by_coefficient = design.linearised(design.values)[1].unbind(-1)
+    assert float(by_coefficient.abs().max()) > 0.1
+    torch.testing.assert_close(2 * by_curvature, by_coefficient, rtol=1e-9, atol=1e-9)
+
+
+def test_a_run_in_two_parts_that_keeps_the_damping_is_one_run():
+    lens = load_system("cooke_triplet")
+    design = lens_design(lens, "spot", [Variable("curvature", range(6)), Variable("thickness", 5)], count=2)
+    starts = design.values * torch.tensor([[1.0], [1.01]], dtype=F64)
+    whole = design._minimised(starts, 4)
+    part = design._minimised(starts, 2)
+    rest = design._minimised(part.x, 2, part.damping)
+    assert torch.equal(rest.x, whole.x) and torch.equal(rest.damping, whole.damping)
+    again = design._minimised(part.x, 2)
+    assert not torch.equal(again.x, whole.x)
 
 
 def test_jacobians_with_tilts_and_through_apertures_that_lose_rays():
@@ -439,15 +489,16 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
 
 @pytest.mark.slow
 def test_aspheres_are_designed_without_running_away():
-    """Three plastic aspheres of 50 degrees at f/4: spots by rays of another pattern, slopes within the beam."""
+    """Three plastic aspheres of 50 degrees at f/4: spots by rays of another pattern, also between the fields."""
     low, high = model_glass(1.5445, 55.99), model_glass(1.6613, 20.37)
     options = {"aspheric_terms": 3, "glass": (0.25, 1.0), "air": (0.05, 1.0), "edge": 0.05, "back": 0.4, "track": 7.0}
     lens = automatic_design(
         ["stop", low, high, low], 4.55, 4.0, 25.0, starts=3, iterations=6, polish=0, **options
     ).system
-    assert float(rms_spot(lens, "grid", 15).max()) < 0.02
+    assert float(first_order(lens).focal_length) == pytest.approx(4.55, rel=1e-9)
+    assert float(rms_spot(lens, "grid", 15).max()) < 0.01
     assert float(distortion(lens).abs().max()) < 0.02
-    judged_alone(lens, [0.0, 9.0, 18.0, 25.0], 0.02, 0.02)
+    judged_alone(lens, [2.5 * k for k in range(11)], 0.01, 0.02)
     assert bool(trace_fields(lens, "rings", 6).arrived.all())
     for item in lens.surfaces[1:]:
         y = torch.linspace(0.0, 1.15 * item.semi_diameter, 50, dtype=F64)
