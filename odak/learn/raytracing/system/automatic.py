@@ -40,7 +40,8 @@ LEAST, TURN = (0.2, 0.6), 0.4
 STEP, HALVINGS, ROUGH, WORST = 0.05, 4, 1.27e-3, 3.0
 CULLS = ((0.1, 0.67), (TURN, 0.42), (0.7, 0.25))
 # Shares of the beam at which slopes and edges are limited: where it will be as it grows, aspheres must not run away.
-BEAM, BEYOND = (0.5, 0.7, 0.85, 1.0), 1.1
+# While they grow and at the end, up to these shares.
+BEAM, BEYOND = (0.5, 0.7, 0.85, 1.0), (1.1, 1.15)
 # Largest sine of angles of incidence; least element of the diagonal that damping is relative to.
 GRAZING, FLOOR = 0.8, 5e-9
 
@@ -190,8 +191,8 @@ def automatic_design(
     first, so that chief rays fill the rear surfaces, then the aperture, in steps that become shorter where the spots
     become larger. The variables of the least squares are coefficients of combinations whose slopes are orthonormal over
     the beam, as Forbes proposed, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; they are set free one after
-    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.1 times the radius of the beam
-    and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if they
+    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.15 times the radius of the
+    beam and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if they
     were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
 
     Examples
@@ -382,14 +383,17 @@ def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, poli
     f, terms = asked.focal_length, asked.terms
     nearest = asked.back * (0.3 if asked.covered else 1.0)
     behind = Variable("thickness", last, nearest, f)
-    beyond = (*BEAM, BEYOND)
-    shaped = [
-        Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": beyond}),
-        Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
-    ]
+
+    def limits(beyond: float, **weights) -> list[Operand]:
+        shares = (*BEAM, beyond)
+        return [
+            *task.limits((0.3, *shares), **weights),
+            Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": shares}),
+            Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
+        ]
+
     # Limits are soft while the lens grows, and firm at the end.
-    soft = [*task.limits((0.3, *beyond), edges=0.4, bent=0.044 * f), *shaped]
-    firm = [*task.limits((0.3, *beyond)), *shaped]
+    soft, firm = limits(BEYOND[0], edges=0.4, bent=0.044 * f), limits(BEYOND[1])
     power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
     shares = [(k / 8) ** 0.7 for k in range(9)]
 
