@@ -192,8 +192,8 @@ def automatic_design(
     become larger. The variables of the least squares are coefficients of combinations whose slopes are orthonormal over
     the beam, as Forbes proposed, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; they are set free one after
     the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.15 times the radius of the
-    beam and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if they
-    were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
+    beam and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if
+    they were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
 
     Examples
     --------
