@@ -520,12 +520,12 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
 def _nearer(task: _Task, describe, values, here, goal, rings: int, shares) -> tuple[float, float]:
     """Set and return the fractions of aperture and field towards a goal at which a design loses no ray."""
     if values is None:
-        task.set_stage(*goal, shares)
+        task.set_stage(goal[0], goal[1], shares)
         return goal
     way = 1.0
     for _ in range(6):
         tried = goal if way == 1.0 else (here[0] + way * (goal[0] - here[0]), here[1] + way * (goal[1] - here[1]))
-        task.set_stage(*tried, shares)
+        task.set_stage(tried[0], tried[1], shares)
         design = describe(None, rings)
         with torch.no_grad():
             design.heights = design.clear_heights(values)
