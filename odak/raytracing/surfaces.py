@@ -1100,15 +1100,28 @@ def _solve(start, direction, shape: Shape, aperture, select: str):
     seed, _ = intersections.conic(start, direction, curvature, conic, None, select)
     flat = intersections.vertex_plane(start, direction)
     guess = xp.where(seed.hit, seed.distance, xp.where(flat.hit, flat.distance, 0.0))
-    distance, found, crossed = newton(start, direction, shape, guess)
+
+    def solved(guess):
+        """Return distances, which of them converged, and which are intersections as selected."""
+        distance, found, crossed = newton(start, direction, shape, guess)
+        if select == "ahead":
+            # A start point on the surface itself is not an intersection.
+            scale = abs(distance) * length + vec.dot(start, start) ** 0.5 + (0.0 if aperture is None else aperture)
+            crossed = crossed & (distance * length > 64 * epsilon(length) * scale)
+        elif select == "through":
+            _, slope, here = _level(start, direction, shape, distance, found)
+            crossed = crossed & (~found | (here.defined & (slope * direction[2] > 0)))
+        return distance, found, crossed
+
+    distance, found, crossed = solved(guess)
+    # Where the conic is met far from the surface, the iteration may diverge: it begins again in the vertex plane.
+    again = seed.hit & flat.hit & ~(found & crossed)
+    if not is_readable(again) or bool(xp.any(again)):
+        second = solved(xp.where(again, flat.distance, distance))
+        distance, found, crossed = (
+            xp.where(again, b, a) for a, b in zip((distance, found, crossed), second, strict=True)
+        )
     x, y, _ = vec.along(start, distance, direction)
-    if select == "ahead":
-        # A start point on the surface itself is not an intersection.
-        scale = abs(distance) * length + vec.dot(start, start) ** 0.5 + (0.0 if aperture is None else aperture)
-        crossed = crossed & (distance * length > 64 * epsilon(length) * scale)
-    elif select == "through":
-        _, slope, here = _level(start, direction, shape, distance, found)
-        crossed = crossed & (~found | (here.defined & (slope * direction[2] > 0)))
     inside = crossed & shape.covers(x, y)
     if aperture is not None:
         inside = inside & (x * x + y * y <= aperture * aperture)

@@ -404,18 +404,25 @@ def _on_sheet(z, e: Element) -> bool:
 
 
 def _newton(x, y, u, v, w, t, e: Element):
-    """Return the distance to an asphere by Newton's method, or None if a ray does not converge."""
+    """Return the distance to an asphere by Newton's method, or None if a ray does not converge.
+
+    Rays that do not converge from `t` begin once more in the vertex plane.
+    """
     scale = 64 * torch.finfo(x.dtype).eps
-    for _ in range(STEPS):
-        px, py = torch.addcmul(x, t, u), torch.addcmul(y, t, v)
-        squared = torch.addcmul(px * px, py, py)
-        height, slope, _ = radial_sag(squared, e.c, e.k, e.a)
-        along = torch.addcmul(w, px.mul_(u).addcmul_(py, v), slope, value=-2)
-        step = torch.addcmul(height, t, w, value=-1).neg_().div_(along)
-        t = t - step
-        size = float(step.abs().amax())
-        if size <= scale * (1 + float(squared.amax()) ** 0.5):
-            return t if bool((along * e.sign).amin() > 0) else None
+    for _ in range(2):
+        for _ in range(STEPS):
+            px, py = torch.addcmul(x, t, u), torch.addcmul(y, t, v)
+            squared = torch.addcmul(px * px, py, py)
+            height, slope, _ = radial_sag(squared, e.c, e.k, e.a)
+            along = torch.addcmul(w, px.mul_(u).addcmul_(py, v), slope, value=-2)
+            step = torch.addcmul(height, t, w, value=-1).neg_().div_(along)
+            t = t - step
+            if float(step.abs().amax()) <= scale * (1 + float(squared.amax()) ** 0.5):
+                if bool((along * e.sign).amin() > 0):
+                    return t
+                break
+        arrived = (step.abs() <= scale * (1 + squared.sqrt())) & (along * e.sign > 0)
+        t = torch.where(arrived, t, 0.0)
     return None
 
 

@@ -1,13 +1,16 @@
 """Any shape, aperture and phase in a lens: one class is all that it takes."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from scipy.optimize import brentq
 
 from odak.learn.raytracing.system import (
+    Rays,
     coordinate_break,
     first_order,
     ghost_system,
@@ -25,7 +28,7 @@ from odak.learn.raytracing.system.surfaces import drawn_radii
 from odak.raytracing import Conic, EvenAsphere, RayStatus, SplineFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, PolygonAperture, RectangularAperture
 from odak.raytracing.phases import IdealLens, LinearGrating, PolynomialPhase, RadialPhase, ZernikePhase
-from odak.raytracing.surfaces import Sag, Shape, conic_sag
+from odak.raytracing.surfaces import Sag, Shape, conic_sag, intersection
 
 F64 = torch.float64
 
@@ -359,3 +362,31 @@ def test_surfaces_are_drawn_up_to_their_rims_or_the_rays():
     radii = drawn_radii([near, far, stop, rimmed, None], [1.0, 2.0, 9.0, 9.0, 10.0])
     assert radii == pytest.approx([2.1, 2.1, 3.0, 4.0, 10.5])
     assert drawn_radii([surface(), far, near], [0.0, 2.0, 1.0]) == pytest.approx([1.0, 2.1, 1.05])
+
+
+@pytest.mark.parametrize(
+    ("curvature", "coefficients", "height", "angle", "near"),
+    [
+        (-0.4194, (0.0, 0.10863, -0.03797, -0.0064), 0.7734, -56.034, 4.75),
+        (0.44023, (0.0, -0.098535, 0.013387, 0.007559), 0.82778, 53.477, 5.25),
+    ],
+)
+def test_rays_that_meet_the_base_conic_far_from_the_asphere(curvature, coefficients, height, angle, near):
+    """The iteration from there diverges; the intersection is found by bisection in the plane x = 0."""
+    y, z = math.sin(math.radians(angle)), math.cos(math.radians(angle))
+    shape = EvenAsphere(curvature, -1.0, coefficients)
+    start, direction = np.asarray([[0.0, height - 5 * y, -5 * z]]), np.asarray([[0.0, y, z]])
+
+    def above(t):
+        place = start + t * direction
+        return float(place[0, 2] - shape.sag(place[:, 0], place[:, 1]).height[0])
+
+    expected = brentq(above, near - 0.1, near + 0.1, xtol=1e-14)
+    assert abs(start[0, 1] + expected * y) < 1.2
+    found, status = intersection(start, direction, shape, select="through")
+    assert status.tolist() == [RayStatus.HIT]
+    assert found.distance.tolist() == pytest.approx([expected], abs=1e-12)
+    front = surface(curvature=curvature, conic=-1.0, coefficients=list(coefficients), stop=True)
+    rays = Rays(*(torch.tensor([[[value]]], dtype=F64) for value in (*start[0], *direction[0])))
+    traced = trace(optical_system([front], 2.0), rays, until=0)
+    assert traced.y.item() == pytest.approx(start[0, 1] + expected * y, abs=1e-12)
