@@ -62,6 +62,24 @@ TASKS = {
         },
         "limits": {"rms": 8e-3, "distortion": 0.02, "minutes": 3.0},
     },
+    "six aspheres 4.55 mm f/2, 80 degrees": {
+        "design": {
+            "elements": ["stop", LOW, HIGH, LOW, HIGH, LOW, LOW],
+            "focal_length": 4.55,
+            "f_number": 2.0,
+            "half_field": 40.0,
+            "aspheric_terms": 6,
+            "glass": (0.25, 0.9),
+            "air": (0.05, 0.8),
+            "edge": 0.08,
+            "back": 0.5,
+            "track": 7.0,
+            "distortion": 0.045,
+            "cover": ("N-BK7", 0.21),
+            "seed": 2,
+        },
+        "limits": {"rms": 12e-3, "distortion": 0.05, "minutes": 15.0},
+    },
 }
 # Angles from the axis to the largest one at which a design is judged.
 FIELDS = 33

@@ -726,7 +726,7 @@ def eyebox(
 
 @app.command(
     help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss, double_gauss_f28, "
-    "triplet_f28), a .json file written by odak, or a Zemax .zmx file.\n\n"
+    "triplet_f28, phone_f2), a .json file written by odak, or a Zemax .zmx file.\n\n"
     "Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, footprint, "
     "polarisation, Seidel coefficients), report.html with all of them, the prescription and the "
     "aberrations, and report.json with first-order properties, spot sizes and the number of rays that were lost."

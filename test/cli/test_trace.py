@@ -33,7 +33,14 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     expected = rms_spot(system, "rings", 3)
     assert [field["rms_spot"] for field in report["fields"]] == pytest.approx(expected.tolist(), rel=1e-12)
     assert report["first_order"]["f_number"] == pytest.approx(
-        {"singlet": 4.9826, "cooke_triplet": 4, "double_gauss_f28": 2.8, "double_gauss": 2, "triplet_f28": 2.8}[name],
+        {
+            "singlet": 4.9826,
+            "cooke_triplet": 4,
+            "double_gauss_f28": 2.8,
+            "double_gauss": 2,
+            "phone_f2": 2,
+            "triplet_f28": 2.8,
+        }[name],
         rel=1e-3,
     )
     for field in report["fields"]:
@@ -118,7 +125,7 @@ def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, cap
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nothing"], "one of cooke_triplet, double_gauss, double_gauss_f28, singlet, triplet_f28"),
+        (["nothing"], "one of cooke_triplet, double_gauss, double_gauss_f28, phone_f2, singlet, triplet_f28"),
         (["nothing.zmx"], "SYSTEM not found: 'nothing.zmx'"),
         ([__file__], "SYSTEM must be a .json or .zmx file, or the name of a sample lens"),
         (["singlet", "--rings", "0"], "--rings must be 1 to 100"),

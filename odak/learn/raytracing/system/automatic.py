@@ -40,10 +40,13 @@ LEAST, TURN = (0.2, 0.6), 0.4
 STEP, HALVINGS, ROUGH, WORST = 0.05, 4, 1.27e-3, 3.0
 CULLS = ((0.1, 0.67), (TURN, 0.42), (0.7, 0.25))
 # Shares of the beam at which slopes and edges are limited: where it will be as it grows, aspheres must not run away.
-# While they grow and at the end, up to these shares.
-BEAM, BEYOND = (0.5, 0.7, 0.85, 1.0), (1.1, 1.15)
+BEAM = (0.5, 0.7, 0.85, 1.0, 1.1)
+# Weights of edges and, in focal lengths, of distortion while aspheres grow.
+SOFT_EDGES, FIRM_EDGES, SOFT_DISTORTION = 0.4, 4.0, 0.044
 # Largest sine of angles of incidence; least element of the diagonal that damping is relative to.
 GRAZING, FLOOR = 0.8, 5e-9
+# Least and largest damping that aspheres carry on from run to run.
+DAMPING = (1e-5, 1e-1)
 
 
 class Stage(NamedTuple):
@@ -191,7 +194,7 @@ def automatic_design(
     first, so that chief rays fill the rear surfaces, then the aperture, in steps that become shorter where the spots
     become larger. The variables of the least squares are coefficients of combinations whose slopes are orthonormal over
     the beam, as Forbes proposed, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; they are set free one after
-    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.15 times the radius of the
+    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.1 times the radius of the
     beam and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if
     they were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
 
@@ -358,15 +361,38 @@ def _grown_spheres(task: _Task, starts: int, stages: int, iterations: int, polis
             design.apply(values[loss.argmin()])
             task.note(*reached)
         values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
-    return _polished(task, describe, design, values, rings, polish, 2 * iterations)
+    return _polished(
+        task,
+        lambda weights, _: describe(weights, rings),
+        design,
+        lambda *given: _run(*given, 2 * iterations),
+        values,
+        polish,
+    )
 
 
-def _polished(task: _Task, describe, design: lens_design, values, rings: int, polish: int, iterations: int):
-    """Return the design after runs in which the fields with the larger spots are given more weight."""
+def _polished(task: _Task, describe, design: lens_design, run, values, polish: int) -> lens_design:
+    """Return the design after runs in which the fields with the larger spots are given more weight.
+
+    Parameters
+    ----------
+    task : _Task
+        The lens.
+    describe : callable
+        Takes the weights of the fields and how far the runs have come, at most 1; returns a design.
+    design : lens_design
+        What is returned without a run.
+    run : callable
+        Takes a design and values; returns their improvement and merits.
+    values : torch.Tensor or None
+        Values of several designs, of one by default that of the system.
+    polish : int
+        Number of runs.
+    """
     weights = torch.ones(len(task.system.fields), dtype=torch.float64)
-    for _ in range(polish):
-        design = describe(weights.tolist(), rings)
-        values, loss, _ = _run(design, design.values[None] if values is None else values, iterations)
+    for k in range(polish):
+        design = describe(weights.tolist(), (k + 1) / polish)
+        values, loss, *_ = run(design, design.values[None] if values is None else values)
         design.apply(values[loss.argmin()])
         sizes = rms_spot(task.system, "rings", 8, vignetting=False).detach()
         values = design.values[None]
@@ -384,22 +410,25 @@ def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, poli
     nearest = asked.back * (0.3 if asked.covered else 1.0)
     behind = Variable("thickness", last, nearest, f)
 
-    def limits(beyond: float, **weights) -> list[Operand]:
-        shares = (*BEAM, beyond)
-        return [
-            *task.limits((0.3, *shares), **weights),
-            Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": shares}),
-            Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
-        ]
-
-    # Limits are soft while the lens grows, and firm at the end.
-    soft, firm = limits(BEYOND[0], edges=0.4, bent=0.044 * f), limits(BEYOND[1])
     power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
     shares = [(k / 8) ** 0.7 for k in range(9)]
+    firm_distortion = 0.5 * f * math.tan(math.radians(asked.half_field))
 
-    def describe(weights, rings: int, free: int = terms, exact: bool = True) -> lens_design:
-        spot = Operand("spot", options={"fields": weights, "lost": LOST * f})
-        operands = [spot, *firm] if exact else [spot, power, *soft]
+    def describe(weights, rings: int, free: int = terms, firmness: float = 0.0) -> lens_design:
+        # Limits are soft while the lens grows, and become firm at the end.
+        exact = firmness > 0
+        operands = [
+            Operand("spot", options={"fields": weights, "lost": LOST * f}),
+            *task.limits(
+                (0.3, *BEAM),
+                edges=SOFT_EDGES ** (1 - firmness) * FIRM_EDGES**firmness,
+                bent=(SOFT_DISTORTION * f) ** (1 - firmness) * firm_distortion**firmness,
+            ),
+            Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": BEAM}),
+            Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
+        ]
+        if not exact:
+            operands.insert(1, power)
         # Coefficients last, the higher ones behind the lower ones: a design with fewer of them has the first values.
         variables = [Variable("curvature", bent[1:] if exact else bent), *task.thicknesses, behind]
         variables += [Variable("coefficients", bent, terms=[term]) for term in range(1, free + 1)]
@@ -415,7 +444,7 @@ def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, poli
         """Return designs at a point of the way, their merits and dampings; None if rays are lost in all of them."""
         task.set_stage(*stage_at(way), shares)
         free = terms if way > TURN else min(terms, 1 + int(0.8 * terms * way / TURN))
-        design = describe(None, 4, free, exact=False)
+        design = describe(None, 4, free)
         if values is None:
             values = _random_starts(design, starts, SPREAD[1] / f, generator)
         values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
@@ -433,7 +462,7 @@ def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, poli
         order = order[loss[order] <= max(rough, 20 * float(loss.min()))]
         while rows and way >= rows[0][0]:
             order = order[: max(1, math.ceil(rows.pop(0)[1] * starts))]
-        values, damping = values[order], damping[order].clamp(1e-5, 1e-1)
+        values, damping = values[order], damping[order].clamp(*DAMPING)
         task.set_stage(*stage_at(way), shares)
         design.apply(values[0])
         task.note(*stage_at(way))
@@ -458,7 +487,23 @@ def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, poli
         step = min(STEP, 1.6 * step) if merit < rough and attempt == 0 else max(step / 2 ** (attempt + 1), STEP / 4)
         # What was reached by the shortest step is all that is asked of the next ones.
         rough = max(rough, merit / WORST)
-    return _polished(task, describe, design, None, 5, max(1, polish), 2 * iterations)
+    # With soft limits first, which the best design settles in.
+    _, found = improved(values[:1], damping[:1], 1.0, 3 * iterations)
+    if found is not None:
+        design.apply(found[0][0])
+        damping = found[2]
+
+    def run(design, values):
+        nonlocal damping
+        found = _run(design, values, 2 * iterations, damping.clamp(*DAMPING), FLOOR * f**2)
+        if found is None:
+            raise ValueError("rays are lost at the full aperture and field: try another seed")
+        values, loss, damping = found
+        return values, loss
+
+    return _polished(
+        task, lambda weights, firmness: describe(weights, 5, terms, firmness), design, run, None, max(1, polish)
+    )
 
 
 def _relative_power(f: float) -> Callable:
@@ -558,8 +603,13 @@ def _run(design: lens_design, values: torch.Tensor, iterations: int, damping: An
     for _ in range(rounds):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
-            if aspheres and not bool(torch.isfinite(design.residuals(values)).all(-1).any()):
-                return None
+            if aspheres:
+                # Designs that no ray passes are dropped.
+                kept = torch.isfinite(design.heights).all(-1)
+                values, design.heights = values[kept], design.heights[kept]
+                damping = damping[kept] if isinstance(damping, torch.Tensor) else damping
+                if not len(values) or not bool(torch.isfinite(design.residuals(values)).all(-1).any()):
+                    return None
         basis = _slope_basis(design) if aspheres else None
         found = design._minimised(values, max(1, iterations // rounds), damping=damping, basis=basis, floor=floor)
         values, damping = found.x, found.damping if aspheres else damping

@@ -471,7 +471,8 @@ class lens_design:
         ValueError
             If rays are lost at the start.
         """
-        (tolerance,) = _validate.constants(tolerance=tolerance)
+        damping, tolerance = _validate.constants(damping=damping, tolerance=tolerance)
+        _validate.number("damping", damping, positive=True)
         history: list[float] = []
         _validate.integer("rounds", rounds, minimum=1)
         _validate.function_or_none("callback", callback)

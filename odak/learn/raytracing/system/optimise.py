@@ -93,7 +93,7 @@ def levenberg_marquardt(
     >>> [round(v, 6) for v in p.tolist()]
     [1.0, 1.0]
     """
-    (tolerance,) = _validate.constants(tolerance=tolerance)
+    damping, tolerance = _validate.constants(damping=damping, tolerance=tolerance)
     _validate.function("residuals", residuals)
     _validate.function_or_none("callback", callback)
     _validate.number("damping", damping, positive=True)

@@ -25,9 +25,21 @@ SELLMEIER = {
 
 def index(name, wavelengths):
     squared = (1e3 * np.asarray(wavelengths)) ** 2
+    if name.startswith("model "):
+        return model_index(*map(float, name.split()[1:]), squared)
     if name not in SELLMEIER:
         return np.ones_like(squared)
     return np.sqrt(1 + sum(b * squared / (squared - c) for b, c in zip(*SELLMEIER[name], strict=True)))
+
+
+def model_index(nd, vd, squared):
+    """Return A + B/λ² + C/λ⁴ with the index at d, the dispersion from F to C and the partial one from g to F."""
+    d, f, c, g = (
+        np.array([1.0, wavelength**-2, wavelength**-4]) for wavelength in (0.5875618, 0.4861327, 0.6562725, 0.4358343)
+    )
+    spread = (nd - 1) / vd
+    values = np.linalg.solve([d, f - c, g - f], [nd, spread, (0.6438 - 0.001682 * vd) * spread])
+    return values[0] + values[1] / squared + values[2] / squared**2
 
 
 def stored(name):
@@ -91,7 +103,10 @@ def test_edges_of_spheres_and_of_their_flanges():
 
 
 # Largest spots in millimetres and distortion.
-LENSES = {"triplet_f28": (50.0, 2.8, np.linspace(0, 20, 9), 0.0203, 0.0095)}
+LENSES = {
+    "triplet_f28": (50.0, 2.8, np.linspace(0, 20, 9), 0.0203, 0.0095),
+    "phone_f2": (4.55, 2.0, np.linspace(0, 40, 33), 0.0066, 0.0415),
+}
 
 
 @pytest.mark.parametrize("name", LENSES)
