@@ -222,8 +222,10 @@ def least_squares(
         raise ValueError("residuals must be finite at the start; are rays lost?")
     history, converged = [loss], False
     for number in range(1, iterations + 1):
-        jacobian = torch.where((loss < inf)[:, None, None], jacobian, 0.0)
-        slope = (jacobian.mT @ torch.where((loss < inf)[:, None], value, 0.0)[..., None])[..., 0]
+        # Problems without finite residuals and derivatives stay where they are.
+        regular = (loss < inf) & torch.isfinite(jacobian).all(-1).all(-1)
+        jacobian = torch.where(regular[:, None, None], jacobian, 0.0)
+        slope = (jacobian.mT @ torch.where(regular[:, None], value, 0.0)[..., None])[..., 0]
         free = ~((x <= low) & (slope > 0) | (x >= high) & (slope < 0))
         jacobian = jacobian * free[:, None]
         normal = jacobian.mT @ jacobian
@@ -236,7 +238,7 @@ def least_squares(
         for _ in range(rounds):
             shares = turned[:, None] / (levels.clamp_min(0)[:, None] + (size[:, None] * scales)[..., None])
             candidates = before[:, None] - (shares @ axes.mT) * scale[:, None]
-            candidates = candidates.clamp(low, high)
+            candidates = torch.where(torch.isfinite(candidates), candidates, before[:, None]).clamp(low, high)
             tried = losses(candidates)
             best, place = torch.where(torch.isfinite(tried), tried, inf).min(-1)
             better = ~taken & (best < loss)
