@@ -361,14 +361,11 @@ def _grown_spheres(task: _Task, starts: int, stages: int, iterations: int, polis
             design.apply(values[loss.argmin()])
             task.note(*reached)
         values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
-    return _polished(
-        task,
-        lambda weights, _: describe(weights, rings),
-        design,
-        lambda *given: _run(*given, 2 * iterations),
-        values,
-        polish,
-    )
+
+    def run(design, values):
+        return _run(design, values, 2 * iterations)
+
+    return _polished(task, lambda weights, _: describe(weights, rings), design, run, values, polish)
 
 
 def _polished(task: _Task, describe, design: lens_design, run, values, polish: int) -> lens_design:
