@@ -64,7 +64,7 @@ class AccuracyWarning(OdakWarning):
 
 
 class ConvergenceWarning(OdakWarning):
-    """An iteration stopped without reaching its tolerance, or an optimisation made its result worse.
+    """An iteration stopped without reaching its tolerance, or an optimisation ended in a poor or worse result.
 
     Examples
     --------

@@ -13,7 +13,7 @@ REASONS = {
     "files, figures and reports are made by the processor": """
         perception/quality: _pooled eccentricity_report
         raytracing/mesh: read_PLY save_heights_as_PLY write_PLY
-        raytracing/system/automatic: automatic_design note
+        raytracing/system/automatic: automatic_design record
         raytracing/system/design: report
         raytracing/system/drawing: *
         raytracing/system/reports: *
@@ -89,7 +89,7 @@ REASONS = {
     """,
     "a search ends when it has converged: one reading for an iteration of many operations": """
         raytracing/surfaces: _search plain
-        raytracing/system/automatic: _grown_aspheres _nearer _polished _run
+        raytracing/system/automatic: _designed_aspheres _optimised _set_next_stage _with_equal_spots
         raytracing/system/sequence: _adjoint axis_signs
         raytracing/system/design: restarts
         raytracing/system/eye: accommodation_response

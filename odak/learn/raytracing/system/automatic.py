@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from odak import _validate
+from odak._warnings import ConvergenceWarning, warn
 from odak.learn.raytracing.system.analysis import rms_spot
 from odak.learn.raytracing.system.design import Solve, Variable, lens_design
 from odak.learn.raytracing.system.operands import Operand
@@ -15,13 +16,11 @@ from odak.learn.raytracing.system.paraxial import matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import optical_system, reference_of, surface
 
-# Standard deviations of random curvatures of spheres and of aspheres in units of 1/focal length.
-SPREAD = (2.5, 1.2)
-# Steepest slopes of aspheres.
-STEEPEST = 1.2
-# Distance of lost rays from the centroid in focal lengths.
-LOST = 0.1
-# Fractions of aperture and field, number of designs retained in each stage, and rings of rays and fields in it.
+# Standard deviations of the random curvatures that designs of spheres and of aspheres begin with, in units of 1/focal
+# length. Aspheres, of which there are many and which are close to each other, begin flatter.
+CURVATURE_SPREAD = (2.5, 1.2)
+# Stages of designs of spheres: fractions of the full aperture and field, fraction of the starts that is retained, rings
+# of rays in the pupil, and number of fields. Many designs are traced with few rays, few designs with many.
 CURRICULUM = (
     (0.25, 0.6, 1.0, 2, 3),
     (0.4, 0.7, 0.5, 2, 3),
@@ -31,22 +30,37 @@ CURRICULUM = (
     (1.0, 1.0, 0.09, 4, 6),
 )
 
-
-# Aspheres: shares of aperture and field at first, and the part of the way after which the field is full.
-LEAST, TURN = (0.2, 0.6), 0.4
-# Longest step along the way, how often it is halved, root mean square of the spots in focal lengths above which steps
-# become shorter, factor of the merit above which a step is repeated, and shares of the designs that are retained from
-# points of the way on.
-STEP, HALVINGS, ROUGH, WORST = 0.05, 4, 1.27e-3, 3.0
-CULLS = ((0.1, 0.67), (TURN, 0.42), (0.7, 0.25))
-# Shares of the beam at which slopes and edges are limited: where it will be as it grows, aspheres must not run away.
-BEAM = (0.5, 0.7, 0.85, 1.0, 1.1)
-# Weights of edges and, in focal lengths, of distortion while aspheres grow.
+# What follows belongs to designs of aspheres. Their progress is a number from 0 to 1.
+# Fractions of the full aperture and field at progress 0, where nearly all random bendings form an image.
+INITIAL = (0.2, 0.6)
+# Progress at which the field is full; from there on the aperture grows.
+FULL_FIELD = 0.4
+# Longest step of the progress, and how often a step that fails is halved.
+LONGEST_STEP, HALVINGS = 0.05, 4
+# Root mean square of the spots, in focal lengths, above which steps are shortened (5.8 um for 4.55 mm), and the factor
+# above the merit of such spots beyond which a step is repeated with half its length.
+LARGEST_SPOT, MERIT_FACTOR = 1.27e-3, 3.0
+# Pairs of a progress and the fraction of the starts that is retained from there on.
+RETAINED = ((0.1, 0.67), (FULL_FIELD, 0.42), (0.7, 0.25))
+# Fractions of the beam's radius at which slopes and edges are limited. The last one exceeds 1, since the beam of the
+# next step is wider and must not meet a steep rim.
+BEAM_FRACTIONS = (0.5, 0.7, 0.85, 1.0, 1.1)
+# Weights of edges while the aperture grows and at the end, and weight of the distortion, in focal lengths, while it
+# grows. A design may violate soft limits for some steps on its way to a better one.
 SOFT_EDGES, FIRM_EDGES, SOFT_DISTORTION = 0.4, 4.0, 0.044
-# Largest sine of angles of incidence; least element of the diagonal that damping is relative to.
-GRAZING, FLOOR = 0.8, 5e-9
-# Least and largest damping that aspheres carry on from run to run.
-DAMPING = (1e-5, 1e-1)
+# Steepest slope of a surface, that of 50 degrees; it can still be moulded.
+LARGEST_SLOPE = 1.2
+# Largest sine of the angle between a ray and the normal, that of 53 degrees: 1 is total reflection.
+LARGEST_SINE = 0.8
+# Distance from the centroid, in focal lengths, at which a lost ray counts: large beside any spot.
+LOST_DISTANCE = 0.1
+# Least element of the diagonal of the normal matrix that damping is relative to, in squared focal lengths: variables on
+# which the merit hardly depends are damped too.
+LEAST_DIAGONAL = 5e-9
+# Least and largest damping with which a run begins where another one ended.
+DAMPING_RANGE = (1e-5, 1e-1)
+# Root mean square of the spots of the result, in focal lengths, above which a warning is issued: 11 um for 4.55 mm.
+ACCEPTED_SPOT = 1 / 400
 
 
 class Stage(NamedTuple):
@@ -55,11 +69,11 @@ class Stage(NamedTuple):
     Attributes
     ----------
     aperture, field : float
-        Shares of the aperture and of the field.
+        Fractions of the full aperture and of the full field (of the tangent of its angle).
     rms : float
-        Root mean square of the spots of the best design, over its fields, of the rays that arrive.
+        Root mean square over the fields of the spots of the best design; lost rays are left out.
     system : optical_system
-        A copy of it, with the aperture and the fields of the stage.
+        A copy of the best design, with the aperture and the fields of the stage.
 
     Examples
     --------
@@ -84,9 +98,9 @@ class AutomaticResult(NamedTuple):
     system : optical_system
         The lens.
     stages : tuple of Stage
-        Of the curriculum, the last one being the lens.
+        Stages of the curriculum; the last one is the lens.
     start : optical_system
-        The plates that it began with.
+        The flat plates that the design began with.
 
     Examples
     --------
@@ -130,16 +144,16 @@ def automatic_design(
     Parameters
     ----------
     elements : sequence
-        Materials of the elements in the order in which light passes them, and "stop" where the stop is: in front of an
-        element, which may be the first.
+        Materials of the elements from the object to the image, and once "stop", in front of one of them: the
+        aperture stop.
     focal_length : float
         Focal length of the lens.
     f_number : float
-        Focal length over the diameter of the entrance pupil, for an object at infinity.
+        Focal length divided by the diameter of the entrance pupil; the object is at infinity.
     half_field : float
         Largest field angle in degrees.
     aspheric_terms : int
-        Number of coefficients of r⁴, r⁶, … that each surface has on a paraboloid.
+        Number of coefficients of r⁴, r⁶, … of each surface, which are added to a paraboloid; 0 for spheres.
     wavelengths : sequence of float
         Vacuum wavelengths, in `unit`.
     glass : pair of float, optional
@@ -147,56 +161,65 @@ def automatic_design(
     air : pair of float, optional
         Least and largest thickness of gaps on the axis; by default from 0.002 to 0.3 focal lengths.
     edge : float, optional
-        Least thickness of elements and gaps at the edge of the beam and half-way to it; by default the least of `air`.
+        Least thickness of elements and gaps at the rim of the beam and at smaller heights; by default the least
+        thickness of `air`.
     back : float, optional
-        Least distance from the last vertex to the image; by default a tenth of the focal length.
+        Least distance from the last surface to the image; by default a tenth of the focal length. Behind a cover the
+        least distance is 0.3 times `back`.
     track : float, optional
         Largest distance from the first vertex to the image.
     distortion : float
-        Largest distortion.
+        Largest magnitude of the relative distortion.
     chief_ray_angle : float, optional
-        Largest angle of the chief rays in the image in degrees.
+        Largest angle of the chief rays against the axis in the image, in degrees.
     cover : pair, optional
         Material and thickness of a plane plate in front of the image.
     starts : int, optional
-        Number of random bendings that the first stage begins with; by default 16, of aspheres 12.
+        Number of random bendings of the plates in the first stage; by default 16 of spheres, 12 of aspheres.
     stages : int
-        Number of steps in which aperture and field grow, 1 to 6; 1 begins with all of both. The way of aspheres from
-        the beginning of the same stage is divided into shorter steps of its own.
+        Number of stages in which aperture and field grow, 1 to 6; with 1 both are full from the beginning. Designs of
+        aspheres begin at the same fraction of the curriculum, and divide the rest into shorter stages.
     iterations : int, optional
-        Steps of Levenberg and Marquardt's method in each stage; by default 15, in each step of aspheres 6.
+        Steps of the Levenberg–Marquardt method in each stage; by default 15 for spheres, 6 for aspheres.
     polish : int
-        Runs at the end in which the fields with the larger spots are given more weight.
+        Number of runs at the end in which the fields with the larger spots are given more weight.
     seed : int
-        Seed of the random numbers: the same seed gives the same lens.
+        Seed of the random bendings: the same seed gives the same lens.
     unit : str
         Unit of all lengths.
     callback : callable, optional
-        Called with each :class:`Stage`.
+        Called with each :class:`Stage` as it is finished.
 
     Returns
     -------
     AutomaticResult
-        The lens, its surfaces with the semi-diameters of the beam.
+        The lens, whose surfaces have the semi-diameters of the beam, and the stages to it.
 
     Raises
     ------
     ValueError
         If an argument is out of range, or rays are lost in all designs of a stage.
 
+    Warns
+    -----
+    ConvergenceWarning
+        If the largest spot of a lens of aspheres is above 1/400 of the focal length, root mean square: the least
+        squares ended in a poor minimum, and another seed may do better.
+
     Notes
     -----
-    The curriculum of Yang et al., Nature Communications 15, 6568 (2024), doi 10.1038/s41467-024-50835-7: aperture and
-    field grow to their full size. Here each stage is solved by least squares rather than by gradient
-    descent, several designs side by side, the best of which go on.
+    The method is the curriculum of Yang et al., Nature Communications 15, 6568 (2024),
+    doi 10.1038/s41467-024-50835-7: aperture and field grow to their full size. Here each stage is solved by least
+    squares instead of gradient descent, for several designs side by side; the best ones go on to the next stage.
 
     Aspheres are paraboloids with a polynomial, which are defined at any distance from the axis. Their field grows
-    first, so that chief rays fill the rear surfaces, then the aperture, in steps that become shorter where the spots
-    become larger. The variables of the least squares are coefficients of combinations whose slopes are orthonormal over
-    the beam, as Forbes proposed, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; they are set free one after
-    the other. Each design keeps its damping from step to step. Slopes above 1.2 within 1.1 times the radius of the
-    beam and sines of angles of incidence above 0.8 are penalised. Rays that are lost when aspheres grow count as if
-    they were at a tenth of the focal length, until they return; rays that are lost at the end raise ValueError.
+    first, so that chief rays fill the rear surfaces; then the aperture grows, in steps that are shortened where the
+    spots become large. The least squares vary combinations of the coefficients whose slopes are orthonormal over the
+    beam, as proposed by Forbes, Optics Express 15, 5218 (2007), doi 10.1364/OE.15.005218; higher orders become
+    variables one after the other as the field grows. The damping of each design is carried over from step to step.
+    Slopes above 1.2 within 1.1 beam radii are penalised, and sines of angles of incidence above 0.8. While aspheres
+    grow, a lost ray counts as if it arrived at a tenth of the focal length from the centroid; rays that are lost at
+    the end raise ValueError.
 
     Examples
     --------
@@ -234,25 +257,32 @@ def automatic_design(
     air = (0.002 * f, 0.3 * f) if air is None else tuple(_validate.several("air", air, 2))
     edge = air[0] if edge is None else _validate.constant("edge", edge, least=0)
     back = 0.1 * f if back is None else _validate.constant("back", back, least=0)
-    system, bent, gaps = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)
-    start = _plates(elements, terms, glass, air, cover, wavelengths, unit, f)[0]
-    asked = _Asked(
+    system, curved, spaces = _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f)
+    start = copy.deepcopy(system)
+    requirements = _Requirements(
         f, speed, angle, terms, glass, air, edge, back, track, distortion, chief_ray_angle, cover is not None
     )
-    task = _Task(asked, system, bent, gaps, callback)
+    problem = _Problem(requirements, system, curved, spaces, callback)
     generator = torch.Generator().manual_seed(seed)
-    grown = _grown_aspheres if terms else _grown_spheres
-    design = grown(task, starts, stages, iterations, polish, generator)
+    designed = _designed_aspheres if terms else _designed_spheres
+    design = designed(problem, starts, stages, iterations, polish, generator)
     if not bool(trace_fields(system, "rings", 8, vignetting=False).arrived.all()):
         raise ValueError("rays are lost at the full aperture and field: try another seed")
+    largest = float(rms_spot(system, "rings", 8, vignetting=False).detach().max()) if terms else 0.0
+    if largest > ACCEPTED_SPOT * f:
+        warn(
+            f"automatic_design: the largest spot is {largest:.3g} {unit} RMS, more than 1/{1 / ACCEPTED_SPOT:.0f} of "
+            "the focal length: try another seed",
+            ConvergenceWarning,
+        )
     heights: Any = design.heights  # never None, since the operands limit the thickness of edges
     for item, size in zip(system.surfaces, heights, strict=True):
         item.semi_diameter = 1.001 * float(size)
-    return AutomaticResult(system, tuple(task.stages), start)
+    return AutomaticResult(system, tuple(problem.stages), start)
 
 
-class _Asked(NamedTuple):
-    """What is asked of a lens: the checked arguments of :func:`automatic_design`."""
+class _Requirements(NamedTuple):
+    """Requirements of a lens: the checked arguments of :func:`automatic_design`."""
 
     focal_length: float
     f_number: float
@@ -267,244 +297,278 @@ class _Asked(NamedTuple):
     chief_ray_angle: float | None
     covered: bool
 
+    @property
+    def image_distance(self) -> float:
+        """Least distance of the image from the last surface: behind a cover plate a part of that from the lens."""
+        return self.back * (0.3 if self.covered else 1.0)
 
-class _Task:
-    """A lens that grows: what is asked of it, its system and surfaces that may bend, and the stages so far."""
+    @property
+    def distortion_weight(self) -> float:
+        """Weight at which distortion counts as half the height that it displaces the image of the largest field."""
+        return 0.5 * self.focal_length * math.tan(math.radians(self.half_field))
 
-    def __init__(self, asked: _Asked, system, bent: list[int], gaps: list[int], callback):
-        self.asked, self.system, self.bent, self.callback = asked, system, bent, callback
+
+class _Problem:
+    """An automatic design in progress: requirements, system, surfaces with variable curvature, and finished stages."""
+
+    def __init__(self, requirements: _Requirements, system, curved: list[int], spaces: list[int], callback):
+        self.requirements, self.system, self.curved, self.callback = requirements, system, curved, callback
         self.last = len(system.surfaces) - 1
-        self.first = 0 if 0 in bent else min(bent)
+        self.first = min(curved)
         self.stages: list[Stage] = []
         self.thicknesses = [
-            Variable("thickness", [i for i in gaps if i in bent[::2]], *asked.glass),
-            Variable("thickness", [i for i in gaps if i not in bent[::2]], *asked.air),
+            Variable("thickness", [i for i in spaces if i in curved[::2]], *requirements.glass),
+            Variable("thickness", [i for i in spaces if i not in curved[::2]], *requirements.air),
         ]
 
-    def set_stage(self, aperture: float, field: float, shares) -> None:
-        """Set the aperture and, to some shares of the largest one, the fields."""
-        self.system.aperture = aperture * self.asked.focal_length / self.asked.f_number
-        largest = math.tan(math.radians(self.asked.half_field)) * field
-        shares = shares if self.asked.half_field else [0.0]
-        self.system.fields = tuple((0.0, math.degrees(math.atan(largest * s))) for s in shares)
+    def set_stage(self, aperture: float, field: float, field_fractions) -> None:
+        """Set the system's aperture and fields.
 
-    def note(self, aperture: float, field: float) -> None:
-        """Append the system as it is to the stages, and call back."""
+        Parameters
+        ----------
+        aperture, field : float
+            Fractions of the full aperture and of the tangent of the full field.
+        field_fractions : sequence of float
+            The system's fields as fractions of the tangent of the largest one.
+        """
+        self.system.aperture = aperture * self.requirements.focal_length / self.requirements.f_number
+        largest = math.tan(math.radians(self.requirements.half_field)) * field
+        fractions = field_fractions if self.requirements.half_field else [0.0]
+        self.system.fields = tuple((0.0, math.degrees(math.atan(largest * k))) for k in fractions)
+
+    def record(self, aperture: float, field: float) -> None:
+        """Append a copy of the system to the stages, and call back."""
         rms = rms_spot(self.system, "rings", 6, vignetting=False).detach()
         self.stages.append(Stage(aperture, field, float(rms.square().mean().sqrt()), copy.deepcopy(self.system)))
         if self.callback is not None:
             self.callback(self.stages[-1])
 
-    def limits(self, shares: Sequence[float], edges: float = 1.0, bent: float | None = None) -> list[Operand]:
-        """Return the operands that keep the lens within its limits.
+    def limits(
+        self, beam_fractions: Sequence[float], edges: float = 1.0, distortion: float | None = None
+    ) -> list[Operand]:
+        """Return the operands that keep the lens within the requirements.
 
         Parameters
         ----------
-        shares : sequence of float
-            Shares of the beam's radius at which edges are limited.
+        beam_fractions : sequence of float
+            Fractions of the beam's radius at which the thickness of edges is limited.
         edges : float
-            Weight of edges.
-        bent : float, optional
-            Weight of the distortion.
+            Weight of thicknesses.
+        distortion : float, optional
+            Weight of the distortion; by default that of the requirements.
         """
-        asked, f = self.asked, self.asked.focal_length
+        wanted, f = self.requirements, self.requirements.focal_length
         between = list(range(self.first, self.last))
-        image = asked.back * (0.3 if asked.covered else 1.0)
+        options = {"surfaces": between, "shares": beam_fractions}
         found = [
-            Operand("edge_thickness", weight=edges, lower=asked.edge, options={"surfaces": between, "shares": shares}),
-            Operand("thickness", weight=edges, lower=image, options={"surfaces": [self.last]}),
+            Operand("edge_thickness", weight=edges, lower=wanted.edge, options=options),
+            Operand("thickness", weight=edges, lower=wanted.image_distance, options={"surfaces": [self.last]}),
         ]
-        if asked.half_field:
-            weight = 0.5 * f * math.tan(math.radians(asked.half_field)) if bent is None else bent
-            found.append(
-                Operand("distortion", weight=weight, lower=-0.9 * asked.distortion, upper=0.9 * asked.distortion)
-            )
-        if asked.track is not None:
-            track = _validate.constant("track", asked.track)
+        if wanted.half_field:
+            weight = wanted.distortion_weight if distortion is None else distortion
+            # A tenth remains for the fields between those of the operand.
+            bound = 0.9 * wanted.distortion
+            found.append(Operand("distortion", weight=weight, lower=-bound, upper=bound))
+        if wanted.track is not None:
+            track = _validate.constant("track", wanted.track)
             found.append(Operand("total_track", weight=edges, upper=track, options={"first": self.first}))
-        if asked.chief_ray_angle is not None:
-            found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=asked.chief_ray_angle))
+        if wanted.chief_ray_angle is not None:
+            found.append(Operand("chief_ray_angle", weight=0.002 * f, upper=wanted.chief_ray_angle))
         return found
 
 
-def _grown_spheres(task: _Task, starts: int, stages: int, iterations: int, polish: int, generator) -> lens_design:
-    """Return the last design of spheres, whose aperture and field grew together."""
-    asked, system, bent, last = task.asked, task.system, task.bent, task.last
-    f = asked.focal_length
+def _designed_spheres(problem: _Problem, starts: int, stages: int, iterations: int, polish: int, generator):
+    """Return the :class:`lens_design` of the last run of spheres, whose aperture and field grow together."""
+    system, curved, last = problem.system, problem.curved, problem.last
+    f = problem.requirements.focal_length
+    # Radii of at least 0.15 focal lengths.
     limit = 1 / (0.15 * f)
     variables = [
-        Variable("curvature", bent[1:], -limit, limit),
-        *task.thicknesses,
+        Variable("curvature", curved[1:], -limit, limit),
+        *problem.thicknesses,
         Variable("thickness", last, -0.1 * f, 0.1 * f),
     ]
-    solves = [Solve("focal_length", bent[0], f), Solve("marginal_height", last)]
+    solves = [Solve("focal_length", curved[0], f), Solve("marginal_height", last)]
     fixed = [
-        # The curvature that the focal length is solved by, in units of 1/f.
-        Operand(lambda _, p: f * p.curvature[..., bent[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
-        *task.limits((0.5, 0.75, 1.0)),
+        # The curvature that is solved for the focal length, in units of 1/f.
+        Operand(lambda _, p: f * p.curvature[..., curved[0]], weight=0.1 * f, lower=-limit * f, upper=limit * f),
+        *problem.limits((0.5, 0.75, 1.0)),
     ]
 
-    def describe(weights, rings: int) -> lens_design:
+    def design_of(weights, rings: int) -> lens_design:
         spot = Operand("spot", options={"fields": weights})
         return lens_design(system, [spot, *fixed], variables, solves=solves, pupil="rings", count=rings)
 
     values: Any = None
     reached = (0.0, 0.0)
-    for aperture, field, share, rings, count in CURRICULUM[-stages:]:
-        shares = [math.sqrt(k / (count - 1)) for k in range(count)]
+    for aperture, field, retained, rings, count in CURRICULUM[-stages:]:
+        # Equal areas of the image between the fields.
+        fractions = [math.sqrt(k / (count - 1)) for k in range(count)]
         while reached != (aperture, field):
-            reached = _nearer(task, describe, values, reached, (aperture, field), rings, shares)
-            design = describe(None, rings)
+            reached = _set_next_stage(problem, design_of, values, reached, (aperture, field), rings, fractions)
+            design = design_of(None, rings)
             if values is None:
-                values = _random_starts(design, starts, SPREAD[0] / f, generator)
-            values, loss, _ = _run(design, values, iterations)
+                values = _random_starts(design, starts, CURVATURE_SPREAD[0] / f, generator)
+            values, loss, _ = _optimised(design, values, iterations)
             design.apply(values[loss.argmin()])
-            task.note(*reached)
-        values = values[loss.argsort()[: max(1, math.ceil(share * starts))]]
+            problem.record(*reached)
+        values = values[loss.argsort()[: max(1, math.ceil(retained * starts))]]
 
     def run(design, values):
-        return _run(design, values, 2 * iterations)
+        return _optimised(design, values, 2 * iterations)
 
-    return _polished(task, lambda weights, _: describe(weights, rings), design, run, values, polish)
+    return _with_equal_spots(problem, lambda weights, _: design_of(weights, rings), design, run, values, polish)
 
 
-def _polished(task: _Task, describe, design: lens_design, run, values, polish: int) -> lens_design:
+def _with_equal_spots(problem: _Problem, design_of, design: lens_design, run, values, polish: int) -> lens_design:
     """Return the design after runs in which the fields with the larger spots are given more weight.
 
     Parameters
     ----------
-    task : _Task
-        The lens.
-    describe : callable
-        Takes the weights of the fields and how far the runs have come, at most 1; returns a design.
+    problem : _Problem
+        The automatic design.
+    design_of : callable
+        Takes the weights of the fields and the fraction of the runs that is finished with this one; returns a design.
     design : lens_design
-        What is returned without a run.
+        The result without a run.
     run : callable
-        Takes a design and values; returns their improvement and merits.
+        Takes a design and values of its variables; returns optimised values and their merits.
     values : torch.Tensor or None
-        Values of several designs, of one by default that of the system.
+        Values of several designs; by default those of the system.
     polish : int
         Number of runs.
     """
-    weights = torch.ones(len(task.system.fields), dtype=torch.float64)
+    weights = torch.ones(len(problem.system.fields), dtype=torch.float64)
     for k in range(polish):
-        design = describe(weights.tolist(), (k + 1) / polish)
-        values, loss, *_ = run(design, design.values[None] if values is None else values)
+        design = design_of(weights.tolist(), (k + 1) / polish)
+        values, loss = run(design, design.values[None] if values is None else values)[:2]
         design.apply(values[loss.argmin()])
-        sizes = rms_spot(task.system, "rings", 8, vignetting=False).detach()
+        spots = rms_spot(problem.system, "rings", 8, vignetting=False).detach()
         values = design.values[None]
-        weights = weights * (sizes / sizes.square().mean().sqrt()) ** 0.5
+        weights = weights * (spots / spots.square().mean().sqrt()) ** 0.5
         weights = weights / weights.square().mean().sqrt()
     if polish:
-        task.note(1.0, 1.0)
+        problem.record(1.0, 1.0)
     return design
 
 
-def _grown_aspheres(task: _Task, starts: int, stages: int, iterations: int, polish: int, generator) -> lens_design:
-    """Return the last design of aspheres: the field grows first, then the aperture, in steps of adaptive length."""
-    asked, system, bent, last = task.asked, task.system, task.bent, task.last
-    f, terms = asked.focal_length, asked.terms
-    nearest = asked.back * (0.3 if asked.covered else 1.0)
-    behind = Variable("thickness", last, nearest, f)
-
+def _designed_aspheres(problem: _Problem, starts: int, stages: int, iterations: int, polish: int, generator):
+    """Return the :class:`lens_design` of the last run of aspheres: the field grows first, then the aperture."""
+    wanted, system, curved = problem.requirements, problem.system, problem.curved
+    f, terms = wanted.focal_length, wanted.terms
+    image = Variable("thickness", problem.last, wanted.image_distance, f)
     power = Operand(_relative_power(f), target=1.0, weight=0.22 * f)
-    shares = [(k / 8) ** 0.7 for k in range(9)]
-    firm_distortion = 0.5 * f * math.tan(math.radians(asked.half_field))
+    # Fields are closer to each other at the rim, where spots change faster.
+    fractions = [(k / 8) ** 0.7 for k in range(9)]
 
-    def describe(weights, rings: int, free: int = terms, firmness: float = 0.0) -> lens_design:
-        # Limits are soft while the lens grows, and become firm at the end.
-        exact = firmness > 0
+    def design_of(weights, rings: int, free_terms: int = terms, firmness: float = 0.0) -> lens_design:
+        # Firmness 0: limits are soft, and the power is an operand. Up to 1: they become firm, and it is a solve.
+        final = firmness > 0
         operands = [
-            Operand("spot", options={"fields": weights, "lost": LOST * f}),
-            *task.limits(
-                (0.3, *BEAM),
+            Operand("spot", options={"fields": weights, "lost": LOST_DISTANCE * f}),
+            *problem.limits(
+                (0.3, *BEAM_FRACTIONS),
                 edges=SOFT_EDGES ** (1 - firmness) * FIRM_EDGES**firmness,
-                bent=(SOFT_DISTORTION * f) ** (1 - firmness) * firm_distortion**firmness,
+                distortion=(SOFT_DISTORTION * f) ** (1 - firmness) * wanted.distortion_weight**firmness,
             ),
-            Operand("slope", None, 0.044 * f, -STEEPEST, STEEPEST, {"surfaces": bent, "shares": BEAM}),
-            Operand("incidence", weight=0.006 * f, upper=GRAZING, options={"count": 2}),
+            Operand(
+                "slope",
+                None,
+                0.044 * f,
+                -LARGEST_SLOPE,
+                LARGEST_SLOPE,
+                {"surfaces": curved, "shares": BEAM_FRACTIONS},
+            ),
+            Operand("incidence", weight=0.006 * f, upper=LARGEST_SINE, options={"count": 2}),
         ]
-        if not exact:
+        if not final:
             operands.insert(1, power)
-        # Coefficients last, the higher ones behind the lower ones: a design with fewer of them has the first values.
-        variables = [Variable("curvature", bent[1:] if exact else bent), *task.thicknesses, behind]
-        variables += [Variable("coefficients", bent, terms=[term]) for term in range(1, free + 1)]
-        solves = [Solve("focal_length", bent[0], f)] if exact else []
-        return lens_design(system, operands, variables, solves=solves, pupil=_own_pupils(len(system.fields), rings))
+        # Coefficients last and by order, so that the values of a design with fewer orders are the first ones.
+        variables = [Variable("curvature", curved[1:] if final else curved), *problem.thicknesses, image]
+        variables += [Variable("coefficients", curved, terms=[term]) for term in range(1, free_terms + 1)]
+        solves = [Solve("focal_length", curved[0], f)] if final else []
+        return lens_design(
+            system, operands, variables, solves=solves, pupil=_pupil_of_fields(len(system.fields), rings)
+        )
 
-    def stage_at(way: float) -> tuple[float, float]:
-        """Return the shares of aperture and field."""
-        first, second = min(way / TURN, 1.0), max(way - TURN, 0.0) / (1 - TURN)
-        return LEAST[0] + (1 - LEAST[0]) * second, LEAST[1] + (1 - LEAST[1]) * first
+    def fractions_at(progress: float) -> tuple[float, float]:
+        """Return the fractions of aperture and field at a progress."""
+        of_field = min(progress / FULL_FIELD, 1.0)
+        of_aperture = max(progress - FULL_FIELD, 0.0) / (1 - FULL_FIELD)
+        return INITIAL[0] + (1 - INITIAL[0]) * of_aperture, INITIAL[1] + (1 - INITIAL[1]) * of_field
 
-    def improved(values, damping, way: float, count: int):
-        """Return designs at a point of the way, their merits and dampings; None if rays are lost in all of them."""
-        task.set_stage(*stage_at(way), shares)
-        free = terms if way > TURN else min(terms, 1 + int(0.8 * terms * way / TURN))
-        design = describe(None, 4, free)
+    def optimised_at(progress: float, values, damping, count: int):
+        """Return the design and, of several starts, optimised values, merits and dampings; None if no start is left."""
+        problem.set_stage(*fractions_at(progress), fractions)
+        free_terms = terms if progress > FULL_FIELD else min(terms, 1 + int(0.8 * terms * progress / FULL_FIELD))
+        design = design_of(None, 4, free_terms)
         if values is None:
-            values = _random_starts(design, starts, SPREAD[1] / f, generator)
+            values = _random_starts(design, starts, CURVATURE_SPREAD[1] / f, generator)
         values = torch.nn.functional.pad(values, (0, len(design.values) - values.shape[-1]))
-        return design, _run(design, values, count, damping, FLOOR * f**2)
+        return design, _optimised(design, values, count, damping, LEAST_DIAGONAL * f**2)
 
-    way, step = 1 - (stages - 1) / 5, STEP
-    design, found = improved(None, 0.1, way, 3 * iterations)
+    progress, step = 1 - (stages - 1) / 5, LONGEST_STEP
+    design, found = optimised_at(progress, None, 0.1, 3 * iterations)
     if found is None:
         raise ValueError("rays are lost in all designs of the first stage: try another seed")
-    rough = 0.5 * len(system.fields) * (ROUGH * f) ** 2
-    rows = list(CULLS)
+    accepted = 0.5 * len(system.fields) * (LARGEST_SPOT * f) ** 2
+    retained = list(RETAINED)
     while True:
-        values, loss, damping = found
-        order = loss.argsort()
-        order = order[loss[order] <= max(rough, 20 * float(loss.min()))]
-        while rows and way >= rows[0][0]:
-            order = order[: max(1, math.ceil(rows.pop(0)[1] * starts))]
-        values, damping = values[order], damping[order].clamp(*DAMPING)
-        task.set_stage(*stage_at(way), shares)
+        values, merit, damping = found
+        order = merit.argsort()
+        order = order[merit[order] <= max(accepted, 20 * float(merit.min()))]
+        while retained and progress >= retained[0][0]:
+            order = order[: max(1, math.ceil(retained.pop(0)[1] * starts))]
+        values, damping = values[order], damping[order].clamp(*DAMPING_RANGE)
+        problem.set_stage(*fractions_at(progress), fractions)
         design.apply(values[0])
-        task.note(*stage_at(way))
-        if way >= 1:
+        problem.record(*fractions_at(progress))
+        if progress >= 1:
             break
-        best = None
-        for attempt in range(HALVINGS + 1):
-            ahead = min(1.0, way + step / 2**attempt)
-            design, found = improved(values, damping, ahead, iterations)
-            if found is not None and not found[1].min() < rough:
-                design, found = improved(found[0], found[2], ahead, 2 * iterations)
+        reached = None
+        for halvings in range(HALVINGS + 1):
+            tried = min(1.0, progress + step / 2**halvings)
+            design, found = optimised_at(tried, values, damping, iterations)
+            if found is not None and not found[1].min() < accepted:
+                design, found = optimised_at(tried, found[0], found[2], 2 * iterations)
             if found is not None:
-                best = (ahead, design, found)
-                if found[1].min() < WORST * rough:
+                reached = (tried, design, found)
+                if found[1].min() < MERIT_FACTOR * accepted:
                     break
-        if best is None:
+        if reached is None:
             raise ValueError(
-                f"rays are lost in all designs beyond shares {stage_at(way)} of aperture and field: try another seed"
+                f"rays are lost in all designs beyond fractions {fractions_at(progress)} of aperture and field: "
+                "try another seed"
             )
-        way, design, found = best
-        merit = float(found[1].min())
-        step = min(STEP, 1.6 * step) if merit < rough and attempt == 0 else max(step / 2 ** (attempt + 1), STEP / 4)
-        # What was reached by the shortest step is all that is asked of the next ones.
-        rough = max(rough, merit / WORST)
-    # With soft limits first, which the best design settles in.
-    _, found = improved(values[:1], damping[:1], 1.0, 3 * iterations)
+        progress, design, found = reached
+        least = float(found[1].min())
+        if least < accepted and halvings == 0:
+            step = min(LONGEST_STEP, 1.6 * step)
+        else:
+            step = max(step / 2 ** (halvings + 1), LONGEST_STEP / 4)
+        # Where even the shortest step leaves larger spots, the next steps are measured by these.
+        accepted = max(accepted, least / MERIT_FACTOR)
+    # The best design once more, with soft limits.
+    _, found = optimised_at(1.0, values[:1], damping[:1], 3 * iterations)
     if found is not None:
         design.apply(found[0][0])
         damping = found[2]
 
     def run(design, values):
         nonlocal damping
-        found = _run(design, values, 2 * iterations, damping.clamp(*DAMPING), FLOOR * f**2)
+        found = _optimised(design, values, 2 * iterations, damping.clamp(*DAMPING_RANGE), LEAST_DIAGONAL * f**2)
         if found is None:
             raise ValueError("rays are lost at the full aperture and field: try another seed")
-        values, loss, damping = found
-        return values, loss
+        values, merit, damping = found
+        return values, merit
 
-    return _polished(
-        task, lambda weights, firmness: describe(weights, 5, terms, firmness), design, run, None, max(1, polish)
+    return _with_equal_spots(
+        problem, lambda weights, firmness: design_of(weights, 5, terms, firmness), design, run, None, max(1, polish)
     )
 
 
 def _relative_power(f: float) -> Callable:
-    """Return the operand of a system's power times a focal length."""
+    """Return the operand that is a system's power times a focal length."""
 
     def power(system, prescription) -> torch.Tensor:
         p = prescription.at(reference_of(system, prescription))
@@ -513,15 +577,16 @@ def _relative_power(f: float) -> Callable:
     return power
 
 
-def _own_pupils(fields: int, rings: int) -> torch.Tensor:
+def _pupil_of_fields(fields: int, rings: int) -> torch.Tensor:
     """Return points ``[F, P, 2]`` of a pupil for each field, in rings whose radii differ from field to field.
 
-    Rays of different fields then meet a surface at different heights, so that it cannot wave between them. The rim has
-    the two rays that are refracted most. No two points are mirror images, whose rays would be mirror images too.
+    Rays of different fields then meet a surface at different heights, so that a polynomial of high order cannot
+    oscillate between them. The points on the rim include both of the meridional plane, whose rays are refracted most.
+    No two points are mirror images of each other, whose rays would be mirror images too.
     """
     arms = 5
     ring, arm = torch.arange(1.0, rings + 1, dtype=torch.float64)[:, None], torch.arange(arms, dtype=torch.float64)
-    # Evenly filled for the last, largest field.
+    # The golden section spreads the offsets evenly; that of the largest field is 0: rings of equal area.
     offset = (0.618034 * torch.arange(fields - 1, -1, -1, dtype=torch.float64))[:, None, None] % 1
     radius = ((ring - 0.95 * offset) / rings).sqrt()
     radius[:, -1] = 1.0
@@ -531,8 +596,8 @@ def _own_pupils(fields: int, rings: int) -> torch.Tensor:
     return torch.stack([radius * side * turn.sin(), radius * turn.cos()], -1).flatten(1, 2)
 
 
-def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
-    """Return flat plates and a stop, the surfaces that may bend, and the surfaces in front of variable thicknesses."""
+def _flat_plates(elements, terms, glass, air, cover, wavelengths, unit, f):
+    """Return flat plates and a stop, the surfaces that may be curved, and those in front of variable thicknesses."""
     if isinstance(elements, str) or not any(isinstance(item, str) and item == "stop" for item in elements):
         raise ValueError('elements must be materials and one "stop"')
     elements = list(elements)
@@ -540,45 +605,49 @@ def _plates(elements, terms, glass, air, cover, wavelengths, unit, f):
         raise ValueError('elements must contain one "stop", in front of a material')
     thick = (glass[0] * glass[1]) ** 0.5
     gap = min(max(air[0], 0.05 * f), air[1])
-    bowl = {"curvature": 0.0, "conic": -1.0 if terms else 0.0, "coefficients": [0.0] * (terms + 1 if terms else 0)}
+    flat = {"curvature": 0.0, "conic": -1.0 if terms else 0.0, "coefficients": [0.0] * (terms + 1 if terms else 0)}
     row: list[surface] = []
-    bent: list[int] = []
+    curved: list[int] = []
     for item in elements:
         if isinstance(item, str) and item == "stop":
             row.append(surface(thickness=air[0] if not row else gap, stop=True))
             continue
-        bent += [len(row), len(row) + 1]
-        row.append(surface(**bowl, thickness=thick, material=item))
-        row.append(surface(**bowl, thickness=gap))
-    gaps = list(range(len(row) - 1))
+        curved += [len(row), len(row) + 1]
+        row.append(surface(**flat, thickness=thick, material=item))
+        row.append(surface(**flat, thickness=gap))
+    spaces = list(range(len(row) - 1))
     if cover is not None:
-        gaps.append(len(row) - 1)
+        spaces.append(len(row) - 1)
         row += [surface(thickness=float(cover[1]), material=cover[0]), surface(thickness=f)]
     row[-1].thickness.fill_(f / 4 if terms else f)
     system = optical_system(row, 1.0, wavelengths=list(wavelengths), fields=[0.0], unit=unit)
-    return system, bent, gaps
+    return system, curved, spaces
 
 
-def _nearer(task: _Task, describe, values, here, goal, rings: int, shares) -> tuple[float, float]:
-    """Set and return the fractions of aperture and field towards a goal at which a design loses no ray."""
+def _set_next_stage(
+    problem: _Problem, design_of, values, reached, goal, rings: int, field_fractions
+) -> tuple[float, float]:
+    """Set and return the fractions of aperture and field nearest to a goal at which some design loses no ray."""
     if values is None:
-        task.set_stage(goal[0], goal[1], shares)
+        problem.set_stage(goal[0], goal[1], field_fractions)
         return goal
-    way = 1.0
+    step = 1.0
     for _ in range(6):
-        tried = goal if way == 1.0 else (here[0] + way * (goal[0] - here[0]), here[1] + way * (goal[1] - here[1]))
-        task.set_stage(tried[0], tried[1], shares)
-        design = describe(None, rings)
+        tried = goal
+        if step < 1:
+            tried = (reached[0] + step * (goal[0] - reached[0]), reached[1] + step * (goal[1] - reached[1]))
+        problem.set_stage(tried[0], tried[1], field_fractions)
+        design = design_of(None, rings)
         with torch.no_grad():
             design.heights = design.clear_heights(values)
             if bool(torch.isfinite(design.residuals(values)).all(-1).any()):
                 return tried
-        way /= 2
-    raise ValueError(f"rays are lost in all designs beyond shares {here} of aperture and field: try another seed")
+        step /= 2
+    raise ValueError(f"rays are lost in all designs beyond fractions {reached} of aperture and field: try another seed")
 
 
 def _random_starts(design: lens_design, count: int, spread: float, generator) -> torch.Tensor:
-    """Return starts ``[N, V]`` with random curvatures that lose no ray, decreased until there are enough starts."""
+    """Return starts ``[N, V]`` with random curvatures that lose no ray, decreased until there are enough of them."""
     found: list[torch.Tensor] = []
     columns = design.columns["curvature"]
     while sum(len(part) for part in found) < count:
@@ -593,11 +662,16 @@ def _random_starts(design: lens_design, count: int, spread: float, generator) ->
     return torch.cat(found)[:count]
 
 
-def _run(design: lens_design, values: torch.Tensor, iterations: int, damping: Any = 1e-2, floor: float = 0.0):
-    """Return the ends of a run from several starts, their merits and dampings; edges are judged where the beam is."""
+def _optimised(
+    design: lens_design, values: torch.Tensor, iterations: int, damping: Any = 1e-2, least_diagonal: float = 0.0
+):
+    """Return optimised values of several starts, their merits and dampings; None if rays are lost in all of them.
+
+    The run is divided into parts, before each of which the radii of the beam are computed anew.
+    """
     aspheres = "coefficients" in design.places
-    rounds = max(1, iterations // 3) if aspheres else 2
-    for _ in range(rounds):
+    parts = max(1, iterations // 3) if aspheres else 2
+    for _ in range(parts):
         with torch.no_grad():
             design.heights = design.clear_heights(values)
             if aspheres:
@@ -608,16 +682,18 @@ def _run(design: lens_design, values: torch.Tensor, iterations: int, damping: An
                 if not len(values) or not bool(torch.isfinite(design.residuals(values)).all(-1).any()):
                     return None
         basis = _slope_basis(design) if aspheres else None
-        found = design._minimised(values, max(1, iterations // rounds), damping=damping, basis=basis, floor=floor)
+        found = design._minimised(
+            values, max(1, iterations // parts), damping=damping, basis=basis, floor=least_diagonal
+        )
         values, damping = found.x, found.damping if aspheres else damping
     return values, found.loss, found.damping
 
 
 def _slope_basis(design: lens_design) -> torch.Tensor:
-    """Return matrices ``[N, V, V]`` to the variables of N designs from coefficients of functions orthonormal in slope.
+    """Return matrices ``[N, V, V]`` from coefficients of functions with orthonormal slopes to variables of N designs.
 
-    On each paraboloid with coefficients these functions are combinations of r², r⁴, … up to their own power; the mean
-    of the product of the slopes of two over the beam is 1 or 0. Other variables are their own coefficients.
+    The functions of a surface are combinations of r², r⁴, … up to increasing powers; the mean over the beam of the
+    product of the slopes of two of them is 1 or 0. Variables other than curvatures and coefficients remain as they are.
     """
     heights: Any = design.heights
     count = len(design.values)
@@ -631,7 +707,7 @@ def _slope_basis(design: lens_design) -> torch.Tensor:
         powers = 2.0 * (terms.double() + 1)
         gram = 2 * powers[:, None] * powers / (powers[:, None] + powers)
         functions = torch.linalg.inv(torch.linalg.cholesky(gram)).mT
-        # The paraboloid is c·r²/2.
+        # The term of r² is half the curvature.
         scale = heights[:, place, None] ** (1 - powers) * torch.where(terms == 0, 2.0, 1.0)
         found[:, columns[:, None], columns] = scale[..., None] * functions
     return found
