@@ -349,7 +349,8 @@ class IdealLens(Phase):
     Notes
     -----
     Rays of slopes (p, q) in front go through (f·p, f·q) in the rear focal plane. The optical path makes all rays of a
-    parallel bundle arrive there in phase. A mirror reverses the direction along z. The lens is flat, in air.
+    parallel bundle arrive there in phase. Those of a near point have spherical aberration: h⁴/(4f³) to lowest order for
+    a ray of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
     """
 
     focal_length: Any = 1.0

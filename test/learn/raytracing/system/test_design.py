@@ -2,11 +2,13 @@
 
 import math
 import runpy
+import warnings
 from pathlib import Path
 
 import pytest
 import torch
 
+import odak
 from odak.catalog import material, model_glass, refractive_index
 from odak.learn.raytracing.system import (
     Operand,
@@ -485,6 +487,19 @@ def test_a_lens_is_designed_from_flat_plates_and_the_seed_repeats_it():
     assert all(float(item.thickness) > 0 for item in lens.surfaces)
     assert all(float(item.curvature) == 0 for item in found.start.surfaces)
     assert torch.equal(lens.prescription().curvature, again.system.prescription().curvature)
+
+
+@pytest.mark.parametrize(("f_number", "poor"), [(2.0, True), (4.0, False)])
+def test_spots_of_aspheres_above_a_400th_of_the_focal_length_give_a_warning(f_number, poor):
+    """One step of a singlet leaves large spots at f/2 and smaller ones at f/4."""
+    options = {"aspheric_terms": 1, "wavelengths": [587.6e-6], "starts": 1, "stages": 1, "iterations": 1, "polish": 0}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        lens = automatic_design(["stop", "N-BK7"], 100.0, f_number, 10.0, **options).system
+    largest = float(rms_spot(lens, "rings", 8).max())
+    assert (largest > 100.0 / 400) == poor
+    told = [item for item in caught if item.category is odak.ConvergenceWarning]
+    assert [f"the largest spot is {largest:.3g} mm RMS" in str(item.message) for item in told] == [True] * poor
 
 
 @pytest.mark.slow

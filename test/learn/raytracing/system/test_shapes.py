@@ -23,6 +23,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace,
     trace_fields,
+    wavefront,
 )
 from odak.learn.raytracing.system.surfaces import drawn_radii
 from odak.raytracing import Conic, EvenAsphere, RayStatus, SplineFreeform, Toroid, ZernikeFreeform
@@ -322,12 +323,20 @@ def test_an_ideal_lens_has_no_aberrations():
     found = trace_fields(lens)
     torch.testing.assert_close(rms_spot(lens), torch.zeros(3, dtype=F64), atol=1e-12, rtol=0)
     torch.testing.assert_close(found.y[0, 1, 0], torch.tensor(50 * np.tan(np.radians(20)), dtype=F64))
-    from odak.learn.raytracing.system import wavefront
-
     assert float(wavefront(lens).rms.max()) < 1e-6
     assert float(first_order(lens).focal_length) == pytest.approx(50.0)
     near = optical_system([surface(phase=IdealLens(50.0), thickness=150.0)], 10.0, object_distance=75.0, fields=[3.0])
     torch.testing.assert_close(trace_fields(near).y, torch.full((1, 1, 127), -6.0, dtype=F64), atol=1e-11, rtol=0)
+
+
+def test_the_path_of_an_ideal_lens_from_its_focal_point():
+    """(2f² + h²)/√(f² + h²) − f at the height h, h⁴/(4f³) more than on the axis to lowest order."""
+    f = 50.0
+    lens = optical_system([surface(phase=IdealLens(f), thickness=30.0)], 0.2, "NA", object_distance=f)
+    found = trace_fields(lens, "y", 5)
+    h = found.y
+    torch.testing.assert_close(found.path, (2 * f * f + h * h) / (f * f + h * h).sqrt() - f + 30.0, atol=1e-11, rtol=0)
+    torch.testing.assert_close(found.path - 80.0, h**4 / (4 * f**3), atol=0, rtol=0.05)
 
 
 def test_a_ghost_is_two_reflections_traced_by_hand():
