@@ -296,7 +296,7 @@ class MetamericLoss(_StatisticsLoss):
         self.equi = _validate.flag("equi", equi)
         self.blurs: nn.ModuleList | None = None
         self.fovea_mask = self.periphery_mask = None
-        self._masks: tuple | None = None
+        self._pooling: tuple | None = None
 
     def forward(
         self,
@@ -427,7 +427,7 @@ class MetamericLoss(_StatisticsLoss):
         return mean_distance(statsmap_a, statsmap_b)
 
     def _apply(self, function, recurse=True):
-        self._masks = None
+        self._pooling = None
         return super()._apply(function, recurse)
 
     def _options(self):
@@ -435,44 +435,42 @@ class MetamericLoss(_StatisticsLoss):
         return *bands, self.use_l2_foveal_loss, self.use_fullres_l0
 
     def _geometry(self, gaze):
-        lengths = self.real_image_width, self.real_viewing_distance
-        return self.alpha, *lengths, _point("gaze", gaze), self.mode, self.equi
+        names = "alpha", "real_image_width", "real_viewing_distance"
+        numbers = [_validate.constant(name, getattr(self, name)) for name in names]
+        return *numbers, _point("gaze", gaze), self.mode, self.equi
 
     def _parts(self, picture, where, pairs=True):
         groups, low = self._maker(picture.shape[1]).stacked_bands(picture, self.n_pyramid_levels)
-        kept = self.blurs
-        if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
-            self.blurs = nn.ModuleList(RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
-        samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
+        key = (tuple(picture.shape), where, self._options(), picture.dtype, picture.device)
+        if self._pooling is None or self._pooling[0] != key:
+            kept = self.blurs
+            if kept is None or len(kept) != self.n_pyramid_levels or kept[0].nominal_width != self.nominal_width:
+                blurs = (RadiallyVaryingBlur(self.nominal_width) for _ in range(self.n_pyramid_levels))
+                self.blurs = nn.ModuleList(blurs)
+            samplers = [blur.sampler(bands, *where) for blur, bands in zip(self.blurs, groups[1:], strict=False)]
+            self._pooling = (key, samplers, self._level_masks(picture, [one.shape[-2:] for one in low]))
+        _, samplers, masks = self._pooling
         rest = samplers[0](picture) if self.use_fullres_l0 else low[-1]
-        masks = self._level_masks(picture, where, [bands.shape[-2:] for bands in groups[1:]] + [rest.shape[-2:]])
         *level_masks, last = masks
-        groups_masks = [level_masks[0], *level_masks]
         others = [rest if last is None else last * rest]
         if self.joint and pairs:
             others += self._pairs(groups, low, samplers, level_masks)
-        return groups, [samplers[0], *samplers], groups_masks, others
+        return groups, [samplers[0], *samplers], [level_masks[0], *level_masks], others
 
-    def _level_masks(self, image, geometry, sizes):
+    def _level_masks(self, image, sizes):
         """Return, for each size, the weight of each pixel's statistics; None where all weights are 1."""
         if not (self.use_l2_foveal_loss or self.use_fullres_l0):
             return [None] * len(sizes)
-        key = (tuple(image.shape), geometry, self._options(), image.dtype, image.device)
-        if self._masks is not None and self._masks[0] == key:
-            return self._masks[1]
-        masks: list[torch.Tensor | None]
         with torch.inference_mode(False), torch.no_grad():
             levels = [blur.lod_map for blur in self.blurs[:-1]]
             if self.use_fullres_l0:
-                masks = [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
-            else:
-                fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
-                fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
-                self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
-                masks = [1 - fovea]
-                for size in sizes[1:]:
-                    masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
-        self._masks = (key, masks)
+                return [*[(level > RESOLVED).to(image.dtype) for level in levels], None]
+            fovea = (1 - levels[0] / levels[0].max().clamp_min(RESOLVED)) ** FOVEA_SHARPNESS
+            fovea = torch.where(levels[0] < RESOLVED, 1.0, fovea)
+            self.fovea_mask, self.periphery_mask = fovea.expand(image.shape), (1 - fovea).expand(image.shape)
+            masks = [1 - fovea]
+            for size in sizes[1:]:
+                masks.append(functional.adaptive_avg_pool2d(masks[-1][None], size)[0])
         return masks
 
 
