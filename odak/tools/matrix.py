@@ -459,6 +459,7 @@ def _fade(n: int, start: int, total: int, factor: float | None) -> list[float]:
 def _factors(smooth_factor) -> tuple[float | None, float | None]:
     if smooth_factor is None:
         return None, None
+    (smooth_factor,) = _validate.constants(smooth_factor=smooth_factor)
     factors = _validate.numbers(_validate.real("smooth_factor", smooth_factor))
     if len(factors) != 2:
         raise ValueError(f"smooth_factor must be two numbers, for columns and rows, got {smooth_factor!r}")

@@ -519,7 +519,9 @@ def share_in_disc(y, x, steps, radius):
         """Return the area of the first quadrant of the disc up to a distance from one of its axes."""
         held = place < radius
         safe = xp.where(held, place, 0 * place)
-        area = (safe * xp.sqrt(radius**2 - safe**2) + radius**2 * xp.asin(safe / radius)) / 2
+        # One root for both terms: their slopes, infinite at the rim, cancel in the sum.
+        root = xp.sqrt((radius - safe) * (radius + safe))
+        area = (safe * root + radius**2 * xp.atan2(safe + 0 * root, root)) / 2
         return xp.where(held, area, quarter + 0 * place)
 
     edges, low, high = [], 0.0, 0.0

@@ -349,7 +349,9 @@ def thin_film_transfer(
     indices, thicknesses = rest[: len(indices)], rest[len(indices) :]
     fy, fx = _frequencies(xp, (rows, columns), dx, device)
     squared = fy**2 + fx**2
-    kx = wavelength * xp.sqrt(squared)
+    oblique = squared > 0
+    norm = xp.sqrt(xp.where(oblique, squared, xp.ones_like(squared)))
+    kx = wavelength * norm * oblique
     travels = kx < xp.real(indices[0])
     kx = xp.where(travels, kx, xp.zeros_like(kx))
     cosine = xp.sqrt(1 - (kx / indices[0]) ** 2)
@@ -360,8 +362,7 @@ def thin_film_transfer(
         last = xp.sqrt(xp.astype(1 - (kx / indices[-1]) ** 2, xp.complex128))
         along, across = responses[1].t * last / cosine, responses[0].t
     # At normal incidence the directions of p and s are arbitrary: p is taken along x.
-    norm = xp.where(squared > 0, xp.sqrt(squared), xp.ones_like(squared))
-    px = xp.where(squared > 0, fx / norm, xp.ones_like(squared))
+    px = xp.where(oblique, fx / norm, xp.ones_like(squared))
     py = fy / norm
     blocked = xp.astype(travels, xp.float64)
     along, across = along * blocked, across * blocked

@@ -912,7 +912,7 @@ def get_propagation_kernel(
     samples : sequence of int, default: (1, 1, 1, 1)
         Aperture samples of the impulse-response methods, see :func:`odak.wave.propagate_beam`.
     xp : module, optional
-        Array namespace of the result, NumPy by default.
+        Array namespace of the result; by default that of the lengths, else NumPy.
     device : optional
         Device of the result.
     dtype : optional
@@ -921,7 +921,7 @@ def get_propagation_kernel(
     Returns
     -------
     array
-        ``[..., nu·scale, nv·scale]``, zero frequency at index n // 2.
+        ``[..., nu·scale, nv·scale]``, zero frequency at index n // 2; differentiable in the lengths.
 
     Raises
     ------

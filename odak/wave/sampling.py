@@ -158,6 +158,7 @@ def sampling_report(
     0.26
     """
     shape = _validate.size("shape", shape)
+    (dx,) = _validate.constants(dx=dx)
     if not isinstance(dx, (tuple, list)):
         dx = (_validate.real("dx", dx, positive=True),) * 2
     rows, columns = (float(value) for value in _validate.several("dx", dx, 2, positive=True))

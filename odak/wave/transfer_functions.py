@@ -626,7 +626,7 @@ def make_grid(
     size = _validate.size("nu, nv", (nu, nv))
     check_geometry(None, distance, dx, wavelength)
     scale = _validate.integer("scale", scale, minimum=1)
-    xp = _validate.library("xp", xp)
+    xp, device, _ = _array.placement(*pitches(dx), wavelength, distance, xp=xp, device=device)
     request = Request(dx, wavelength, distance, scale=scale, samples=sample_counts(samples))
     return request.grid((scale * size[0], scale * size[1]), xp, device, _complex_dtype(dtype, xp))
 

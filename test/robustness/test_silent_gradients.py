@@ -10,16 +10,26 @@ import pytest
 import torch
 from api_sweep import contract, samples, walk
 
-# Numbers on which the result does not depend.
-WITHOUT_EFFECT = {"odak.learn.raytracing.bring_plane_to_origin: shape", "odak.learn.raytracing.refract: error"}
+# Numbers on which the result does not depend, or only by steps: counts, limits of iterations, numbers of samples cut.
+WITHOUT_EFFECT = {
+    "odak.learn.raytracing.bring_plane_to_origin: shape",
+    "odak.learn.raytracing.refract: error",
+    "odak.learn.tools.sphere_sample: k",
+    "odak.learn.tools.sphere_sample_uniform: k",
+    "odak.wave.fraunhofer_equal_size_adjust: distance",
+    "odak.wave.fraunhofer_equal_size_adjust: dx",
+    "odak.wave.fraunhofer_equal_size_adjust: wavelength",
+    "odak.wave.scattered_field: tolerance",
+}
+LEARN = tuple(f"odak.learn.{name}." for name in ("jones", "models", "perception", "raytracing", "tools", "wave"))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("package", ["jones", "models", "perception", "raytracing", "tools", "wave"])
+@pytest.mark.parametrize("package", [*LEARN, "odak.jones.", "odak.wave."])
 def test_gradients_of_numbers_are_not_lost_in_silence(package, tmp_path):
     lost = set()
     for path, function in walk.public_callables().items():
-        if path.startswith(f"odak.learn.{package}.") and samples.is_called(path):
+        if path.startswith(package) and samples.is_called(path):
             for name, outcome in outcomes(path, function, tmp_path):
                 lost |= {f"{path}: {name}"} if outcome == "lost" else set()
     assert lost <= WITHOUT_EFFECT
@@ -41,18 +51,24 @@ def outcomes(path, function, root):
 
     defaults = {p.name: p.default for p in samples.parameters_of(function) if isinstance(p.default, float)}
     for name, value in (defaults | samples.arguments(path, function, folder)).items():
-        number, argument = followed(value)
-        if number is not None:
-            yield name, outcome(run, samples.arguments(path, function, folder) | {name: argument}, number)
+        for number, argument in followed(value):
+            given = samples.arguments(path, function, folder) | {name: argument}
+            yield name, outcome(run, in_torch(given) if ".learn." not in path else given, number)
 
 
 def followed(value):
-    """Return a tensor in place of a number, or of the first of several, and the argument that holds it."""
+    """Yield a tensor in place of a number, of the first of several and of all of them, and the argument it is in."""
     numbers = value if isinstance(value, (list, tuple)) else (value,)
-    if not numbers or not all(isinstance(part, float) for part in numbers):
-        return None, None
-    number = torch.tensor(numbers[0], dtype=torch.float64, requires_grad=True)
-    return number, number if numbers is not value else type(value)([number, *numbers[1:]])
+    if numbers and all(isinstance(part, float) for part in numbers):
+        number = torch.tensor(numbers[0], dtype=torch.float64, requires_grad=True)
+        yield number, number if numbers is not value else type(value)([number, *numbers[1:]])
+        several = torch.tensor(numbers, dtype=torch.float64, requires_grad=True)
+        yield several, several
+
+
+def in_torch(arguments):
+    """Return arguments of a function for any array library with tensors in place of NumPy's arrays."""
+    return {name: torch.from_numpy(v) if isinstance(v, np.ndarray) else v for name, v in arguments.items()}
 
 
 def outcome(run, arguments, number):

@@ -161,3 +161,11 @@ def test_gradients_and_faces():
         assert torch.autograd.gradcheck(make, numbers, fast_mode=True)
         expected = make(*(v.item() for v in numbers))
         np.testing.assert_allclose(make(*numbers).detach().numpy(), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("pixels", [1.5, 2.5, 4.5])
+def test_slope_of_a_disc_is_the_circumference_where_the_rim_touches_edges_of_pixels(pixels):
+    # The next number above: the slopes of the parts of the area next to the rim are almost infinite.
+    radius = torch.tensor(math.nextafter(pixels * 1.1, 10.0), dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(circular_aperture((13, 12), 1.1, radius).sum() * 1.1**2, radius)
+    assert float(slope) == pytest.approx(2 * math.pi * pixels * 1.1, rel=1e-7)

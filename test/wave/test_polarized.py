@@ -265,3 +265,14 @@ def test_a_vortex_with_right_polarization_keeps_a_bright_centre():
         focus = focus_polarized(pupil, 1.0, 1.0, 64.0, 0.9, (33, 33), 0.05)
         bright[handedness] = abs(focus[2, 16, 16]) ** 2 / (abs(focus[2]) ** 2).max()
     assert bright["right"] > 0.99 and bright["left"] < 1e-20
+
+
+def test_response_of_films_is_differentiable_in_the_pitch():
+    index = torch.tensor(1.0, dtype=torch.float64)
+
+    def response(pitch):
+        return thin_film_transfer((4, 5), pitch, 532e-9, [index, 1.5], [])
+
+    # In micrometres: the steps of gradcheck are absolute.
+    micrometres = torch.tensor(0.6, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda pitch: response(pitch * 1e-6), micrometres)

@@ -315,6 +315,7 @@ def _place(value: float, ends: tuple[float, float]) -> float:
 
 def _planes(target, distance, depth) -> tuple[list[float], torch.Tensor]:
     """Return the distances of the planes, and ones where a pixel belongs to one, ``[B or 1, P, rows, columns]``."""
+    (distance,) = _validate.constants(distance=distance)
     if depth is None or not (isinstance(distance, Sequence) or getattr(distance, "ndim", False)):
         distances = [_validate.constant("distance", distance)]
     else:

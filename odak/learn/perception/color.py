@@ -151,6 +151,7 @@ def _constant(matrix, dtype, device):
 def _checked_space(primaries, white):
     if not isinstance(primaries, Iterable) or isinstance(primaries, str):
         raise TypeError(f"primaries must be three pairs (x, y), got {type(primaries).__name__}")
+    primaries, white = _validate.constants(primaries=primaries, white=white)
     pairs = tuple(tuple(_validate.numbers(_validate.real("primaries", pair))) for pair in primaries)
     if len(pairs) != 3 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
         raise ValueError(f"primaries must be three pairs (x, y) with y > 0, got {primaries!r}")

@@ -137,7 +137,7 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     Returns
     -------
     torch.Tensor
-        ``[..., 3]``: ∫ spectrum·x̄ dλ and so on, not scaled. Differentiable in the spectrum.
+        ``[..., 3]``: ∫ spectrum·x̄ dλ and so on, not scaled. Differentiable in the spectrum and the wavelengths.
 
     Raises
     ------
@@ -248,9 +248,13 @@ def _from_table(name, wavelengths):
 
 
 def _interpolated(table, axis):
-    places = axis.detach().cpu().double().numpy()
-    values = [np.interp(places, table[:, 0], column, left=0.0, right=0.0) for column in table[:, 1:].T]
-    return torch.from_numpy(np.stack(values)).to(axis)
+    places = axis.double()
+    knots, *columns = torch.as_tensor(table.T.copy(), device=axis.device)
+    nearest = torch.searchsorted(knots, places.detach(), right=True).clamp(1, len(knots) - 1)
+    start, end = knots[nearest - 1], knots[nearest]
+    share = (places - start) / (end - start)
+    values = torch.stack([column[nearest - 1].lerp(column[nearest], share) for column in columns])
+    return values.where((places >= knots[0]) & (places <= knots[-1]), 0.0).to(axis)
 
 
 @functools.cache
@@ -553,7 +557,7 @@ class display_color_hvs(nn.Module):
         ValueError, TypeError
             If the wavelength is not a positive number or the values are not 301 finite ones.
         """
-        (wavelength,) = _validate.constants(wavelength=wavelength)
+        wavelength, function = _validate.constants(wavelength=wavelength, function=function)
         _validate.number("wavelength", wavelength, positive=True)
         if len(_validate.numbers(_validate.real("function", function))) != LAST - FIRST + 1:
             raise ValueError(

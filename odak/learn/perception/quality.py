@@ -669,8 +669,8 @@ def eccentricity_report(
     >>> [round(ring.psnr.item(), 1) for ring in report.rings]
     [inf, 22.8]
     """
-    gaze, real_image_width, real_viewing_distance = _validate.constants(
-        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    gaze, edges, real_image_width, real_viewing_distance = _validate.constants(
+        gaze=gaze, edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
     predictions, targets = _checked(predictions, targets, WINDOW, data_range)
     size = tuple(predictions.shape[-2:])
@@ -733,8 +733,8 @@ def ring_masks(
     >>> tuple(masks.shape), bool((masks[0] & masks[1]).any())
     ((2, 32, 32), False)
     """
-    gaze, real_image_width, real_viewing_distance = _validate.constants(
-        gaze=gaze, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
+    gaze, edges, real_image_width, real_viewing_distance = _validate.constants(
+        gaze=gaze, edges=edges, real_image_width=real_image_width, real_viewing_distance=real_viewing_distance
     )
     size = _validate.size("size", size)
     limits = _validate.numbers(_validate.real("edges", edges))

@@ -180,6 +180,7 @@ def histogram_loss(
     0.0
     """
     bins = _validate.integer("bins", bins, minimum=1)
+    (limits,) = _validate.constants(limits=limits)
     limits = _validate.numbers(_validate.real("limits", limits))
     if len(limits) != 2 or not limits[0] < limits[1]:
         raise ValueError(f"limits must be two rising numbers, got {limits}")

@@ -229,3 +229,16 @@ def test_responses_of_another_precision():
     torch.testing.assert_close(display.construct_matrix_lms(*(cone.double() for cone in cones)), display.lms_tensor)
     with pytest.raises(ValueError, match="m_response must hold 301 samples"):
         display.construct_matrix_lms(cones[0], cones[1][:-1], cones[2])
+
+
+@pytest.mark.parametrize("table", [p.color_matching_functions, p.cone_fundamentals, p.illuminant_d65])
+def test_tables_are_differentiable_in_the_wavelengths(table):
+    waves = torch.tensor([451.3, 533.7, 610.2, 840.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(table, waves)
+
+
+def test_luminance_of_light_changes_with_its_wavelength_as_the_table_does():
+    wave = torch.tensor([600.25], dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(p.color_matching_functions(wave)[1].sum(), wave)
+    first, second = p.color_matching_functions([600.0, 601.0])[1]
+    assert torch.isclose(slope, second - first, rtol=1e-9)

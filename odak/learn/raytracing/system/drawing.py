@@ -552,7 +552,7 @@ def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) 
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-@takes_constants("frequency")
+@takes_constants("frequency", "shifts")
 @torch.no_grad()
 def through_focus_figure(
     system: Any, shifts: Any = None, frequency: float | None = None, aim: str = "paraxial"

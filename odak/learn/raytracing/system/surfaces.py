@@ -1060,6 +1060,7 @@ def _image(value) -> surface | None:
 
 
 def _wavelengths(values) -> tuple[float, ...]:
+    (values,) = _validate.constants(wavelengths=values)
     found = tuple(
         _validate.numbers(
             _validate.real("wavelengths", values if not isinstance(values, tuple) else list(values), positive=True)
@@ -1073,6 +1074,7 @@ def _wavelengths(values) -> tuple[float, ...]:
 def _fields(values) -> tuple[tuple[float, float], ...]:
     if not isinstance(values, Iterable) or isinstance(values, str):
         raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(values).__name__}")
+    (values,) = _validate.constants(fields=values)
     values = values.tolist() if hasattr(values, "tolist") else values
     points = [tuple(value) if isinstance(value, Iterable) else (0.0, value) for value in values]
     if not points or any(len(point) != 2 for point in points):

@@ -10,7 +10,7 @@ import torch
 from torch import nn
 from torch.nn import functional
 
-from odak import _validate
+from odak import _array, _validate
 from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, trainable
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
 from odak.learn.tools.transformation import quaternion_to_rotation_matrix
@@ -764,6 +764,7 @@ class complex_3d_gaussians(nn.Module):
         x, y, z = cam_means_3D.unbind(-1)
         inside = self._in_range(z)
         z = z.where(inside, 1.0)
+        fx, fy, px, py = (_array.cast(number, x) for number in (fx, fy, px, py))
         return torch.stack([px - fx * x / z, py - fy * y / z], dim=-1).where(inside[:, None], _AWAY)
 
     def _in_range(self, z):
