@@ -52,7 +52,8 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
 
             warn(f"{package}.{name} is deprecated: import it as {moved[name]}.{name}", DeprecationWarning)
             return getattr(importlib.import_module(moved[name]), name)
-        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        # With the name and the module Python adds "Did you mean" to the traceback.
+        raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
 
     return load, lambda: public, public
 
@@ -104,7 +105,7 @@ class _MovedModules:
             for home in homes:
                 if not name.startswith("__") and hasattr(home, name):
                     return getattr(home, name)
-            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
+            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}", name=name, obj=module)
 
         module.__getattr__ = load  # type: ignore[method-assign]
         module.__dir__ = lambda: sorted({name for home in homes for name in dir(home)})  # type: ignore[method-assign]

@@ -22,10 +22,12 @@ from odak._array import (
     real_dtype,
 )
 from odak._array import library as library
-from odak._warnings import AccuracyWarning, warn
+from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 
 # More samples along one axis than any memory holds along two; refused before anything is allocated.
 LONGEST_SIDE = 2**31 - 1
+# Stacks of so many planes of at least so many rows, each 3 or 4 samples wide, are pictures with their colours last.
+_LEAST_PICTURE = 16
 
 
 def one_of(name: str, value: str, options: Iterable[str]) -> str:
@@ -142,6 +144,19 @@ def image(name: str, value, *, axes: int = 2):
     if value.ndim < axes or 0 in value.shape[-2:]:
         raise ValueError(
             f"{name} must have at least {axes} axes [..., rows, columns], none empty; got {tuple(value.shape)}"
+        )
+    return value
+
+
+def planes(name: str, value):
+    """Return an array as :func:`image` does; warn of one that looks like ``[rows, columns, channels]``."""
+    value = image(name, value)
+    if value.ndim == 3 and value.shape[-1] in (3, 4) and min(value.shape[:2]) >= _LEAST_PICTURE:
+        stack, rows, columns = value.shape
+        warn(
+            f"{name} must be [..., rows, columns]: {tuple(value.shape)} is taken as {stack} planes of {rows} x "
+            f"{columns} samples; if its last axis holds colours, move it to the front",
+            ArgumentWarning,
         )
     return value
 

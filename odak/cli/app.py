@@ -182,6 +182,8 @@ PropagationType = Annotated[
         autocompletion=_propagation_types,
     ),
 ]
+EyeboxIterations = Annotated[int, typer.Option(metavar="COUNT", help="Number of iterations.")]
+EyeboxLearningRate = Annotated[float, typer.Option(metavar="RADIANS", help="Step size in radians of Adam.")]
 Iterations = Annotated[
     int, typer.Option(metavar="COUNT", help="Number of iterations (all methods except double-phase and network).")
 ]
@@ -701,8 +703,8 @@ def eyebox(
     spacing: Spacing = 2e-3,
     pupil: Pupil = 2e-3,
     frames: EyeboxFrames = 2,
-    iterations: Iterations = 60,
-    learning_rate: LearningRate = 0.2,
+    iterations: EyeboxIterations = 60,
+    learning_rate: EyeboxLearningRate = 0.2,
     seed: Seed = 0,
     bits: Bits = 8,
     device: Device = "auto",

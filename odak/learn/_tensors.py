@@ -126,6 +126,11 @@ def checked_device(name: str, value) -> torch.device | None:
         ) from error
 
 
+def kind_of(value) -> str:
+    """Return what was given in place of a tensor of a wanted dtype: the dtype of a tensor, or the name of a type."""
+    return str(value.dtype) if isinstance(value, torch.Tensor) else type(value).__name__
+
+
 def checked_dtype(name: str, value) -> torch.dtype:
     """Return a real floating dtype."""
     if not isinstance(value, torch.dtype) or not value.is_floating_point:
@@ -261,8 +266,7 @@ def checked_pair(
     """
     for name, value in (("predictions", predictions), ("targets", targets)):
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            kind = getattr(value, "dtype", type(value).__name__)
-            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
     _validate.alike(predictions=predictions, targets=targets)
     if not predictions.numel():
         raise ValueError(f"predictions and targets must not be empty, got {tuple(predictions.shape)}")
@@ -274,8 +278,7 @@ def checked_pair(
 def as_pictures(name: str, image: torch.Tensor, channels: int | None = 3) -> torch.Tensor:
     """Return real pictures ``[..., C, H, W]`` with at least four axes after checking them."""
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        kind = getattr(image, "dtype", type(image).__name__)
-        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(image)}")
     if image.ndim < 3 or (channels is not None and image.shape[-3] != channels):
         wanted = "C" if channels is None else channels
         raise ValueError(f"{name} must be pictures [..., {wanted}, H, W], got {tuple(image.shape)}")

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 import plyfile
 
-from odak import _validate
+from odak import _array, _validate
+from odak.tools.matrix import convert_to_numpy
 from odak.tools.paths import replacing, validate_path
 from odak.tools.transformation import rotate_points
 
@@ -123,7 +124,7 @@ def write_PLY(triangles: np.ndarray, savefn: str | os.PathLike = "output.ply") -
     ...     read_PLY(name).shape
     (1, 3, 3)
     """
-    corners = np.asarray(_validate.array("triangles", triangles), dtype=np.float32)
+    corners = _in_float32("triangles", triangles)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3):
         raise ValueError(f"triangles must be [t, 3, 3], got {corners.shape}")
     faces = np.arange(3 * len(corners)).reshape(-1, 3)
@@ -160,7 +161,7 @@ def write_PLY_from_points(points: np.ndarray, savefn: str | os.PathLike = "outpu
     ...     read_PLY(name).shape
     (4, 3, 3)
     """
-    points = np.asarray(_validate.array("points", points), dtype=np.float32)
+    points = _in_float32("points", points)
     if points.ndim != 3 or points.shape[-1] != 3 or min(points.shape[:2]) < 2:
         raise ValueError(f"points must be [m, n, 3] with m and n at least 2, got {points.shape}")
     number = np.arange(points.shape[0] * points.shape[1]).reshape(points.shape[:2])
@@ -174,6 +175,12 @@ LONGEST_HEADER = 1 << 16
 _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticError, IndexError)
 _BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2}
 _BYTES |= {"int": 4, "uint": 4, "float": 4, "int32": 4, "uint32": 4, "float32": 4, "double": 8, "float64": 8}
+
+
+def _in_float32(name, value) -> np.ndarray:
+    """Return an array, a list or a tensor, which may have a gradient, as a NumPy array of float32."""
+    value = _validate.array(name, value)
+    return np.asarray(convert_to_numpy(value) if _array.is_torch(value) else value, dtype=np.float32)
 
 
 def write_mesh(filename: str, vertices: np.ndarray, faces: np.ndarray, text: bool = False) -> None:

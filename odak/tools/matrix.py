@@ -155,7 +155,9 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     if bits > 8:
         raise ValueError(f"bits must be at most 8, got {bits}")
     if not _array.is_array(image_field) or "complex" in str(_validate.array("image_field", image_field).dtype):
-        raise TypeError(f"image_field must be a real array, got {getattr(image_field, 'dtype', type(image_field))}")
+        raise TypeError(
+            f"image_field must be a real array, got {getattr(image_field, 'dtype', type(image_field).__name__)}"
+        )
     xp = _array.namespace(image_field)
     if not xp.isdtype(image_field.dtype, "real floating"):
         image_field = xp.astype(image_field, xp.float64)
@@ -767,7 +769,8 @@ def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
     Returns
     -------
     numpy.ndarray
-        Array of the same dtype; it shares its memory with a tensor on the CPU.
+        Array of the same dtype, which shares its memory with a tensor on the CPU; float32 of bfloat16, which NumPy
+        lacks.
 
     Examples
     --------
@@ -778,4 +781,5 @@ def convert_to_numpy(a: "torch.Tensor") -> np.ndarray:
     """
     if not _array.is_torch(a):
         raise TypeError(f"a must be a tensor, got {type(a).__name__}")
-    return a.detach().cpu().resolve_conj().resolve_neg().numpy()
+    held = a.detach().cpu().resolve_conj().resolve_neg()
+    return (held.float() if str(held.dtype) == "torch.bfloat16" else held).numpy()

@@ -56,6 +56,9 @@ class LabelledText:
         """
         if isinstance(line_id, bool) or not isinstance(line_id, Integral):
             raise TypeError(f"line_id must be an integer, got {type(line_id).__name__}")
+        count = len(self.content)
+        if not -count <= line_id < count:
+            raise IndexError(f"line_id must be 0 to {count - 1}, got {line_id}: {self.filename!r} has {count} lines")
         return self.content[line_id], self.content_type[line_id]
 
 

@@ -470,7 +470,7 @@ def point_to_ray_distance(point: Array, ray_point_0: Array, ray_point_1: Array) 
     Returns
     -------
     array
-        |(p − p0) × (p − p1)|/|p1 − p0|, a scalar or ``[n]``.
+        |(p − p0) × (p − p1)|/|p1 − p0|, a scalar or ``[n]``; NaN where p0 = p1.
 
     Examples
     --------
@@ -481,7 +481,9 @@ def point_to_ray_distance(point: Array, ray_point_0: Array, ray_point_1: Array) 
     xp, points = _points(point=point, ray_point_0=ray_point_0, ray_point_1=ray_point_1)
     point, p0, p1 = points.values()
     area = cross(point - p0, point - p1)
-    return xp.sqrt(dot(area, area) / dot(p1 - p0, p1 - p0))
+    along = dot(p1 - p0, p1 - p0)
+    # Equal points have no line: NaN.
+    return xp.sqrt(dot(area, area) / xp.where(along > 0, along, xp.nan))
 
 
 def _points(**values):

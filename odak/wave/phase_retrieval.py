@@ -104,7 +104,7 @@ def retrieve(
     `options` are `callback` and `accelerated`: `callback(turn, phase)` is called after each iteration, and ends them by
     returning True.
     """
-    field = _validate.image("field", field)
+    field = _validate.planes("field", field)
     options |= {"initial_phase": initial_phase, "seed": seed, "fill": fill}
     hologram = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
     # On the padded grid of the iterations light may wrap around; the image that is returned is free of it.

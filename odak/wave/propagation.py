@@ -126,7 +126,7 @@ def propagate_beam(
 def _propagate(
     field, k, distance, dx, wavelength, propagation_type, kernel, zero_padding, aperture, scale, samples, tolerance
 ):
-    field = _array.to_complex(_validate.image("field", field))
+    field = _array.to_complex(_validate.planes("field", field))
     if 0 in field.shape:
         raise ValueError(f"field must contain at least one field, got the shape {tuple(field.shape)}")
     geometry = (k, distance, _plain_pair(dx), wavelength, propagation_type, aperture, scale, tolerance)

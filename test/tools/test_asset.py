@@ -101,3 +101,11 @@ def test_voxels_of_a_mesh(tmp_path):
     assert points.shape == (4 * 4 * 2, 3)
     assert marks.shape == (32,)
     assert torch.equal(points[marks == 1], torch.tensor([[-0.75, -0.75, -0.5], [0.75, 0.75, 0.5]]))
+
+
+@pytest.mark.parametrize(("write", "shape"), [(write_PLY, (2, 3, 3)), (write_PLY_from_points, (2, 2, 3))])
+def test_tensors_with_gradients_are_written(write, shape, tmp_path):
+    values = torch.rand(shape, requires_grad=True)
+    write(values, tmp_path / "given.ply")
+    write(values.detach().numpy(), tmp_path / "plain.ply")
+    np.testing.assert_array_equal(read_PLY(tmp_path / "given.ply"), read_PLY(tmp_path / "plain.ply"))

@@ -70,3 +70,11 @@ def test_the_module_and_its_class_are_both_reached_by_one_name(written):
     assert isinstance(odak.tools.latex(name), odak.tools.latex.latex)
     with pytest.raises(FileNotFoundError):
         odak.tools.markdown.markdown(name + "x")
+
+
+def test_a_line_beyond_the_end_is_named(tmp_path):
+    (tmp_path / "text.md").write_text("one\ntwo\n", encoding="utf-8")
+    document = odak.tools.markdown(tmp_path / "text.md")
+    assert document.get_line(-1)[0] == "two"
+    with pytest.raises(IndexError, match="line_id must be 0 to 1, got 2"):
+        document.get_line(2)

@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
@@ -129,3 +130,8 @@ def test_quantised_levels_stay_within_their_bits():
     """What is not a number became the lowest 64-bit integer."""
     levels = quantize(np.array([np.nan, np.inf, -np.inf, -3.0, 300.0, 255.0]), bits=4)
     assert levels.tolist() == [0, 15, 0, 0, 15, 15]
+
+
+def test_bfloat16_becomes_float32():
+    array = odak.tools.convert_to_numpy(torch.tensor([1.5, -2.0], dtype=torch.bfloat16))
+    assert (array.dtype, array.tolist()) == (np.float32, [1.5, -2.0])

@@ -165,3 +165,7 @@ def test_numpy_origin_and_offset_of_each_point(random):
     np.testing.assert_allclose(turned, (points - origin) @ turn.T + origin + offset, atol=1e-14)
     one = odak.tools.rotate_points(points[0], [20.0, 0, 0], origin=origin, offset=offset[0])
     np.testing.assert_allclose(one, (points[0] - origin) @ turn.T + origin + offset[0], atol=1e-14)
+
+
+def test_equal_points_have_no_line():
+    assert np.isnan(transformation.point_to_ray_distance([0, 2, 0], [0, 0, 0], [0, 0, 0]))

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from odak import _validate
-from odak.learn._tensors import trainable
+from odak.learn._tensors import kind_of, trainable
 
 
 def channels(name: str, value) -> int:
@@ -74,7 +74,7 @@ def features(
     if isinstance(value, torch.fx.Proxy):
         return value
     if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a real floating tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+        raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
     wanted = getattr(parameter, "dtype", value.dtype)
     if value.dtype != wanted and not torch.is_autocast_enabled(value.device.type):
         raise TypeError(f"{name} must have the dtype of the layer, {wanted}; got {value.dtype}")

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak._torch_private import is_plain_on_cpu
-from odak.learn._tensors import as_pictures, in_float64, in_own_precision
+from odak.learn._tensors import as_pictures, in_float64, in_own_precision, kind_of
 from odak.learn.perception.hdr import pq_decode, pq_encode
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -609,7 +609,7 @@ def rgb_to_gray(image: torch.Tensor) -> torch.Tensor:
     [0.299]
     """
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"image must be a tensor of real floats, got {getattr(image, 'dtype', type(image).__name__)}")
+        raise TypeError(f"image must be a tensor of real floats, got {kind_of(image)}")
     if image.ndim != 3 or 3 not in (image.shape[0], image.shape[-1]):
         raise ValueError(f"image must be [3, H, W] or [H, W, 3], got {tuple(image.shape)}")
     return _luma(image)[None] if image.shape[0] == 3 else _luma(image.permute(2, 0, 1))

@@ -9,7 +9,7 @@ import torch
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import as_pictures, check_values, in_float32, in_own_precision
+from odak.learn._tensors import as_pictures, check_values, in_float32, in_own_precision, kind_of
 from odak.learn.perception.color import mix, rows, srgb_decoded, srgb_encoded
 from odak.learn.tools.matrix import blur_gaussian
 
@@ -311,8 +311,7 @@ def compute_local_contrast_similarity(
     """
     for name, patch in (("patch_x", patch_x), ("patch_y", patch_y)):
         if not isinstance(patch, torch.Tensor) or not patch.is_floating_point():
-            kind = getattr(patch, "dtype", type(patch).__name__)
-            raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(patch)}")
     if patch_x.shape != patch_y.shape or patch_x.ndim != 2:
         raise ValueError(
             f"patch_x and patch_y must be [D, N] of one shape, got {tuple(patch_x.shape)} and {tuple(patch_y.shape)}"
@@ -489,8 +488,7 @@ def _deviation(patches, axis):
 
 def _checked(name, image):
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        kind = getattr(image, "dtype", type(image).__name__)
-        raise TypeError(f"{name} must be a tensor of real floats, got {kind}")
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(image)}")
     if image.ndim != 4:
         raise ValueError(f"{name} must be [B, C, H, W], got {tuple(image.shape)}")
     return image

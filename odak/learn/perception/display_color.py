@@ -19,7 +19,7 @@ from scipy.optimize import least_squares
 from torch import nn
 
 from odak import _array, _validate
-from odak.learn._tensors import as_pictures, checked_device, floating, in_float32
+from odak.learn._tensors import as_pictures, checked_device, floating, in_float32, kind_of
 from odak.learn.perception.color import ciede2000, mix, xyz_to_lab
 
 CONE_GAUSSIANS = ((567.5, 32.5), (545.0, 27.5), (447.5, 17.0))
@@ -156,8 +156,7 @@ def spectrum_to_xyz(spectrum: torch.Tensor, wavelengths: torch.Tensor | Sequence
     [0.313, 0.329]
     """
     if not isinstance(spectrum, torch.Tensor) or not spectrum.is_floating_point():
-        kind = getattr(spectrum, "dtype", type(spectrum).__name__)
-        raise TypeError(f"spectrum must be a tensor of real floats, got {kind}")
+        raise TypeError(f"spectrum must be a tensor of real floats, got {kind_of(spectrum)}")
     axis = _checked_axis("wavelengths", wavelengths).to(spectrum)
     if spectrum.ndim == 0 or spectrum.shape[-1] != len(axis) or len(axis) < 2 or not bool((axis.diff() > 0).all()):
         raise ValueError(
@@ -729,8 +728,7 @@ def _checked_spectra(spectra):
     if isinstance(spectra, (str, os.PathLike)):
         return read_spectra(spectra)
     if not isinstance(spectra, torch.Tensor) or not spectra.is_floating_point():
-        kind = getattr(spectra, "dtype", type(spectra).__name__)
-        raise TypeError(f"primaries_spectrum must be a tensor of real floats or a file, got {kind}")
+        raise TypeError(f"primaries_spectrum must be a tensor of real floats or a file, got {kind_of(spectra)}")
     if spectra.ndim != 2 or spectra.shape[0] == 0 or spectra.shape[1] < 2:
         raise ValueError(f"primaries_spectrum must be [P, S] with two samples or more, got {tuple(spectra.shape)}")
     return _validate.real("primaries_spectrum", spectra)
@@ -1092,7 +1090,7 @@ def metameric_failure(
     spectra = {"primaries": (primaries, 2), "reference": (reference, 1), "observers": (observers, 3)}
     for name, (value, axes) in spectra.items():
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            raise TypeError(f"{name} must be a tensor of real floats, got {getattr(value, 'dtype', type(value))}")
+            raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
         if value.ndim != axes or value.shape[-1] != standard.shape[-1]:
             raise ValueError(f"{name} must have {standard.shape[-1]} wavelengths, got {tuple(value.shape)}")
         _validate.real(name, value.detach())

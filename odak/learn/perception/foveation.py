@@ -21,9 +21,12 @@ from torch.nn import functional
 
 from odak import _array, _validate
 from odak._torch_private import is_plain_on_cpu
+from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, checked_dtype
 
 MODES = ("quadratic", "linear")
+# A gaze farther from the picture, in its widths and heights or in radians, is one in pixels or degrees.
+_FARTHEST = 10.0
 # Largest angle of a cone, for cones that are tangent to the screen or point behind it.
 STEEPEST = math.pi / 2 - 1e-3
 # Columns of a block, values of one plane in a strip and of all planes for one thread: small enough for a cache, large
@@ -438,6 +441,12 @@ def _place(name, value) -> tuple:
 def _point(name, value) -> tuple[float, float]:
     """Return two finite floats, which carry no gradient."""
     x, y = (_validate.constant(name, number) for number in _place(name, value))
+    if max(abs(x), abs(y)) > _FARTHEST:
+        warn(
+            f"{name} must be shares of the picture's width and height, 0 to 1 within it; got ({x:g}, {y:g}), far "
+            "outside: divide pixels by its width and height",
+            ArgumentWarning,
+        )
     return x, y
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import in_float32, in_float64
+from odak.learn._tensors import in_float32, in_float64, kind_of
 
 PQ_PEAK = 10000.0
 _M1, _M2 = 2610 / 16384, 2523 / 4096 * 128
@@ -397,5 +397,5 @@ def _rgb(name, picture):
 
 def _floats(name, value):
     if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a tensor of real floats, got {getattr(value, 'dtype', type(value).__name__)}")
+        raise TypeError(f"{name} must be a tensor of real floats, got {kind_of(value)}")
     return value

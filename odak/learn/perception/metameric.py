@@ -10,7 +10,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _torch_private, _validate
-from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32
+from odak.learn._tensors import as_pictures, check_loss_inputs, check_values, checked_device, in_float32, kind_of
 from odak.learn.perception.color import rgb_2_ycrcb, ycrcb_2_rgb
 from odak.learn.perception.foveation import (
     RadiallyVaryingBlur,
@@ -1001,7 +1001,7 @@ def checked_pictures(name: str, image: torch.Tensor, target: torch.Tensor, n_lev
     """
     for label, picture in (("image", image), ("target", target)):
         if not isinstance(picture, torch.Tensor) or not picture.is_floating_point():
-            kind = getattr(picture, "dtype", type(picture).__name__)
+            kind = kind_of(picture)
             raise TypeError(f"{name} ERROR: {label} must be a tensor of real floats [B, C, H, W], got {kind}")
     check_loss_inputs(name, image, target)
     step = 1 << n_levels

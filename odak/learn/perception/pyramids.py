@@ -11,7 +11,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak._torch_private import is_plain_on_cpu
-from odak.learn._tensors import checked_device, checked_dtype, in_own_precision
+from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of
 from odak.learn.perception import pyramid_filter_design
 from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, quadrature, steering
 
@@ -399,8 +399,7 @@ class SpatialSteerablePyramid(nn.Module):
         True
         """
         if not isinstance(low, torch.Tensor) or not low.is_floating_point():
-            kind = getattr(low, "dtype", type(low).__name__)
-            raise TypeError(f"low must be a tensor of real floats [B, C, H, W], got {kind}")
+            raise TypeError(f"low must be a tensor of real floats [B, C, H, W], got {kind_of(low)}")
         if low.ndim != 4 or min(low.shape[-2:]) <= QUADRATURE_SIZE // 2:
             smallest = QUADRATURE_SIZE // 2 + 1
             raise ValueError(f"low must be [B, C, H, W] with sides of {smallest} or more, got {tuple(low.shape)}")
@@ -464,8 +463,7 @@ class SpatialSteerablePyramid(nn.Module):
 
     def _check(self, image, n_levels) -> None:
         if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-            kind = getattr(image, "dtype", type(image).__name__)
-            raise TypeError(f"image must be a tensor of real floats [B, C, H, W], got {kind}")
+            raise TypeError(f"image must be a tensor of real floats [B, C, H, W], got {kind_of(image)}")
         if image.ndim != 4 or image.shape[1] != self.n_channels:
             raise ValueError(
                 f"image must be [B, C, H, W] with C = n_channels = {self.n_channels}, got {tuple(image.shape)}"
@@ -670,7 +668,7 @@ class FrequencySteerablePyramid(nn.Module):
 
     def _size(self, image) -> tuple[int, int]:
         if not isinstance(image, torch.Tensor) or image.dtype not in (torch.float32, torch.float64):
-            kind = getattr(image, "dtype", type(image).__name__)
+            kind = kind_of(image)
             raise TypeError(f"image must be a tensor of real floats [..., H, W], float32 or float64, got {kind}")
         smallest = 1 << (self.n_levels - 1)
         if image.ndim < 2 or 0 in image.shape or min(image.shape[-2:]) < smallest:

@@ -16,7 +16,7 @@ import torch
 from torch import nn
 
 from odak import _validate, _warnings
-from odak.learn._tensors import as_pictures, checked_device, checked_pair, in_own_precision
+from odak.learn._tensors import as_pictures, checked_device, checked_pair, in_own_precision, kind_of
 from odak.learn.perception.color import (
     BT709_PRIMARIES,
     IEC_WHITE,
@@ -916,7 +916,7 @@ def _lightness(image, channel) -> torch.Tensor:
     """Return pictures ``[B, H, W]`` of 0 … 1."""
     channel = _validate.integer("lightness_channel", channel)
     if not isinstance(image, torch.Tensor) or image.is_complex():
-        raise TypeError(f"image must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+        raise TypeError(f"image must be a real tensor, got {kind_of(image)}")
     if image.ndim not in (2, 3, 4) or 0 in image.shape or (image.ndim == 3 and len(image) > 100):
         raise ValueError(
             f"image must be [H, W], [B, H, W] with B of at most 100, or [B, C, H, W]; got {tuple(image.shape)}"

@@ -13,7 +13,8 @@ import numpy as np
 import torch
 
 from odak import _torch_private, _validate
-from odak.learn._tensors import checked_device
+from odak._warnings import ArgumentWarning, warn
+from odak.learn._tensors import checked_device, kind_of
 from odak.tools import file
 from odak.tools.paths import replacing, validate_path
 
@@ -56,7 +57,7 @@ def resize(image: torch.Tensor, multiplier: float = 0.5, mode: str = "nearest") 
     mode = _validate.one_of("mode", mode, _MODES)
     multiplier = _validate.constant("multiplier", multiplier, positive=True)
     if not isinstance(image, torch.Tensor) or image.is_complex():
-        raise TypeError(f"image must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+        raise TypeError(f"image must be a real tensor, got {kind_of(image)}")
     if image.ndim not in (2, 3, 4) or 0 in image.shape:
         raise ValueError(f"image must have 2, 3 or 4 axes, none empty; got {tuple(image.shape)}")
     last = image.ndim > 2 and image.shape[-1] in (3, 4) and image.shape[-3] not in (1, 3, 4)
@@ -129,7 +130,7 @@ def save_image(
         Value of black.
     cmax : float, optional
         Value of white. By default 1, or 255 when the image holds integers or exceeds 1, or 65535 when it exceeds 255
-        as well and is saved with 16 bits.
+        as well and is saved with 16 bits. An :class:`~odak.ArgumentWarning` says where 255 leaves it nearly black.
     color_depth : {8, 16}
         Bits per channel.
 
@@ -270,11 +271,24 @@ def _as_array(img):
     return image
 
 
+# Below this largest value an image taken as one of levels up to 255 is more probably one of 0 to 1 with overshoot.
+_DARK = 8.0
+
+
 def _white_of(image, color_depth):
     """Guess the value of white where the caller names none."""
     if color_depth == 16 and (image > 255).any():
         return 65535.0
-    return 255.0 if image.dtype.kind in "iu" or (image > 1).any() else 1.0
+    if image.dtype.kind in "iu" or not (image > 1).any():
+        return 255.0 if image.dtype.kind in "iu" else 1.0
+    brightest = np.nanmax(image)
+    if brightest <= _DARK:
+        warn(
+            f"img is saved with 255 as white, since it exceeds 1, but reaches only {brightest:g}: the file is nearly "
+            "black; give cmax=1.0 where 1 is white",
+            ArgumentWarning,
+        )
+    return 255.0
 
 
 # Called with a number, as a file can request, it allocates so many bytes, independently of the size of the file.

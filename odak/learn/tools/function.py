@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from odak import _array, _validate
-from odak.learn._tensors import checked_device, checked_dtype
+from odak.learn._tensors import checked_device, checked_dtype, kind_of
 from odak.tools.transformation import apply_matrix, rotation_matrix
 from odak.tools.zernike import noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
@@ -423,8 +423,7 @@ def _solve(image, rows, columns, regularization) -> torch.Tensor:
 
 def _picture(image) -> torch.Tensor:
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        kind = getattr(image, "dtype", type(image).__name__)
-        raise TypeError(f"image must be a real floating tensor, got {kind}")
+        raise TypeError(f"image must be a real floating tensor, got {kind_of(image)}")
     if image.ndim == 3 and len(image) == 1:
         image = image[0]
     if image.ndim != 2 or image.numel() == 0:

@@ -7,7 +7,7 @@ import torch
 
 from odak import _array, _validate
 from odak.learn._face import torch_face
-from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, tensor
+from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of, tensor
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
 
@@ -96,8 +96,7 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     """
     (limits,) = _validate.constants(limits=limits)
     if not isinstance(image_field, torch.Tensor) or image_field.is_complex():
-        kind = getattr(image_field, "dtype", type(image_field).__name__)
-        raise TypeError(f"image_field must be a real tensor, got {kind}")
+        raise TypeError(f"image_field must be a real tensor, got {kind_of(image_field)}")
     if _validate.integer("bits", bits, minimum=1) > _MOST_BITS:
         raise ValueError(f"bits must be at most {_MOST_BITS}, got {bits}")
     low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
@@ -212,7 +211,7 @@ def blur_gaussian(
     3.0
     """
     if not isinstance(field, torch.Tensor) or not field.is_floating_point():
-        raise TypeError(f"field must be a real floating tensor, got {getattr(field, 'dtype', type(field).__name__)}")
+        raise TypeError(f"field must be a real floating tensor, got {kind_of(field)}")
     _validate.image("field", field)
     lengths = _validate.size("kernel_length", kernel_length)
     scale = "sum" if _validate.flag("keep_sum", keep_sum) else "density"

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from odak import _validate
-from odak.learn._tensors import tensor
+from odak.learn._tensors import kind_of, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.slm import checked_fill, iris_cutoff, on_samples, panel_map
 from odak.wave.methods import check_has_kernel
@@ -39,7 +39,7 @@ def captured_by(camera: Callable, phase: torch.Tensor, shape: tuple[int, ...]) -
     with torch.no_grad():
         captured = camera(phase.detach())
     if not isinstance(captured, torch.Tensor) or captured.is_complex():
-        raise TypeError(f"camera must return a real tensor, got {getattr(captured, 'dtype', type(captured).__name__)}")
+        raise TypeError(f"camera must return a real tensor, got {kind_of(captured)}")
     if tuple(captured.shape) != tuple(shape):
         raise ValueError(f"camera must return an image of {tuple(shape)}, got {tuple(captured.shape)}")
     return captured.detach()

@@ -9,7 +9,7 @@ import torch
 
 from odak import _validate
 from odak._array import cast
-from odak.learn._tensors import floating, takes_constants, tensor
+from odak.learn._tensors import floating, kind_of, takes_constants, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
 from odak.wave.transfer_functions import pitches
@@ -130,7 +130,7 @@ def eyebox_hologram(
     if places.ndim != 2 or places.shape[1] != 2 or not len(places):
         raise ValueError(f"pupil_positions must be [K, 2] with K at least 1, got {list(places.shape)}")
     if not isinstance(targets, torch.Tensor) or targets.is_complex():
-        raise TypeError(f"targets must be a real tensor, got {getattr(targets, 'dtype', type(targets).__name__)}")
+        raise TypeError(f"targets must be a real tensor, got {kind_of(targets)}")
     _validate.image("targets", targets)
     if targets.ndim > 3 or (targets.ndim == 3 and len(targets) not in (1, len(places))):
         raise ValueError(

@@ -8,7 +8,7 @@ from torch.autograd.function import once_differentiable
 
 from odak import _array, _validate
 from odak.learn._face import torch_face
-from odak.learn._tensors import tensor, trainable
+from odak.learn._tensors import kind_of, tensor, trainable
 from odak.learn.wave.convolution import Workspace, allocate_like
 from odak.wave import fields
 
@@ -37,7 +37,7 @@ def unit_phasor(phase: torch.Tensor) -> torch.Tensor:
     [0.0, 1.0]
     """
     if not isinstance(phase, torch.Tensor) or phase.is_complex():
-        raise TypeError(f"phase must be a real tensor, got {getattr(phase, 'dtype', type(phase).__name__)}")
+        raise TypeError(f"phase must be a real tensor, got {kind_of(phase)}")
     # There are no complex dtypes of half precision.
     return _UnitPhasor.apply(phase.float() if phase.dtype in _HALVES else phase)
 
@@ -107,7 +107,7 @@ def exposure(
     """
     one_each = _validate.flag("one_each", one_each)
     if not isinstance(field, torch.Tensor) or not field.is_complex():
-        raise TypeError(f"field must be a complex tensor, got {getattr(field, 'dtype', type(field).__name__)}")
+        raise TypeError(f"field must be a complex tensor, got {kind_of(field)}")
     if field.ndim != 5 or (one_each and field.shape[2] != 1):
         raise ValueError(
             f"field must be [frames, planes, colours (1 with one_each), rows, columns], got {list(field.shape)}"

@@ -5,7 +5,7 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Sequence
-from numbers import Integral
+from numbers import Real
 from typing import Any
 
 import torch
@@ -108,7 +108,7 @@ def accepts_descent_form(function: Callable) -> Callable:
     @functools.wraps(function)
     def adapted(*args, **options):
         options = {_RENAMED.get(name, name): value for name, value in options.items()}
-        if "target" in options or (len(args) > 1 and not isinstance(args[1], Integral)):
+        if "target" in options or (len(args) > 1 and not _is_count(args[1])):
             names = list(_DESCENT_NAMES)
             if len(args) > 4 and hasattr(args[4], "__len__") and not isinstance(args[4], str):
                 names.append("resolution")
@@ -127,6 +127,11 @@ def accepts_descent_form(function: Callable) -> Callable:
         return older(*args, **options)
 
     return adapted
+
+
+def _is_count(value) -> bool:
+    """Return whether a second argument is a number of iterations: no wavelength in metres is above 1, or 0 or less."""
+    return isinstance(value, Real) and not 0 < float(value) < 1
 
 
 @accepts_older_form
@@ -332,7 +337,7 @@ def _problem(target, wavelength, distance, pixel_pitch) -> dict:
 def _checked_target(target) -> torch.Tensor:
     if not isinstance(target, torch.Tensor):
         raise TypeError(f"target must be a torch.Tensor of intensities, got {type(target).__name__}")
-    _validate.image("target", target)
+    _validate.planes("target", target)
     if target.is_complex():
         raise TypeError(f"target must be real intensities, got {target.dtype}")
     target = target.detach() if target.dtype in (torch.float32, torch.float64) else target.detach().float()

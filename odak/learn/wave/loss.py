@@ -10,7 +10,7 @@ from torch import nn
 from odak import _validate
 from odak._warnings import AccuracyWarning, MissingPackageWarning, warn
 from odak.learn import perception
-from odak.learn._tensors import checked_device, checked_generator, get_device, in_own_precision, tensor
+from odak.learn._tensors import checked_device, checked_generator, get_device, in_own_precision, kind_of, tensor
 from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.wave.transfer_functions import checked_pitch, pitches
 
@@ -258,7 +258,7 @@ class FocalTargets(nn.Module):
         (noise_ratio,) = _validate.constants(noise_ratio=noise_ratio)
         for name, value in (("image", image), ("target", target)):
             if not isinstance(value, torch.Tensor) or value.is_complex():
-                raise TypeError(f"{name} must be a real tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+                raise TypeError(f"{name} must be a real tensor, got {kind_of(value)}")
         if plane_id is not None:
             plane_id = _validate.whole("plane_id", plane_id, minimum=-self.number_of_planes)
         inject_noise, noise_ratio = (
@@ -296,8 +296,7 @@ class FocalTargets(nn.Module):
 def _checked_picture(image, depth):
     for name, value in (("target_image", image), ("target_depth", depth)):
         if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-            kind = getattr(value, "dtype", type(value).__name__)
-            raise TypeError(f"{name} must be a real floating tensor, got {kind}")
+            raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
     _validate.image("target_image", image)
     while depth.ndim > 2 and len(depth) == 1:
         depth = depth[0]
@@ -611,7 +610,7 @@ def _checked_loss(loss):
 def _planes(name, value):
     """Return a real image as ``[B, 1, m, n]``."""
     if not isinstance(value, torch.Tensor) or not value.is_floating_point():
-        raise TypeError(f"{name} must be a real floating tensor, got {getattr(value, 'dtype', type(value).__name__)}")
+        raise TypeError(f"{name} must be a real floating tensor, got {kind_of(value)}")
     _validate.image(name, value)
     if value.ndim > 2 and value.shape[-3] != 1:
         raise ValueError(f"{name} must be [m, n] or [..., 1, m, n], got {tuple(value.shape)}")

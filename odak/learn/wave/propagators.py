@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from odak import _array, _validate
-from odak.learn._tensors import checked_device, floating, tensor
+from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.convolution import Workspace, convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.slm import pixel_fill_of
@@ -18,8 +18,10 @@ METHODS = ("conventional", "multi-color", "full complex conventional", "full com
 
 
 def power_method(method: str) -> str:
-    """Return the full name of what channel powers mean, given with spaces or underscores."""
-    return _validate.one_of("method", _validate.text("method", method).replace("_", " "), METHODS)
+    """Return the full name of what channel powers mean, given with spaces, underscores or hyphens."""
+    words = {known.replace("-", " "): known for known in METHODS}
+    found = words.get(_validate.text("method", method).replace("_", " ").replace("-", " ").lower())
+    return found or _validate.one_of("method", method, METHODS)
 
 
 def checked_powers(name: str, power: torch.Tensor, shape: tuple[int, int], amplitudes: bool) -> torch.Tensor:
@@ -87,8 +89,7 @@ def checked_phases(phases: torch.Tensor, shape: tuple[int, ...]) -> torch.Tensor
         If they are not real, or of another shape.
     """
     if not isinstance(phases, torch.Tensor) or phases.is_complex():
-        kind = getattr(phases, "dtype", type(phases).__name__)
-        raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
+        raise TypeError(f"hologram_phases must be a real tensor, got {kind_of(phases)}")
     came = tuple(phases.shape)
     if came not in (shape, (1, *shape)) and not (shape[0] == 1 and came == shape[1:]):
         raise ValueError(f"hologram_phases must be [frames, rows, columns] = {shape}, got {came}")
@@ -433,8 +434,7 @@ class propagator(display_volume):
 
     def _check_holograms(self, holograms):
         if not isinstance(holograms, torch.Tensor) or not holograms.is_complex():
-            kind = getattr(holograms, "dtype", type(holograms).__name__)
-            raise TypeError(f"holograms must be a complex tensor, got {kind}")
+            raise TypeError(f"holograms must be a complex tensor, got {kind_of(holograms)}")
         expected = [self.number_of_frames, 1, self.number_of_channels, *self.field_shape]
         if list(holograms.shape) not in (expected, [*expected[:2], 1, *expected[3:]]):
             raise ValueError(f"holograms must be {expected}, or of one colour; got {list(holograms.shape)}")

@@ -10,7 +10,7 @@ import torch
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import checked_device, floating, tensor
+from odak.learn._tensors import checked_device, floating, kind_of, tensor
 from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
@@ -803,8 +803,7 @@ class holographic_display(display_volume):
             If phases or powers do not fit.
         """
         if not isinstance(hologram_phases, torch.Tensor) or not hologram_phases.is_floating_point():
-            kind = getattr(hologram_phases, "dtype", type(hologram_phases).__name__)
-            raise TypeError(f"hologram_phases must be a real tensor, got {kind}")
+            raise TypeError(f"hologram_phases must be a real tensor, got {kind_of(hologram_phases)}")
         if (
             hologram_phases.ndim != 3
             or not len(hologram_phases)

@@ -11,7 +11,7 @@ import torch
 
 from odak import _validate
 from odak.catalog.materials import Material
-from odak.learn._tensors import tensor
+from odak.learn._tensors import kind_of, tensor
 from odak.learn.raytracing.system.analysis import wavefront
 from odak.learn.raytracing.system.surfaces import optical_system, surface
 from odak.raytracing import components as vec
@@ -527,8 +527,7 @@ def retinal_image(
     stacked = not isinstance(vergences, (int, float))
     planes = _numbers("vergences", vergences if stacked else [vergences])
     if not isinstance(picture, torch.Tensor) or picture.dtype not in (torch.float32, torch.float64):
-        kind = getattr(picture, "dtype", type(picture).__name__)
-        raise TypeError(f"picture must be a tensor of float32 or float64, got {kind}")
+        raise TypeError(f"picture must be a tensor of float32 or float64, got {kind_of(picture)}")
     _validate.image("picture", picture, axes=4 if stacked else 3)
     if not picture.numel():
         raise ValueError(f"picture must not be empty, got {tuple(picture.shape)}")
@@ -644,9 +643,7 @@ def retinal_field(
     (64, 64)
     """
     if not isinstance(field, torch.Tensor) or not field.is_complex():
-        raise TypeError(
-            f"field must be a complex tensor [..., rows, columns], got {getattr(field, 'dtype', field)!r:.60}"
-        )
+        raise TypeError(f"field must be a complex tensor [..., rows, columns], got {kind_of(field)}")
     rows, columns = _validate.image("field", field).shape[-2:]
     pitch = _validate.constant("pitch", pitch, positive=True)
     wavelength = _wavelengths(_validate.number("wavelength", wavelength, positive=True))[0]

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 import torch
 
 from odak import _validate
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, kind_of
 from odak.learn.tools.file import torch_load
 from odak.learn.tools.loss import multi_scale_total_variation_loss
 from odak.learn.wave.fields import unit_phasor
@@ -95,8 +95,7 @@ def light_loss(powers: torch.Tensor, targets: torch.Tensor, peak: float, reducti
 def checked_targets(targets, shape: tuple[int, ...]) -> torch.Tensor:
     """Return intensities after checking their shape and that they are finite and not negative."""
     if not isinstance(targets, torch.Tensor) or not targets.is_floating_point():
-        kind = getattr(targets, "dtype", type(targets).__name__)
-        raise TypeError(f"targets must be a real floating tensor, got {kind}")
+        raise TypeError(f"targets must be a real floating tensor, got {kind_of(targets)}")
     if tuple(targets.shape) != shape:
         raise ValueError(f"targets must be {shape}, got {tuple(targets.shape)}")
     if not bool(targets.isfinite().all()):
@@ -110,7 +109,7 @@ def check_pair(input_image, target_image) -> None:
     """Raise ValueError or TypeError unless an image and its target are real tensors of one shape."""
     for name, image in (("input_image", input_image), ("target_image", target_image)):
         if not isinstance(image, torch.Tensor) or image.is_complex():
-            raise TypeError(f"{name} must be a real tensor, got {getattr(image, 'dtype', type(image).__name__)}")
+            raise TypeError(f"{name} must be a real tensor, got {kind_of(image)}")
     if not input_image.ndim:
         raise ValueError("input_image must be [colours, rows, columns], got a number")
     _validate.alike(input_image=input_image, target_image=target_image)
