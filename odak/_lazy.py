@@ -52,8 +52,7 @@ def attach(package: str, file: str) -> tuple[Callable, Callable, list[str]]:
 
             warn(f"{package}.{name} is deprecated: import it as {moved[name]}.{name}", DeprecationWarning)
             return getattr(importlib.import_module(moved[name]), name)
-        # With the name and the module Python adds "Did you mean" to the traceback.
-        raise AttributeError(f"module {package!r} has no attribute {name!r}", name=name, obj=sys.modules[package])
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return load, lambda: public, public
 
@@ -105,7 +104,7 @@ class _MovedModules:
             for home in homes:
                 if not name.startswith("__") and hasattr(home, name):
                     return getattr(home, name)
-            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}", name=name, obj=module)
+            raise AttributeError(f"module {module.__name__!r} has no attribute {name!r}")
 
         module.__getattr__ = load  # type: ignore[method-assign]
         module.__dir__ = lambda: sorted({name for home in homes for name in dir(home)})  # type: ignore[method-assign]

@@ -25,19 +25,6 @@ def test_an_array_in_place_of_a_tensor_is_called_an_array(call):
         call(np.ones((1, 3, 64, 64)))
 
 
-def test_a_misspelt_name_is_answered_with_the_nearest_one():
-    for package, name in (
-        (wave, "propagte_beam"),
-        (odak, "wav"),
-        (odak.learn.perception.color_conversion, "rgb_to_hsl"),
-    ):
-        with pytest.raises(AttributeError, match=name) as caught:
-            getattr(package, name)
-        # Python makes its suggestion of these two.
-        assert caught.value.name == name
-        assert caught.value.obj is package
-
-
 @pytest.mark.parametrize("count", [5.0, -1.0, 0.0])
 def test_iterations_that_are_no_integer_are_named(count):
     with pytest.raises(TypeError, match="n_iterations must be an integer, got float"):
