@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from odak import _validate
 from odak._torch_private import is_plain_on_cpu
-from odak.learn._tensors import as_pictures, in_float64, in_own_precision, kind_of
+from odak.learn._tensors import as_pictures, in_float32, in_float64, in_own_precision, kind_of
 from odak.learn.perception.hdr import pq_decode, pq_encode
 
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
@@ -489,13 +489,13 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
 
     Examples
     --------
-    White has the lightness 100:
+    The red primary has the lightness 53.24:
 
     >>> import torch
     >>> from odak.learn.perception import srgb_to_lab
-    >>> result = srgb_to_lab(torch.tensor([1.0, 1.0, 1.0]).reshape(1, 3, 1, 1))
+    >>> result = srgb_to_lab(torch.tensor([1.0, 0.0, 0.0]).reshape(1, 3, 1, 1))
     >>> [round(value, 2) for value in result.flatten().tolist()]
-    [100.0, 0.0, 0.0]
+    [53.24, 80.09, 67.2]
     """
     return by_pixels(_to_lab, _single("image", image), _to_lab_gradient)
 
@@ -704,7 +704,7 @@ def _power(base, exponent):
 
 def _to_lab(rgb):
     # Mixing the channels in float32 would lose the dark ones; decoding does not mix them, and is twice as fast there.
-    intensities = in_float64(_decoded(rgb))
+    intensities = in_float64(_decoded(in_float32(rgb)))
     relative = _matrix(_RGB_TO_RELATIVE, intensities) @ intensities
     roots = _piecewise(relative, _LAB_JOINT**3, lambda v: _power(v, 1 / 3), 0.7 * _LAB_JOINT, _LAB_FACTOR, _LAB_OFFSET)
     return (_matrix(_TO_LAB, roots) @ roots).sub_(_matrix(_BLACK, roots)).to(rgb.dtype)
@@ -722,7 +722,8 @@ def _from_lab(lab):
     roots = _matrix(_FROM_LAB, lab) @ (lab + _matrix(_BLACK, lab))
     factor = 1 / _LAB_FACTOR
     relative = _piecewise(roots, _LAB_JOINT, lambda v: v**3, (_LAB_JOINT / 2) ** 3, factor, -_LAB_OFFSET * factor)
-    return _encoded((_matrix(_RELATIVE_TO_RGB, lab) @ relative).to(dtype))
+    linear = (_matrix(_RELATIVE_TO_RGB, lab) @ relative).to(torch.promote_types(dtype, torch.float32))
+    return _encoded(linear).to(dtype)
 
 
 def _from_lab_gradient(lab, rgb, gradient):
