@@ -70,6 +70,12 @@ GUARD, LARGEST_WINDOW = 3, 201
 SMALLEST_REGION = 12
 # Half of the extent of the spots of a registration at most, as a share of the farthest point that a pixel reaches.
 SPREAD = 0.6
+# Displacement of the rays at the edge of an aperture, as a share of its radius, to measure its curvature.
+BLUR = 0.4
+# Rows and columns of the lenslets of which one in four is lit at a time; even.
+COARSE = 4
+# Zernike polynomials of orders 1 to 4.
+FOURTH = 14
 # Width of a lenslet in units of the square root of wavelength and distance.
 SMALLEST_LENSLET = 1.6
 # Points at which the illumination is measured, as a share of the farthest that a pixel reaches, and phases of parts.
@@ -350,7 +356,6 @@ def calibrate_table(
         known = (*there, distance, response, registration)
         if turn == 0:
             found, doubt = wavefront_with_uncertainty(*known, iterations=5, captures=1)
-            found = astigmatism_by_focus(*known, found)
         else:
             found, doubt = wavefront_with_uncertainty(*known, iterations=3, start=wavefront)
             found = wavefront + without(found - wavefront, quadratic)
@@ -667,15 +672,20 @@ def regions_with_uncertainty(
         for n, parts in ((rows, down), (columns, across))
     )
     number = np.repeat(np.arange(across), [len(part) for part in x])
-    v, u = np.indices(registration.shape)
-    seen_at = registration.plane_points(np.stack([u, v], axis=-1))
+    # Pixels of the camera (row, column) that the light of each pixel of the modulator reaches.
     slopes = np.gradient(np.broadcast_to(wavefront, modulator.shape), modulator.pitch)[::-1]
-    # Points x, y of the modulator whose light the aberration displaces to those of the camera's pixels.
-    points = seen_at
-    for _ in range(3):
-        at = [points[..., 1] / modulator.pitch + rows // 2, points[..., 0] / modulator.pitch + columns // 2]
-        bent = np.stack([map_coordinates(slope, at, order=1, mode="nearest") for slope in slopes], axis=-1)
-        points = seen_at - wavelength * distance / (2 * np.pi) * bent
+    points = np.stack(np.meshgrid(np.concatenate(x), np.concatenate(y)), axis=-1)
+    reached = registration.camera_pixels(points + wavelength * distance / (2 * np.pi) * np.stack(slopes, axis=-1))
+    reached = reached.reshape(-1, 2)[:, ::-1]
+    beside = np.linalg.norm(np.diff(registration.camera_pixels(np.array([[0.0, 0.0], [modulator.pitch, 0.0]])), axis=0))
+
+    def on_the_camera(values: np.ndarray) -> np.ndarray:
+        """Return the sums of values of the modulator's pixels over neighbourhoods of the camera's."""
+        edges = [np.arange(n + 1) - 0.5 for n in registration.shape]
+        sums, *_ = np.histogram2d(*reached.T, edges, weights=values.ravel())
+        return uniform_filter(sums, 2 * math.ceil(beside) + 1, mode="constant")
+
+    lit = on_the_camera(np.ones(modulator.shape))
     # Light of the edges spreads over about this width.
     spread = math.sqrt(wavelength * distance)
 
@@ -700,7 +710,10 @@ def regions_with_uncertainty(
             modulator.show(np.where(border, pattern, level))
 
         # Without a taper, light that fringing fields scatter at the border resembles the interference.
-        weights = [taper(points[..., 0], x[column]) * taper(points[..., 1], part) for part in y]
+        weights = [
+            on_the_camera(taper(points[..., 0], x[column]) * taper(points[..., 1], part)) / np.maximum(lit, 0.01)
+            for part in y
+        ]
         places = [weight > 0.01 for weight in weights]
         for row, place in enumerate(places):
             if place.sum() < 2 * len(levels):
@@ -745,8 +758,10 @@ def register_camera(
 ) -> Registration:
     """Determine the mapping from the pixels of a camera to points of the image plane.
 
-    Three single spots give an affine estimate; then a grid of spots, computed by weighted Gerchberg–Saxton iterations
-    (Di Leonardo, Ianni and Ruocco 2007), is found by centroids, and a homography with radial distortion is fitted.
+    Three single spots give an affine estimate; with `middle`, the quadratic part of the aberration there follows from
+    the second moments of spots on either side of the focus, and is corrected. Then a grid of spots, computed by
+    weighted Gerchberg–Saxton iterations (Di Leonardo, Ianni and Ruocco 2007), is found by centroids, and a homography
+    with radial distortion is fitted.
 
     The side lobes of other spots, and light that is not modulated, shift a spot by interference; captures of patterns
     whose spots have different phases are averaged.
@@ -774,7 +789,8 @@ def register_camera(
         Form the spots by the middle part of the modulator, whose pixels reach all of them, and deflect the light of the
         others outwards, for a first registration before the aberration is known: astigmatism and defocus move spots
         that are formed by different parts by different amounts. The spots are larger, and found less accurately
-        (0.1 pixel of 4 µm on simulated tables); their grid is at most 0.6 of what a pixel reaches.
+        (0.1 pixel of 4 µm on simulated tables), and shifted by the tilt of the aberration there; their grid is at most
+        0.6 of what a pixel reaches.
     captures : int
         Number of patterns, whose captures are averaged.
 
@@ -810,18 +826,19 @@ def register_camera(
     size = np.minimum(shape, (2 * (farthest - half) / pitch).astype(int)) if middle else shape
     part = _Part((int(size[0]), int(size[1])), pitch)
     inside_part = tuple(slice(n // 2 - m // 2, n // 2 - m // 2 + m) for n, m in zip(shape, size, strict=True))
-    y, x = _axes(modulator)
     # The side lobes of an ellipse are weaker than those of a rectangle. Beyond it, light is deflected by nine tenths of
     # what pixels can.
+    y, x = _axes(modulator)
     radius = np.hypot(x / size[1], y / size[0]) * 2 / pitch if (size < shape).any() else 0 * (x + y)
-    outwards = 0.9 * np.pi * np.hypot(x, y) / pitch * (1 - 1 / np.clip(radius, 1, None))
+    lit, outwards = radius < 1, 0.9 * np.pi * np.hypot(x, y) / pitch * (1 - 1 / np.clip(radius, 1, None))
     half = half[::-1]
+    # What is added to the wavefront within the middle part.
+    curved = np.zeros(modulator.shape)
 
-    def show(points: np.ndarray, seed: int = 0) -> None:
-        phase = outwards.copy()
-        spots = spots_phase(part, wavelength, distance, points, seed=seed)
-        phase[inside_part] = np.where(radius[inside_part] < 1, spots, phase[inside_part])
-        modulator.show(nearest_levels(phase - wavefront, phases))
+    def show(points: np.ndarray, seed: int = 0, extra: np.ndarray | float = 0.0) -> None:
+        phase = np.zeros(modulator.shape)
+        phase[inside_part] = spots_phase(part, wavelength, distance, points, seed=seed)
+        modulator.show(nearest_levels(np.where(lit, phase + extra - curved, outwards) - wavefront, phases))
 
     three = np.array([[0.0, 0.0], [half[0], 0.0], [0.0, half[1]]])
     show(three[:1])
@@ -833,6 +850,9 @@ def register_camera(
         frame = _averaged(camera, captures)
         pixels.append(_centroid(frame, _brightest(frame), around))
     matrix = np.linalg.solve(np.column_stack([three, np.ones(3)]), np.array(pixels))
+    if middle:
+        for _ in range(4):
+            curved += _curvature(modulator, camera, partial(show, three[:1]), wavelength, distance, size, matrix)
     down, across = _validate.size("grid", grid)
     y, x = (np.linspace(-h, h, n) for h, n in ((half[1], down), (half[0], across)))
     points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
@@ -887,6 +907,42 @@ def register_camera(
     return Registration(found.homography, found.distortion, found.shape, residual, 2 * math.sqrt(variance))
 
 
+def _curvature(modulator, camera, show, wavelength, distance, size, matrix) -> np.ndarray:
+    """Return the quadratic part of the wavefront in the middle of a modulator, from spots on either side of the focus.
+
+    Rays of an aperture whose second moments are s along each axis, behind a lens that adds the curvature ±c to the
+    curvatures H of the wavefront, form a spot whose matrix of second moments is (d/k)²·s·(H ± c)². The difference
+    of the two is 4·(d/k)²·s·c·H, also with diffraction.
+    """
+    y, x = _axes(modulator)
+    radius = min(size) * modulator.pitch / 2
+    added = BLUR * 2 * np.pi / wavelength / distance
+    back = np.linalg.inv(matrix[:2])
+    difference = np.zeros((2, 2))
+    for sign in (1, -1):
+        show(extra=sign * added / 2 * (x**2 + y**2))
+        set_exposure(camera)
+        frame = _averaged(camera, 4)
+        difference += sign * back.T @ _second_moments(frame) @ back
+    # The second moment of a disc is a quarter of its radius squared.
+    scale = (wavelength * distance / (2 * np.pi)) ** 2 * radius**2 / 4
+    hessian = -difference / (4 * scale * added)
+    # Curvatures larger than that of the lens are approached step by step.
+    hessian *= min(1.0, added / np.linalg.norm(hessian, 2))
+    return -(hessian[0, 0] * x**2 + 2 * hessian[0, 1] * x * y + hessian[1, 1] * y**2) / 2
+
+
+def _second_moments(frame: np.ndarray) -> np.ndarray:
+    """Return the matrix of second moments of a spot, columns first, in square pixels."""
+    smooth = uniform_filter(frame, 5)
+    floor = np.quantile(smooth, 0.5)
+    light = np.where(smooth - floor > 0.1 * (smooth.max() - floor), frame - floor, 0)
+    v, u = np.indices(frame.shape)
+    total = light.sum()
+    u, v = u - (light * u).sum() / total, v - (light * v).sum() / total
+    return np.array([[(light * a * b).sum() for a in (u, v)] for b in (u, v)]) / total
+
+
 def measure_wavefront(
     modulator: Modulator,
     camera: Camera,
@@ -906,8 +962,8 @@ def measure_wavefront(
 
     Each of cells × cells parts of the modulator focuses at its own middle. The displacements of the spots from those
     of an ideal table, which is simulated, are the gradients of the wavefront; Zernike polynomials are fitted to them
-    and corrected, and the measurement is repeated until the gradients vanish. It begins with 3 × 3 lenslets and low
-    orders, for large aberrations.
+    and corrected, and the measurement is repeated until the gradients vanish. It begins with 4 × 4 lenslets, of which
+    four at a time form spots in the four quadrants of the image, for large aberrations.
 
     Fringing fields at the steps of 2π and light that is not modulated shift the spots by amounts that depend on the
     phase at the middle of the lenslets; the patterns of the captures differ in it, so that the shifts cancel.
@@ -934,9 +990,10 @@ def measure_wavefront(
     order : int
         Highest radial order of the Zernike polynomials.
     iterations : int
-        Number of patterns.
+        Number of iterations. With three or more and no `start`, the first two are of 4 × 4 lenslets, and take four
+        captures each.
     captures : int
-        Number of captures that are averaged for each iteration; iterations·captures are taken in all.
+        Number of captures that are averaged for each of the others.
     start : numpy.ndarray, optional
         Aberration in radians that is known approximately, from which the measurement begins, with the smallest lenslets
         and all orders. None by default.
@@ -1007,8 +1064,10 @@ def wavefront_with_uncertainty(
     else:
         fine = np.full(2, _validate.integer("cells", cells, minimum=3))
 
-    def lenslets_of(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int]:
-        """Return the pattern of lenslets, their middles x, y and slopes, and the places and reach of their spots."""
+    y, x = _axes(modulator)
+
+    def lenslets_of(parts: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the number of the lenslet of each pixel, the lenslets' middles x, y and their mean slopes."""
         row, column = (np.minimum(np.arange(n) * k // n, k - 1) for n, k in zip(shape, parts, strict=True))
         cell = row[:, None] * parts[1] + column
         count = np.bincount(cell.ravel())
@@ -1016,26 +1075,60 @@ def wavefront_with_uncertainty(
         def mean(values: np.ndarray) -> np.ndarray:
             return np.bincount(cell.ravel(), np.broadcast_to(values, cell.shape).ravel()) / count
 
-        y, x = _axes(modulator)
-        middles = np.stack([mean(x), mean(y)], axis=-1)
-        phase = -np.pi / (wavelength * distance) * ((x - middles[cell, 0]) ** 2 + (y - middles[cell, 1]) ** 2)
         system = np.stack([np.stack([mean(slope) for slope in pair], axis=-1).ravel() for pair in slopes], axis=-1)
-        places = registration.camera_pixels(middles)
-        beside = registration.camera_pixels(middles[:1] + np.diag(shape[::-1] * modulator.pitch / parts[::-1]))
-        return phase, middles, system, places, int(0.42 * np.linalg.norm(beside - places[:1], axis=-1).min())
+        return cell, np.stack([mean(x), mean(y)], axis=-1), system
 
-    # Spots of a large aberration are nearer to those of other lenslets: coarse lenslets and low modes come first.
-    coarse = 2 if iterations > 4 and start is None else 0
+    def lenses(cell: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Return the phase that focuses the light of each lenslet at a target x, y."""
+        return -np.pi / (wavelength * distance) * ((x - targets[cell, 0]) ** 2 + (y - targets[cell, 1]) ** 2)
+
+    def fitted(moved: np.ndarray, system: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the wavefront, the gradients and the coefficients of modes for displacements of spots in metres."""
+        gradient = (2 * np.pi / wavelength * moved / distance).ravel()
+        coefficients, *_ = np.linalg.lstsq(system, gradient, rcond=None)
+        # Tilts belong to the registration.
+        return np.tensordot(coefficients[2:], modes[2 : len(coefficients)], axes=1), gradient, coefficients
+
+    def apart(cell: np.ndarray, middles: np.ndarray) -> np.ndarray:
+        """Return the displacements in metres of the spots of coarse lenslets, of which one in four is lit at a time."""
+        quarter = shape[::-1] * modulator.pitch / 4
+        limit = 0.15 * wavelength * distance / modulator.pitch
+        moved = np.empty_like(middles)
+        for pair in itertools.product(range(2), repeat=2):
+            used = (np.indices((COARSE, COARSE)) % 2 == np.reshape(pair, (2, 1, 1))).all(0).ravel()
+            # The spots lie in the middles of the four quadrants.
+            wanted = quarter * np.sign(middles - middles[used].mean(0))
+            targets = middles + np.clip(wanted - middles, -limit, limit)
+            phase = np.where(used[cell], lenses(cell, targets), _deflected(modulator))
+            modulator.show(nearest_levels(phase - wavefront, phases))
+            if pair == (0, 0) and not wavefront.any():
+                # Spots of an aberration that is corrected are brighter.
+                set_exposure(camera, level=0.4)
+            frame = _averaged(camera, 1)
+            places = registration.camera_pixels(targets[used])
+            reach = int(0.45 * np.linalg.norm(places[1:3] - places[0], axis=-1).min())
+            seen = np.stack([_centroid(frame, _brightest_near(frame, place, reach), reach) for place in places])
+            moved[used] = registration.plane_points(seen) - targets[used]
+        return moved
+
+    # Spots of a large aberration may lie at the places of those of other lenslets: few, coarse lenslets come first.
+    coarse = 2 if iterations > 2 and start is None else 0
     wavefront = np.zeros(modulator.shape) if start is None else np.asarray(start, float)
     camera.region = None
+    cell, middles, system = lenslets_of(np.array([COARSE, COARSE]))
+    for _ in range(coarse):
+        wavefront = wavefront + fitted(apart(cell, middles), system[:, :FOURTH])[0]
+    cell, middles, system = lenslets_of(fine)
+    phase, places = lenses(cell, middles), registration.camera_pixels(middles)
+    beside = registration.camera_pixels(middles[:1] + np.diag(shape[::-1] * modulator.pitch / fine[::-1]))
+    reach = int(0.42 * np.linalg.norm(beside - places[:1], axis=-1).min())
+    iterations -= coarse
     for step in range(iterations):
-        if step in (0, coarse):
-            phase, middles, system, places, reach = lenslets_of(np.minimum(fine, 3) if step < coarse else fine)
         frame = np.zeros(tuple(camera.shape))
         for capture in range(captures):
             turn = np.pi * (2 * capture + step % 2) / captures
             modulator.show(nearest_levels(phase - wavefront + turn, phases))
-            if step in (0, coarse) and capture == 0:
+            if step == 0 and capture == 0:
                 set_exposure(camera)
             frame += _averaged(camera, 1) / captures
         seen = np.stack([_centroid(frame, place, reach) for place in places])
@@ -1043,12 +1136,7 @@ def wavefront_with_uncertainty(
         ideal = _ideal_capture(modulator, phase, lit, wavelength, distance, registration)
         wanted = np.stack([_centroid(ideal, place, reach) for place in places])
         moved = registration.plane_points(seen) - registration.plane_points(wanted)
-        gradient = 2 * np.pi / wavelength * moved / distance
-        used = order if start is not None else min(order, 2 + step)
-        used = used * (used + 3) // 2
-        coefficients, *_ = np.linalg.lstsq(system[:, :used], gradient.ravel(), rcond=None)
-        # Tilts belong to the registration.
-        change = np.tensordot(coefficients[2:], modes[2:used], axes=1)
+        change, gradient, coefficients = fitted(moved, system)
         wavefront = wavefront + change
     if iterations > 1 and change.std() > UNSETTLED:
         warn(
@@ -1056,9 +1144,9 @@ def wavefront_with_uncertainty(
             "the aberration may be larger than the lenslets can measure",
             AccuracyWarning,
         )
-    pure = np.stack([without(mode, modes[[0, 1, _DEFOCUS]]) for mode in modes[:used]]).reshape(used, -1)
-    left = gradient.ravel() - system[:, :used] @ coefficients
-    covariance = np.linalg.pinv(system[:, :used].T @ system[:, :used]) * (left @ left) / max(left.size - used, 1)
+    pure = np.stack([without(mode, modes[[0, 1, _DEFOCUS]]) for mode in modes]).reshape(len(modes), -1)
+    left = gradient - system @ coefficients
+    covariance = np.linalg.pinv(system.T @ system) * (left @ left) / max(left.size - len(modes), 1)
     variance = np.einsum("ij,ip,jp->", covariance, pure, pure, optimize=True) / pure.shape[1]
     return wavefront - wavefront.mean(), 2 * math.sqrt(variance)
 
@@ -1705,6 +1793,19 @@ def _brightest(frame: np.ndarray) -> np.ndarray:
     """Return the column and row of the brightest spot."""
     row, column = np.unravel_index(uniform_filter(frame, 3).argmax(), frame.shape)
     return np.array([column, row])
+
+
+def _brightest_near(frame: np.ndarray, place: np.ndarray, reach: int) -> np.ndarray:
+    """Return the column and row of the brightest spot in a window about a place."""
+    first = np.maximum(np.rint(place).astype(int) - reach, 0)
+    last = np.rint(place).astype(int) + reach + 1
+    return _brightest(frame[first[1] : last[1], first[0] : last[0]]) + first
+
+
+def _deflected(modulator: Modulator) -> np.ndarray:
+    """Return the phase 0 and π of a chequerboard, which deflects light by the largest angle."""
+    rows, columns = np.indices(modulator.shape)
+    return np.pi * ((rows + columns) % 2)
 
 
 def _centroid(frame: np.ndarray, place: np.ndarray, reach: int) -> np.ndarray:
