@@ -681,8 +681,8 @@ def regions_with_uncertainty(
 
     def on_the_camera(values: np.ndarray) -> np.ndarray:
         """Return the sums of values of the modulator's pixels over neighbourhoods of the camera's."""
-        edges = [np.arange(n + 1) - 0.5 for n in registration.shape]
-        sums, *_ = np.histogram2d(*reached.T, edges, weights=values.ravel())
+        edges = (np.arange(registration.shape[0] + 1) - 0.5, np.arange(registration.shape[1] + 1) - 0.5)
+        sums, *_ = np.histogram2d(reached[:, 0], reached[:, 1], edges, weights=values.ravel())
         return uniform_filter(sums, 2 * math.ceil(beside) + 1, mode="constant")
 
     lit = on_the_camera(np.ones(modulator.shape))
