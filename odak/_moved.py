@@ -102,6 +102,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.wave.legacy": "odak.learn.wave.optimizers",
     "odak.learn.wave.lens": "odak.learn.wave.elements",
     "odak.learn.wave.light_kernels": "odak.learn.wave.kernels",
+    "odak.learn.wave.optimizers.mixed_color": "odak.learn.wave.optimizers.multi_color",
     "odak.learn.wave.partial_coherence": ("odak.learn.wave.propagation", "odak.wave.coherence"),
     "odak.learn.wave.perceptual_loss": "odak.learn.wave.loss",
     "odak.learn.wave.phase_levels": "odak.learn.wave.slm",
@@ -113,6 +114,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.wave.windows": "odak.wave.windows",
     "odak.manager.failures": "odak.manager.distribute",
     "odak.measurement.slanted_edge": "odak.measurement.image_quality",
+    "odak.raytracing.closed_forms": "odak.raytracing.intersections",
     "odak.raytracing.fields": "odak.raytracing.ray",
     "odak.raytracing.sag": "odak.raytracing.surfaces",
     "odak.raytracing.status": "odak.raytracing.intersections",
@@ -152,7 +154,6 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.wave.spots": "odak.wave.phase_retrieval",
     "odak.wave.utils": "odak.wave.fields",
     "odak.wave.vector": "odak.wave.fields",
-    "odak.raytracing.closed_forms": "odak.raytracing.intersections",
 }
 
 # Names that were exposed in a package unintentionally, with the package they belong to; they come with a
