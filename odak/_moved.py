@@ -46,6 +46,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.perception.metameric_loss_uniform": "odak.learn.perception.metameric",
     "odak.learn.perception.observers": "odak.learn.perception.display_color",
     "odak.learn.perception.pooling": ("odak.learn.perception.foveation", "odak.learn.perception.metameric"),
+    "odak.learn.perception.pyramid_filter_design": "odak.learn.perception.pyramids",
     "odak.learn.perception.pyramid_statistics": "odak.learn.perception.metameric",
     "odak.learn.perception.radially_varying_blur": "odak.learn.perception.foveation",
     "odak.learn.perception.spatial_steerable_pyramid": "odak.learn.perception.pyramids",

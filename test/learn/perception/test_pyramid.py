@@ -17,7 +17,7 @@ from odak.learn.perception import (
 from odak.learn.perception import (
     pyramid_filter_design as design,
 )
-from odak.learn.perception.pyramid_filter_design import band_amplitude, ideal_gains, orientations, steering
+from odak.learn.perception.pyramids import band_amplitude, ideal_gains, orientations, steering
 from odak.learn.tools import load_image
 
 COUNTS = [1, 2, 3, 4, 6]
