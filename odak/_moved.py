@@ -117,6 +117,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.measurement.slanted_edge": "odak.measurement.image_quality",
     "odak.raytracing.closed_forms": "odak.raytracing.intersections",
     "odak.raytracing.fields": "odak.raytracing.ray",
+    "odak.raytracing.phases": "odak.raytracing.interfaces",
     "odak.raytracing.sag": "odak.raytracing.surfaces",
     "odak.raytracing.status": "odak.raytracing.intersections",
     "odak.raytracing.watertight": "odak.raytracing.geometry",

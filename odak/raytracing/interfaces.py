@@ -1,12 +1,18 @@
 """Reflection, refraction, diffraction and Fresnel coefficients at surfaces, on plain arrays of any rank."""
 
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
 
-from odak._array import complex_dtype, namespace
+import numpy as np
+
+from odak._array import Array, complex_dtype, namespace
 from odak.raytracing import components as vec
+from odak.raytracing import interfaces
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
 from odak.raytracing.intersections import RayStatus, status_array
+from odak.raytracing.surfaces import Parametric, grid_reader, polynomial_in, xy_polynomial, zernike_sag
 
 
 class Fresnel(NamedTuple):
@@ -161,3 +167,365 @@ def fresnel(direction, normal, n1, n2) -> Fresnel:
 def _square(value):
     xp = namespace(value)
     return xp.real(value) ** 2 + xp.imag(value) ** 2
+
+
+@dataclass(frozen=True)
+class Phase(Parametric):
+    """Base class of phases that a surface adds to a wave.
+
+    A phase is a frozen dataclass whose fields are its parameters. It must define :meth:`cycles`. The class variable
+    ``ranks`` is that of :class:`odak.raytracing.Shape`.
+    """
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π at x, y of the vertex plane, and its derivatives by x and by y."""
+        raise NotImplementedError(f"{type(self).__name__} must define cycles(x, y)")
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return where the phase is known, bool; True for everywhere. Rays elsewhere are vignetted."""
+        return True
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives of the phase over 2π at the vertex by x and by y."""
+        return 0.0, 0.0
+
+    def powers(self, wavelength) -> tuple:
+        """Return the optical powers in the x–z and the y–z plane at a vacuum wavelength."""
+        along_x, along_y = self.curvatures()
+        return -wavelength * along_x, -wavelength * along_y
+
+    def deflect(self, point, direction, normal, n1, n2, wavelength, reflects: bool) -> tuple:
+        """Return directions behind the surface, which rays exist there, and the optical path added.
+
+        Parameters
+        ----------
+        point, direction, normal : tuple of array
+            Components.
+        n1, n2, wavelength : array
+            Indices on both sides and the vacuum wavelength.
+        reflects : bool
+            Whether the surface is a mirror.
+        """
+        value, along_x, along_y = self.cycles(point[0], point[1])
+        gradient = (wavelength * along_x, wavelength * along_y, 0 * along_x)
+        direction, through = interfaces.diffracted(direction, normal, n1, n2, gradient, reflects)
+        return direction, through, wavelength * value
+
+
+@dataclass(frozen=True)
+class LinearGrating(Phase):
+    """A grating of straight lines, equally spaced in the vertex plane.
+
+    Parameters
+    ----------
+    frequency_x, frequency_y : float or array
+        Lines per unit of length along x and y.
+    order : float or array
+        Diffraction order.
+
+    Notes
+    -----
+    n₂ sin θ₂ = n₁ sin θ₁ + m·λ·f along the grating vector. On a curved surface the lines are those of the vertex plane
+    projected along z (Welford, Aberrations of Optical Systems, 1986, section 5.6).
+    """
+
+    frequency_x: Any = 0.0
+    frequency_y: Any = 0.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        fx, fy = self.order * self.frequency_x, self.order * self.frequency_y
+        return fx * x + fy * y, fx + 0 * x, fy + 0 * y
+
+
+@dataclass(frozen=True)
+class RadialGrating(Phase):
+    """A grating of concentric circles, equally spaced in the vertex plane: an axicon.
+
+    Parameters
+    ----------
+    frequency : float or array
+        Lines per unit of length along the radius.
+    order : float or array
+        Diffraction order; a negative product of both bends rays of a plane wave towards the axis.
+
+    Notes
+    -----
+    The phase is 2π·m·f·r. Its gradient has no direction at the centre, where rays are not deflected.
+    """
+
+    frequency: Any = 0.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        xp, squared = namespace(x, y), x * x + y * y
+        safe = xp.where(squared > 0, squared, 1.0) ** 0.5
+        along = xp.where(squared > 0, self.order * self.frequency / safe, 0.0)
+        return along * squared, along * x, along * y
+
+
+@dataclass(frozen=True)
+class HologramPhase(Phase):
+    """The phase of a hologram on a grid of samples, wrapped or not.
+
+    Parameters
+    ----------
+    phase : array
+        In radians, ``[rows, columns]``: rows along y, columns along x, sample n // 2 of each axis at the vertex.
+    pitch : float or array
+        Distance of the samples.
+    order : float or array
+        Diffraction order.
+
+    Notes
+    -----
+    Between samples the phase is that of cubic convolution (Keys, IEEE Trans. ASSP 29, 1153 (1981)), which is exact for
+    polynomials of second degree and has continuous derivatives. The 16 samples around a ray are unwrapped from the
+    nearest one: differences of adjacent samples are taken within ±π, which holds for a phase without aliasing. The
+    optical path is thus known up to a multiple of the wavelength if the phase is wrapped; :meth:`unwrapped` gives the
+    continuous one, for wavefronts. Rays exist up to the last sample but one; those beyond are vignetted.
+    """
+
+    phase: Any = ((0.0,) * 4,) * 4
+    pitch: Any = 1.0
+    order: Any = 1.0
+    ranks: ClassVar[Mapping[str, int]] = {"phase": 2}
+
+    @classmethod
+    def unwrapped(cls, phase: Array, pitch: float, order: float = 1.0) -> "HologramPhase":
+        """Return the hologram with its phase made continuous from the middle, along the middle row and all columns.
+
+        Parameters
+        ----------
+        phase : array
+            In radians, ``[rows, columns]``, without vortices.
+        pitch : float
+            Distance of the samples.
+        order : float
+            Diffraction order.
+
+        Returns
+        -------
+        HologramPhase
+            Differentiable in the phase: multiples of 2π are added to it.
+        """
+        xp = namespace(phase)
+        rows, columns = phase.shape
+        middle = xp.stack([phase[rows // 2, :]])
+        line = middle + _unwrapping(middle, 1, columns // 2)
+        start = phase + (line - middle)
+        return cls(start + _unwrapping(start, 0, rows // 2), pitch, order)
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        rows, columns = self.phase.shape[-2:]
+        (i, weight_x, derivative_x), (j, weight_y, derivative_y) = (
+            _keys_weights(value / self.pitch + n // 2, n) for value, n in ((x, columns), (y, rows))
+        )
+        samples = self._samples(i, j, x, y)
+        value = along_x = along_y = 0.0 * (x + y)
+        for a in range(4):
+            for b in range(4):
+                value = value + samples[b][a] * weight_x[a] * weight_y[b]
+                along_x = along_x + samples[b][a] * derivative_x[a] * weight_y[b]
+                along_y = along_y + samples[b][a] * weight_x[a] * derivative_y[b]
+        scale = self.order / (2 * vec.PI)
+        return scale * value, scale * along_x / self.pitch, scale * along_y / self.pitch
+
+    def _samples(self, i, j, x, y) -> list:
+        """Return the 4 × 4 samples about cells (i, j), unwrapped from the sample (i, j)."""
+        columns = self.phase.shape[-1]
+        take = grid_reader(self.phase, x + y)
+        place = [[(j + b) * columns + i + a for a in range(-1, 3)] for b in range(-1, 3)]
+        found = [[take(index) for index in line] for line in place]
+        # From the sample (0, 0) along its row, then along each column.
+        for line, order in ((found[1], (2, 3)), (found[1], (0,))):
+            for a in order:
+                line[a] = _nearest_branch(line[a], line[a - 1 if a > 1 else a + 1])
+        for a in range(4):
+            for b in (2, 3, 0):
+                found[b][a] = _nearest_branch(found[b][a], found[b - 1 if b > 1 else b + 1][a])
+        return found
+
+    def covers(self, x: Array, y: Array) -> Any:
+        """Return whether x, y lie within the samples that have neighbours."""
+        inside = True
+        for value, n in ((x, self.phase.shape[-1]), (y, self.phase.shape[-2])):
+            place = value / self.pitch + n // 2
+            inside = inside & (place >= 1) & (place <= n - 2)
+        return inside
+
+    def curvatures(self) -> tuple:
+        """Return the second differences at the vertex."""
+        rows, columns = (n // 2 for n in self.phase.shape[-2:])
+        middle, scale = self.phase[..., rows, columns], self.order / (2 * vec.PI) / (self.pitch * self.pitch)
+        pairs = (
+            (self.phase[..., rows, columns - 1], self.phase[..., rows, columns + 1]),
+            (self.phase[..., rows - 1, columns], self.phase[..., rows + 1, columns]),
+        )
+        first, second = (sum(_nearest_branch(value, middle) - middle for value in pair) * scale for pair in pairs)
+        return first, second
+
+
+def _nearest_branch(value, neighbour):
+    """Return a phase with a multiple of 2π added that brings it within π of its neighbour."""
+    xp = namespace(value, neighbour)
+    return value - 2 * vec.PI * xp.round((value - neighbour) / (2 * vec.PI))
+
+
+def _unwrapping(phase, axis: int, middle: int):
+    """Return the multiples of 2π that make a phase continuous along an axis, 0 in the middle."""
+    xp = namespace(phase)
+    n = phase.shape[axis]
+    after, before = (xp.take(phase, xp.asarray(np.arange(n - 1) + k), axis=axis) for k in (1, 0))
+    steps = -xp.round((after - before) / (2 * vec.PI))
+    first = 0 * xp.take(phase, xp.asarray([0]), axis=axis)
+    found = xp.concat([first, xp.cumulative_sum(steps, axis=axis)], axis=axis)
+    return 2 * vec.PI * (found - xp.take(found, xp.asarray([middle]), axis=axis))
+
+
+def _keys_weights(place, count: int):
+    """Return the cell of each place and the four weights of cubic convolution, with their derivatives."""
+    xp = namespace(place)
+    cell = xp.clip(xp.floor(place), 1, count - 3)
+    u = place - cell
+    weights = (
+        -u * (u - 1) ** 2 / 2,
+        1 + u * u * (3 * u - 5) / 2,
+        u * (1 + u * (4 - 3 * u)) / 2,
+        u * u * (u - 1) / 2,
+    )
+    derivatives = (
+        -(u - 1) * (3 * u - 1) / 2,
+        u * (9 * u - 10) / 2,
+        (1 + u * (8 - 9 * u)) / 2,
+        u * (3 * u - 2) / 2,
+    )
+    return xp.astype(cell, xp.int64), weights, derivatives
+
+
+@dataclass(frozen=True)
+class RadialPhase(Phase):
+    """A phase of rotational symmetry, Σ a_i·(r/R)^(2i): a kinoform, a diffractive or a flat lens.
+
+    Parameters
+    ----------
+    coefficients : sequence or array
+        a1, a2, … in radians, of r², r⁴, …
+    radius : float or array
+        R.
+    order : float or array
+        Diffraction order.
+    """
+
+    coefficients: Any = ()
+    radius: Any = 1.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        scale, squared = self.order / (2 * vec.PI), (x * x + y * y) / (self.radius * self.radius)
+        value, derivative = polynomial_in(squared, self.coefficients)
+        factor = 2 * scale * derivative / (self.radius * self.radius)
+        return scale * value, factor * x, factor * y
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        first = vec.terms(self.coefficients)
+        value = self.order / vec.PI * first[0] / (self.radius * self.radius) if first else 0.0
+        return value, value
+
+
+@dataclass(frozen=True)
+class PolynomialPhase(Phase):
+    """A phase polynomial in x and y, Σ a_j·(x/R)^p·(y/R)^q.
+
+    Parameters
+    ----------
+    coefficients : sequence or array
+        In radians, in the order x, y, x², xy, y², x³, …
+    radius : float or array
+        R.
+    order : float or array
+        Diffraction order.
+    """
+
+    coefficients: Any = ()
+    radius: Any = 1.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        scale = self.order / (2 * vec.PI)
+        value, along_x, along_y = xy_polynomial(x / self.radius, y / self.radius, self.coefficients)
+        return scale * value, scale * along_x / self.radius, scale * along_y / self.radius
+
+    def curvatures(self) -> tuple:
+        """Return the second derivatives at the vertex."""
+        found = vec.terms(self.coefficients)
+        scale = self.order / vec.PI / (self.radius * self.radius)
+        return (scale * found[2] if len(found) > 2 else 0.0), (scale * found[4] if len(found) > 4 else 0.0)
+
+
+@dataclass(frozen=True)
+class ZernikePhase(Phase):
+    """A phase of Zernike polynomials in Noll's order from j = 1, each of RMS 1 over the disc.
+
+    Parameters
+    ----------
+    coefficients : sequence or array
+        In radians.
+    radius : float or array
+        Radius of the disc.
+    order : float or array
+        Diffraction order.
+    """
+
+    coefficients: Any = ()
+    radius: Any = 1.0
+    order: Any = 1.0
+
+    def cycles(self, x: Array, y: Array) -> tuple:
+        """Return the phase over 2π and its derivatives."""
+        scale = self.order / (2 * vec.PI)
+        found = zernike_sag(x, y, 0.0, 0.0, self.coefficients, self.radius)
+        return scale * found.height, scale * found.slope_x, scale * found.slope_y
+
+
+@dataclass(frozen=True)
+class IdealLens(Phase):
+    """A thin lens without aberrations for distant objects, at all wavelengths: a first-order model of a real lens.
+
+    Parameters
+    ----------
+    focal_length : float or array
+        Positive if the lens converges.
+
+    Notes
+    -----
+    Rays of slopes (p, q) in front go through (f·p, f·q) in the rear focal plane. The optical path makes all rays of a
+    parallel bundle arrive there in phase. Those of a near point have spherical aberration: h⁴/(4f³) to lowest order for
+    a ray of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
+    """
+
+    focal_length: Any = 1.0
+
+    def powers(self, wavelength) -> tuple:
+        """Return 1/f twice."""
+        return 1 / self.focal_length + 0 * wavelength, 1 / self.focal_length + 0 * wavelength
+
+    def deflect(self, point, direction, normal, n1, n2, wavelength, reflects: bool) -> tuple:
+        """Return directions behind the lens, which rays exist there, and the optical path added."""
+        (x, y, _), (u, v, w), f = point, direction, self.focal_length
+        # Distances along the direction of propagation: positive ahead.
+        side = 1 - 2 * (w < 0)
+        p, q = u * side / w, v * side / w
+        a, b = p - x / f, q - y / f
+        length = (1 + a * a + b * b) ** 0.5
+        forward = -side if reflects else side
+        # From the lens to the focus of the bundle, along this ray and along the one through the centre.
+        whole, chief = f * length, f * (1 + p * p + q * q) ** 0.5
+        path = n2 * (chief - whole) - n1 * (x * u + y * v)
+        return (a / length, b / length, forward / length), w != 0, path

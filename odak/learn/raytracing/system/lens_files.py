@@ -37,7 +37,7 @@ from odak.learn.raytracing.system.surfaces import (
 )
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
 from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
-from odak.raytracing.phases import IdealLens, LinearGrating, Phase, PolynomialPhase, RadialPhase
+from odak.raytracing.interfaces import IdealLens, LinearGrating, Phase, PolynomialPhase, RadialPhase
 from odak.raytracing.surfaces import (
     Biconic,
     Conic,

@@ -17,7 +17,7 @@ from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
 from odak.raytracing.apertures import Aperture, CircularAperture, CombinedAperture
 from odak.raytracing.gradients import Gradient
-from odak.raytracing.phases import IdealLens, Phase
+from odak.raytracing.interfaces import IdealLens, Phase
 from odak.raytracing.surfaces import Conic, EvenAsphere, Plane, Shape
 
 MIRROR, AIR = "mirror", "air"
@@ -84,7 +84,7 @@ class surface(torch.nn.Module):
         Distance from the axis beyond which rays are vignetted.
     aperture : odak.raytracing.apertures.Aperture or sequence of them, optional
         Further limits: rectangles, ellipses, polygons, rings, obscurations.
-    phase : odak.raytracing.phases.Phase, optional
+    phase : odak.raytracing.interfaces.Phase, optional
         A grating, a hologram, a phase polynomial or an ideal lens on it.
     gradient : odak.raytracing.gradients.Gradient, optional
         Graded index of the medium behind it, of which `material` gives the base index; up to the next surface.

@@ -47,7 +47,7 @@ from odak.learn.raytracing.system import (
     wavefront,
     wavefront_figure,
 )
-from odak.raytracing.phases import IdealLens
+from odak.raytracing.interfaces import IdealLens
 
 F64 = torch.float64
 

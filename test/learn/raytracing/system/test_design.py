@@ -32,7 +32,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.raytracing.system.operands import OPERANDS, View, values_of
 from odak.raytracing import Toroid
-from odak.raytracing.phases import RadialPhase
+from odak.raytracing.interfaces import RadialPhase
 
 F64 = torch.float64
 

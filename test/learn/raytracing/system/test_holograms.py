@@ -20,7 +20,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.wave import propagate_beam
 from odak.raytracing import RayStatus
-from odak.raytracing.phases import HologramPhase, PolynomialPhase, RadialGrating, RadialPhase
+from odak.raytracing.interfaces import HologramPhase, PolynomialPhase, RadialGrating, RadialPhase
 
 F64 = torch.float64
 WAVELENGTH, FOCUS, PITCH, SIZE = 0.5e-3, 50.0, 0.008, 128

@@ -15,7 +15,7 @@ from odak.learn.raytracing.system import (
     relative_illumination,
     surface,
 )
-from odak.raytracing.phases import IdealLens
+from odak.raytracing.interfaces import IdealLens
 
 F64 = torch.float64
 

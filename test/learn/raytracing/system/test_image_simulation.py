@@ -21,7 +21,7 @@ from odak.learn.raytracing.system import (
     trace_fields,
 )
 from odak.learn.raytracing.system.image_simulation import ideal_points
-from odak.raytracing.phases import IdealLens
+from odak.raytracing.interfaces import IdealLens
 
 F64 = torch.float64
 

@@ -25,7 +25,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.learn.raytracing.system.coatings import Coating
 from odak.raytracing.gradients import RadialGradient
-from odak.raytracing.phases import LinearGrating
+from odak.raytracing.interfaces import LinearGrating
 
 F64 = torch.float64
 GLASS, WAVELENGTH = 1.52, 550e-6

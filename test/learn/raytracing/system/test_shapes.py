@@ -28,7 +28,7 @@ from odak.learn.raytracing.system import (
 from odak.learn.raytracing.system.surfaces import drawn_radii
 from odak.raytracing import Conic, EvenAsphere, RayStatus, SplineFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, PolygonAperture, RectangularAperture
-from odak.raytracing.phases import IdealLens, LinearGrating, PolynomialPhase, RadialPhase, ZernikePhase
+from odak.raytracing.interfaces import IdealLens, LinearGrating, PolynomialPhase, RadialPhase, ZernikePhase
 from odak.raytracing.surfaces import Sag, Shape, conic_sag, intersection
 
 F64 = torch.float64

@@ -24,7 +24,7 @@ from odak.learn.raytracing.system import (
 )
 from odak.raytracing import Biconic, OddAsphere, PolynomialFreeform, Toroid, ZernikeFreeform
 from odak.raytracing.apertures import CircularAperture, EllipticAperture, RectangularAperture
-from odak.raytracing.phases import IdealLens, LinearGrating, PolynomialPhase, RadialPhase
+from odak.raytracing.interfaces import IdealLens, LinearGrating, PolynomialPhase, RadialPhase
 
 FILE = """VERS 140124 258 36214
 MODE SEQ
