@@ -17,6 +17,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.jones.elements": "odak.learn.jones.calculus",
     "odak.learn.jones.stokes_vectors": "odak.learn.jones.calculus",
     "odak.learn.lensless.models": "odak.learn.lensless.speckle_tracking",
+    "odak.learn.models._inputs": "odak.learn.models.layers",
     "odak.learn.models.adaptive": "odak.learn.models.unets",
     "odak.learn.models.adaptive_convolution": "odak.learn.models.unets",
     "odak.learn.models.attention": "odak.learn.models.layers",

@@ -9,7 +9,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import checked_device
-from odak.learn.models._inputs import features
+from odak.learn.models.layers import features
 from odak.learn.models.training import TrainingHistory, errors, load_weights, save_weights, train, weighted_errors
 from odak.learn.tools.file import save_torch_tensor
 from odak.tools.file import check_directory

@@ -16,7 +16,7 @@ from torch.utils.checkpoint import checkpoint
 from odak import _validate
 from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, tensor, trainable
-from odak.learn.models._inputs import features
+from odak.learn.models.layers import features
 from odak.learn.models.training import EXTENSIONS, load_weights, save_weights, train
 from odak.learn.tools.function import evaluate_3d_gaussians
 from odak.log import logger as _log

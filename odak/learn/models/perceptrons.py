@@ -11,7 +11,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import floating
-from odak.learn.models._inputs import activation_module, channels, features
+from odak.learn.models.layers import activation_module, channels, features
 
 
 def gaussian(x: torch.Tensor, multiplier: float | torch.Tensor = 1.0) -> torch.Tensor:

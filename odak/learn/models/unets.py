@@ -21,12 +21,15 @@ from torch import nn
 
 from odak import _validate
 from odak._torch_private import is_transformed
-from odak.learn.models._inputs import activation_module, channels, images, kernel
 from odak.learn.models.layers import (
+    activation_module,
+    channels,
     convolution_layer,
     double_convolution,
     downsample_layer,
     global_feature_module,
+    images,
+    kernel,
     upsample_convtranspose2d_layer,
     upsample_layer,
 )

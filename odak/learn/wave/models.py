@@ -9,7 +9,7 @@ from torch import nn
 
 from odak import _validate
 from odak.learn._tensors import checked_device
-from odak.learn.models._inputs import channels, images
+from odak.learn.models.layers import channels, images
 from odak.learn.models.training import (
     EXTENSIONS,
     TrainingHistory,
