@@ -71,6 +71,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.raytracing.system.lens": "odak.learn.raytracing.system.surfaces",
     "odak.learn.raytracing.system.prescription": "odak.learn.raytracing.system.surfaces",
     "odak.learn.raytracing.system.psf": "odak.learn.raytracing.system.waves",
+    "odak.learn.raytracing.system.reports": "odak.learn.raytracing.system.drawing",
     "odak.learn.raytracing.system.spots": "odak.learn.raytracing.system.analysis",
     "odak.learn.raytracing.system.tolerances": "odak.learn.raytracing.system.optimise",
     "odak.learn.raytracing.system.wavefronts": "odak.learn.raytracing.system.analysis",

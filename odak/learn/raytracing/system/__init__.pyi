@@ -33,7 +33,9 @@ from .drawing import field_figure as field_figure
 from .drawing import footprint_figure as footprint_figure
 from .drawing import image_figure as image_figure
 from .drawing import layout_figure as layout_figure
+from .drawing import lens_report as lens_report
 from .drawing import polarisation_figure as polarisation_figure
+from .drawing import report_figures as report_figures
 from .drawing import seidel_figure as seidel_figure
 from .drawing import spots_figure as spots_figure
 from .drawing import through_focus_figure as through_focus_figure
@@ -82,8 +84,6 @@ from .polarisation import polarized_trace as polarized_trace
 from .pupils import launch as launch
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
-from .reports import lens_report as lens_report
-from .reports import report_figures as report_figures
 from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system
