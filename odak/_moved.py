@@ -56,6 +56,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.perception.util": ("odak.learn._tensors", "odak.learn.tools.matrix"),
     "odak.learn.perception.visibility": "odak.learn.perception.csf",
     "odak.learn.raytracing.cylinders": ("odak.learn.raytracing.boundary", "odak.learn.raytracing.primitives"),
+    "odak.learn.raytracing.detector": "odak.learn.raytracing.boundary",
     "odak.learn.raytracing.fields": "odak.raytracing.ray",
     "odak.learn.raytracing.implicit": "odak.learn.raytracing.surfaces",
     "odak.learn.raytracing.parametric": "odak.learn.raytracing.surfaces",

@@ -2,6 +2,7 @@ from odak.raytracing.ray import FieldRays as FieldRays
 from odak.raytracing.ray import rays_from_field as rays_from_field
 
 from . import system as system
+from .boundary import detector as detector
 from .boundary import fresnel_coefficients as fresnel_coefficients
 from .boundary import get_cylinder_normal as get_cylinder_normal
 from .boundary import get_sphere_normal_torch as get_sphere_normal_torch
@@ -15,7 +16,6 @@ from .boundary import intersect_w_triangle as intersect_w_triangle
 from .boundary import intersect_w_triangle_batch as intersect_w_triangle_batch
 from .boundary import reflect as reflect
 from .boundary import refract as refract
-from .detector import detector as detector
 from .mesh import MeshHit as MeshHit
 from .mesh import planar_mesh as planar_mesh
 from .mesh import triangle_mesh as triangle_mesh

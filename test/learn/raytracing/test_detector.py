@@ -37,7 +37,7 @@ def test_default_arguments():
 
 
 def test_class_and_module_of_one_name():
-    module = importlib.import_module("odak.learn.raytracing.detector")
+    module = importlib.import_module("odak.learn.raytracing.boundary")
     assert module.detector is rt.detector is detector
     assert rt.detector.detector is detector
 
