@@ -101,6 +101,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.wave.gaussians.flat": "odak.learn.wave.gaussians.sets",
     "odak.learn.wave.gaussians.parameters": "odak.learn.wave.gaussians.sets",
     "odak.learn.wave.gaussians.spatial": "odak.learn.wave.gaussians.sets",
+    "odak.learn.wave.gaussians.splat_files": "odak.learn.wave.gaussians.sets",
     "odak.learn.wave.hardware": "odak.learn.wave.volume",
     "odak.learn.wave.incoherent_propagation": "odak.wave.imaging",
     "odak.learn.wave.legacy": "odak.learn.wave.optimizers",
