@@ -62,6 +62,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.learn.raytracing.parametric": "odak.learn.raytracing.surfaces",
     "odak.learn.raytracing.recompute": "odak.raytracing.batches",
     "odak.learn.raytracing.system.analysis_figures": "odak.learn.raytracing.system.drawing",
+    "odak.learn.raytracing.system.coatings": "odak.learn.raytracing.system.surfaces",
     "odak.learn.raytracing.system.curved_rays": "odak.learn.raytracing.system.sequence",
     "odak.learn.raytracing.system.fans": "odak.learn.raytracing.system.analysis",
     "odak.learn.raytracing.system.huygens": "odak.learn.raytracing.system.waves",

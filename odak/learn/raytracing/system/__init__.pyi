@@ -20,7 +20,6 @@ from .analysis import zernike_fit as zernike_fit
 from .automatic import AutomaticResult as AutomaticResult
 from .automatic import Stage as Stage
 from .automatic import automatic_design as automatic_design
-from .coatings import Coating as Coating
 from .design import DesignResult as DesignResult
 from .design import Pickup as Pickup
 from .design import Solve as Solve
@@ -84,6 +83,7 @@ from .polarisation import polarized_trace as polarized_trace
 from .pupils import launch as launch
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
+from .surfaces import Coating as Coating
 from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system

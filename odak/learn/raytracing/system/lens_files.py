@@ -23,12 +23,12 @@ from odak.catalog.materials import (  # noqa: F401
     model_glass,
     nearest_materials,
 )
-from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
 from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import (
     AIR,
     MIRROR,
+    Coating,
     checked_system,
     coordinate_break,
     is_break,

@@ -7,8 +7,8 @@ import torch
 
 from odak import _array, _validate
 from odak._array import is_readable
-from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.surfaces import (
+    Coating,
     Prescription,
     checked_prescription,
     checked_system,

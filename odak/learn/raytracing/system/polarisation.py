@@ -7,10 +7,9 @@ import torch
 
 from odak import _validate
 from odak.catalog.materials import Material, absorption_coefficient
-from odak.learn.raytracing.system.coatings import Coating
 from odak.learn.raytracing.system.pupils import launch
 from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, layout_of
+from odak.learn.raytracing.system.surfaces import Coating, Prescription, checked_prescription, checked_system, layout_of
 from odak.learn.raytracing.system.tracing import Traced, checked_rays, finished, spread_rays
 from odak.learn.raytracing.system.waves import Spread, pupil_image
 from odak.raytracing.geometry import safe_sqrt

@@ -23,7 +23,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     trace,
 )
-from odak.learn.raytracing.system.coatings import Coating
+from odak.learn.raytracing.system.surfaces import Coating
 from odak.raytracing.gradients import RadialGradient
 from odak.raytracing.interfaces import LinearGrating
 
