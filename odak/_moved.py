@@ -145,6 +145,7 @@ MOVED_MODULES: dict[str, str | tuple[str, ...]] = {
     "odak.visualize.plotly.browser": "odak.visualize.plotly.figures",
     "odak.visualize.plotly.fields": "odak.visualize.plotly.field_figures",
     "odak.visualize.plotly.figure_style": "odak.visualize.plotly.figures",
+    "odak.visualize.plotly.plots": "odak.visualize.plotly.field_figures",
     "odak.visualize.plotly.rays": "odak.visualize.plotly.ray_figures",
     "odak.visualize.plotly.show_field": "odak.visualize.plotly.field_figures",
     "odak.visualize.plotly.show_system": "odak.visualize.plotly.ray_figures",

@@ -1,10 +1,10 @@
 from .field_figures import detectorshow as detectorshow
 from .field_figures import field_show as field_show
 from .field_figures import plot2dshow as plot2dshow
+from .field_figures import plotshow as plotshow
+from .field_figures import surfaceshow as surfaceshow
 from .figures import BrowserNotFoundError as BrowserNotFoundError
 from .figures import close_browser as close_browser
 from .figures import find_browser as find_browser
-from .plots import plotshow as plotshow
-from .plots import surfaceshow as surfaceshow
 from .ray_figures import rayshow as rayshow
 from .ray_figures import system_show as system_show

@@ -11,8 +11,8 @@ from odak._array import Array
 from odak.visualize import _arrays
 from odak.visualize._arrays import to_numpy
 from odak.visualize.plotly import figures
+from odak.visualize.plotly.field_figures import surface_grid
 from odak.visualize.plotly.figures import Figure, graph, make_subplots
-from odak.visualize.plotly.plots import surface_grid
 
 __all__ = ["rayshow", "system_show"]
 
