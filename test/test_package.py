@@ -189,7 +189,7 @@ def test_numpy_under_its_older_name():
 def test_subpackages_load_on_use_and_a_class_named_as_its_module_stays_the_class():
     loaded = run(
         "import odak; print(odak.wave.wavenumber(1.0), odak.learn.wave.propagate_beam.__name__, odak.pi)\n"
-        "import odak.learn.raytracing.boundary; print(type(odak.learn.raytracing.boundary).__name__)"
+        "import odak.learn.raytracing.detector; print(type(odak.learn.raytracing.detector).__name__)"
     )
     assert loaded.split() == ["6.283185307179586", "propagate_beam", "3.141592653589793", "type"]
 

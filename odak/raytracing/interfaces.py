@@ -1,4 +1,4 @@
-"""Reflection, refraction, diffraction and Fresnel coefficients at surfaces, on plain arrays of any rank."""
+"""Reflection, refraction, diffraction and Fresnel coefficients of rays at surfaces; phases of diffractive surfaces."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,7 +8,6 @@ import numpy as np
 
 from odak._array import Array, complex_dtype, namespace
 from odak.raytracing import components as vec
-from odak.raytracing import interfaces
 from odak.raytracing.batches import in_pieces
 from odak.raytracing.geometry import dot, finite_rays, safe_divide, safe_sqrt
 from odak.raytracing.intersections import RayStatus, status_array
@@ -208,7 +207,7 @@ class Phase(Parametric):
         """
         value, along_x, along_y = self.cycles(point[0], point[1])
         gradient = (wavelength * along_x, wavelength * along_y, 0 * along_x)
-        direction, through = interfaces.diffracted(direction, normal, n1, n2, gradient, reflects)
+        direction, through = diffracted(direction, normal, n1, n2, gradient, reflects)
         return direction, through, wavelength * value
 
 

@@ -16,13 +16,11 @@ REASONS = {
         raytracing/system/automatic: automatic_design record
         raytracing/system/design: report
         raytracing/system/drawing: *
-        raytracing/system/reports: *
         raytracing/system/lens_files: *
         tools/file: *
         tools/function: __array__
         tools/models: fit
-        wave/gaussians/sets: _points
-        wave/gaussians/splat_files: save_splats
+        wave/gaussians/sets: _points save_splats
         wave/training: _show _take_up fingerprint go
         wave/display_models: capture count display_camera fit_display of registration
     """,
@@ -59,8 +57,7 @@ REASONS = {
         perception/foveation: __init__ _strips level_weights
         perception/quality: _split
         perception/csf: foveated_budget
-        raytracing/boundary: intersect_w_triangle_batch
-        raytracing/detector: _axes
+        raytracing/boundary: _axes intersect_w_triangle_batch
         raytracing/mesh: _faces init_heights
         raytracing/surfaces: _intersect_parametric
         raytracing/system/eye: _radial_transfer
@@ -76,8 +73,7 @@ REASONS = {
     "numbers of NumPy or constants, which are on the CPU": """
         perception/color: _column rows tone_map
         perception/display_color: _checked _interpolated read_spectra
-        perception/pyramid_filter_design: keep
-        perception/pyramids: _quadrature_taps _unsteered
+        perception/pyramids: keep _quadrature_taps _unsteered
         perception/quality: <module>
     """,
     "on the CPU only: an extreme that is read spares work there, and the device takes another way": """

@@ -1,4 +1,9 @@
-"""Steerable pyramids: filter banks, a spatial pyramid by small convolutions and an exact one by Fourier masks."""
+"""Steerable pyramids: design of filters, a pyramid by small convolutions and an exact one by Fourier masks.
+
+Filters are designed by least squares on the response. Every band of K orientations is a mixture of the same K filters,
+one per product cosⁱθ·sin^(K−1−i)θ. They are even or odd along each axis and one another's transposes, so that few
+numbers are unknown and the bank is exactly steerable.
+"""
 
 import functools
 import json
@@ -15,7 +20,6 @@ from torch.nn import functional
 from odak import _validate
 from odak._torch_private import is_plain_on_cpu
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of
-from odak.learn.perception import pyramid_filter_design
 
 FILTER_TYPES = ("full", "cropped", "trained")
 # Sizes of l, l0, h0 and the bands of the full bank.
@@ -90,7 +94,7 @@ def get_steerable_pyramid_filters(
     sizes = FULL_SIZES.get(count, OTHER_FULL_SIZES)
     if kind != "full":
         sizes = _cropped_sizes(size, sizes)
-    bank = pyramid_filter_design.design(count, sizes, _validate.flag("bilinear", bilinear))
+    bank = design(count, sizes, _validate.flag("bilinear", bilinear))
     bands = bank["b"]
     if kind == "trained":
         bands = _trained(size, count)

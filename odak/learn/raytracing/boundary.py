@@ -1,4 +1,4 @@
-"""Rays at surfaces: differentiable intersections, normals, reflection, refraction and Fresnel coefficients."""
+"""Rays at surfaces: differentiable intersections, normals, reflection, refraction and detectors that count rays."""
 
 from collections.abc import Sequence
 from typing import Any

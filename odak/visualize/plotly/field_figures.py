@@ -1,4 +1,4 @@
-"""Images of fields: amplitude, phase, intensity and angular spectrum, with physical axes and colour bars."""
+"""Figures of fields, surfaces and curves: amplitude, phase, intensity, angular spectrum, with physical axes."""
 
 import base64
 import io

@@ -14,9 +14,7 @@ from odak.learn.perception import (
     get_steerable_pyramid_filters,
     pad_image_for_pyramid,
 )
-from odak.learn.perception import (
-    pyramid_filter_design as design,
-)
+from odak.learn.perception import pyramids as design
 from odak.learn.perception.pyramids import band_amplitude, ideal_gains, orientations, steering
 from odak.learn.tools import load_image
 

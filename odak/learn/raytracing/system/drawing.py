@@ -1,6 +1,7 @@
 """Figures of optical systems: sections, spots, fans, field curves, transfer functions, and those of other analyses.
 
-The other analyses are through focus, wavefronts, distortion, illumination, footprints, polarisation and tolerances.
+The other analyses are through focus, wavefronts, distortion, illumination, footprints, polarisation and tolerances. A
+report shows all of them, the prescription and first-order properties in one HTML file.
 """
 
 import html

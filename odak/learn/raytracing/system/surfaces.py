@@ -1,4 +1,4 @@
-"""Optical systems: surfaces, coordinate breaks, their sequence, and their numbers as tensors."""
+"""Optical systems: surfaces, their coatings, coordinate breaks, their sequence, and their numbers as tensors."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -12,7 +12,7 @@ import torch
 
 from odak import _validate
 from odak._array import Array, complex_dtype, is_readable, namespace
-from odak.catalog.materials import MICROMETRES, Material, material, refractive_index
+from odak.catalog.materials import MICROMETRES, Material, refractive_index
 from odak.catalog.materials import material as find_material
 from odak.jones.thin_films import stack_response
 from odak.learn.raytracing.system.sequence import STANDARD, Frames, Layout, Numbers, axis_signs, placement
@@ -150,7 +150,7 @@ def _coating_medium(name: str, value):
     if isinstance(value, Material):
         return value
     if isinstance(value, str):
-        return 1.0 if value.casefold() == "air" else material(value)
+        return 1.0 if value.casefold() == "air" else find_material(value)
     if isinstance(value, (list, tuple)) and len(value) == 2:
         value = complex(*value)
     if isinstance(value, bool) or not isinstance(value, Number):
