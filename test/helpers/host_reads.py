@@ -72,7 +72,7 @@ REASONS = {
     """,
     "numbers of NumPy or constants, which are on the CPU": """
         perception/color: _column rows tone_map
-        perception/display_color: _checked _interpolated read_spectra
+        perception/display_color: _checked read_spectra
         perception/pyramids: keep _quadrature_taps _unsteered
         perception/quality: <module>
     """,

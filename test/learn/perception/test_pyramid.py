@@ -13,8 +13,8 @@ from odak.learn.perception import (
     crop_steerable_pyramid_filters,
     get_steerable_pyramid_filters,
     pad_image_for_pyramid,
+    pyramids,
 )
-from odak.learn.perception import pyramids as design
 from odak.learn.perception.pyramids import band_amplitude, ideal_gains, orientations, steering
 from odak.learn.tools import load_image
 
@@ -320,14 +320,14 @@ def test_refused_pictures():
 def test_kept_banks_are_what_the_design_gives(tmp_path):
     """The file of taps is data made by this code: made anew, a bank is the same, and none can be much improved."""
     banks = [(1, (13, 5, 5, 5), False), (2, (13, 5, 5, 5), True)]
-    design.keep(banks, tmp_path / "taps.json")
-    kept = design._kept()
+    pyramids.keep(banks, tmp_path / "taps.json")
+    kept = pyramids._kept()
     for name, taps in json.loads((tmp_path / "taps.json").read_text()).items():
         assert np.allclose(taps, kept[name], rtol=0, atol=1e-6)
     assert len(kept) == 36
     for name, taps in kept.items():
         count, *sizes = map(int, name.removesuffix(" bilinear").split())
-        problem = design._Problem(count, tuple(sizes), name.endswith("bilinear"))
+        problem = pyramids._Problem(count, tuple(sizes), name.endswith("bilinear"))
         taps = np.array(taps)
         assert taps.shape == (problem.length,)
         residual, jacobian = problem.residual(taps)
