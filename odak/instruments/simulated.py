@@ -362,9 +362,6 @@ class SimulatedTable:
         finer = FINER if s == 1 else 2
         spectrum = fft.fftshift(fft.fft2(fft.ifftshift(there).astype(np.complex64)))
         fy, fx = (fft.fftshift(fft.fftfreq(n, pitch)) for n in wide)
-        if s > 1:
-            # Pixels and gaps are uniform: each sample is a square, not a band-limited point.
-            spectrum = spectrum * (np.sinc(fy * pitch)[:, None] * np.sinc(fx * pitch))
         if s % 2 == 0:
             spectrum = spectrum * np.exp(-1j * np.pi * pitch * (fy[:, None] + fx))
         if self._iris is not None:
