@@ -686,6 +686,8 @@ def regions_with_uncertainty(
         return uniform_filter(sums, 2 * math.ceil(beside) + 1, mode="constant")
 
     lit = on_the_camera(np.ones(modulator.shape))
+    # Mean points x, y of the modulator whose light a pixel of the camera receives: near caustics there are several.
+    seen_at = [on_the_camera(values) / np.where(lit > 1e-9, lit, np.nan) for values in (points[..., 0], points[..., 1])]
     # Light of the edges spreads over about this width.
     spread = math.sqrt(wavelength * distance)
 
@@ -710,10 +712,7 @@ def regions_with_uncertainty(
             modulator.show(np.where(border, pattern, level))
 
         # Without a taper, light that fringing fields scatter at the border resembles the interference.
-        weights = [
-            on_the_camera(taper(points[..., 0], x[column]) * taper(points[..., 1], part)) / np.maximum(lit, 0.01)
-            for part in y
-        ]
+        weights = [np.nan_to_num(taper(seen_at[0], x[column]) * taper(seen_at[1], part)) for part in y]
         places = [weight > 0.01 for weight in weights]
         for row, place in enumerate(places):
             if place.sum() < 2 * len(levels):
