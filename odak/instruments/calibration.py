@@ -672,18 +672,19 @@ def regions_with_uncertainty(
         for n, parts in ((rows, down), (columns, across))
     )
     number = np.repeat(np.arange(across), [len(part) for part in x])
-    # Pixels of the camera (row, column) that the light of each pixel of the modulator reaches.
+    # Rows and columns of the camera that the light of each pixel of the modulator reaches.
     slopes = np.gradient(np.broadcast_to(wavefront, modulator.shape), modulator.pitch)[::-1]
     points = np.stack(np.meshgrid(np.concatenate(x), np.concatenate(y)), axis=-1)
     reached = registration.camera_pixels(points + wavelength * distance / (2 * np.pi) * np.stack(slopes, axis=-1))
     reached = reached.reshape(-1, 2)[:, ::-1]
-    beside = np.linalg.norm(np.diff(registration.camera_pixels(np.array([[0.0, 0.0], [modulator.pitch, 0.0]])), axis=0))
+    step = np.diff(registration.camera_pixels(np.array([[0.0, 0.0], [modulator.pitch, 0.0]])), axis=0)
+    neighbours = 2 * math.ceil(np.linalg.norm(step)) + 1
 
     def on_the_camera(values: np.ndarray) -> np.ndarray:
         """Return the sums of values of the modulator's pixels over neighbourhoods of the camera's."""
         edges = (np.arange(registration.shape[0] + 1) - 0.5, np.arange(registration.shape[1] + 1) - 0.5)
         sums, *_ = np.histogram2d(reached[:, 0], reached[:, 1], edges, weights=values.ravel())
-        return uniform_filter(sums, 2 * math.ceil(beside) + 1, mode="constant")
+        return uniform_filter(sums, neighbours, mode="constant")
 
     lit = on_the_camera(np.ones(modulator.shape))
     # Mean points x, y of the modulator whose light a pixel of the camera receives: near caustics there are several.
