@@ -390,12 +390,40 @@ def normalize_phase(phase: Array, range_min: float = 0.0, range_max: float = 2 *
     return range_min + (range_max - range_min) * xp.where(flat, xp.full_like(unit, 0.5), unit)
 
 
+def within_range(phase: ArrayT, phase_range: float) -> ArrayT:
+    """Return a phase limited to a modulator's range 0 … range, beyond which it takes the nearer end.
+
+    Light knows a phase up to multiples of 2π, whatever the range: that is what the phase is wrapped by.
+
+    Parameters
+    ----------
+    phase : array
+        Phase in radians, of any shape.
+    phase_range : float
+        Largest phase that the modulator shows, in radians. Beyond 2π, a phase inside the range is kept.
+
+    Returns
+    -------
+    array
+        Of the same shape.
+    """
+    xp = _array.namespace(phase)
+    turn = 2 * math.pi
+    wrapped = xp.remainder(phase, turn * max(1, math.ceil(phase_range / turn)))
+    if phase_range == turn:
+        return wrapped
+    if phase_range > turn:
+        return xp.where(wrapped > phase_range, wrapped - turn, wrapped)
+    nearest = xp.where(wrapped < (phase_range + turn) / 2, xp.full_like(wrapped, phase_range), xp.zeros_like(wrapped))
+    return xp.where(wrapped > phase_range, nearest, wrapped)
+
+
 def produce_phase_only_slm_pattern(
     hologram: Array,
     slm_range: float,
     filename: str | None = None,
     bits: int = 8,
-    default_range: float = 6.28,
+    default_range: float | None = None,
     illumination: Array | None = None,
 ) -> tuple:
     """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
@@ -405,13 +433,15 @@ def produce_phase_only_slm_pattern(
     hologram : array
         Complex hologram ``[..., rows, columns]``; its phase is what counts.
     slm_range : float
-        Phase range of the modulator in radians.
+        Phase range of the modulator in radians: level ℓ shows ℓ/2^bits·slm_range. The phase is wrapped by 2π; below
+        2π, a phase beyond the range takes its nearer end.
     filename : str, optional
         Where to save the pattern, black level 0 and white level 2^bits − 1 (with 8 bits the file holds the levels).
     bits : int
         Bits per pixel, 1 to 16.
-    default_range : float
-        Phase range, in radians, over which the levels are spread when the field is rebuilt from them.
+    default_range : float, optional
+        Phase range, in radians, over which the levels are spread when the field is rebuilt from them: by default
+        `slm_range`, or 6.28, as in earlier versions, where `slm_range` is 2π to three digits.
     illumination : array, optional
         Amplitude of the light on the modulator; ones by default.
 
@@ -437,18 +467,19 @@ def produce_phase_only_slm_pattern(
     ([[0, 2]], [[1.0, -1.0]])
     """
     hologram = _validate.image("hologram", hologram)
-    _validate.real("slm_range", slm_range, positive=True)
+    slm_range = _validate.constant("slm_range", slm_range, positive=True)
     levels = 2 ** _validate.integer("bits", bits, minimum=1)
     xp = _array.namespace(hologram)
+    if default_range is None:
+        default_range = 6.28 if round(slm_range, 2) == 6.28 else slm_range
     _validate.real("default_range", default_range)
     amplitude = 1.0 if illumination is None else _as_floats("illumination", illumination, hologram)
     if illumination is not None:
         _validate.fitting(illumination=amplitude, hologram=hologram)
     if filename is not None and hologram.ndim != 2:
         raise ValueError(f"hologram must be [rows, columns] to be saved, got {tuple(hologram.shape)}")
-    phase = calculate_phase(hologram)
-    turn = phase - xp.floor(phase / slm_range) * slm_range
-    pattern = xp.clip(xp.floor(turn / slm_range * levels), 0, levels - 1)
+    phase = within_range(calculate_phase(hologram), min(slm_range, 2 * math.pi))
+    pattern = xp.clip(xp.floor(phase / slm_range * levels), 0, levels - 1)
     if filename is not None:
         from odak.tools.file import save_image
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak.wave.fields import calculate_amplitude, calculate_phase, generate_complex_field, uniform
+from odak.wave.fields import calculate_amplitude, calculate_phase, generate_complex_field, uniform, within_range
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_beam, propagate_within_window
@@ -132,9 +132,9 @@ def _alternate(
     `accelerated` extrapolates with the weights of Nesterov's method, k/(k + 3).
     """
     check_has_kernel(propagation_type)
-    _validate.real("slm_range", slm_range, positive=True)
+    limit = min(_validate.constant("slm_range", slm_range, positive=True), 2 * math.pi)
     planes = [(calculate_amplitude(field), distance) for field, distance in planes]
-    phase = _limit(_starting_phase(planes[0][0], initial_phase, seed), slm_range)
+    phase = within_range(_starting_phase(planes[0][0], initial_phase, seed), limit)
     light = functools.partial(
         propagate_beam, k=None, dx=dx, wavelength=wavelength, propagation_type=propagation_type, zero_padding=_WINDOW
     )
@@ -153,7 +153,7 @@ def _alternate(
         for target, distance in planes:
             change = _correction(light(hologram, distance=distance), target, update)
             corrected = corrected + back(change, distance=-distance) / len(planes)
-        phase = _limit(calculate_phase(corrected), slm_range)
+        phase = within_range(calculate_phase(corrected), limit)
         before, found = found, generate_complex_field(1.0, phase)
         if callback is not None and callback(turn, phase) is True:
             break
@@ -171,16 +171,6 @@ def _correction(image, target, update):
     wanted = target if update is None else update(target, amplitude)
     gain = wanted / xp.where(amplitude > 0, amplitude, xp.ones_like(amplitude))
     return image * xp.astype(gain - 1, image.dtype)
-
-
-def _limit(phase, slm_range):
-    """Return the phase within the range of a modulator, 0 … range; phases beyond it take the nearer end."""
-    xp = _array.namespace(phase)
-    phase = phase - xp.floor(phase / (2 * math.pi)) * (2 * math.pi)
-    if slm_range >= 2 * math.pi:
-        return phase
-    top, middle = xp.full_like(phase, slm_range), (slm_range + 2 * math.pi) / 2
-    return xp.where(phase > slm_range, xp.where(phase < middle, top, xp.zeros_like(phase)), phase)
 
 
 def _starting_phase(target, initial_phase, seed):

@@ -25,6 +25,20 @@ def test_pattern_levels_are_floors_of_the_phase():
     np.testing.assert_allclose(np.abs(lit), 2.0)
 
 
+@pytest.mark.parametrize("face", [odak.wave, torch_wave])
+@pytest.mark.parametrize("phase_range", [1.6 * np.pi, 2 * np.pi, 2.5 * np.pi, 2.9 * np.pi, 5 * np.pi])
+def test_panel_shows_the_phase_whatever_its_range(face, phase_range):
+    phase = np.linspace(-3, 3, 101)[None]
+    hologram = np.exp(1j * phase)
+    hologram = torch.from_numpy(hologram) if face is torch_wave else hologram
+    field, levels = face.produce_phase_only_slm_pattern(hologram, phase_range)
+    shown = np.exp(1j * np.asarray(levels) / 256 * phase_range)
+    # Where the range has a gap, the nearer end is half the gap away at most.
+    farthest = max(0.0, 2 * np.pi - phase_range) / 2
+    assert np.abs(np.angle(shown * np.exp(-1j * phase))).max() < farthest + phase_range / 256 + 1e-9
+    np.testing.assert_allclose(np.asarray(field), shown, atol=0.0033)
+
+
 def test_pattern_is_saved(tmp_path):
     path = str(tmp_path / "pattern.png")
     phase = np.linspace(0, 6.2, 64).reshape(8, 8)

@@ -178,7 +178,11 @@ def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch
 
 
 def produce_phase_only_slm_pattern(
-    hologram: torch.Tensor, slm_range: float, bits: int = 8, default_range: float = 6.28, illumination: Any = None
+    hologram: torch.Tensor,
+    slm_range: float,
+    bits: int = 8,
+    default_range: float | None = None,
+    illumination: Any = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the field of a hologram quantised for a phase-only modulator, and its integer levels.
 
@@ -187,11 +191,13 @@ def produce_phase_only_slm_pattern(
     hologram : torch.Tensor
         Complex hologram ``[..., rows, columns]``; its phase is what counts.
     slm_range : float
-        Phase range of the modulator in radians.
+        Phase range of the modulator in radians: level ℓ shows ℓ/2^bits·slm_range. The phase is wrapped by 2π; below
+        2π, a phase beyond the range takes its nearer end.
     bits : int, default: 8
         Bits per pixel, 1 to 16.
-    default_range : float, default: 6.28
-        Phase range, in radians, over which the levels are spread when the field is rebuilt from them.
+    default_range : float, optional
+        Phase range, in radians, over which the levels are spread when the field is rebuilt from them: by default
+        `slm_range`, or 6.28, as in earlier versions, where `slm_range` is 2π to three digits.
     illumination : torch.Tensor, optional
         Amplitude of the light on the modulator; ones by default.
 

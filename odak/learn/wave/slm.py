@@ -10,6 +10,7 @@ from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating, in_own_precision
 from odak.learn.wave.fields import unit_phasor
+from odak.wave.fields import within_range
 from odak.wave.linear_kernels import checked_pixel_fill
 
 TURN = 2 * math.pi
@@ -50,16 +51,6 @@ def nearest_levels(phase: torch.Tensor, lut: torch.Tensor) -> torch.Tensor:
     # Beyond the last boundary follows the first level of the next period.
     boundaries = torch.cat([(rising[1:] + rising[:-1]) / 2, (rising[-1:] + period) / 2]).to(phase.dtype)
     return torch.cat([order, order[:1]])[torch.bucketize(offset, boundaries)]
-
-
-def within_range(phase: torch.Tensor, phase_range: float) -> torch.Tensor:
-    """Return a phase limited to a modulator's range 0 … range, beyond which it takes the nearer end."""
-    period = TURN * max(1, math.ceil(phase_range / TURN))
-    turned = torch.remainder(phase, period)
-    if phase_range > TURN:
-        return torch.where(turned > phase_range, turned - TURN, turned)
-    middle = (phase_range + TURN) / 2
-    return torch.where(turned < middle, turned.clamp(max=phase_range), torch.zeros_like(turned))
 
 
 def gaussian_kernel(sigma: float) -> torch.Tensor:

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from odak.learn import wave
 from odak.learn.wave import spatial_light_modulator, temporal_average
-from odak.learn.wave.slm import even_levels, nearest_levels, within_range
+from odak.learn.wave.slm import even_levels, nearest_levels
+from odak.wave.fields import within_range
 
 TURN = 2 * math.pi
 
