@@ -1,6 +1,9 @@
 import functools
 import gc
 import os
+import subprocess
+import zlib
+from pathlib import Path
 
 if "PYTEST_XDIST_WORKER" in os.environ:
     # One worker per core: more threads than that only wait for each other.
@@ -21,6 +24,20 @@ for profile, fixed in (("fixed", True), ("search", False)):
         profile, derandomize=fixed, deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
     )
 hypothesis.settings.load_profile("fixed")
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--turn",
+        type=_turn,
+        metavar="K/N",
+        help="of the slow tests, take those of turn K of N, and all in files changed within the last day",
+    )
+
+
+def _turn(text):
+    turn, _, turns = text.partition("/")
+    return int(turn) % int(turns), int(turns)
 
 
 def pytest_collection_finish():
@@ -67,8 +84,22 @@ def as_array(request):
     return {"numpy": np.asarray, "array_api_strict": array_api_strict.asarray}[request.param]
 
 
-def pytest_collection_modifyitems(items):
+def pytest_collection_modifyitems(config, items):
     import torch
+
+    if config.option.turn:
+        turn, turns = config.option.turn
+        changed = _changed_lately()
+        left_out = [
+            item
+            for item in items
+            if item.get_closest_marker("slow")
+            and item.path not in changed
+            and zlib.crc32(item.nodeid.encode()) % turns != turn
+        ]
+        config.hook.pytest_deselected(items=left_out)
+        taken = set(items).difference(left_out)
+        items[:] = [item for item in items if item in taken]
 
     for item in items:
         if "cuda" in item.keywords and not torch.cuda.is_available():
@@ -78,6 +109,15 @@ def pytest_collection_modifyitems(items):
         # Not item.keywords: they hold the names of folders too.
         if item.get_closest_marker("blender") and not _has_blender():
             item.add_marker(pytest.mark.skip(reason="no Blender: name a Python with bpy by ODAK_BLENDER_PYTHON"))
+
+
+@functools.cache
+def _changed_lately():
+    """Return the files that commits of the last day changed; none where there is no history."""
+    root = Path(__file__).resolve().parents[1]
+    command = ["git", "-C", root, "log", "--since=1.day", "--name-only", "--format="]
+    listed = subprocess.run(command, capture_output=True, text=True)
+    return {root / name for name in listed.stdout.splitlines() if name}
 
 
 @functools.cache

@@ -48,6 +48,7 @@ def test_steps_add_to_one_file_of_results(tmp_path, capsys):
     assert capsys.readouterr().out == ""
 
 
+@pytest.mark.slow
 def test_settling_and_polarisation(tmp_path):
     started(tmp_path)
     code, report = calibrate("settling", tmp_path)

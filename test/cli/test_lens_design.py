@@ -139,6 +139,7 @@ def test_a_lens_of_first_order_demands(full, tmp_path, monkeypatch):
     ("name", "makers", "iterations"),
     [("singlet", "schott", 2), pytest.param("cooke_triplet", "schott,ohara", 6, marks=pytest.mark.slow)],
 )
+@pytest.mark.slow
 def test_glasses_are_replaced_by_those_of_makers(name, makers, iterations, tmp_path):
     """The lens in the file has glasses of the catalogues, smaller spots, and the focal length that it had."""
     asked = ["--substitute", makers, "--iterations", str(iterations), "-q", "--output", str(tmp_path)]

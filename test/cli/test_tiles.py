@@ -129,6 +129,7 @@ def test_the_report_holds_for_the_pattern_that_was_saved(method, bits, colour, g
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_larger_ones_give_zarr_alone_and_the_same_numbers(colour, tmp_path, monkeypatch):
     np.save(tmp_path / "colour.npy", colour)
     arguments = [tmp_path / "colour.npy", *GEOMETRY, "--iterations", 1, "--quiet"]

@@ -25,6 +25,7 @@ from odak.learn.raytracing.system.drawing import COLOURS
 @pytest.mark.parametrize(
     "name", [n if n == "triplet_f28" else pytest.param(n, marks=pytest.mark.slow) for n in sample_systems()]
 )
+@pytest.mark.slow
 def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
     assert main(["trace", name, "--output", str(tmp_path), "--rings", "3"]) == 0
     assert "focal length" in capsys.readouterr().out
@@ -107,6 +108,7 @@ def test_a_zmx_file_is_traced_and_what_was_ignored_is_said(tmp_path, capsys, mon
     assert "DIAM 12.7" in json.loads((tmp_path / "report.json").read_text())["ignored"][0]
 
 
+@pytest.mark.slow
 def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, capsys):
     plate = optical_system([surface(thickness=3.0, material="N-BK7"), surface(thickness=20.0)], 5.0)
     save_system(plate, tmp_path / "plate.json")

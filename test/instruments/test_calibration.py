@@ -86,6 +86,7 @@ def calibrated():
 
 
 @pytest.mark.xdist_group("calibrated")
+@pytest.mark.slow
 def test_phase_response_within_two_hundredths(calibrated):
     table, found = calibrated
     assert np.abs(found.phases - table.truth.phases).max() < 0.02
@@ -254,6 +255,7 @@ def test_registration_of_an_unaberrated_table(seed):
     assert np.abs(found.camera_pixels(found.plane_points(pixels)) - pixels).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_large_wavefront_seen_by_a_camera_that_is_turned_and_mirrored():
     """Root mean square of half a wavelength, a panel that is not square; the response is known."""
     table = instruments.SimulatedTable(
@@ -347,6 +349,7 @@ def test_a_response_that_varies_over_the_modulator_does_not_shift_the_image():
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])
+@pytest.mark.slow
 def test_first_registration_with_an_aberration_of_a_wavelength(seed):
     """Up to the shift by the tilt of the aberration in the middle, and the scale of the unknown distance."""
     table = instruments.SimulatedTable(seed, **SMALLER, aberration=1.0, regional=0.05)

@@ -35,6 +35,7 @@ distributed = pytest.importorskip("distributed")
 pytestmark = [
     pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no signals on this system"),
     pytest.mark.xdist_group("cluster"),
+    pytest.mark.slow,
 ]
 
 

@@ -49,6 +49,7 @@ def pair():
     stop(*started)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there():
     with agent(divide, "tcp://127.0.0.1:1", timeout=0.5, verbose=False) as work, pytest.raises(OSError, match="1"):
         work.connect()
@@ -286,6 +287,7 @@ def poisoned(tmp_path, monkeypatch):
     assert not (folder / "poisoned").exists(), (folder / "poisoned").read_text()
 
 
+@pytest.mark.slow
 def test_no_process_imports_from_the_current_folder_and_its_modules_are_sent_with_the_tasks(poisoned, monkeypatch):
     (poisoned / "my_helpers.py").write_text("FACTOR = 3\n\n\ndef triple(value):\n    return FACTOR * value\n")
     monkeypatch.syspath_prepend("")
@@ -320,6 +322,7 @@ def test_a_worker_of_the_command_line_imports_nothing_from_the_current_folder(po
                 worker.terminate()
 
 
+@pytest.mark.slow
 def test_workers_that_cannot_join(capfd):
     assert main(["worker", "tcp://127.0.0.1:1", "--timeout", "0.3"]) == 1
     said, wrong = capfd.readouterr()

@@ -8,7 +8,7 @@ import inspect
 
 import pytest
 import torch
-from api_sweep import contract, hostile, samples, walk
+from api_sweep import contract, examples, hostile, samples, walk
 
 from odak.wave.transfer_functions import kernels
 
@@ -86,7 +86,14 @@ class Call:
             yield name, "on another device", contract.judge_elsewhere(self.function(), self.arguments, name)
 
 
-@pytest.mark.parametrize("path", [path for path in CALLABLES if samples.is_called(path)])
+@pytest.mark.parametrize(
+    "path",
+    [
+        pytest.param(path, marks=pytest.mark.slow if path in examples.SLOW else ())
+        for path in CALLABLES
+        if samples.is_called(path)
+    ],
+)
 def test_each_argument_is_checked(path, root):
     complaints = [
         f"{name} = {what}: {complaint}"
@@ -94,6 +101,10 @@ def test_each_argument_is_checked(path, root):
         if complaint and not samples.is_allowed(path, name, what)
     ]
     assert not complaints, "\n" + "\n".join(complaints)
+
+
+def test_calls_swept_with_the_slow_tests_exist():
+    assert not examples.SLOW.difference(path for path in CALLABLES if samples.is_called(path))
 
 
 def test_no_default_argument_can_be_changed():

@@ -117,6 +117,7 @@ def loop_for_ever():
         (lambda folder: sys.exit(0), "raised SystemExit"),
     ],
 )
+@pytest.mark.slow
 def test_the_guard_sees_every_misdeed(misdeed, told, tmp_path):
     folder = tmp_path / "inside"
     folder.mkdir()

@@ -93,6 +93,7 @@ def compiled(function, backend, **options):
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in NAMES])
+@pytest.mark.slow
 def test_compile_is_correct_without_warnings(name):
     # The small grids of the cases lie outside the range of some methods, which says so in eager mode too.
     expected = (DeprecationWarning, SamplingWarning)

@@ -64,6 +64,7 @@ def frame(picture, number=1):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_colours_of_an_image_are_in_their_places(tmp_path):
     # Quarters: 0 and 1 above, 2 and 3 below.
     values = np.kron(np.array([[0.0, 1.0], [2.0, 3.0]]), np.ones((8, 8)))
@@ -94,6 +95,7 @@ def test_colours_of_an_image_are_in_their_places(tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.slow
+@pytest.mark.slow
 def test_points_and_rays_are_in_their_places(tmp_path):
     picture = rayshow(shape=[600, 500], marker_size=8.0, line_width=6.0, opacity=1.0)
     picture.add_point([-1.0, 0.0, 0.0], color="red")
@@ -119,6 +121,7 @@ def test_points_and_rays_are_in_their_places(tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_transparent_scene_does_not_mask_the_next(tmp_path):
     def draw(with_ball):
         picture = rayshow(columns=2, shape=[800, 400], marker_size=6.0, subplot_titles=[])
@@ -135,6 +138,7 @@ def test_a_transparent_scene_does_not_mask_the_next(tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_lens_system_is_seen_from_the_side(tmp_path):
     picture = system_show(load_system("cooke_triplet"), show=False)
     image = pixels(picture, tmp_path)
@@ -150,6 +154,7 @@ def test_a_lens_system_is_seen_from_the_side(tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_every_picture_and_format_is_drawn(tmp_path):
     plot, image = plotshow(shape=[400, 300]), plot2dshow(shape=[400, 300], font_settings={"size": 12})
     plot.add_plot([0.0, 1.0, 4.0])
@@ -166,6 +171,7 @@ def test_every_picture_and_format_is_drawn(tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 def test_many_figures_share_one_browser(tmp_path):
     picture = detectorshow(shape=[300, 300])
     picture.add_field(np.ones((4, 4), complex))
@@ -181,6 +187,7 @@ def test_many_figures_share_one_browser(tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_browser_that_was_lost_is_started_again(tmp_path):
     picture = plotshow(shape=[300, 200])
     picture.add_plot([0.0, 1.0])
@@ -190,6 +197,7 @@ def test_a_browser_that_was_lost_is_started_again(tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 @pytest.mark.slow
 def test_python_ends_without_a_word_and_takes_the_browser_along(tmp_path):
     code = (
@@ -281,6 +289,7 @@ def look_at(page, tmp_path):
 
 @pytest.mark.browser
 @pytest.mark.slow
+@pytest.mark.slow
 def test_a_page_opens_without_errors_and_shows_the_rays(tmp_path):
     picture = rayshow(line_width=4.0, opacity=1.0, shape=[800, 600])
     random = np.random.default_rng(0)
@@ -296,6 +305,7 @@ def test_a_page_opens_without_errors_and_shows_the_rays(tmp_path):
 
 
 @pytest.mark.browser
+@pytest.mark.slow
 @pytest.mark.slow
 def test_an_error_in_a_page_would_be_seen(tmp_path):
     _, console = look_at("<html><head></head><body><script>nonsense();</script></body></html>", tmp_path)

@@ -92,6 +92,7 @@ def compare(phase, target):
 
 
 @pytest.mark.parametrize("method", ["gradient descent", pytest.param("Gerchberg-Saxton", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_hologram(tmp_path, method):
     pytest.importorskip("zarr")
     target = da.from_array(picture(), chunks=15)

@@ -191,6 +191,7 @@ def test_gradients_of_the_born_series():
     np.testing.assert_allclose(scatter(incident, medium).detach().numpy(), arrays, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_gradients_of_the_born_series_in_its_lengths():
     incident = torch.exp(1.5j * torch.arange(4, dtype=torch.float64))[:, None].repeat(1, 5)
     medium = 1 + 0.2 * torch.rand(4, 5, dtype=torch.float64, generator=torch.Generator().manual_seed(0))

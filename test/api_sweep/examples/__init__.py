@@ -9,6 +9,7 @@ A module may hold, each optional:
 ``POSITIVE``     {prefix of a path: {arguments that must be above zero}}
 ``SIDES``        {prefix of a path: {arguments that are numbers of samples along an axis}}
 ``FREE_TEXT``    {prefix of a path: {arguments that take any text}}
+``SLOW``         {paths that are swept with the slow tests}
 """
 
 import importlib
@@ -30,3 +31,35 @@ ALLOWED = _gathered("ALLOWED")
 POSITIVE = _gathered("POSITIVE")
 FREE_TEXT = _gathered("FREE_TEXT")
 SIDES = _gathered("SIDES")
+
+# Calls that take longer than a third of a second with all their wrong arguments: swept with the slow tests.
+SLOW = {
+    "odak.learn.lensless.spec_track.forward",
+    "odak.learn.lensless.spec_track.init_layers",
+    "odak.learn.lensless.spec_track.load_weights",
+    "odak.learn.lensless.spec_track.save_weights",
+    "odak.learn.models.hologram_network.forward",
+    "odak.learn.perception.SpatialSteerablePyramid.quadrature",
+    "odak.learn.perception.display_color_hvs.initialize_random_spectrum_normalised",
+    "odak.learn.perception.display_color_hvs.initialize_random_spectrum_normalized",
+    "odak.learn.perception.metameric_failure",
+    "odak.learn.perception.synthesize_texture",
+    "odak.learn.raytracing.intersect_parametric",
+    "odak.learn.raytracing.system.automatic_design",
+    "odak.learn.raytracing.system.draw_spots",
+    "odak.learn.raytracing.system.exit_field",
+    "odak.learn.raytracing.system.fans_figure",
+    "odak.learn.raytracing.system.propagated_point_spread_function",
+    "odak.learn.raytracing.system.report_figures",
+    "odak.learn.raytracing.system.simulate_image",
+    "odak.learn.raytracing.system.through_focus_figure",
+    "odak.learn.wave.Scene.render",
+    "odak.learn.wave.Scene.splat",
+    "odak.learn.wave.Scene.splat_tile",
+    "odak.learn.wave.display_hologram",
+    "odak.visualize.blender.scene.add_system",
+    "odak.visualize.plotly.field_show",
+    "odak.visualize.plotly.rayshow.add_surface",
+    "odak.visualize.plotly.system_show",
+    "odak.wave.hologram_in_chunks",
+}

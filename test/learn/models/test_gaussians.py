@@ -262,6 +262,7 @@ def test_more_gaussians_than_pixels_start_too():
     gaussians_2d(1).initialize_from_image(torch.eye(4), seed=0)
 
 
+@pytest.mark.slow
 def test_a_picture_is_fitted():
     torch.manual_seed(0)
     x, y = grid(32, 32, torch.float32)

@@ -263,6 +263,7 @@ def test_gradients_and_refusals_of_the_hash_grid():
         encoder(torch.zeros(4, 3, dtype=torch.float64))
 
 
+@pytest.mark.slow
 def test_a_hash_grid_learns_fine_detail_sooner_than_coordinates():
     y, x = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 40), indexing="ij")
     image = (torch.sin(25 * x) * torch.sin(31 * y)).reshape(-1, 1)

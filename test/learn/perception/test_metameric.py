@@ -277,6 +277,7 @@ def texture():
     return ramp + strength * (noise(1, 3, 64, 64, seed=7) - 0.5)
 
 
+@pytest.mark.slow
 def test_foveated_metamer(texture):
     loss = MetamerMSELoss(n_pyramid_levels=4, **VIEW)
     before = torch.get_rng_state()

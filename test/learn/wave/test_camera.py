@@ -125,6 +125,7 @@ def test_display_errors_are_part_of_the_state():
     assert faulty.double().aberration.dtype == torch.float64
 
 
+@pytest.mark.slow
 def test_camera_in_the_loop_beats_the_model_alone():
     n = 128
     photo = load_image(str(files("odak") / "assets" / "photo.png")).mean(-1)

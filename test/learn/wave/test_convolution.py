@@ -251,6 +251,7 @@ def test_a_workspace_holds_the_result(blocked):
     torch.testing.assert_close(again, 2 * expected)
 
 
+@pytest.mark.slow
 def test_the_operator_is_found_with_the_first_tensor():
     code = (
         "import odak, torch; field = torch.ones(8, 8, requires_grad=True);"

@@ -326,6 +326,7 @@ def test_encircled_energy_of_the_airy_pattern_and_of_spots():
     assert float(weighted[1, 50]) == pytest.approx(float((shares * each).sum() / (shares * arrived).sum()))
 
 
+@pytest.mark.slow
 def test_reports_hold_all_figures(tmp_path):
     lens = load_system("singlet")
     lens_report(lens, tmp_path / "report.html")

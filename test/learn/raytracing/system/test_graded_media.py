@@ -276,6 +276,7 @@ def richardson(coarse, fine):
 
 
 @pytest.mark.parametrize("distance", [math.inf, pytest.param(150.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_third_order_sums_of_graded_media_are_the_limit_of_real_rays(distance):
     """All transverse aberrations and colours, for an axial and a radial gradient between curved surfaces."""
     waves = [0.588e-3, 0.587e-3, 0.5875e-3]

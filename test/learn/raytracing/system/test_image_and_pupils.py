@@ -444,6 +444,7 @@ def wide(name):
 
 
 @pytest.mark.parametrize("name", ["120", pytest.param("160", marks=pytest.mark.slow), "170"])
+@pytest.mark.slow
 def test_every_field_of_wide_lenses_is_aimed(name):
     """Fields of 120, 160 and 170 degrees: all 61 rays meet the stop where they should."""
     lens = wide(name)

@@ -116,6 +116,7 @@ def test_light_of_a_perfect_lens_propagates_to_airys_disc():
 
 
 @pytest.mark.parametrize("field", [pytest.param(0, marks=pytest.mark.slow), 1])
+@pytest.mark.slow
 def test_light_of_an_aberrated_lens_propagates_to_its_fourier_image(field):
     system = singlet(1.5, fields=[(0.0, 0.0), (0.0, 2.0)])
     found = propagated_point_spread_function(system, 512, 3.21e-3, field=field)
@@ -152,6 +153,7 @@ def test_rays_of_the_field_are_the_rays_that_made_it(field, plane, distance):
     assert float(mean / expected) == pytest.approx(1, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_real_stop_and_vignetting_cut_the_field():
     system = singlet(wavelength=2e-3, fields=[(0.0, 0.0)])
     free = exit_field(system, 129)
