@@ -441,11 +441,11 @@ def choose_method(shape: tuple[int, int], request: Request) -> tuple[Method, flo
     """Return the method whose error is within tolerance at every requested distance and wavelength, and its error.
 
     The error is that of a field of flat spectrum. An array as an aperture needs the grid that the caller has padded: it
-    gets the angular spectrum on it, without a bound, NaN.
+    gets the angular spectrum on it, without a bound, NaN. Lengths that cannot be read have no bound either.
     """
     geometries = _geometries(request)
     if not geometries:
-        raise ValueError("propagation_type 'auto' needs a distance, dx and wavelength that are plain numbers")
+        return method_named("Linear Angular Spectrum"), math.nan
     if _array.is_array(request.aperture) and not request.window:
         return method_named("Bandlimited Angular Spectrum"), math.nan
     axes = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in geometries)
@@ -571,13 +571,13 @@ def warn_above_tolerance(shape, request: Request) -> None:
     geometries = tuple(axes_of(shape, pitch, wavelength, z) for z, wavelength, pitch in _geometries(request))
     error = linear_error(geometries, request.tolerance)
     if error > request.tolerance:
-        warn(above_tolerance(error, request.tolerance), SamplingWarning)
+        warn(above_tolerance("Linear Angular Spectrum", error, request.tolerance), SamplingWarning)
 
 
-def above_tolerance(error: float, tolerance: float) -> str:
-    """Return the text of the warning that a predicted error is above the tolerance."""
+def above_tolerance(method: str, error: float, tolerance: float) -> str:
+    """Return the text of the warning that the predicted error of the method taken is above the tolerance."""
     return (
-        f"the predicted error is {error:.1e} of the field's norm, above the tolerance of {tolerance:.1e}: part of the "
-        "band spreads over more frequencies than can be summed; take a larger pitch, a shorter distance or a smoother "
-        "field"
+        f"{method} was taken, the most accurate method here; its predicted error is {error:.1e} of the field's norm, "
+        f"above the tolerance of {tolerance:.1e}: part of the band spreads over more frequencies than can be summed; "
+        "take a larger pitch, a shorter distance or a smoother field"
     )

@@ -26,7 +26,7 @@ def gerchberg_saxton(
     dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
-    propagation_type: str = "IR Fresnel",
+    propagation_type: str = "auto",
     initial_phase: np.ndarray | None = None,
     seed: Any = None,
     *,
@@ -192,7 +192,7 @@ def gerchberg_saxton_3d(
     dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
-    propagation_type: str = "IR Fresnel",
+    propagation_type: str = "auto",
     initial_phase: Array | None = None,
     target_type: str = "no constraint",
     coefficients: Sequence[float] | None = None,
@@ -219,7 +219,7 @@ def gerchberg_saxton_3d(
         Wavelength in metres.
     slm_range : float, default: 6.28
         Phase range of the modulator in radians; phases beyond it take its nearer end.
-    propagation_type : str, default: "IR Fresnel"
+    propagation_type : str, default: "auto"
         Propagation type, see :func:`odak.wave.propagate_beam`.
     initial_phase : numpy.ndarray, optional
         Phase ``[rows, columns]`` in radians to start the hologram from; uniform between 0 and π by default.

@@ -41,14 +41,17 @@ from odak.wave.transfer_functions import (
     upsample,
 )
 
+# Default of arguments that stand behind `k`, which may be left out; of any type, so that no checker takes None for one.
+REQUIRED: Any = None
+
 
 def propagate_beam(
     field: Array,
-    k: float | Array | None,
-    distance: float | Array,
-    dx: float | Sequence[float] | Array,
-    wavelength: float | Array,
-    propagation_type: str = "IR Fresnel",
+    k: float | Array | None = None,
+    distance: float | Array = REQUIRED,
+    dx: float | Sequence[float] | Array = REQUIRED,
+    wavelength: float | Array = REQUIRED,
+    propagation_type: str = "auto",
     kernel: Array | None = None,
     zero_padding: bool | Sequence[bool] = (False, False, False),
     aperture: float | Array = 1.0,
@@ -56,15 +59,16 @@ def propagate_beam(
     samples: Sequence[int] = (1, 1, 1, 1),
     tolerance: float = TOLERANCE,
 ) -> Array:
-    """Propagate a field by the method named.
+    """Propagate a field, by the method named or by the one whose error is at most 1e-4.
 
     Parameters
     ----------
     field : array
         Complex field ``[..., rows, columns]`` (a real one is taken as a field of phase zero). A Dask array may be
         larger than memory: it is propagated in chunks, by the methods that have a transfer function.
-    k : float or None
-        Wave number 2π/wavelength; kept for older callers, it must agree with `wavelength` to 1e-6.
+    k : float, optional
+        Wave number 2π/wavelength; kept for older callers, it must agree with `wavelength` to 1e-6. Calls that name
+        `distance`, `dx` and `wavelength` leave it out.
     distance : float or array
         Propagation distance in metres, negative to propagate back. An array broadcasts against the field's leading
         axes; a torch tensor that requires grad makes the result differentiable in it, like `dx` and `wavelength`.
@@ -76,7 +80,8 @@ def propagate_beam(
     propagation_type : str
         A name or alias of the table of methods ("Bandlimited Angular Spectrum", "IR Fresnel", …), in any case, or
         "auto": the method and the padding whose relative error is below `tolerance` for the whole band that the pitch
-        holds (see :func:`odak.wave.sampling_report`), linear convolution wherever that is possible.
+        holds (see :func:`odak.wave.sampling_report`), linear convolution wherever that is possible. Tensors on a
+        GPU or transformed by torch.func as lengths take "Linear Angular Spectrum" without a prediction of its error.
     kernel : array, optional
         Transfer function for "custom", centred (zero frequency at index n // 2).
     zero_padding : sequence of bool
@@ -115,6 +120,9 @@ def propagate_beam(
     >>> bool(np.allclose(result, np.exp(2j * np.pi * 1e-3 / 532e-9)))
     True
     """
+    missing = [n for n, v in (("distance", distance), ("dx", dx), ("wavelength", wavelength)) if v is REQUIRED]
+    if missing:
+        raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
     return _array.outside_graphs(
         _propagate,
@@ -160,7 +168,7 @@ def _method_for_field(field, method: Method, request: Request, error: float) -> 
         )
         method, error = method_named(report.recommended), report.predicted_error
     if error > request.tolerance:
-        warn(above_tolerance(error, request.tolerance), SamplingWarning)
+        warn(above_tolerance(method.name, error, request.tolerance), SamplingWarning)
     return method
 
 
@@ -182,11 +190,13 @@ def _plan(
         pad and crop and not fine,
         _validate.constant("tolerance", tolerance, positive=True),
     )
-    method, error = find_method(propagation_type), 0.0
+    method, error, warnings = find_method(propagation_type), 0.0, ()
     if method is None:
         method, error = choose_method(shape[-2:], request)
+    else:
+        # What "auto" took is judged by the error predicted for the field.
+        warnings = tuple(warnings_outside_range(method, shape[-2:], request, pad))
     _check_method(method, request)
-    warnings = tuple(warnings_outside_range(method, shape[-2:], request, pad))
     window = method.windowed and request.window
     return method, replace(request, window=window), (pad, fine, crop), warnings, error
 

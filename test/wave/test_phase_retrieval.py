@@ -30,6 +30,15 @@ def test_hologram_is_phase_only_and_makes_the_image(target, method):
     assert physics.relative_error(image, again) < (0.02 if method == "IR Fresnel" else 2e-3)
 
 
+def test_the_default_method_makes_the_better_image(target):
+    def deviation(**method):
+        geometry = (6e-3, *GEOMETRY[1:])
+        hologram, _ = odak.wave.gerchberg_saxton(target, 20, *geometry, seed=1, **method)
+        return np.linalg.norm(np.abs(physics.unwrapped_propagation(hologram, *geometry)) - target)
+
+    assert deviation() < 0.3 * deviation(propagation_type="IR Fresnel")
+
+
 def test_iterations_help_and_seeds_reproduce(target):
     method = {"propagation_type": "AS", "seed": 2}
     few, many = (correlation(odak.wave.gerchberg_saxton(target, n, *GEOMETRY, **method)[1], target) for n in (1, 20))

@@ -8,7 +8,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from physics import coordinates, gaussian_beam, relative_error
+from physics import coordinates, gaussian_beam, relative_error, unwrapped_propagation
 
 import odak
 from odak.learn import wave as torch_wave
@@ -450,3 +450,23 @@ def test_transfer_functions_of_large_grids_are_computed_in_parts(kind, monkeypat
     odak.wave.clear_kernel_cache()
     result = result.detach() if kind == "gradient" else result
     assert relative_error(result, expected) < 1e-12
+
+
+def test_without_a_method_both_faces_keep_the_tolerance(random):
+    field, geometry = (
+        np.exp(2j * np.pi * random.random((24, 31))),
+        {"distance": 6e-3, "dx": DX, "wavelength": WAVELENGTH},
+    )
+    exact = unwrapped_propagation(field, **geometry)
+    by_numpy = odak.wave.propagate_beam(field, **geometry)
+    by_torch = torch_wave.propagate_beam(torch.from_numpy(field), **geometry).numpy()
+    assert relative_error(by_numpy, exact) < 1e-3  # of the reference, whose window is finite
+    np.testing.assert_allclose(by_torch, by_numpy, atol=1e-12)
+    np.testing.assert_array_equal(by_numpy, odak.wave.propagate_beam(field, None, *geometry.values(), "auto"))
+
+
+@pytest.mark.parametrize("face", [odak.wave, torch_wave])
+def test_lengths_that_are_missing_are_named(face):
+    field = torch.ones(4, 4) if face is torch_wave else np.ones((4, 4))
+    with pytest.raises(TypeError, match="missing: dx, wavelength"):
+        face.propagate_beam(field, distance=1e-3)

@@ -132,8 +132,14 @@ def test_waves_along_the_plane_are_reported():
     random = np.exp(2j * np.pi * np.random.default_rng(0).random(shape))
     report = odak.wave.sampling_report(shape, dx, WAVELENGTH, distance)
     assert report.predicted_error > 1e-4
-    with pytest.warns(odak.SamplingWarning, match="predicted error is .* above the tolerance of 1.0e-04"):
+    with pytest.warns(
+        odak.SamplingWarning, match="^(.*) was taken.* error is .* above the tolerance of 1.0e-04"
+    ) as caught:
         odak.wave.propagate_beam(random, None, distance, dx, WAVELENGTH, "auto")
+    # The method taken is the one named, which says nothing else about its range.
+    assert [str(warning.message).partition(" was")[0] for warning in caught] == [
+        odak.wave.sampling_report(shape, dx, WAVELENGTH, distance, field=random).recommended
+    ]
     # A smooth field holds none of them: its spectrum decides.
     squared = (np.arange(32) - 16)[:, None] ** 2 + (np.arange(32) - 16) ** 2
     smooth = np.exp(-squared / 5**2) + 0j

@@ -439,7 +439,7 @@ def gerchberg_saxton(
     dx: float | Sequence[float],
     wavelength: float,
     slm_range: float = 6.28,
-    propagation_type: str = "Transfer Function Fresnel",
+    propagation_type: str = "auto",
     initial_phase: torch.Tensor | None = None,
     seed: int | torch.Generator | None = None,
     progress: bool = False,

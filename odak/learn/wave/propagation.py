@@ -14,7 +14,6 @@ APERTURE_SAMPLES = (20, 20, 5, 5)
 propagate_beam = torch_face(
     propagation.propagate_beam,
     defaults={
-        "propagation_type": "Bandlimited Angular Spectrum",
         "zero_padding": (True, False, True),
         "samples": APERTURE_SAMPLES,
     },

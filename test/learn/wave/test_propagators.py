@@ -352,7 +352,7 @@ def test_padding_of_ones_own(phases):
     wide = show(field, 0, 0, zero_padding_size=[72, 96])
     padded = torch.nn.functional.pad(field, (32, 32, 24, 24))
     expected = wave.propagate_beam(
-        padded, None, show.distances[0].item(), PITCH, COLOURS[0], zero_padding=[False, False, False]
+        padded, None, show.distances[0].item(), PITCH, COLOURS[0], "BLAS", zero_padding=[False, False, False]
     )[24:48, 32:64]
     assert wide.shape == field.shape
     torch.testing.assert_close(wide, expected, rtol=1e-4, atol=1e-5)
@@ -414,7 +414,7 @@ def test_display_without_relay(phases):
 def test_display_with_and_without_padding(phases):
     field = wave.unit_phasor(phases[0])
     bare = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3, pad=[False, True])
-    expected = wave.propagate_beam(field, None, 5e-3, PITCH, COLOURS[0], zero_padding=[False, False, False])
+    expected = wave.propagate_beam(field, None, 5e-3, PITCH, COLOURS[0], "BLAS", zero_padding=[False, False, False])
     torch.testing.assert_close(bare(field, 0, 0), expected, rtol=1e-4, atol=1e-5)
     uncut = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3, pad=[True, False])(field, 0, 0)
     whole = holographic_display(COLOURS, PITCH, [24, 32], 2e-3, 1, 5e-3)(field, 0, 0)
