@@ -154,11 +154,35 @@ def sources(job: Job) -> list[Path]:
     return [image_path(job.image), *([] if job.depth_map is None else [depth_map_path(job.depth_map)])]
 
 
+def read_report(path: Path) -> dict:
+    """Return what a file ``report.json`` holds.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    ValueError
+        If it is no JSON object.
+    """
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    if not isinstance(found, dict):
+        raise ValueError(f"it must be a JSON object, got {found!r:.80}")
+    return found
+
+
 def finished_report(folder: Path, mark: str) -> dict | None:
     """Return the report in a folder that holds the whole result of the run with this fingerprint, else None."""
     folder = Path(os.path.expanduser(folder))
     try:
-        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+        report = read_report(folder / REPORT)
         same = report[FINGERPRINT] == mark and report[DIGESTS] == digests(folder, report[DIGESTS])
     except (OSError, ValueError, KeyError, TypeError):  # no report, or none of this version: the job is computed
         return None

@@ -3,7 +3,6 @@
 import base64
 import html
 import io
-import json
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,8 +11,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from odak.cli.files import FINGERPRINT, REPORT, load_pattern, stored_bits, writable_folder
+from odak import _validate
+from odak.cli.files import FINGERPRINT, REPORT, load_pattern, read_report, stored_bits, writable_folder
 from odak.cli.job import InputError, did_you_mean
+from odak.tools.file import read_levels, white_level
 from odak.tools.paths import replacing
 from odak.wave.transfer_functions import pitches
 
@@ -74,7 +75,8 @@ def run(path: str, page: Path) -> Path:
     Raises
     ------
     InputError
-        If there is nothing at the path that can be drawn, or the page is no HTML file.
+        If there is nothing at the path that can be drawn, or the page is no HTML file; of a folder also if a picture
+        or a field in it cannot be read, a link or the report names a file outside of it, or the report is none.
     """
     if page.suffix.lower() not in (".html", ".htm"):
         raise InputError(f"--output must be an HTML file, such as page.html; got {str(page)!r}")
@@ -108,39 +110,72 @@ def run(path: str, page: Path) -> Path:
     text = _PAGE.format(title=html.escape(source.name or str(source)), body=body)
     writable_folder(page.parent)
     with replacing(str(page)) as stream:
-        stream.write(text.encode("utf-8"))
+        # Names of files may hold bytes that are no UTF-8, and texts of reports halves of characters.
+        stream.write(text.encode("utf-8", "backslashreplace"))
     return page
 
 
 def _folder(folder: Path) -> str:
-    pictures = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    fields = sorted(path for path in folder.iterdir() if path.suffix.lower() == ".npy")
-    report = {}
-    if (folder / REPORT).is_file():
-        try:
-            report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-        except ValueError:
-            raise InputError(f"FILE {str(folder / REPORT)!r} is not the report of a run") from None
+    names = sorted(path.name for path in folder.iterdir())
+    pictures = [_inside(folder, name) for name in names if Path(name).suffix.lower() in PICTURES]
+    fields = [_inside(folder, name) for name in names if Path(name).suffix.lower() == ".npy"]
+    report = _checked(_inside(folder, REPORT)) if REPORT in names else {}
     if not pictures and not fields:
         raise InputError(f"FILE must be a folder with pictures or fields, got {str(folder)!r}, which has neither")
-    parts = [_table(report)] if isinstance(report, dict) and report else []
+    parts = [_table(report)] if report else []
     parts += [
-        f'<figure><img alt="{html.escape(path.name)}" src="data:image/{_kind(path)};base64,{_encoded(path)}">'
+        f'<figure><img alt="{html.escape(path.name)}" src="data:{_encoded(path)}">'
         f"<figcaption>{html.escape(_caption(path.name))}</figcaption></figure>"
         for path in sorted(pictures, key=lambda path: path.name != "comparison.png")
     ]
     settings = report.get("bench") or report.get("parameters") or {}
     pitch, wavelength = settings.get("pixel_pitch"), settings.get("wavelength")
     figures = [_field_figure(_load(path), path.name, pitch, wavelength) for path in fields]
-    patterns = report.get("pattern", {}).get("files", []) if isinstance(report, dict) else []
+    patterns = [_inside(folder, name, missing=True) for name in report.get("pattern", {}).get("files", [])]
     figures += [
-        _field_figure(
-            np.exp(1j * load_pattern(path, stored_bits(path)).numpy()), path.name, pitch, quantities=["phase"]
-        )
-        for path in (folder / name for name in patterns)
+        _field_figure(np.exp(1j * _phase(path)), path.name, pitch, quantities=["phase"])
+        for path in patterns
         if path.is_file()
     ]
     return "\n".join([*parts, _figures(figures)])
+
+
+def _inside(folder: Path, name: str, missing: bool = False) -> Path:
+    """Return the path of a regular file in a folder; raise InputError for all else, such as links that lead out."""
+    path = folder / name
+    try:
+        real = path.resolve(strict=not missing)
+        lies_in = real.is_relative_to(folder.resolve())
+        regular = real.is_file() or (missing and (real.is_dir() or not real.exists()))
+    except (OSError, ValueError, RuntimeError) as error:  # RuntimeError: links in a loop, up to Python 3.12
+        raise InputError(f"FILE {str(path)!r} cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    if not lies_in:
+        raise InputError(f"FILE {str(folder)!r} must hold its files itself, but {name!r} leads to {str(real)!r}")
+    if not regular:
+        raise InputError(f"FILE {str(path)!r} must be a regular file")
+    return path
+
+
+def _checked(path: Path) -> dict:
+    """Return the report of a run after checking what is read of it; raise InputError naming what cannot be used."""
+    try:
+        report = read_report(path)
+        for name in ("bench", "parameters", "pattern", "definitions"):
+            if not isinstance(report.get(name, {}), dict):
+                raise TypeError(f"{name} must be an object, got {report[name]!r:.80}")
+        _validate.texts("warnings", report.get("warnings", []))
+        _validate.texts("pattern.files", report.get("pattern", {}).get("files", []))
+        _validate.texts("definitions", report.get("definitions", {}).values())
+        for name in ("bench", "parameters"):
+            values = report.get(name, {})
+            for pitch in pitches(values.get("pixel_pitch"), f"{name}.pixel_pitch"):
+                if pitch is not None:
+                    _validate.number(f"{name}.pixel_pitch", pitch, positive=True)
+            if values.get("wavelength") is not None:
+                _validate.number(f"{name}.wavelength", values["wavelength"], positive=True)
+    except (OSError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"FILE {str(path)!r} is not the report of a run: {error}") from None
+    return report
 
 
 def _caption(name: str) -> str:
@@ -153,11 +188,9 @@ def _table(report: dict) -> str:
     """Return the single numbers and texts of a report as rows, with their definitions."""
     shown = {name: value for name, value in report.items() if isinstance(value, (int, float, str))}
     shown.pop(FINGERPRINT, None)
-    definitions = report.get("definitions")
-    told = definitions if isinstance(definitions, dict) else {}
-    notes = {name: f"<small>{html.escape(text)}</small>" for name, text in told.items() if isinstance(text, str)}
+    notes = {name: f"<small>{html.escape(text)}</small>" for name, text in report.get("definitions", {}).items()}
     rows = [(name, f"{value:.6g}" if type(value) is float else str(value)) for name, value in shown.items()]
-    rows += [("warning", str(text)) for text in report.get("warnings", [])]
+    rows += [("warning", text) for text in report.get("warnings", [])]
     cells = "".join(
         f"<tr><td>{html.escape(name.replace('_', ' '))}{notes.get(name, '')}</td>"
         f"<td{' class=wide' if len(text) > 20 else ''}>{html.escape(text)}</td></tr>"
@@ -166,26 +199,43 @@ def _table(report: dict) -> str:
     return f"<table>{cells}</table>"
 
 
-def _kind(path: Path) -> str:
-    return {".jpg": "jpeg", ".tif": "png", ".tiff": "png"}.get(path.suffix.lower(), path.suffix.lower()[1:])
-
-
 def _encoded(path: Path) -> str:
-    if path.suffix.lower() not in (".tif", ".tiff"):
-        return base64.b64encode(path.read_bytes()).decode()
+    """Return the type and the bytes of a picture as a data URL has them, once its pixels have been decoded."""
     from PIL import Image
 
-    stream = io.BytesIO()
-    with Image.open(path) as image:
-        image.convert("RGB").save(stream, "PNG")
-    return base64.b64encode(stream.getvalue()).decode()
+    levels, content = _levels(path), path.read_bytes()
+    with Image.open(io.BytesIO(content)) as image:
+        kind = Image.MIME[str(image.format)]
+    if kind == "image/tiff":
+        # Browsers do not draw it.
+        stream = io.BytesIO()
+        shares = np.clip(levels / white_level(levels), 0, 1)
+        Image.fromarray(np.round(255 * shares).astype(np.uint8)).save(stream, "PNG")
+        kind, content = "image/png", stream.getvalue()
+    return f"{kind};base64,{base64.b64encode(content).decode()}"
+
+
+def _levels(path: Path) -> np.ndarray:
+    """Return the levels of a picture; raise InputError if it cannot be decoded to its end."""
+    try:
+        return read_levels(path)
+    except ValueError as error:
+        raise InputError(f"FILE: {' '.join(str(error).split())}") from None
+
+
+def _phase(path: Path) -> np.ndarray:
+    """Return the phase of a pattern that a report names."""
+    if _levels(path).ndim != 2:
+        raise InputError(f"FILE {str(path)!r} is no pattern: it must be a grey picture")
+    return load_pattern(path, stored_bits(path)).numpy()
 
 
 def _load(path: Path) -> np.ndarray:
     """Return an array of two axes from a file; nothing in it is run."""
     try:
         if path.suffix.lower() == ".npy":
-            values = np.load(path, allow_pickle=False)
+            # Mapped: a header may name more samples than the file holds, and more than any memory does.
+            values = np.load(path, mmap_mode="r", allow_pickle=False)
         else:
             from odak.learn.tools import torch_load
 
@@ -193,12 +243,14 @@ def _load(path: Path) -> np.ndarray:
             if not isinstance(values, torch.Tensor):
                 raise ValueError(f"it contains a {type(values).__name__}, not a tensor")
             values = values.detach().cpu().numpy()
-    except (OSError, ValueError, TypeError) as error:
+    except (OSError, ValueError, TypeError, EOFError, OverflowError) as error:
         raise InputError(f"FILE {str(path)!r} cannot be drawn: {' '.join(str(error).split())}") from None
     values = np.squeeze(values)
-    if values.ndim < 2 or values.ndim > 3 or not np.issubdtype(values.dtype, np.number):
+    if values.ndim < 2 or values.ndim > 3 or 0 in values.shape or not np.issubdtype(values.dtype, np.number):
         raise InputError(f"FILE {str(path)!r} must contain a field or a stack of fields, got shape {values.shape}")
-    return values
+    # Plotly does not write NumPy's extended precision.
+    plain = {np.dtype(np.longdouble): np.float64, np.dtype(np.clongdouble): np.complex128}
+    return values.astype(plain.get(values.dtype, values.dtype), copy=False)
 
 
 def _field_figure(

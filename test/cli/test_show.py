@@ -1,5 +1,7 @@
 """Interactive pages of results."""
 
+import base64
+import io
 import json
 
 import numpy as np
@@ -90,6 +92,101 @@ def test_what_cannot_be_shown_is_named(tmp_path, capsys):
         assert main(["show", source, "-o", str(tmp_path / "page.html"), "--no-open"]) == 2
         assert message in capsys.readouterr().err
     assert not (tmp_path / "page.html").exists()
+
+
+def shown(folder, report=None):
+    """Show a folder with a picture, a field and perhaps a report, and return the exit code."""
+    if report is not None:
+        (folder / "report.json").write_text(report if isinstance(report, str) else json.dumps(report))
+    return main(["show", str(folder), "-o", str(folder.parent / "page.html"), "--no-open"])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "run").mkdir()
+    levels = np.random.default_rng(0).integers(0, 256, (12, 10)).astype(np.uint8)
+    Image.fromarray(levels).save(tmp_path / "run" / "phase.png")
+    Image.fromarray(255 - levels).save(tmp_path / "secret.png")
+    np.save(tmp_path / "run" / "field.npy", np.ones((4, 5), complex))
+    return tmp_path / "run"
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [("x.png", b"a text"), ("x.npy", None), ("report.json", b'{"psnr_db": 1}'), ("x.gif", None)],
+)
+def test_links_out_of_the_folder_are_refused(name, content, folder, tmp_path, capsys):
+    outside = tmp_path / f"outside{name[-4:]}"
+    if name == "x.npy":
+        np.save(outside, np.ones((3, 3)))
+    elif content is None:
+        Image.new("L", (8, 8)).save(outside)
+    else:
+        outside.write_bytes(content)
+    (folder / name).symlink_to(outside)
+    assert shown(folder) == 2 and not (tmp_path / "page.html").exists()
+    told = capsys.readouterr().err
+    assert f"{name!r} leads to" in told and told.count("\n") == 1
+    # A link that stays inside is drawn, as is what lies beside it.
+    (folder / name).unlink()
+    (folder / "same.png").symlink_to(folder / "phase.png")
+    assert shown(folder) == 0 and "same.png" in (tmp_path / "page.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("report", "message"),
+    [
+        ("[]", "must be a JSON object, got []"),
+        ("[" * 100_000, "nested too deeply"),
+        ({"warnings": 5}, "warnings must be a sequence of strings"),
+        ({"pattern": []}, "pattern must be an object"),
+        ({"pattern": {"files": [1]}}, "pattern.files must contain strings"),
+        ({"pattern": {"files": ["../secret.png"]}}, "leads to"),
+        ({"pattern": {"files": ["PARENT/secret.png"]}}, "leads to"),
+        ({"pattern": {"files": ["x\0.png"]}}, "null byte"),
+        ({"pattern": {"files": ["field.npy"]}}, "'.npy' is not allowed"),
+        ({"bench": {"pixel_pitch": [1, 2, 3]}}, "bench.pixel_pitch must be"),
+        ({"bench": {"pixel_pitch": [[1], [2]]}}, "bench.pixel_pitch must be one number"),
+        ({"parameters": {"pixel_pitch": float("nan")}}, "parameters.pixel_pitch must be positive"),
+        ({"parameters": {"wavelength": "532nm"}}, "parameters.wavelength must be a real number"),
+        ({"bench": {"pixel_pitch": 10**400}}, "too large"),
+        ({"definitions": {"a": 1}}, "definitions must contain strings"),
+    ],
+)
+def test_reports_that_are_none_are_refused_in_one_line(report, message, folder, capsys):
+    text = (report if isinstance(report, str) else json.dumps(report)).replace("PARENT", folder.parent.as_posix())
+    assert shown(folder, text) == 2 and not (folder.parent / "page.html").exists()
+    told = capsys.readouterr().err
+    assert message in told and told.count("\n") == 1 and str(folder) in told
+
+
+def test_what_does_not_decode_is_refused_and_odd_names_are_drawn(folder, capsys):
+    whole = (folder / "phase.png").read_bytes()
+    for name, content in (
+        ("x.png", b"<svg xmlns='http://www.w3.org/2000/svg'/>"),
+        ("x.png", whole[:-30]),
+        ("x.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n"),
+        ("x.npy", b""),
+        ("x.npy", (folder / "field.npy").read_bytes()[:-1]),
+    ):
+        (folder / name).write_bytes(content)
+        assert shown(folder) == 2
+        told = capsys.readouterr().err
+        assert name in told and told.count("\n") == 1
+        (folder / name).unlink()
+    (folder / "phase.png").rename(folder / ("\u00e9" * 50 + "\udcff.png"))
+    np.save(folder / "field.npy", np.ones((4, 5), np.longdouble))
+    assert shown(folder, {"a": "\ud800", "pattern": {"files": ["missing.png"]}}) == 0
+
+
+def test_pictures_of_sixteen_bits_are_scaled_and_types_are_those_of_the_content(tmp_path):
+    levels = np.arange(0, 2**16, 256, dtype=np.uint16).reshape(16, 16)
+    Image.fromarray(levels).save(tmp_path / "deep.tif")
+    Image.new("L", (4, 4)).save(tmp_path / "in_fact.png", format="GIF")
+    kind, _, content = show._encoded(tmp_path / "deep.tif").partition(";base64,")
+    with Image.open(io.BytesIO(base64.b64decode(content))) as image:
+        assert kind == "image/png" and np.array_equal(np.asarray(image), np.round(levels / 257).astype(np.uint8))
+    assert show._encoded(tmp_path / "in_fact.png").startswith("image/gif;base64,")
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
