@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.captures import SUFFIXES, read_hdf5, write_hdf5
-from odak.instruments.exposures import set_exposure
+from odak.instruments.exposures import SATURATED, set_exposure
 from odak.instruments.mapping import Registration
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
 from odak.tools.paths import replacing, validate_path
@@ -95,6 +95,11 @@ REST = 0.2
 LIMITS = {"phases": 0.03, "registration": 0.2, "wavefront": 2 * np.pi / 100}
 # Error of a wavefront in radians that is left without noise, a five-hundredth of a wavelength.
 SMALLEST_ERROR = 2 * np.pi / 500
+# Step of a sweep of focal lengths in units of the depth of focus, wavelength/width², of the aperture it is made with;
+# the sharpness falls to half 3.5 units from its peak. Sweeps at most.
+SWEPT, LARGEST_SWEEPS = 2.4, 12
+# Standard deviation of the squared distance from the middle of a square is its area over this.
+EVEN_SQUARE = math.sqrt(90)
 # Error of the sharpest focus in units of the depth of focus, without aberration and noise.
 FOCUS = 0.04
 # Rows and columns of regions where the response varies.
@@ -1185,6 +1190,10 @@ def measure_distance(
 ) -> float:
     """Measure the distance from a modulator to a camera by the lens of sharpest focus.
 
+    The depth of focus λ/NA² of all pixels may be a thousandth of the distance or less. A first sweep of focal lengths
+    uses only as many pixels in the middle as are needed for a depth of focus of some steps, with the light of the
+    others deflected; sweeps with more pixels, and narrower ranges, follow until all pixels are used.
+
     Parameters
     ----------
     modulator : Modulator
@@ -1203,16 +1212,26 @@ def measure_distance(
         Aberration in radians that is corrected; its defocus is excluded, as it cannot be distinguished from the
         distance.
     span : float
-        Half the range of the focal lengths, as a fraction of the distance.
+        Half the range of the focal lengths of the first sweep, as a fraction of the distance, below 1.
     samples : int
-        Number of focal lengths, of a first and of a finer sweep.
+        Number of focal lengths of each sweep.
     captures : int
-        Number of captures that are averaged for each.
+        Number of captures that are averaged for each in the last sweep; the others take one.
 
     Returns
     -------
     float
         The distance in metres.
+
+    Raises
+    ------
+    RuntimeError
+        If no spot is detected, or the sharpness has no peak; the message says what the camera captured.
+
+    Warns
+    -----
+    AccuracyWarning
+        If the sharpest focus of the first sweep lies at an end of the range; the search continues beyond it.
 
     Examples
     --------
@@ -1271,10 +1290,43 @@ def astigmatism_by_focus(
 
 def _sharpness(frame: np.ndarray) -> float:
     """Return the mean intensity of a spot, weighted by itself, as a share of the light."""
-    # The mean of the middle half of the values is the floor: a median of counts is a whole number.
-    floor = np.sort(frame, axis=None)[frame.size // 4 : -(frame.size // 4)].mean()
-    light = np.clip(frame - floor, 0, None)
-    return float((light**2).sum() / light.sum() ** 2)
+    light = _above_floor(frame)
+    total = float(light.sum())
+    if total == 0:
+        raise RuntimeError(f"no spot was captured: all pixels around its place have {frame.flat[0]:g} counts")
+    return float((light**2).sum()) / total**2
+
+
+def _above_floor(frame: np.ndarray) -> np.ndarray:
+    """Return the counts above those beside a spot: the mean of the middle half, for a median is a whole number."""
+    return np.clip(frame - np.sort(frame, axis=None)[frame.size // 4 : -(frame.size // 4)].mean(), 0, None)
+
+
+def _unsaturated(camera: Camera) -> np.ndarray:
+    """Return a capture whose exposure was reduced until no pixel is saturated."""
+    for _ in range(20):
+        frame = _averaged(camera, 1)
+        if frame.max() < SATURATED * ((1 << camera.bits) - 1):
+            break
+        camera.exposure /= 3
+    return frame
+
+
+def _check_focus(camera: Camera, powers: np.ndarray) -> None:
+    """Raise an error if a capture of the sharpest focus of a sweep of powers has no spot."""
+    frame = _unsaturated(camera)
+    smooth = uniform_filter(frame, 3)
+    beside = float(np.median(smooth))
+    # A median of deviations is 0.67 standard deviations, and 0 where all counts are the same.
+    noise = 1.5 * float(np.median(abs(smooth - beside))) + 0.1
+    if smooth.max() - beside < 6 * noise:
+        camera.region = None
+        raise RuntimeError(
+            f"no focus was found among focal lengths from {1 / powers[-1]:.4g} m to {1 / powers[0]:.4g} m: at an "
+            f"exposure of {camera.exposure:.3g} s the brightest of {frame.size} pixels has {frame.max():.0f} of "
+            f"{(1 << camera.bits) - 1} counts, and those around it {beside:.0f} ± {noise:.2g}; check that the laser is "
+            "on, that the registration is that of this camera, and the distance, or use a larger span"
+        )
 
 
 def distance_with_uncertainty(
@@ -1294,28 +1346,81 @@ def distance_with_uncertainty(
     The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
     """
     check_square_pixels(modulator, camera)
-    span = float(_validate.number("span", span, positive=True))
+    distance = float(_validate.number("distance", distance, positive=True))
+    span, samples = _validate.number("span", span, positive=True), _validate.integer("samples", samples, minimum=5)
+    if span >= 1:
+        raise ValueError(f"span must be a share of the distance below 1, got {span:g}")
     correction = np.asarray(wavefront, float)
     if correction.ndim:
         correction = without(correction, _modes(modulator, 2)[[0, 1, _DEFOCUS]])
-    _read_around(camera, np.rint(registration.camera_pixels(np.zeros(2))).astype(int), 14)
-    samples = _validate.integer("samples", samples, minimum=5)
+    y, x = _axes(modulator)
+    largest = max(modulator.shape) * modulator.pitch
+    place = registration.camera_pixels(np.zeros(2))
 
-    def sharpness(power: float) -> float:
-        modulator.show(nearest_levels(lens_phase(modulator, wavelength, 1 / power) - correction, phases))
-        return _sharpness(_averaged(camera, captures))
+    def depth_of(width: float) -> float:
+        """Return the depth of focus as a power, wavelength/width² of a square, of the light that reaches the axis."""
+        across, down = (
+            np.clip(np.sinc(a * modulator.pitch / (wavelength * distance)), 0, None) * (abs(a) <= width / 2)
+            for a in (x, y)
+        )
+        share = down * across / (down.sum() * across.sum())
+        squares = x**2 + y**2
+        return wavelength / (EVEN_SQUARE * math.sqrt((share * (squares - (share * squares).sum()) ** 2).sum()))
 
-    sharpness(1 / distance)
-    set_exposure(camera)
-    powers = np.linspace(1 - span, 1 + span, samples) / distance
-    values = np.array([sharpness(power) for power in powers])
-    best = int(values.argmax())
-    if best in (0, samples - 1):
-        warn("the sharpest focus lies at an end of the range of distances: use a larger span", AccuracyWarning)
+    def show(power: float, width: float) -> None:
+        phase = lens_phase(modulator, wavelength, 1 / power) - correction
+        if width < largest:
+            phase = np.where(np.maximum(abs(x), abs(y)) <= width / 2, phase, _deflected(modulator))
+        modulator.show(nearest_levels(phase, phases))
+
+    def look(width: float, half: float) -> None:
+        """Read the camera where the light of a width lies whose focus is off by a power, and three Airy discs more."""
+        extent = half * distance * width / 2 + 3 * wavelength * distance / min(width, smallest)
+        _read_around(camera, np.rint(place).astype(int), max(14, math.ceil(extent / camera.pitch)))
+
+    # The focus of a small aperture is deep, and its sweep misses none; the apertures that follow search near it.
+    smallest = min(modulator.shape) * modulator.pitch
+    low, high = 1 / (distance * (1 + span)), 1 / (distance * (1 - span))
+    step = (high - low) / (samples - 1)
+    peak, half, depth = (low + high) / 2, (high - low) / 2 + step, depth_of(largest)
+    sweeps = 0
+    while sweeps == 0 or half > 1.5 * depth:
+        powers = np.linspace(peak - half, peak + half, samples)
+        step = powers[1] - powers[0]
+        width = min(largest, math.sqrt(SWEPT * wavelength / step))
+        look(width, half)
+        show(peak, width)
+        set_exposure(camera)
+        values = np.empty(samples)
+        spots = []
+        for number, power in enumerate(powers):
+            show(power, width)
+            frame = _unsaturated(camera)
+            spots.append(_brightest(frame) + (camera.region or (0, 0))[1::-1])
+            values[number] = ((_above_floor(frame) / camera.exposure) ** 2).sum()
+        best = int(values.argmax())
+        show(powers[best], width)
+        _check_focus(camera, powers)
+        if sweeps == 0 and best in (0, samples - 1):
+            warn("the sharpest focus lies at an end of the range of distances: use a larger span", AccuracyWarning)
+        place, peak = np.asarray(spots[best], float), powers[best]
+        if 0 < best < samples - 1:
+            below, middle, above = values[best - 1 : best + 2]
+            peak += step * (above - below) / (2 * (2 * middle - below - above))
+        # Where the focus lies at an end, the next sweep is as wide.
+        if 0 < best < samples - 1 or sweeps > LARGEST_SWEEPS:
+            half = max(1.5 * depth, 1.2 * step)
+        half = min(half, 0.9 * peak)
+        sweeps += 1
+    look(largest, 0.0)
+    show(peak, largest)
+    set_exposure(camera, level=0.45)
     # Within the depth of focus the sharpness is a parabola.
-    depth = wavelength / (min(modulator.shape) * modulator.pitch) ** 2
-    powers = powers[best] + np.linspace(-1.5, 1.5, samples) * max(depth, (powers[1] - powers[0]) / 2)
-    values = np.array([sharpness(power) for power in powers])
+    powers = peak + np.linspace(-half, half, samples)
+    values = np.empty(samples)
+    for number, power in enumerate(powers):
+        show(power, largest)
+        values[number] = _sharpness(_averaged(camera, captures))
     camera.region = None
     peak = powers[values.argmax()]
     near = np.abs(powers - peak) <= 1.2 * depth
@@ -1324,8 +1429,14 @@ def distance_with_uncertainty(
     left = values[near] - system @ curve
     covariance = np.linalg.pinv(system.T @ system) * (left @ left) / max(left.size - 3, 1)
     bend, slope, _ = curve
-    toward = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0])
+    if bend >= 0 or abs(slope) > -4 * bend:
+        raise RuntimeError(
+            f"no sharpest focus was found near {1 / peak:.4g} m: among focal lengths from {1 / powers[-1]:.4g} m to "
+            f"{1 / powers[0]:.4g} m the sharpness varies by {np.ptp(values) / values.max():.1%}, without a peak; "
+            "average more captures"
+        )
     found = 1 / float(peak - slope / (2 * bend) * depth)
+    toward = np.array([slope / (2 * bend**2), -1 / (2 * bend), 0])
     return found, math.hypot(2 * math.sqrt(toward @ covariance @ toward), FOCUS) * depth * found**2
 
 

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint
 
 import numpy as np
 import pytest
+from laboratory import Laboratory
 
 from odak import AccuracyWarning, instruments
 from odak.instruments import calibration as calibrating
@@ -409,8 +410,43 @@ def test_a_camera_that_sees_few_spots_is_reported():
 def test_focus_outside_of_the_range_warns():
     table = instruments.SimulatedTable(4, aberration=0.0, distance_error=0.0)
     mapping = instruments.Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
+    there = (*instruments_of(table), 532e-9, 22e-3, table.truth.phases, mapping)
     with pytest.warns(AccuracyWarning, match="end of the range"):
-        instruments.measure_distance(*instruments_of(table), 532e-9, 22e-3, table.truth.phases, mapping, span=0.05)
+        found = instruments.measure_distance(*there, span=0.05, captures=1)
+    assert found == pytest.approx(table.truth.distance, rel=1e-3)
+
+
+def aligned(laboratory):
+    pitch = laboratory.camera.pitch
+    return instruments.Registration(np.diag([pitch, pitch, 1.0]), 0.0, laboratory.camera.shape)
+
+
+def distance_found(wrong, shape, bits=8, distance=0.1, **options):
+    table = Laboratory(shape, distance=distance, bits=bits)
+    there = (*instruments_of(table), table.wavelength, distance * (1 + wrong), table.phases, aligned(table))
+    return calibrating.distance_with_uncertainty(*there, **options)[0] / distance
+
+
+def test_distance_of_a_panel_whose_depth_of_focus_is_narrow():
+    """The focus of all pixels is 0.4 % deep; a sweep in steps of 4 % finds that of a small part of them first."""
+    assert distance_found(-0.12, (480, 640), samples=9, captures=1) == pytest.approx(1, abs=2e-4)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("wrong", "bits", "distance"), [(0.02, 8, 0.1), (-0.12, 10, 0.2)])
+def test_distance_of_a_full_panel(wrong, bits, distance):
+    """1080 x 1920 pixels, depth of focus 0.1 %."""
+    assert distance_found(wrong, (1080, 1920), bits, distance, captures=1) == pytest.approx(1, abs=1e-4)
+
+
+def test_distance_without_light_is_an_error_that_says_what_was_seen():
+    table = Laboratory((48, 64), distance=0.01, camera_shape=(120, 120))
+    table.power = 0.0
+    there = (*instruments_of(table), table.wavelength, 0.01, table.phases, aligned(table))
+    with pytest.raises(RuntimeError, match=r"no focus was found .* of 4095 counts, .* check that the laser is on"):
+        instruments.measure_distance(*there)
+    with pytest.raises(ValueError, match="span must be a share of the distance below 1, got 1"):
+        instruments.measure_distance(*there, span=1.0)
 
 
 def test_nearest_levels_are_nearest():

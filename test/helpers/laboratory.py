@@ -1,0 +1,92 @@
+"""An optical table from the physics alone, of any size: nothing here comes from the package.
+
+Each pixel of the panel is a square that sends a spherical wave within the envelope of its diffraction, sinc of the
+direction's sines (Goodman, Introduction to Fourier Optics, eq. 4-28). Only pixels of the camera that are read are
+computed, by products of matrices, because the path √(d² + x² + y²) is that of rows and that of columns up to a small
+product of the two, which is expanded. All orders of diffraction are there, and nothing wraps around.
+"""
+
+import numpy as np
+
+WELL = 20_000.0
+
+
+class Laboratory:
+    """Panel and camera behind it, without a lens, with the members of the protocols.
+
+    `offset` (x, y in metres) and `signs` place and mirror the camera; `wavefront` and `amplitude` are maps or numbers;
+    `phases` are those of the levels. An intensity of 1 is that of the illumination on the panel.
+    """
+
+    def __init__(
+        self, shape=(1080, 1920), pitch=8e-6, distance=0.1, wavelength=532e-9, camera_shape=(1200, 1920),
+        camera_pitch=5e-6, bits=12, fill=1.0, phases=None, wavefront=0.0, amplitude=1.0, offset=(0.0, 0.0),
+        signs=(1, 1), seed=0, terms=2,
+    ):  # fmt: skip
+        self.wavelength, self.distance, self.fill, self.terms = wavelength, distance, fill, terms
+        self.phases = 2 * np.pi * np.arange(256) / 256 if phases is None else phases
+        self.illumination = np.broadcast_to(amplitude * np.exp(1j * np.asarray(wavefront)), shape)
+        self.offset, self.signs, self.noise = np.asarray(offset), signs, np.random.default_rng(seed)
+        self.modulator, self.camera = Panel(self, shape, pitch), Camera(self, camera_shape, camera_pitch, bits)
+        self.field, self.waves, self.power = self.illumination.astype(np.complex64), {}, 1.0
+
+    def points(self, pixels, axis):
+        """Return x (axis 1) or y (axis 0) in metres of columns or rows of the camera."""
+        middle = self.camera.shape[axis] / 2
+        return self.signs[1 - axis] * (pixels - middle) * self.camera.pitch + self.offset[1 - axis]
+
+    def spherical(self, first, count, axis):
+        """Return the waves ``[term, pixels of the camera, pixels of the panel]`` along an axis."""
+        key = (first, count, axis)
+        if key not in self.waves:
+            panel, p, d = self.modulator.shape[axis], self.modulator.pitch, self.distance
+            away = self.points(np.arange(first, first + count), axis)[:, None] - (np.arange(panel) - panel // 2) * p
+            path = np.hypot(d, away)
+            width = p * np.sqrt(self.fill)
+            wave = np.sinc(width * away / (self.wavelength * path)) * width / np.sqrt(self.wavelength * d)
+            wave = wave * np.exp(2j * np.pi * np.remainder((path - d) / self.wavelength, 1))
+            if len(self.waves) > 4:
+                self.waves.clear()
+            # (x² + y²)²/8d³ has a part 2x²y² that rows and columns alone have not.
+            self.waves[key] = np.stack([(wave * (away / d) ** (2 * k)).astype(np.complex64) for k in range(self.terms)])
+        return self.waves[key]
+
+    def light(self, row, column, rows, columns):
+        """Return the intensity at pixels of the camera."""
+        down, across = self.spherical(row, rows, 0), self.spherical(column, columns, 1)
+        seen, factor = 0, 1.0
+        for k, (left, right) in enumerate(zip(down, across, strict=True)):
+            if k:
+                factor *= -2j * np.pi / self.wavelength * self.distance / 4 / k
+            # The narrow side first.
+            product = left @ self.field @ right.T if rows <= columns else left @ (self.field @ right.T)
+            seen = seen + np.complex64(factor) * product
+        return self.power * (seen.real**2 + seen.imag**2)
+
+
+class Panel:
+    bits = 8
+
+    def __init__(self, table, shape, pitch):
+        self.table, self.shape, self.pitch, self.settling_time, self.shown = table, shape, pitch, 0.0, 0
+
+    def show(self, levels):
+        table, self.shown = self.table, self.shown + 1
+        table.field = (table.illumination * np.exp(1j * np.asarray(table.phases))[levels]).astype(np.complex64)
+
+
+class Camera:
+    def __init__(self, table, shape, pitch, bits):
+        self.table, self.shape, self.pitch, self.bits = table, shape, pitch, bits
+        self.exposure, self.region, self.taken = 1e-3, None, 0
+
+    def capture(self, count=1):
+        row, column, rows, columns = self.region or (0, 0, *self.shape)
+        self.taken += count
+        electrons = self.table.light(row, column, rows, columns) * self.exposure * 1e4
+        electrons = np.minimum(electrons, 10 * WELL)
+        noise = self.table.noise.standard_normal((count, *electrons.shape), dtype=np.float32)
+        # Shot noise, and read noise of 3 electrons on an offset of 30.
+        read = electrons + 30 + np.sqrt(electrons + 9) * noise
+        top = (1 << self.bits) - 1
+        return np.rint(np.clip(read / WELL, 0, 1) * top).astype(np.uint16)
