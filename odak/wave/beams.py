@@ -16,6 +16,8 @@ import scipy.special
 from odak import _array, _validate
 from odak._array import Array, namespace
 from odak.wave.elements import grid_positions, single_numbers, spiral_parts
+from odak.wave.sampling import plain_numbers, warn_of_beam, warn_of_factor, warn_of_power, warn_of_tilt
+from odak.wave.transfer_functions import pitches
 
 
 def gaussian_beam(
@@ -65,6 +67,11 @@ def gaussian_beam(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     >>> from odak.wave import gaussian_beam
@@ -72,7 +79,10 @@ def gaussian_beam(
     >>> round(float((abs(beam) ** 2).sum() * 8e-6**2), 9)
     2.0
     """
-    return hermite_gaussian_beam(shape, dx, wavelength, waist, (0, 0), distance, power, offset, xp=xp, device=device)
+    waist = waist if isinstance(waist, (list, tuple)) else (waist, waist)
+    return _hermite_beam(
+        "gaussian_beam", shape, dx, wavelength, waist, (0, 0), distance, power, offset, xp=xp, device=device
+    )
 
 
 def hermite_gaussian_beam(
@@ -119,6 +129,11 @@ def hermite_gaussian_beam(
         Complex128 ``[rows, columns]``: the product of one-dimensional modes H_m(√2·x/w)·exp(−x²/w²)·exp(ikx²/(2R) −
         i(m + 1/2)ψ), of unit power each (Saleh and Teich (2007), section 3.3).
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     Modes are orthonormal:
@@ -129,13 +144,55 @@ def hermite_gaussian_beam(
     >>> round(float((abs(first) ** 2).sum()) * 8e-6**2, 6), abs(complex((first * second).sum())) * 8e-6**2 < 1e-6
     (1.0, True)
     """
-    counts = [_validate.integer("order", n) for n in _pair("order", order)]
-    waists = _pair("waist", waist) if isinstance(waist, (list, tuple)) else (waist, waist)
+    order = [_validate.integer("order", n) for n in _pair("order", order)]
+    waist = waist if isinstance(waist, (list, tuple)) else (waist, waist)
+    return _hermite_beam(
+        "hermite_gaussian_beam", shape, dx, wavelength, waist, order, distance, power, offset, xp=xp, device=device
+    )
+
+
+def _warn_of_flat_top(shape, dx, offset, given):
+    """Warn where a grid is too coarse for a Gaussian beam of the radius, or too small for the power."""
+    lines, numbers = _lines(shape, dx, offset, given)
+    if lines is None:
+        return
+    (ends, pitch), (waist, order) = lines, numbers
+    factor = 2 * max(pitch) * 1.985 / (math.sqrt(2) * math.pi * waist)
+    remedies = (
+        f"a pitch of at most {0.995 * max(pitch) / factor:.3g} m",
+        f"a waist of at least {1.005 * waist * factor:.3g} m",
+    )
+    warn_of_factor("flat_top_beam", factor, remedies)
+    kept = _held_share(ends, pitch, lambda r: scipy.special.gammainc(1 / order, 2 * (r / waist) ** (2 * order)))
+    radius = waist * (scipy.special.gammaincinv(1 / order, 0.992) / 2) ** (0.5 / order)
+    middle = max(abs(low + high) for low, high in ends) / 2
+    warn_of_power("flat_top_beam", kept, [2 * (radius + middle) + max(pitch)])
+
+
+def _held_share(ends, pitch, within) -> float:
+    """Return the share of a round beam in a window: a sum of sectors of circles, of radii that `within` knows."""
+    (top, bottom), (left, right) = (
+        (low - step / 2, high + step / 2) for (low, high), step in zip(ends, pitch, strict=True)
+    )
+    if min(-top, bottom, -left, right) <= 0:
+        return 0.0
+    angles = (np.arange(64) + 0.5) * (2 * np.pi / 64)
+    across, down = np.cos(angles), np.sin(angles)
+    edge = np.minimum(np.where(across > 0, right, left) / across, np.where(down > 0, bottom, top) / down)
+    return float(within(edge).mean())
+
+
+def _hermite_beam(name, shape, dx, wavelength, waist, counts, distance, power, offset, *, xp, device):
+    """Return a Hermite–Gauss mode after its check; two waists."""
+    waists = _pair("waist", waist)
     for value in waists:
         _validate.number("waist", value, positive=True)
+    modes = tuple((0.0,) * n + (1.0,) for n in counts)
+    numbers = (wavelength, distance, *waists)
     xp, (y, x), (wavelength, distance, power, *waists) = _prepare(
         shape, dx, offset, xp, device, wavelength=wavelength, distance=distance, power=power, waist=waists
     )
+    _array.outside_graphs(_warn_of_beam, name, shape, dx, offset, modes, numbers)
     along_y, along_x = (
         _hermite_mode(xp, position, wavelength, waist, n, distance)
         for position, waist, n in zip((y, x), waists, counts, strict=True)
@@ -191,6 +248,11 @@ def laguerre_gaussian_beam(
         Complex128 ``[rows, columns]``: √(2p!/(π(p + |l|)!))/w·(√2·r/w)^|l|·L_p^|l|(2r²/w²)·exp(−r²/w²)·exp(ilφ) with
         the Gouy phase (2p + |l| + 1)ψ (Saleh and Teich (2007), section 3.4).
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     A vortex is dark on its axis, and brightest at the radius waist·√(l/2), here 50 µm:
@@ -203,9 +265,11 @@ def laguerre_gaussian_beam(
     """
     p, charge = _validate.integer("radial", radial), _validate.integer("azimuthal", azimuthal, minimum=-math.inf)
     _validate.number("waist", waist, positive=True)
+    modes, numbers = (_hermite_weights(p, abs(charge)),) * 2, (wavelength, distance, waist, waist)
     xp, (y, x), (wavelength, distance, power, waist) = _prepare(
         shape, dx, offset, xp, device, wavelength=wavelength, distance=distance, power=power, waist=(waist,)
     )
+    _array.outside_graphs(_warn_of_beam, "laguerre_gaussian_beam", shape, dx, offset, modes, numbers, (p, abs(charge)))
     y, x = y[:, None], x[None, :]
     width, curvature, gouy = _gaussian(xp, wavelength, waist, distance)
     squared = (x**2 + y**2) / width**2
@@ -260,6 +324,11 @@ def bessel_beam(
         of J_l, for an ideal Bessel beam has no finite power (J. Durnin, J. Opt. Soc. Am. A 4, 651 (1987)). Without an
         envelope it propagates by the phase k·cos(angle)·z alone. Differentiable in every number given as a tensor.
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     The first dark ring has the radius 2.405/(k·sin(angle)), here 11 µm:
@@ -275,9 +344,12 @@ def bessel_beam(
         raise ValueError(f"angle must be between 0 and 90 degrees, got {angle!r}")
     if waist is not None:
         _validate.number("waist", waist, positive=True)
+    given = (wavelength, angle)
     xp, (y, x), (wavelength, angle, *waists) = _prepare(
         shape, dx, offset, xp, device, wavelength=wavelength, angle=angle, waist=() if waist is None else (waist,)
     )
+    for step in dict.fromkeys(pitches(dx)):
+        warn_of_tilt("bessel_beam", step, 2 * math.pi / given[0], given[1])
     y, x = y[:, None], x[None, :]
     squared = y**2 + x**2
     axis = squared == 0
@@ -327,6 +399,11 @@ def airy_beam(
         D. N. Christodoulides, Opt. Lett. 32, 979 (2007)), not normalised. Differentiable in every number given as a
         tensor.
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     Without truncation the main lobe lies at −1.02 scales, the largest value of the Airy function:
@@ -342,12 +419,32 @@ def airy_beam(
     for value in scales:
         _validate.real("scale", value, nonzero=True)
     _validate.number("decay", decay, least=0)
+    given = (decay, *scales)
     xp, (y, x), (decay, *scales) = _prepare(shape, dx, offset, xp, device, decay=decay, waist=scales)
+    _array.outside_graphs(_warn_of_airy, shape, dx, offset, given)
     along_y, along_x = (
         _airy(position / size) * xp.exp(decay * position / size)
         for position, size in zip((y[:, None], x[None, :]), scales, strict=True)
     )
     return xp.astype(along_y * along_x, xp.complex128)
+
+
+def _warn_of_airy(shape, dx, offset, given):
+    """Warn where the tail of an Airy beam, whose frequency grows towards its end, is undersampled."""
+    lines, numbers = _lines(shape, dx, offset, given)
+    if lines is None:
+        return
+    decay, *scales = numbers
+    factors = []
+    for (low, high), step, scale in zip(*lines, scales, strict=True):
+        # The spectrum is exp(−a·(2πfx₀)²) in amplitude; on the grid the tail reaches √(−x/x₀).
+        tail = max(1.0, -low / scale if scale > 0 else -high / scale) ** 0.5
+        band = min(tail, math.inf if decay == 0 else max(1.0, 1.985 / math.sqrt(2 * decay)))
+        factors.append(band * step / (math.pi * abs(scale)) if high > low else 0.0)
+    factor, step = max(zip(factors, lines[1], strict=True))
+    if factor:
+        pitch = f"a pitch of at most {0.995 * step / factor:.3g} m"
+        warn_of_factor("airy_beam", factor, (pitch, f"a scale of at least {1.005 * factor:.3g} times this"))
 
 
 def flat_top_beam(
@@ -388,6 +485,11 @@ def flat_top_beam(
         Complex128 ``[rows, columns]``: exp(−(r/w)^(2n)) times the amplitude that gives the power. Differentiable in
         every number given as a tensor.
 
+    Warns
+    -----
+    SamplingWarning
+        If the pitch is too large or the window too small for the beam.
+
     Examples
     --------
     The intensity falls to 1/e² of that on the axis at the radius of the beam:
@@ -399,12 +501,51 @@ def flat_top_beam(
     """
     _validate.number("order", order, least=1)
     _validate.number("waist", waist, positive=True)
+    given = (waist, order)
     xp, (y, x), (power, order, waist) = _prepare(
         shape, dx, offset, xp, device, power=power, order=order, waist=(waist,)
     )
+    _array.outside_graphs(_warn_of_flat_top, shape, dx, offset, given)
     area = math.pi * _gamma(1 / order) / (order * 2 ** (1 / order)) * waist**2
     squared = (y[:, None] ** 2 + x[None, :] ** 2) / waist**2
     return xp.astype(xp.sqrt(power / area) * xp.exp(-(squared**order)), xp.complex128)
+
+
+def _warn_of_beam(name, shape, dx, offset, modes, numbers, ring=None):
+    """Warn where a grid is too coarse or too small for a beam of Hermite functions of some weights.
+
+    `ring` are the radial number and the size of the charge of a Laguerre–Gauss mode.
+    """
+    lines, numbers = _lines(shape, dx, offset, numbers)
+    if lines is not None and all(value > 0 for value in (numbers[0], *numbers[2:])):
+        (ends, pitch), (wavelength, distance, *waists) = lines, numbers
+        kept = None
+        if ring is not None:
+            width = waists[0] * math.hypot(1, distance * wavelength / (math.pi * waists[0] ** 2))
+            kept = _held_share(ends, pitch, lambda r: np.interp(2 * (r / width) ** 2, *_power_within(*ring)))
+        warn_of_beam(name, modes, ends, pitch, wavelength, waists, distance, kept)
+
+
+@functools.lru_cache(maxsize=64)
+def _power_within(p: int, size: int):
+    """Return places 2r²/w² and the share of a Laguerre–Gauss mode within them."""
+    places = np.linspace(0.0, 4 * (2 * p + size + 1) + 40.0, 2000)
+    density = places**size * np.exp(-places) * _laguerre(p, size, places) ** 2
+    share = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+    return places, share / share[-1]
+
+
+def _lines(shape, dx, offset, numbers):
+    """Return the first and last sample from the axis of a beam with the pitch, and the numbers, where known."""
+    shape, steps = _validate.size("shape", shape), pitches(dx)
+    plain = plain_numbers(*steps, *_validate.several("offset", offset, 2), *numbers)
+    if plain is None:
+        return None, ()
+    ends = [
+        (-(n // 2) * step - shift, ((n - 1) // 2) * step - shift)
+        for n, step, shift in zip(shape, plain[:2], plain[2:4], strict=True)
+    ]
+    return (ends, plain[:2]), plain[4:]
 
 
 def _hermite_mode(xp, position, wavelength, waist, order: int, distance):
@@ -424,6 +565,21 @@ def _gaussian(xp, wavelength, waist, distance):
     rayleigh = math.pi * waist**2 / wavelength
     width = waist * xp.sqrt(1 + (distance / rayleigh) ** 2)
     return width, distance / (distance**2 + rayleigh**2), xp.atan(distance / rayleigh)
+
+
+@functools.lru_cache(maxsize=64)
+def _hermite_weights(p: int, size: int) -> tuple[float, ...]:
+    """Return the shares of the Hermite–Gauss modes in a Laguerre–Gauss mode, by their number of zeros along one axis.
+
+    M. W. Beijersbergen et al., Opt. Commun. 96, 123 (1993), eq. 9.
+    """
+    n, m = p + size, p
+    polynomial = np.polynomial.Polynomial([1.0])
+    for factor, times in (([1.0, -1.0], n), ([1.0, 1.0], m)):
+        polynomial = polynomial * np.polynomial.Polynomial(factor) ** times
+    logs = [math.lgamma(k + 1) + math.lgamma(n + m - k + 1) for k in range(n + m + 1)]
+    norm = math.lgamma(n + 1) + math.lgamma(m + 1) + (n + m) * math.log(2)
+    return tuple(float(t**2 * math.exp(log - norm)) for t, log in zip(polynomial.coef, logs, strict=True))
 
 
 def _laguerre(p: int, size: int, x):

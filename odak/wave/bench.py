@@ -9,10 +9,11 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, phasor_of_cycles
-from odak.wave.elements import share_in_disc, share_in_strip
+from odak.wave.elements import share_in_disc, share_in_strip, thin_lens
 from odak.wave.fourier import centred, fourier_sum
 from odak.wave.methods import check_has_kernel, find_method
 from odak.wave.propagation import propagate_beam
+from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist
 from odak.wave.transfer_functions import check_geometry, fraction_of_cycles, pitches
 from odak.wave.windows import propagate_to_window
 
@@ -280,6 +281,7 @@ class ThinLens:
         wavelength : float or array
             Wavelength in vacuum in metres.
         """
+        _warn_of_lens(self, field.shape[-2:], pitch, wavelength)
         y, x = _positions(field, pitch, self.offset)
         focal, wave = (_per_field(value, y) for value in (self.focal, wavelength))
         return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype), pitch
@@ -287,6 +289,14 @@ class ThinLens:
     def matrix(self) -> Any:
         """Return the ray matrix."""
         return [[1.0, 0.0], [-1 / self.focal, 1.0]]
+
+
+def _warn_of_lens(lens, shape, pitch, wavelength) -> None:
+    """Warn of a lens that is undersampled on a grid."""
+    numbers = plain_numbers(*pitches(pitch), *lens.offset, lens.focal, wavelength)
+    if numbers is not None:
+        axes = sampled_axes(tuple(shape), numbers[:2], numbers[2:4])
+        warn_beyond_nyquist("ThinLens", thin_lens, axes, numbers[4:], Weaker(0, 1, FOCAL))
 
 
 @dataclass(frozen=True)

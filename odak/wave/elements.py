@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from odak import _array, _validate
 from odak._array import Array, is_array, namespace, phasor, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
 from odak.tools.zernike import check_mode, jacobi, zernike_norm
+from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist, warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
 
@@ -47,6 +49,11 @@ def lens_phase(
     array
         float64 phase in radians, not wrapped.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     The phase at a distance r from the axis is −π·r²/(λf):
@@ -58,9 +65,27 @@ def lens_phase(
     """
     _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     _validate.number("wavelength", wavelength, positive=True)
-    xp = _validate.library("xp", xp)
-    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    numbers = {"focal": focal, "wavelength": wavelength}
+    return _sampled("lens_phase", thin_lens, shape, dx, offset, _LONGER, numbers, _validate.library("xp", xp), device)
+
+
+def thin_lens(y, x, focal, wavelength):
+    """Return the phase of a thin lens at points."""
     return -math.pi * (y**2 + x**2) / (wavelength * focal)
+
+
+_LONGER = Weaker(0, 1, FOCAL)
+
+
+def _sampled(name, formula, shape, dx, offset, weaker, numbers, xp, device):
+    """Return the phase of an element on a grid, by a formula of the positions and of its numbers, after its check."""
+    xp, device, values = single_numbers(xp, device, **numbers)
+    steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    plain = plain_numbers(*steps, *offset, *numbers.values())
+    if plain is not None:
+        axes = sampled_axes((y.shape[0], x.shape[1]), plain[:2], plain[2:4])
+        warn_beyond_nyquist(name, formula, axes, plain[4:], weaker)
+    return formula(y, x, *values)
 
 
 def squared_radius(nx, ny, dx, offset=(0, 0), xp=None, device=None):
@@ -113,6 +138,11 @@ def quadratic_phase_function(
     numpy.ndarray
         complex128 ``[ny, nx]``.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Notes
     -----
     Along each axis of n samples the positions are those of earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
@@ -135,7 +165,30 @@ def quadratic_phase_function(
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.number("k", k)
     _validate.number("focal", _validate.real("focal", focal, nonzero=True))
-    return phasor(-k * squared_radius(nx, ny, pitches(dx)[::-1], offset) / (2 * focal)).T
+    steps = pitches(dx)[::-1]
+    squared = squared_radius(nx, ny, steps, offset)
+    warn_of_older_lens((nx, ny), steps, k, focal, offset)
+    return phasor(-k * squared / (2 * focal)).T
+
+
+def _bend(y, x, k, focal):
+    return k * (y**2 + x**2) / focal
+
+
+def warn_of_older_lens(shape, steps, k, focal, offset):
+    """Warn where the lens of :func:`quadratic_phase_function` is undersampled, on the grid `squared_radius` has."""
+    _warn_of_bend("quadratic_phase_function", shape, steps, k / 2, focal, FOCAL, offset)
+
+
+def _warn_of_bend(name, shape, steps, half, distance, text, offset=(0, 0)):
+    numbers = plain_numbers(*steps, *reversed(offset), half, distance)
+    if numbers is not None:
+        axes = []
+        for n, step, shift in zip(shape, numbers[:2], numbers[2:4], strict=True):
+            own = n * step / max(n - 1, 1)
+            reach = (n * step - own) / 2
+            axes.append((-reach - shift * step, reach - shift * step, own if n > 1 else 0.0))
+        warn_beyond_nyquist(name, _bend, tuple(axes), numbers[4:], Weaker(1, 1, text))
 
 
 def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequence[float], *, xp: Any = None) -> Array:
@@ -161,6 +214,11 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequenc
     array
         complex128 ``[nx, ny]``.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Notes
     -----
     Along each axis of n samples the positions are linspace(−n·dx/2, n·dx/2, n): the step is n·dx/(n − 1) and r = 0 lies
@@ -178,7 +236,9 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequenc
     nx, ny = _validate.size("nx, ny", (nx, ny))
     _validate.number("k", k)
     _validate.number("r", _validate.real("r", r, nonzero=True))
-    return phasor(k * squared_radius(nx, ny, dx, xp=xp) / r)
+    squared = squared_radius(nx, ny, dx, xp=xp)
+    _warn_of_bend("double_convergence", (nx, ny), pitches(dx), k, r, "a distance r of at least {:.3g} m")
+    return phasor(k * squared / r)
 
 
 def prism_phase_function(
@@ -208,6 +268,11 @@ def prism_phase_function(
     array
         complex128 ``[nx, ny]``.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Notes
     -----
     Along the axis, of n samples, the positions x are linspace(−n·dx/2, n·dx/2, n), in steps of n·dx/(n − 1): light that
@@ -230,7 +295,9 @@ def prism_phase_function(
     xp = _validate.library("xp", xp)
     line = _older_positions(ny, columns, xp) if axis == "x" else _older_positions(nx, rows, xp)
     position = xp.broadcast_to(line[None, :] if axis == "x" else line[:, None], (nx, ny))
-    return phasor(-k * _of_degrees("angle", angle, math.sin) * position)
+    sine, count, step = _of_degrees("angle", angle, math.sin), line.shape[0], columns if axis == "x" else rows
+    warn_of_tilt("prism_phase_function", step * count / max(count - 1, 1), k, angle)
+    return phasor(-k * sine * position)
 
 
 def prism_grating(
@@ -270,6 +337,11 @@ def prism_grating(
     array
         complex128 ``[nx, ny]``.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     >>> import numpy as np
@@ -285,6 +357,7 @@ def prism_grating(
     pitch = _validate.real("dx", rows if line.shape[1] == 1 else columns, positive=True)
     _validate.number("phase_offset", phase_offset)
     sine = _of_degrees("angle", angle, math.sin)
+    warn_of_tilt("prism_grating", pitch, k, angle)
     phase = k * sine * line * pitch + phase_offset * (math.pi / 180)
     return xp.broadcast_to(phasor(-phase), shape) + 0
 
@@ -580,6 +653,11 @@ def axicon_phase(
         float64 phase in radians, not wrapped. A plane wave behind it becomes a Bessel beam whose cone has the half
         angle asin((n − 1)·tan(angle)) (R. M. Herman and T. A. Wiggins, J. Opt. Soc. Am. A 8, 932 (1991)).
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     The phase falls by k(n − 1)·tan(angle) per metre along the radius:
@@ -592,8 +670,13 @@ def axicon_phase(
     1.0
     """
     _validate.number("wavelength", wavelength, positive=True)
-    xp, device, (wavelength, angle, index) = single_numbers(xp, device, wavelength=wavelength, angle=angle, index=index)
-    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    weaker = Weaker(1, -1, "a base angle of at most {:.3g} degrees")
+    numbers = {"wavelength": wavelength, "angle": angle, "index": index}
+    return _sampled("axicon_phase", _axicon, shape, dx, offset, weaker, numbers, xp, device)
+
+
+def _axicon(y, x, wavelength, angle, index):
+    xp = namespace(y)
     distance, _ = _radius(xp, y, x)
     return -2 * math.pi / wavelength * (index - 1) * xp.tan(angle * (math.pi / 180)) * distance
 
@@ -680,6 +763,11 @@ def cylindrical_lens_phase(
     array
         float64 phase in radians, not wrapped.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     There is no power along the axis line:
@@ -691,9 +779,12 @@ def cylindrical_lens_phase(
     """
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("focal", focal, nonzero=True)
-    xp, device, (focal, wavelength, angle) = single_numbers(xp, device, focal=focal, wavelength=wavelength, angle=angle)
-    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
-    angle = angle * (math.pi / 180)
+    numbers = {"focal": focal, "wavelength": wavelength, "angle": angle}
+    return _sampled("cylindrical_lens_phase", _cylinder, shape, dx, offset, _LONGER, numbers, xp, device)
+
+
+def _cylinder(y, x, focal, wavelength, angle):
+    xp, angle = namespace(y), angle * (math.pi / 180)
     return -math.pi * (x * xp.cos(angle) + y * xp.sin(angle)) ** 2 / (wavelength * focal)
 
 
@@ -741,6 +832,11 @@ def aspheric_lens_phase(
         float64 phase in radians, not wrapped; NaN where the conic has no height. The sag is
         r²/(R(1 + √(1 − (1 + κ)r²/R²))) + Σ a_j·r^(2j + 4).
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     Near the axis it is a lens of focal length radius/(index − 1):
@@ -753,10 +849,13 @@ def aspheric_lens_phase(
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("radius", radius, nonzero=True)
     given = {f"coefficients[{j}]": v for j, v in enumerate(_validate.several("coefficients", coefficients))}
-    xp, device, (wavelength, radius, index, conic, *powers) = single_numbers(
-        xp, device, wavelength=wavelength, radius=radius, index=index, conic=conic, **given
-    )
-    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    weaker = Weaker(1, 1, "a radius of curvature of at least {:.3g} m")
+    numbers = {"wavelength": wavelength, "radius": radius, "index": index, "conic": conic, **given}
+    return _sampled("aspheric_lens_phase", _asphere, shape, dx, offset, weaker, numbers, xp, device)
+
+
+def _asphere(y, x, wavelength, radius, index, conic, *powers):
+    xp = namespace(y)
     squared = y**2 + x**2
     root = 1 - (1 + conic) * squared / radius**2
     exists = root >= 0
@@ -803,6 +902,11 @@ def metalens_phase(
         float64 phase in radians, not wrapped (F. Aieta et al., Nano Lett. 12, 4932 (2012)). :func:`lens_phase` is its
         paraxial form.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Examples
     --------
     The path from a point at the radius r to the focus is √(r² + f²):
@@ -814,9 +918,13 @@ def metalens_phase(
     """
     _validate.number("wavelength", wavelength, positive=True)
     _validate.real("focal", focal, nonzero=True)
-    xp, device, (focal, wavelength) = single_numbers(xp, device, focal=focal, wavelength=wavelength)
-    _, (y, x) = grid_positions(shape, dx, offset, xp, device)
-    squared = y**2 + x**2
+    numbers = {"focal": focal, "wavelength": wavelength}
+    return _sampled("metalens_phase", hyperbolic_lens, shape, dx, offset, _LONGER, numbers, xp, device)
+
+
+def hyperbolic_lens(y, x, focal, wavelength):
+    """Return the phase at points of a lens without spherical aberration."""
+    xp, squared = namespace(y), y**2 + x**2
     # √(r² + f²) − |f| without the difference of nearly equal numbers.
     path = squared / (xp.sqrt(squared + focal**2) + xp.abs(focal))
     return -2 * math.pi / wavelength * xp.sign(focal) * path
@@ -876,8 +984,10 @@ def fresnel_zone_plate(
     kind = _validate.one_of("kind", kind, ("amplitude", "phase"))
     _validate.number("focal", focal, positive=True)
     xp = _validate.library("xp", xp)
-    phase = metalens_phase(shape, focal, dx, wavelength, offset, xp=xp, device=device)
+    _validate.number("wavelength", wavelength, positive=True)
+    xp, device, values = single_numbers(xp, device, focal=focal, wavelength=wavelength)
     steps, (y, x) = grid_positions(shape, dx, offset, xp, device)
+    phase = hyperbolic_lens(y, x, *values)
     edge = float(xp.max(xp.sqrt(y**2 + x**2)))
     zone = float(wavelength) / 2 * math.hypot(edge, float(focal)) / max(edge, 1e-300)
     if zone < max(steps):
@@ -1058,6 +1168,11 @@ def zernike_phase(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Notes
     -----
     Noll, J. Opt. Soc. Am. 66, 207 (1976). As the polynomials are orthonormal, the variance over the disc is the sum of
@@ -1079,10 +1194,19 @@ def zernike_phase(
     device = _array.device_of(arrays[0]) if device is None and arrays else device
     for mode, value in coefficients.items():
         _validate.real(f"coefficients[{mode}]", value)
-    phase = xp.zeros(_validate.size("nx, ny", (nx, ny)), dtype=xp.float64, device=device)
-    modes = _modes(nx, ny, _pairs("coefficients", coefficients), radius, dx, offset, xp, device)
+    shape, pairs = _validate.size("nx, ny", (nx, ny)), _pairs("coefficients", coefficients)
+    phase = xp.zeros(shape, dtype=xp.float64, device=device)
+    modes = _modes(nx, ny, pairs, radius, dx, offset, xp, device)
     for value, polynomial in zip(coefficients.values(), modes, strict=True):
         phase = phase + (value[..., None, None] if _array.is_array(value) else float(value)) * polynomial
+    steps = pitches(dx)
+    size = math.hypot(*(n * step for n, step in zip(shape, steps, strict=True))) / 2 if radius is None else radius
+    plain = plain_numbers(*steps, *offset, size, *coefficients.values())
+    if plain is not None:
+        axes = sampled_axes(shape, plain[:2], plain[2:4])
+        weaker = Weaker(0, -1, "coefficients of at most {:.3g} times these")
+        formula = _ZernikeSum(tuple(map(tuple, pairs)), plain[4], plain[5:])
+        warn_beyond_nyquist("zernike_phase", formula, axes, (1.0,), weaker, plain[4])
     return phase
 
 
@@ -1143,6 +1267,19 @@ def zernike_basis(
     if not modes:
         raise ValueError("modes must contain at least one pair (n, m), got none")
     return xp.stack(list(_modes(nx, ny, modes, radius, dx, offset, xp, device)))
+
+
+@dataclass(frozen=True)
+class _ZernikeSum:
+    """Phase at points of a sum of Zernike polynomials, times a number."""
+
+    modes: tuple
+    radius: float
+    coefficients: tuple
+
+    def __call__(self, y, x, times):
+        polynomials = zernike_modes(y / self.radius, x / self.radius, self.modes)
+        return times * sum(c * z for c, z in zip(self.coefficients, polynomials, strict=True))
 
 
 def _modes(nx, ny, modes, radius, dx, offset, xp, device) -> Iterator:

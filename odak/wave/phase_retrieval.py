@@ -13,6 +13,7 @@ from odak.wave.fields import calculate_amplitude, calculate_phase, generate_comp
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_beam, propagate_within_window
+from odak.wave.sampling import warn_of_factor
 from odak.wave.transfer_functions import pitches
 
 _WINDOW = (True, False, True)
@@ -338,6 +339,11 @@ def spot_hologram(
     ValueError, TypeError
         If an argument is outside its range, naming it.
 
+    Warns
+    -----
+    SamplingWarning
+        If the lens or the prism of a spot is undersampled at the edge of the hologram.
+
     Notes
     -----
     Di Leonardo, Ianni and Ruocco, Opt. Express 15, 1913 (2007), eqs. 1 and 15–19. Paraxial: phases are those of
@@ -518,7 +524,13 @@ def _lens_factors(points, resolution, wavelength, dx, focal):
         focal = _validate.constant("focal", focal, nonzero=True)
         slope, bend = 1 / (wavelength * focal), 0.5 * z / (wavelength * focal**2)
     factors = []
+    readable = all(_array.is_readable(value) for value in (points, wavelength, *steps))
     for n, step, along in zip(shape, steps, (points[..., 1, None], points[..., 0, None]), strict=True):
+        if readable and n > 1 and not getattr(points, "requires_grad", False):
+            steepest = xp.max(abs(slope * along) + abs(bend) * (n - 2) * step)
+            factor = 2 * float(step * steepest)
+            spots = "spots nearer to the axis" if focal is not None else "spots further away or nearer to the axis"
+            warn_of_factor("spot_hologram", factor, (f"a pitch of at most {0.995 * step / factor:.3g} m", spots))
         place = (xp.arange(n, dtype=xp.float64, device=_array.device_of(points)) - n // 2) * step
         factors.append(_array.phasor_of_cycles(place * (slope * along + bend * place), dtype))
     return factors

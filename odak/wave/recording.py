@@ -8,7 +8,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
-from odak._warnings import SamplingWarning, warn
+from odak.wave.sampling import warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
 _AXES = (-2, -1)
@@ -87,12 +87,7 @@ def reference_wave(
     for axis, (n, step) in enumerate(zip(shape, steps, strict=True)):
         tilt, step = (_array.converted(value, xp, device, xp.float64) for value in (tilts[axis], step))
         along = xp.sin(tilt * (math.pi / 180)) * step / wavelength
-        if _array.is_readable(along) and (periods := abs(_validate.numbers(along)[0])) > 0.5:
-            warn(
-                f"the reference wave has {periods:.3g} periods per pixel along axis {axis}; above 0.5 its "
-                "fringes are undersampled: choose a smaller angle or pitch",
-                SamplingWarning,
-            )
+        warn_of_tilt("reference_wave", steps[axis], 2 * math.pi / wavelength, tilts[axis])
         place = (xp.arange(n, dtype=xp.float64, device=device) - n // 2) * along
         cycles = cycles + (place[:, None] if axis == 0 else place[None, :])
     wave = _array.phasor_of_cycles(cycles, xp.complex128 if dtype == xp.float64 else xp.complex64)

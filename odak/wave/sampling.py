@@ -1,4 +1,4 @@
-"""Sampling criteria of a propagation, and the method that they recommend."""
+"""Sampling criteria of propagations, elements and beams, and the method of propagation that they recommend."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,6 +10,7 @@ from tqdm import tqdm
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._warnings import SamplingWarning, warn
 from odak.wave import transfer_functions as tf
 from odak.wave.linear_kernels import TOLERANCE, axes_of, linear_kernel
 from odak.wave.quadrature import SAFETY, Axis, field_error, predicted_white_error, rule_for
@@ -278,3 +279,246 @@ def _propagated(field, axes, distance, name, tolerance):
     size = tuple(2 * n for n in field.shape[-2:])
     kernel = request.transfer_function(transfer, size, xp, "cpu", xp.complex128)
     return tf.convolve_plainly(field.astype(np.complex128), kernel)
+
+
+# What elements and beams ask of a grid. Each knows, from its numbers alone, its highest local frequency and the share
+# of its power that the grid holds.
+
+# Places along each axis, and on circles, at which neighbouring samples of an element's phase are compared.
+_PLACES, _ANGLES = 9, 24
+
+
+@dataclass(frozen=True)
+class Weaker:
+    """The number of an element that makes its phase less steep.
+
+    Attributes
+    ----------
+    index : int
+        Its place among the numbers of the element.
+    power : int
+        1 if it has to grow, −1 if it has to shrink.
+    text : str
+        What would do, with a place for the number.
+    """
+
+    index: int
+    power: int
+    text: str
+
+
+FOCAL = "a focal length of at least {:.3g} m"
+
+
+def sampled_axes(shape, pitch, offset=(0.0, 0.0)) -> tuple:
+    """Return the first and the last middle between two samples, from a point, and the pitch; along rows and columns."""
+    return tuple(
+        (min(0.5 - n // 2, 0.0) * step - shift, max((n - 1) // 2 - 0.5, 0.0) * step - shift, step if n > 1 else 0.0)
+        for n, step, shift in zip(shape, pitch, offset, strict=True)
+    )
+
+
+def plain_numbers(*values) -> tuple[float, ...] | None:
+    """Return single numbers as floats, or None where one is a tensor on a GPU, traced or requires a gradient."""
+    if all(type(value) in (int, float) for value in values):
+        return values
+    if any(_array.is_traced(value) for value in values):
+        return None
+    found = [_validate.numbers(value) for value in values]
+    return tuple(one for (one,) in found) if all(len(one) == 1 for one in found) else None
+
+
+def warn_beyond_nyquist(name: str, formula: Callable, axes, numbers, weaker: Weaker | None = None, disc=None) -> None:
+    """Issue a SamplingWarning where neighbouring samples of an element's phase differ by more than half a cycle.
+
+    Parameters
+    ----------
+    name : str
+        The element's name.
+    formula : callable
+        ``formula(y, x, *numbers)`` returns the phase in radians at places of NumPy.
+    axes : tuple
+        What :func:`sampled_axes` returns.
+    numbers : tuple of float or None
+        The numbers of the element; None where they cannot be read, and nothing is checked.
+    weaker : Weaker, optional
+        The number that makes the phase less steep.
+    disc : float, optional
+        Radius of the disc on which the phase is defined; everywhere by default.
+    """
+    if numbers is not None:
+        message = _array.outside_graphs(_beyond_nyquist, name, formula, axes, numbers, weaker, disc)
+        if message:
+            warn(message, SamplingWarning)
+
+
+def warn_of_tilt(name: str, step, k, angle) -> None:
+    """Warn where a plane wave at an angle in degrees has more than half a cycle from one sample to the next."""
+    numbers = plain_numbers(step, k, angle)
+    if numbers is not None:
+        axes = ((0.0, 0.0, 0.0), (0.0, 0.0, numbers[0]))
+        warn_beyond_nyquist(name, _tilt, axes, numbers[1:], Weaker(1, -1, "an angle of at most {:.3g} degrees"))
+
+
+def _tilt(y, x, k, angle):
+    return k * np.sin(np.deg2rad(angle)) * x
+
+
+def undersampling(formula: Callable, axes, numbers, disc=None, part: float = 1.0) -> float:
+    """Return the largest difference of neighbouring samples, in units of half a cycle; at most 1 can be represented.
+
+    `part` is that of the window, about its middle, which is looked at.
+    """
+    lines = []
+    for low, high, _ in axes:
+        middle, half = (low + high) / 2, (high - low) / 2 * part
+        nearest = min(max(0.0, middle - half), middle + half)
+        lines.append(np.append(np.linspace(middle - half, middle + half, _PLACES), nearest))
+    y, x = (np.ravel(line) for line in np.meshgrid(*lines, indexing="ij"))
+    if disc is not None:
+        rim = disc - max(step for *_, step in axes) / 2
+        angle = np.arange(_ANGLES) * (2 * np.pi / _ANGLES)
+        y, x = np.append(y, rim * np.sin(angle)), np.append(x, rim * np.cos(angle))
+        kept = (y**2 + x**2 <= rim**2 * (1 + 1e-9)) & (y >= lines[0][0]) & (y <= lines[0][-2])
+        kept &= (x >= lines[1][0]) & (x <= lines[1][-2])
+        y, x = y[kept], x[kept]
+    largest, numbers = 0.0, [np.float64(value) for value in numbers]
+    for down, across in ((axes[0][2] / 2, 0.0), (0.0, axes[1][2] / 2)):
+        change = np.abs(formula(y + down, x + across, *numbers) - formula(y - down, x - across, *numbers))
+        largest = max(largest, float(np.max(change, initial=0.0, where=np.isfinite(change))))
+    return largest / math.pi
+
+
+@lru_cache(maxsize=256)
+def _beyond_nyquist(name, formula, axes, numbers, weaker, disc) -> str | None:
+    """Return the text of a warning, or None where the phase is sampled finely enough."""
+    factor = undersampling(formula, axes, numbers, disc)
+    if factor <= 1 + 1e-9:
+        return None
+    steps = [step for *_, step in axes if step]
+    unit = " m" if disc is None else ""
+    remedies = [f"a pitch of at most {0.995 * min(steps) / factor:.3g}{unit}"]
+
+    def held(part):
+        return undersampling(formula, axes, numbers, disc, part) <= 1
+
+    def held_when_weaker(times):
+        changed = list(numbers)
+        changed[weaker.index] *= times**weaker.power
+        return undersampling(formula, axes, tuple(changed), disc) <= 1
+
+    if disc is None and held(1e-3):
+        part = 1 - _first_true(lambda removed: held(1 - removed), 0.0, 1 - 1e-3)
+        sides = [part * (high - low) + step for low, high, step in axes if step]
+        window = " x ".join(f"{0.995 * side:.3g} m" for side in (sides if len(set(sides)) > 1 else sides[:1]))
+        remedies.append(f"a window or an aperture of at most {window}")
+    if weaker is not None and held_when_weaker(10 * factor):
+        times = _first_true(held_when_weaker, 1.0, 10 * factor)
+        remedies.append(weaker.text.format(abs(numbers[weaker.index]) * (1.005 * times) ** weaker.power))
+    return beyond_nyquist(name, factor, remedies)
+
+
+def warn_of_factor(name: str, factor: float, remedies: Sequence[str]) -> None:
+    """Issue the same warning for a factor that is known otherwise, if it is above 1."""
+    if factor > 1 + 1e-9:
+        warn(beyond_nyquist(name, factor, remedies), SamplingWarning)
+
+
+def beyond_nyquist(name: str, factor: float, remedies: Sequence[str]) -> str:
+    """Return the text of the warning that an element or a beam is beyond the highest frequency of the grid."""
+    others = ", ".join(remedies[:-1])
+    listed = f"{others} or {remedies[-1]}" if others else remedies[-1]
+    return (
+        f"{name} is {factor:.3g} times beyond Nyquist, with up to {factor / 2:.3g} cycles from one sample to the next, "
+        f"of which samples can represent half a one; {listed} would do"
+    )
+
+
+# Along each of two axes, for a per cent in all.
+_KEPT = 0.995
+
+
+def held_share(orders: Sequence[float], low: float, high: float) -> float:
+    """Return the share of a sum of squared Hermite functions ψₙ², with weights, that lies between two places.
+
+    The integral of ψₙ² is that of ψₙ₋₁² less ψₙψₙ₋₁/√(2n), so that no quadrature is needed.
+    """
+    share = (math.erf(high) - math.erf(low)) / 2
+    total, ends = orders[0] * share, []
+    for place in (low, high):
+        ends.append((0.0, math.pi**-0.25 * math.exp(-min(place**2, 1400.0) / 2)))
+    for n, weight in enumerate(orders[1:], 1):
+        rest = []
+        for place, (before, now) in zip((low, high), ends, strict=True):
+            rest.append((now, math.sqrt(2 / n) * place * now - math.sqrt((n - 1) / n) * before))
+        ends = rest
+        share -= (math.prod(ends[1]) - math.prod(ends[0])) / math.sqrt(2 * n)
+        total += weight * share
+    return total
+
+
+@lru_cache(maxsize=256)
+def _half_width(orders: tuple[float, ...]) -> float:
+    """Return the place within which a sum of squared Hermite functions holds all but half a per cent."""
+    return _first_true(lambda place: held_share(orders, -place, place) >= _KEPT, 0.0, 4 + math.sqrt(2 * len(orders)))
+
+
+def warn_of_beam(name: str, orders, axes, pitch, wavelength: float, waists, distance: float, kept=None) -> None:
+    """Issue a SamplingWarning where a grid is too coarse or too small for a beam.
+
+    Parameters
+    ----------
+    name : str
+        The beam's name.
+    orders : pair of tuple of float
+        Weights of the squared Hermite functions that make its intensity, along rows and columns.
+    axes : tuple
+        First and last sample of both axes from the axis of the beam.
+    pitch : tuple of float
+        Pitch (rows, columns).
+    wavelength : float
+        Wavelength.
+    waists : pair of float
+        Radius of the waist along rows and columns.
+    distance : float
+        Distance from the waist.
+    kept : float, optional
+        Share of the power on the grid; by default the product of both axes' shares.
+    """
+    product, factor, sides, remedies = 1.0, 0.0, [], []
+    for weights, (low, high), step, waist in zip(orders, axes, pitch, waists, strict=True):
+        if low == high:
+            continue
+        rayleigh = math.pi * waist**2 / wavelength
+        width, slope = waist * math.hypot(1, distance / rayleigh), distance / (distance**2 + rayleigh**2) / wavelength
+        scale, reach = math.sqrt(2) / width, _half_width(weights)
+        product *= held_share(weights, (low - step / 2) * scale, (high + step / 2) * scale)
+        sides.append(2 * (reach / scale + abs(low + high) / 2) * 1.01 + step)
+        # Of the band of the beam, what its wavefront has within the window.
+        band = reach / (math.sqrt(2) * math.pi * waist)
+        local = abs(slope) * max(abs(low), abs(high)) + reach / (math.sqrt(2) * math.pi * width)
+        beyond = 2 * step * min(band, local)
+        if beyond > factor:
+            factor, remedies = beyond, [f"a pitch of at most {0.995 * step / beyond:.3g} m"]
+            if band <= local:
+                remedies.append(f"a waist of at least {1.005 * waist * beyond:.3g} m")
+    warn_of_factor(name, factor, remedies)
+    warn_of_power(name, product if kept is None else kept, sides)
+
+
+def warn_of_power(name: str, kept: float, sides) -> None:
+    """Issue a SamplingWarning where a grid holds less than 99 % of the power of a beam; `sides` would do."""
+    if kept < 0.99:
+        needed = " x ".join(f"{side:.3g} m" for side in (sides if len(set(sides)) > 1 else sides[:1]))
+        warn(
+            f"{name}: the grid holds {kept:.2g} of the power of the beam; a window of at least {needed} would do",
+            SamplingWarning,
+        )
+
+
+def _first_true(holds: Callable[[float], bool], low: float, high: float) -> float:
+    """Return by bisection the smallest number between `low` and `high` for which a monotonic condition holds."""
+    for _ in range(20):
+        middle = (low + high) / 2
+        low, high = (low, middle) if holds(middle) else (middle, high)
+    return high

@@ -1,6 +1,8 @@
 """Thin elements against geometric optics, closed forms and their propagation."""
 
 import math
+import re
+import warnings
 
 import numpy as np
 import pytest
@@ -169,3 +171,63 @@ def test_slope_of_a_disc_is_the_circumference_where_the_rim_touches_edges_of_pix
     radius = torch.tensor(math.nextafter(pixels * 1.1, 10.0), dtype=torch.float64, requires_grad=True)
     (slope,) = torch.autograd.grad(circular_aperture((13, 12), 1.1, radius).sum() * 1.1**2, radius)
     assert float(slope) == pytest.approx(2 * math.pi * pixels * 1.1, rel=1e-7)
+
+
+N, DX = 128, 8e-6
+STEEP = {
+    "lens_phase": (lambda f: lens_phase((N, N), f, DX, WAVELENGTH, (1e-4, 0.0)), 5e-3),
+    "metalens_phase": (lambda f: metalens_phase((N, N), f, DX, WAVELENGTH), -2e-3),
+    "cylindrical_lens_phase": (lambda f: cylindrical_lens_phase((N, N + 1), f, (DX, 9e-6), WAVELENGTH, 30.0), 5e-3),
+    "aspheric_lens_phase": (lambda r: aspheric_lens_phase((N, N), DX, WAVELENGTH, r, 1.5, -0.6), 2e-3),
+    "axicon_phase": (lambda a: axicon_phase((N, N), DX, WAVELENGTH, a), 8.0),
+    "zernike_phase": (lambda c: odak.wave.zernike_phase(N, N, {(4, 0): 60 * c, (3, -1): 2 * c}, 60.0), 1.0),
+}
+
+
+def warned(call, *arguments):
+    """Return the result of a call and the texts of its SamplingWarnings."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        result = call(*arguments)
+    return result, [str(one.message) for one in caught if one.category is odak.SamplingWarning]
+
+
+@pytest.mark.parametrize("name", STEEP)
+def test_steep_elements_name_the_factor_beyond_nyquist(name):
+    """The factor is the largest difference of neighbouring samples over π; what is said to do does."""
+    element, number = STEEP[name]
+    phase, texts = warned(element, number)
+    phase = np.where(phase == 0, np.nan, phase) if name == "zernike_phase" else phase
+    steepest = max(np.nanmax(np.abs(np.diff(phase, axis=axis))) for axis in (0, 1)) / math.pi
+    (text,) = texts
+    assert text.startswith(f"{name} is ")
+    assert float(text.split()[2]) == pytest.approx(steepest, rel=0.03)
+    least = re.search(r"(?:length|curvature|angle|coefficients) of at (?:least|most) (\S+)", text)
+    better = math.copysign(float(least.group(1)), number)
+    assert not warned(element, better)[1]
+    assert warned(element, better * (0.98 if "at least" in least.group(0) else 1.05))[1]
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda of: of.prism_phase_function(64, 64, of.wavenumber(WAVELENGTH), 3.0, DX),
+        lambda of: of.prism_grating(64, 64, of.wavenumber(WAVELENGTH), 3.0, DX),
+        lambda of: of.quadratic_phase_function(N, N, of.wavenumber(WAVELENGTH), 5e-3, DX),
+        lambda of: of.double_convergence(N, N, of.wavenumber(WAVELENGTH), 5e-3, DX),
+        lambda of: of.lens_phase((N, N), 5e-3, DX, WAVELENGTH),
+        lambda of: of.ThinLens(5e-3).apply(np.ones((N, N), complex), DX, WAVELENGTH),
+        lambda of: of.spot_hologram(np.array([[2e-3, 0.0, 0.05]]), (64, 64), WAVELENGTH, DX, 1),
+    ],
+)
+def test_both_faces_say_the_same_of_undersampling(call):
+    (first,), (second,) = (warned(call, face)[1] for face in (odak.wave, odak.learn.wave))
+    assert first == second
+    assert "times beyond Nyquist" in first
+
+
+def test_numbers_that_require_gradients_are_not_read():
+    focal = torch.tensor(5e-3, dtype=torch.float64, requires_grad=True)
+    phase, texts = warned(odak.learn.wave.lens_phase, (N, N), focal, DX, WAVELENGTH)
+    assert phase.requires_grad
+    assert not texts

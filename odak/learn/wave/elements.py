@@ -9,6 +9,7 @@ from odak import _validate
 from odak._array import phasor
 from odak.learn._face import torch_face
 from odak.wave import beams, elements, imaging, polarized, recording
+from odak.wave.transfer_functions import pitches
 
 _SINGLE = {"Returns": "torch.Tensor\n    complex64 ``[nx, ny]``."}
 
@@ -78,6 +79,11 @@ def quadratic_phase_function(
     torch.Tensor
         complex64 ``[nx, ny]``.
 
+    Warns
+    -----
+    SamplingWarning
+        If neighbouring samples of the phase differ by more than half a cycle.
+
     Notes
     -----
     Along each axis of n samples the positions are those of earlier releases, linspace(−n·dx/2, n·dx/2, n): the step is
@@ -100,4 +106,5 @@ def quadratic_phase_function(
     _validate.number("k", k)
     _validate.number("focal", _validate.real("focal", focal, nonzero=True))
     squared = elements.squared_radius(nx, ny, dx, offset, torch_namespace)
+    elements.warn_of_older_lens((nx, ny), pitches(dx), k, focal, offset)
     return phasor(-k * squared / (2 * focal), torch.complex64)
