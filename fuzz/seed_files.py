@@ -132,11 +132,11 @@ def material_seeds(folder):
 
 def system_seeds(folder):
     """Yield systems of lenses."""
-    from odak.learn.raytracing.system import lens_files, load_system
+    from odak.learn.raytracing.system import load_system, system_files
 
     for name in ("singlet", "double_gauss"):
         path = os.path.join(folder, "seed.json")
-        lens_files.save_system(load_system(name), path)
+        system_files.save_system(load_system(name), path)
         yield ".json", json.dumps(json.loads(content(path))).encode()
 
 

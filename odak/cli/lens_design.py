@@ -34,10 +34,10 @@ from odak.learn.raytracing.system import (
     trace_fields,
     write_zmx,
 )
-from odak.learn.raytracing.system.lens_files import MICROMETRES, glass_makers
 from odak.learn.raytracing.system.operands import clear_heights
 from odak.learn.raytracing.system.pupils import AIMS
 from odak.learn.raytracing.system.surfaces import is_break
+from odak.learn.raytracing.system.system_files import MICROMETRES, glass_makers
 from odak.tools.paths import replacing
 
 CROWN, FLINT = "N-LAK33B", "SF5"

@@ -23,7 +23,7 @@ from odak.learn.raytracing.system import (
     system_to_dict,
     wavefront,
 )
-from odak.learn.raytracing.system.lens_files import load_materials
+from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
 

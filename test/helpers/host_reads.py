@@ -16,7 +16,8 @@ REASONS = {
         raytracing/system/automatic: automatic_design record
         raytracing/system/design: report
         raytracing/system/drawing: *
-        raytracing/system/lens_files: *
+        raytracing/system/system_files: *
+        raytracing/system/zemax: *
         tools/file: *
         tools/function: __array__
         tools/models: fit

@@ -56,14 +56,6 @@ from .image_simulation import demosaic as demosaic
 from .image_simulation import expose_sensor as expose_sensor
 from .image_simulation import point_spread_map as point_spread_map
 from .image_simulation import simulate_image as simulate_image
-from .lens_files import ZmxReport as ZmxReport
-from .lens_files import load_system as load_system
-from .lens_files import read_zmx as read_zmx
-from .lens_files import sample_systems as sample_systems
-from .lens_files import save_system as save_system
-from .lens_files import system_from_dict as system_from_dict
-from .lens_files import system_to_dict as system_to_dict
-from .lens_files import write_zmx as write_zmx
 from .operands import Operand as Operand
 from .optimise import LevenbergMarquardtResult as LevenbergMarquardtResult
 from .optimise import Perturbation as Perturbation
@@ -88,6 +80,12 @@ from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
 from .surfaces import optical_system as optical_system
 from .surfaces import surface as surface
+from .system_files import ZmxReport as ZmxReport
+from .system_files import load_system as load_system
+from .system_files import sample_systems as sample_systems
+from .system_files import save_system as save_system
+from .system_files import system_from_dict as system_from_dict
+from .system_files import system_to_dict as system_to_dict
 from .tracing import Rays as Rays
 from .tracing import Traced as Traced
 from .tracing import curved_paths as curved_paths
@@ -104,3 +102,5 @@ from .waves import point_spread_function as point_spread_function
 from .waves import propagated_point_spread_function as propagated_point_spread_function
 from .waves import relative_illumination as relative_illumination
 from .waves import through_focus_modulation as through_focus_modulation
+from .zemax import read_zmx as read_zmx
+from .zemax import write_zmx as write_zmx

@@ -37,12 +37,12 @@ from odak.learn.raytracing.system.analysis import (
     through_focus,
     wavefront,
 )
-from odak.learn.raytracing.system.lens_files import system_to_dict
 from odak.learn.raytracing.system.optimise import Sensitivity, ToleranceResult
 from odak.learn.raytracing.system.paraxial import first_order, seidel_sums
 from odak.learn.raytracing.system.polarisation import polarized_trace
 from odak.learn.raytracing.system.pupils import AIMS, launch, pupil_samples, trace_fields
 from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, is_break, is_glass
+from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
     modulation_transfer_function,

@@ -38,3 +38,29 @@ def test_its_focal_length_is_that_of_the_second_opinion(name):
     expected = abs(FOCAL[name]) * SCALES.get(name, 1.0)
     assert abs(found) == pytest.approx(expected, rel=TOLERANCES.get(name, 1e-3))
     assert sizes.shape == (len(system.fields),)
+
+
+KINDS = FOLDER / "zemax_kinds"
+# Focal lengths and f-numbers that the names of the files, or their patents' normalised prescriptions, state.
+STATED = {
+    "abbe0__Konica_Minolta_AF_Reflex_500mm_F8": (500, 0.02),
+    "abbe0__Nikon_AI_Reflex-Nikkor_1000mm_f11": (1000, 0.02),
+    "noa__Edmund_33-918": (100, 1e-3),
+    "object-glass__Bertele_USP1699682": (100, 1e-3),
+    "object-glass__Erfle_USP1478704": (100, 1e-3),
+    "other__Sony_DT_16-50mm_F2.8_SSM": (16, 0.04),
+    "other__Ricoh_smc_Pentax-FA_28-70mm_F4_AL": (28, 0.04),
+    "real-height__Canon_EF28-200mm_f3.5-5.6_USM": (28, 0.04),
+    "real-height__Sigma_8-16mm_F4.5-5.6_DC_HSM": (8, 0.04),
+    "real-height__Zeiss_Touit_2.8_50M": (50, 0.04),
+}
+
+
+@pytest.mark.parametrize("name", sorted(STATED))
+def test_a_file_of_each_kind_has_the_focal_length_of_its_name(name):
+    if not KINDS.is_dir():
+        pytest.skip("no folder of public lenses beside the project")
+    system, _ = read_zmx(KINDS / f"{name}.zmx")
+    focal, share = STATED[name]
+    with torch.no_grad():
+        assert float(first_order(system).focal_length) == pytest.approx(focal, rel=share)

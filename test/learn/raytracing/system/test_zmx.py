@@ -120,7 +120,6 @@ def test_lengths_in_inches_become_millimetres(tmp_path):
         ("MODE SEQ", "MODE NSC", "MODE must be SEQ"),
         ("FTYP 0", "FTYP 1", "FTYP must be 0"),
         ("UNIT MM", "UNIT FURLONG", "UNIT must be one of"),
-        ("ENPD 10.0", "ENPX 10.0", "no aperture"),
         ("CURV -0.0078", "CURV __import__('os')", "line 35: CURV must have a number"),
         ("CURV -0.0078", "CURV nan", "CURV must have a number, got 'nan'"),
         ("SURF 3", "SURF 7", "SURF must count 0, 1, 2"),
@@ -392,3 +391,85 @@ def test_what_is_no_path_makes_no_file(tmp_path, monkeypatch, write):
     with pytest.raises(TypeError, match="path must be"):
         write(load_system("cooke_triplet"), 5)
     assert not list(tmp_path.iterdir())
+
+
+def test_real_image_heights_of_a_wide_lens(tmp_path):
+    """A retrofocus lens, whose pupil of wide fields lies far from the paraxial one."""
+    text = FILE.replace("FTYP 0 0 2 3", "RAIM 0 2 1 1\nFTYP 3 0 3 3").replace("YFLN 0.0 1.5 0.0", "YFLN 0 6 9.5")
+    front = "SURF 1\n  CURV 0.02\n  GLAS N-BK7 0 0\n  DISZ 2\nSURF 2\n  CURV 0.09\n  DISZ 25\n"
+    head, rest = text.split("SURF 1\n", 1)
+    rest = rest.replace("SURF 4", "SURF 6").replace("SURF 3", "SURF 5").replace("SURF 2", "SURF 4")
+    system, report = read_zmx(written(tmp_path, head + front + "SURF 3\n" + rest.replace("DISZ 97.2", "DISZ 200")))
+    with torch.no_grad():
+        chief = torch.zeros(1, 2, dtype=torch.float64)
+        place = trace_fields(system, chief, aim="real", vignetting=False)
+    assert torch.allclose(place.y[1, :, 0].abs(), torch.tensor([0.0, 6.0, 9.5]).double(), atol=1e-8)
+    assert not any("out of reach" in note for note in report.notes)
+    # No chief ray lands a metre from the axis.
+    far, report = read_zmx(written(tmp_path, text.replace("YFLN 0 6 9.5", "YFLN 0 6 1000")))
+    assert sum("1000 mm, is out of reach" in note for note in report.notes) == 1
+    assert 0 < far.fields[1][1] < far.fields[2][1] < 90
+
+
+def test_model_glasses_without_an_abbe_number(tmp_path):
+    text = FILE.replace("GLAS SF5 0 0 1.6727 32.2", "GLAS ___BLANK 1 0 1.6727 ?")
+    text = text.replace("GLAS N-BK7 0 0 1.5168 64.17 0 0 0 0 0 0", "GLAS ___BLANK 1 0 1.5 0")
+    system, report = read_zmx(written(tmp_path, text))
+    assert torch.equal(system.prescription().index[:, 1:3], torch.tensor([[1.5, 1.6727]] * 3, dtype=torch.float64))
+    assert sum("no dispersion" in note for note in report.notes) == 2
+    write_zmx(system, tmp_path / "again.zmx")
+    again, _ = read_zmx(tmp_path / "again.zmx")
+    assert torch.equal(again.prescription().index, system.prescription().index)
+    mirror, report = read_zmx(written(tmp_path, FILE.replace("GLAS SF5 0 0 1.6727 32.2", "GLAS ___BLANK 1 0 -1 0")))
+    assert mirror.surfaces[1].reflects and any("is a mirror" in note for note in report.notes)
+
+
+def test_surfaces_numbered_from_one_without_object_and_image(tmp_path):
+    text = "UNIT MM\n" + FILE[FILE.index("SURF 1") : FILE.index("SURF 4")]
+    system, report = read_zmx(written(tmp_path, text.replace("DISZ 97.2", "DISZ 0").replace("GLAS SF5", "GLAS N-SF5")))
+    assert system.at_infinity and len(system.surfaces) == 3
+    assert [item.stop for item in system.surfaces] == [True, False, False]
+    found = first_order(system)
+    # The last surface has no glass behind it: it is the image.
+    assert found.focal_length > 0
+    only = text[: text.index("SURF 3")].replace("GLAS SF5 0 0 1.6727 32.2\n", "").replace("DISZ 2.5", "DISZ 0")
+    lens, report = read_zmx(written(tmp_path, only))
+    found = first_order(lens)
+    assert len(lens.surfaces) == 2 and any("paraxial focus" in note for note in report.notes)
+    assert float(lens.surfaces[-1].thickness) == pytest.approx(float(found.back_focal_distance), rel=1e-12)
+
+
+def test_a_file_without_an_aperture_gets_the_stated_default(tmp_path):
+    text = FILE.replace("ENPD 10.0\n", "")
+    system, report = read_zmx(written(tmp_path, text))
+    # The semi-diameter of 12.7 mm of the first surface, at which the axial beam enters.
+    assert (system.aperture, system.aperture_type) == (pytest.approx(25.4), "stop")
+    assert any("no aperture" in note and "12.7 mm" in note for note in report.notes)
+    bare, report = read_zmx(written(tmp_path, text.replace('  DIAM 12.7 1 0 0 1 ""\n', "")))
+    assert bare.aperture == pytest.approx(float(first_order(bare).focal_length) / 10)
+    assert any("tenth of the focal length" in note for note in report.notes)
+
+
+def test_adhesives_and_forbes_polynomials_are_read(tmp_path):
+    text = FILE.replace("GLAS SF5 0 0 1.6727 32.2\n  DISZ 2.5", "GLAS NOA65 0 0 1.5 40\n  DISZ 0.02")
+    system, report = read_zmx(written(tmp_path, text))
+    assert system.surfaces[1].material.name == "NOA61" and any("NOA65" in note for note in report.notes)
+    for kind, number in (("Qbfs", 0), ("Qcon", 1)):
+        terms = f"XDAT 1 {number}\n  XDAT 2 1\n  XDAT 3 10\n  XDAT 4 0.02"
+        asphere = FILE.replace("EVENASPH", "QED_TYPE").replace("PARM 1 0\n  PARM 2 1.0e-7", terms)
+        read, report = read_zmx(written(tmp_path, asphere))
+        r, c, k = 6.0, -0.0078, 0.0 if kind == "Qbfs" else -0.5
+        height = c * r * r / (1 + math.sqrt(1 - (1 + k) * c * c * r * r))
+        u = r / 10
+        # Forbes, Opt. Express 15, 5218 (2007): the first terms are u²(1 − u²)/φ and u⁴.
+        height += 0.02 * (u**2 * (1 - u**2) / math.sqrt(1 - c * c * r * r) if kind == "Qbfs" else u**4)
+        x = torch.tensor([r], dtype=torch.float64)
+        assert float(read.surfaces[2].shape.sag(x, 0 * x).height) == pytest.approx(height, rel=1e-12)
+        assert not any("XDAT" in line for line in report.ignored)
+
+
+@pytest.mark.parametrize(("name", "start"), [("a.zar", b"\xea\x00"), ("b.zmx", b"\xec\x03"), ("c.zbb", b"ab")])
+def test_archives_and_black_boxes_are_refused_by_name(tmp_path, name, start):
+    (tmp_path / name).write_bytes(start + bytes(64))
+    with pytest.raises(ValueError, match=rf"{name} is a Zemax (archive|black box), which is not read"):
+        read_zmx(tmp_path / name)

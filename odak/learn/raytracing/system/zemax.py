@@ -1,42 +1,43 @@
-"""Files of optical systems: JSON of the package's own, and sequential Zemax files."""
+"""Sequential Zemax files, read and written."""
 
-import codecs
 import dataclasses
-import json
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 
-from odak import _validate
-from odak.catalog.materials import (  # noqa: F401
-    MICROMETRES,
-    Material,
-    glass_makers,
-    load_materials,
-    material,
-    model_glass,
-    nearest_materials,
-)
+from odak.catalog.materials import MICROMETRES, glass_makers, material, model_glass, nearest_materials
 from odak.learn.raytracing.system.paraxial import first_order, matrix, signed_indices
-from odak.learn.raytracing.system.pupils import trace_fields
 from odak.learn.raytracing.system.surfaces import (
     AIR,
     MIRROR,
-    Coating,
     checked_system,
     coordinate_break,
     is_break,
     optical_system,
     surface,
 )
+from odak.learn.raytracing.system.system_files import (
+    FACTORS,
+    FAR,
+    Context,
+    ZmxReport,
+    about_fixed_axes,
+    catalogued,
+    fields_of_image_heights,
+    lens_text,
+    model_numbers,
+    named_errors,
+    own_surfaces,
+    pairs,
+    plain,
+    within,
+)
 from odak.raytracing.apertures import Aperture, CircularAperture, EllipticAperture, RectangularAperture
-from odak.raytracing.gradients import AxialGradient, FunctionGradient, Gradient, RadialGradient
+from odak.raytracing.gradients import AxialGradient, Gradient, RadialGradient
 from odak.raytracing.interfaces import IdealLens, LinearGrating, Phase, PolynomialPhase, RadialPhase
 from odak.raytracing.surfaces import (
     Biconic,
@@ -44,6 +45,8 @@ from odak.raytracing.surfaces import (
     EvenAsphere,
     OddAsphere,
     PolynomialFreeform,
+    QbfsAsphere,
+    QconAsphere,
     Shape,
     Toroid,
     ZernikeFreeform,
@@ -51,347 +54,7 @@ from odak.raytracing.surfaces import (
 from odak.tools.paths import _text, replacing
 from odak.tools.zernike import noll_to_nm, zernike_norm
 
-FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
-MAXIMUM_BYTES = 4 << 20
-_IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
-_SURFACE = _IMAGE | {"thickness", "material", "material_range", "stop", "phase", "gradient", "coating"}
-_BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
-_SYSTEM = {
-    "aperture",
-    "aperture_type",
-    "wavelengths",
-    "reference",
-    "fields",
-    "object_distance",
-    "image",
-    "unit",
-    "name",
-    "source",
-    "telecentric",
-    "afocal",
-    "vignetting_factors",
-    "field_weights",
-    "wavelength_weights",
-}
-_FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
-
-
-def sample_systems() -> tuple[str, ...]:
-    """Return the names of the sample systems, for :func:`load_system`.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import sample_systems
-    >>> "cooke_triplet" in sample_systems()
-    True
-    """
-    return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
-
-
-def load_system(path: Any) -> optical_system:
-    """Return a sample system by its name, or one from a JSON file.
-
-    Parameters
-    ----------
-    path : str or pathlib.Path
-        A name of :func:`sample_systems`, or a file written by :func:`save_system`.
-
-    Raises
-    ------
-    ValueError
-        If there is neither, or the file is malformed.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import load_system
-    >>> load_system("double_gauss").name
-    'Double Gauss f/2'
-    """
-    if isinstance(path, str) and path in sample_systems():
-        path = FOLDER / f"system_{path}.json"
-    path = Path(_text("path", path))
-    if not path.is_file():
-        raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
-    if path.stat().st_size > MAXIMUM_BYTES:
-        raise ValueError(f"{path}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
-    try:
-        return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
-    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
-def save_system(system: optical_system, path: Any) -> None:
-    """Write a system as JSON, every digit of its numbers.
-
-    Parameters
-    ----------
-    system : optical_system
-        The system.
-    path : str or pathlib.Path
-        File to write.
-
-    Examples
-    --------
-    >>> import os, tempfile
-    >>> from odak.learn.raytracing.system import first_order, load_system, save_system
-    >>> lens = load_system("cooke_triplet")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     name = os.path.join(folder, "lens.json")
-    ...     save_system(lens, name)
-    ...     again = load_system(name)
-    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
-    0.0
-    """
-    path = _text("path", path)
-    text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-    with replacing(path) as stream:
-        stream.write(text.encode("utf-8"))
-
-
-def system_to_dict(system: optical_system) -> dict:
-    """Return a system as a dictionary of plain numbers and strings; infinities are null.
-
-    Parameters
-    ----------
-    system : optical_system
-        The system.
-
-    Returns
-    -------
-    dict
-        Plain numbers and strings, which JSON can hold; infinities are null.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
-    >>> entry = system_to_dict(load_system("cooke_triplet"))
-    >>> system_from_dict(entry).name == load_system("cooke_triplet").name
-    True
-    """
-    checked_system(system)
-    surfaces = [_entry(item, i == system.stop) for i, item in enumerate(_own_surfaces(system))]
-    finite = None if system.at_infinity else system.object_distance
-    return {
-        "name": system.name,
-        "source": system.source,
-        "unit": system.unit,
-        "aperture": system.aperture,
-        "aperture_type": system.aperture_type,
-        "wavelengths": list(system.wavelengths),
-        "reference": system.reference,
-        "fields": [list(field) for field in system.fields],
-        "object_distance": finite,
-        **({} if system.image is None else {"image": _shape(system.image)}),
-        **({"telecentric": True} if system.telecentric else {}),
-        **({"afocal": True} if system.afocal else {}),
-        **{
-            key: _plain(getattr(system, key))
-            for key in ("vignetting_factors", "field_weights", "wavelength_weights")
-            if getattr(system, key) is not None
-        },
-        "surfaces": surfaces,
-    }
-
-
-def _own_surfaces(system) -> list:
-    """Return the surfaces without the lens that an afocal system appends."""
-    return list(system.surfaces)[: -1 if system.afocal else None]
-
-
-def _entry(item: Any, stop: bool) -> dict:
-    if not is_break(item):
-        return _shape(item) | _medium(item) | ({"stop": True} if stop else {})
-    entry: dict[str, Any] = {"break": True, "thickness": float(item.thickness.detach())}
-    if isinstance(item.order, int):
-        return entry | {"return_to": item.order}
-    return entry | {"shift": item.shift.tolist(), "tilt": item.tilt.tolist(), "order": item.order}
-
-
-def _shape(item: Any) -> dict:
-    """Return the shape, aperture, phase and placement of a surface, without what it does not have."""
-    radius = math.inf if item.own_shape is not None else float(item.radius.detach())
-    entry: dict[str, Any] = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
-    entry |= {"coefficients": item.coefficients.tolist(), "semi_diameter": item.semi_diameter}
-    entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
-    if item.own_shape is not None:
-        entry = {key: value for key, value in entry.items() if key != "conic"} | {"shape": _by_fields(item.shape)}
-    if item.own_phase is not None:
-        entry["phase"] = _by_fields(item.phase)
-    if item.own_gradient is not None:
-        entry["gradient"] = _by_fields(item.gradient)
-    if item.own_coating is not None:
-        coating = item.coating
-        entry["coating"] = {"media": [_film(value) for value in coating.media]}
-        entry["coating"] |= {"thicknesses": _plain(coating.thicknesses)}
-        entry["coating"] |= {} if coating.substrate is None else {"substrate": _film(coating.substrate)}
-    entry["aperture"] = [_by_fields(part) for part in item.apertures]
-    return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
-
-
-def _film(medium):
-    """Return the name of a material, its index, or the parts of a complex one."""
-    if isinstance(medium, complex):
-        return [medium.real, medium.imag]
-    return getattr(medium, "name", medium)
-
-
-def _by_fields(item: Any) -> dict:
-    """Return a shape, a phase, a gradient or an aperture as the name of its class and its fields."""
-    if isinstance(item, FunctionGradient):
-        raise ValueError("a graded index given by a function cannot be written: derive a class from Gradient")
-    values = {field.name: _plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
-    return {"kind": type(item).__name__} | values
-
-
-def _plain(value):
-    if hasattr(value, "detach"):
-        return value.detach().tolist()
-    return [_plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
-
-
-def _kinds(base: type) -> dict[str, type]:
-    """Return the classes derived from one by their names, those of the user's program included."""
-    found: dict[str, type] = {}
-    children: list[type] = base.__subclasses__()
-    for child in children:
-        found |= {child.__name__: child} | _kinds(child)
-    return found
-
-
-def _from_fields(where: str, base: type, entry):
-    kinds = _kinds(base)
-    if not isinstance(entry, dict) or "kind" not in entry:
-        accepted = f'{where} must be an object with a "kind", one of {", ".join(sorted(kinds))}'
-        raise ValueError(f"{accepted}; got {entry!r:.80}")
-    entry = dict(entry)
-    kind = kinds[_validate.one_of(f"kind in {where}", entry.pop("kind"), sorted(kinds))]
-    _known(where, entry, [field.name for field in dataclasses.fields(kind)])
-    if base is not Aperture:
-        # Grids as arrays; a list of numbers stays one.
-        entry = {
-            k: np.asarray(v) if isinstance(v, list) and v and isinstance(v[0], list) else v for k, v in entry.items()
-        }
-    with _named_errors(where):
-        return kind(**entry)
-
-
-def _medium(item: Any) -> dict:
-    medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
-    entry = {"thickness": float(item.thickness.detach()), "material": medium}
-    if not isinstance(item.material, Material):
-        return entry
-    if item.material.name.startswith("model "):
-        entry["material"] = " ".join(("model", *_model_numbers(item.material)))
-    with suppress(ValueError):
-        # A range that a file extended beyond that of the glass.
-        if tuple(item.material.range) != tuple(_material(str(entry["material"])).range):
-            entry["material_range"] = list(item.material.range)
-    return entry
-
-
-def _material(name: str) -> Material:
-    """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe."""
-    if not name.startswith("model "):
-        return material(name)
-    words = name.split()[1:]
-    if len(words) not in (2, 3):
-        raise ValueError(f"material must be 'model' and two or three numbers, got {name!r:.80}")
-    return model_glass(*map(float, words))
-
-
-def _model_numbers(glass: Material) -> list[str]:
-    """Return every digit of a model glass's index and Abbe number, and its deviation of partial dispersion if any."""
-    return [repr(glass.nd), repr(glass.vd), *glass.name.split()[3:]]
-
-
-def system_from_dict(entry: dict) -> optical_system:
-    """Return the system that :func:`system_to_dict` describes.
-
-    Parameters
-    ----------
-    entry : dict
-        As from :func:`system_to_dict`; what is left out has its default.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If a key is unknown or a value out of range, naming it.
-
-    Examples
-    --------
-    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
-    >>> entry = system_to_dict(load_system("cooke_triplet"))
-    >>> len(system_from_dict(entry).surfaces) == len(load_system("cooke_triplet").surfaces)
-    True
-    """
-    if not isinstance(entry, Mapping):
-        raise TypeError(f"entry must be a dictionary, got {type(entry).__name__}")
-    entry = dict(entry)
-    surfaces = entry.pop("surfaces", None)
-    if not isinstance(surfaces, list) or not surfaces:
-        raise ValueError(f"surfaces must be a list of at least one surface, got {surfaces!r:.80}")
-    _known("system", entry, _SYSTEM | {"notes"})
-    entry.pop("notes", None)
-    if entry.get("object_distance", 0) is None:
-        del entry["object_distance"]
-    built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
-    if entry.get("image") is not None:
-        entry["image"] = _built("image", entry["image"], _IMAGE)
-    return optical_system(built, **entry)
-
-
-def _built(where: str, entry, keys) -> surface:
-    if keys is _SURFACE and isinstance(entry, dict) and entry.get("break"):
-        _known(where, entry, _BREAK)
-        with _named_errors(where):
-            return coordinate_break(**{key: value for key, value in entry.items() if key != "break"})
-    _known(where, entry, keys)
-    entry = {"radius": math.inf, **entry}
-    for key, base in (("shape", Shape), ("phase", Phase), ("gradient", Gradient)):
-        if key in entry:
-            entry[key] = _from_fields(f"{key} of {where}", base, entry[key])
-    if "aperture" in entry:
-        parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
-        entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
-    if "coating" in entry:
-        _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate"})
-        with _named_errors(f"coating of {where}"):
-            entry["coating"] = Coating(**entry["coating"])
-    radius = entry.pop("radius")
-    with _named_errors(where):
-        glass, reach = entry.get("material"), entry.pop("material_range", None)
-        if isinstance(glass, str) and glass.startswith("model "):
-            entry["material"] = _material(glass)
-        if reach is not None:
-            low, high = map(float, _validate.several("material_range", reach, 2, positive=True))
-            if not (isinstance(glass, str) and low < high):
-                raise ValueError(f"material_range must be two rising numbers, of a glass, got {reach} of {glass!r:.60}")
-            entry["material"] = dataclasses.replace(_material(glass), range=(low, high))
-        return surface(math.inf if radius is None else radius, **entry)
-
-
-@contextmanager
-def _named_errors(where: str) -> Iterator[None]:
-    """Put in front of a message which surface of a file it is about."""
-    try:
-        yield
-    except (TypeError, ValueError) as error:
-        raise type(error)(f"{where}: {error}") from error
-
-
-def _known(where: str, entry, keys) -> None:
-    if not isinstance(entry, dict):
-        raise ValueError(f"{where} must be an object, got {type(entry).__name__}")
-    for key in entry:
-        _validate.one_of(f"key in {where}", key, sorted(keys))
-
-
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
-# Distance in millimetres beyond which an object given by angles is treated as infinitely far.
-FAR = 1e8
-# How far beyond the range of a glass a file may use it.
-MAXIMUM_STRETCH = 1.5
-_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
 
 
 class Line(NamedTuple):
@@ -410,7 +73,8 @@ class Line(NamedTuple):
             return float(word)
         try:
             # Programs of some countries write a decimal comma, Fortran an exponent D.
-            found = float(re.sub(r"(?<=\d)[dD](?=[+-]?\d)", "e", word.replace(",", ".", 1)))
+            # Blanks of other alphabets behind a number may stand as question marks.
+            found = float(re.sub(r"(?<=\d)[dD](?=[+-]?\d)", "e", word.rstrip("?").replace(",", ".", 1)))
         except ValueError:
             raise ValueError(f"line {self.number}: {self.key} must have a number, got {word!r}") from None
         if found != found:
@@ -443,21 +107,21 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
     Raises
     ------
     ValueError
-        If the file is too large, holds no surfaces, or its surfaces are not numbered 0, 1, 2, …
+        If the file is too large, holds no surfaces, or its surfaces are not numbered 0, 1, 2, … (or from 1, without
+        the object).
     """
     path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"path must be a file, got {str(path)!r}")
-    if path.stat().st_size > MAXIMUM_BYTES:
-        raise ValueError(f"{path.name}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
     general: list[Line] = []
     surfaces: list[list[Line]] = []
-    for number, text in enumerate(_decoded(path.read_bytes(), path.name).splitlines(), start=1):
+    for number, text in enumerate(lens_text(path).splitlines(), start=1):
         words = text.split()
         if not words:
             continue
         line = Line(number, words[0].upper(), tuple(words[1:]))
         if line.key == "SURF":
+            if not surfaces and line.counts(1):
+                # Some programs leave out the object.
+                surfaces.append([])
             if not line.counts(len(surfaces)) or len(surfaces) >= MAXIMUM_SURFACES:
                 accepted = f"SURF must count 0, 1, 2, … below {MAXIMUM_SURFACES}"
                 raise ValueError(f"{path.name}, line {number}: {accepted}, got {text.strip()[:80]!r}")
@@ -474,18 +138,6 @@ def read_lines(path) -> tuple[list[Line], list[list[Line]]]:
     return general, surfaces
 
 
-def _decoded(data: bytes, name: str) -> str:
-    encoding = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "utf-8")
-    if encoding == "utf-8" and b"\x00" in data[:2]:
-        encoding = "utf-16-le" if data[1:2] == b"\x00" else "utf-16-be"
-    try:
-        return data.decode(encoding)
-    except UnicodeDecodeError:
-        if encoding != "utf-8":
-            raise ValueError(f"{name}: not valid {encoding}") from None
-        return data.decode("latin-1")
-
-
 LENGTHS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "INCH": 25.4, "METER": 1000.0, "M": 1000.0}
 # Types of surfaces, and which of their numbers PARM are used.
 TYPES: dict[str, Sequence[int]] = {
@@ -498,6 +150,7 @@ TYPES: dict[str, Sequence[int]] = {
     "BICONICX": (1, 2),
     "TILTSURF": (1, 2),
     "XPOLYNOM": (),
+    "QED_TYPE": (),
     "SZERNSAG": range(9),
     "FZERNSAG": range(9),
     "IRREGULA": range(1, 9),
@@ -515,7 +168,7 @@ _GENERAL = (
     "VERS MODE NAME NOTE UNIT GCAT WAVM WAVL WWGT PWAV FTYP XFLN YFLN XFLD YFLD ENPD FNUM OBNA FLOA AUTH IWDP STUD "
     "LANG FWGN FWGT"
 )
-_GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL)) | set(_FACTORS)
+_GENERAL_KEYS = frozenset(re.findall(r"\w+", _GENERAL)) | set(FACTORS)
 _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
@@ -526,44 +179,10 @@ _INERT_KEYS = frozenset(
 )
 # Values in files for an index and an Abbe number that were not entered.
 _PLACEHOLDER = (1.5, 40.0)
-
-
-class ZmxReport(NamedTuple):
-    """Report of a Zemax file: the lines that were not used, and decisions that the file left open.
-
-    Attributes
-    ----------
-    ignored : tuple of str
-        Every line that had no effect, as "line 12, surface 3: KEY words".
-    notes : tuple of str
-        Decisions that the file left open, and settings that have no counterpart.
-
-    Examples
-    --------
-    >>> import os, tempfile
-    >>> from odak.learn.raytracing.system import load_system, read_zmx, write_zmx
-    >>> lens = load_system("cooke_triplet")
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     name = os.path.join(folder, "lens.zmx")
-    ...     write_zmx(lens, name)
-    ...     again, report = read_zmx(name)
-    >>> report.ignored
-    ()
-    """
-
-    ignored: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-class _Context(NamedTuple):
-    """Properties that all surfaces of a file share."""
-
-    scale: float
-    glasses: dict
-    makers: list[str]
-    waves: list[float]
-    ignored: list[str]
-    notes: list[str]
+# Thickness in millimetres up to which a layer is one of cement.
+THIN = 0.1
+# Of files that state no aperture and no semi-diameters.
+DEFAULT_F_NUMBER = 10.0
 
 
 def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
@@ -586,18 +205,23 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ValueError
         If the file is malformed, or holds what would change the paths of rays and is not understood: a surface type
         that is not among STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE, TOROIDAL, BICONICX, TILTSURF, XPOLYNOM,
-        SZERNSAG, FZERNSAG, IRREGULA, COORDBRK, DGRATING, BINARY_1, BINARY_2, PARAXIAL and GRINSUR1 to GRINSUR3, a
-        glass that neither the catalogue knows (the message names the nearest known ones) nor the file describes.
+        QED_TYPE, SZERNSAG, FZERNSAG, IRREGULA, COORDBRK, DGRATING, BINARY_1, BINARY_2, PARAXIAL and GRINSUR1 to
+        GRINSUR3, a glass that neither the catalogue knows (the message names the nearest known ones) nor the file
+        describes.
 
     Notes
     -----
     Semi-diameters (DIAM) limit rays only where the file says so, by a circular (CLAP) or floating (FLAP) aperture. A
     glass is looked up in the catalogues that the file names (GCAT) before all others. An unknown one is a model glass
     where the file states its index and Abbe number, or where its name is their six-digit code; a former glass, such as
-    SK5, is replaced by its successor N-SK5. The report names each of these. Image heights as fields become object
-    angles or heights: paraxially, or by tracing chief rays. Vignetting factors (VDX, VDY, VCX, VCY) and weights of
-    fields and wavelengths become those of :class:`optical_system`; factors of a field with an angle (VAN) are not used,
-    and named.
+    SK5, is replaced by its successor N-SK5. A model glass without an Abbe number has no dispersion, one of index −1 is
+    a mirror. A file without an aperture gets the stop that the narrowest semi-diameter leaves to the axial bundle, or,
+    without semi-diameters, an entrance pupil of a tenth of the focal length. Surfaces may be numbered from 1, without
+    the object. The report names each of these. Image heights as fields become object angles or heights: paraxially, or
+    by tracing chief rays through the centre of the stop (of the paraxial pupil where the file does not aim rays); a
+    height that none of them reaches becomes the farthest field from which they arrive, which the report says.
+    Vignetting factors (VDX, VDY, VCX, VCY) and weights of fields and wavelengths become those of
+    :class:`optical_system`; factors of a field with an angle (VAN) are not used, and named.
 
     Examples
     --------
@@ -622,6 +246,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
             if line.key not in _GENERAL_KEYS and not (line.key == "VANN" and not any(_numbers(line))):
                 ignored.append(_named(line))
         head = {line.key: line for line in reversed(general)}
+        surfaces, focused = _completed(head, surfaces, notes)
         if "MODE" in head and head["MODE"].words[:1] != ("SEQ",):
             raise ValueError(f"MODE must be SEQ, got {' '.join(head['MODE'].words)!r}")
         unit = head["UNIT"].words[0].upper() if "UNIT" in head and head["UNIT"].words else "MM"
@@ -630,7 +255,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         words = [word.lower() for word in head["GCAT"].words] if "GCAT" in head else []
         makers = list(dict.fromkeys(maker for word in words for maker in glass_makers() if maker in word))
         waves, weights, reference = _wavelengths(general, head, notes)
-        context = _Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
+        context = Context(LENGTHS[unit], dict(glasses or {}), makers, waves, ignored, notes)
         built = [_surface(number, surfaces, context) for number in range(1, len(surfaces) - 1)]
         image = _image(len(surfaces) - 1, surfaces, context)
         distance = _object_distance(head, surfaces[0], context)
@@ -640,6 +265,10 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
         names |= {"source": path.name, "wavelengths": waves, "reference": reference, "wavelength_weights": weights}
         if not any(item.stop for item in built):
             notes.append("no STOP: the first surface is taken as the stop")
+        if focused:
+            plain_system = optical_system(list(built), 1.0, wavelengths=waves[reference])
+            back = float(first_order(plain_system).back_focal_distance)
+            built[-1].thickness.fill_(back if math.isfinite(back) else 0.0)
 
         def system(size, form, **others):
             return optical_system(list(built), size, form, object_distance=distance, image=image, **names, **others)
@@ -665,7 +294,24 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     return found, ZmxReport(tuple(ignored), tuple(notes))
 
 
-def _object_distance(head, lines, context: _Context) -> float:
+def _completed(head, surfaces, notes: list) -> tuple[list, bool]:
+    """Return surfaces with the object and the image that a file leaves out, and whether the image is to be focused."""
+    glass = [any(line.key == "GLAS" and line.words for line in lines) for lines in surfaces]
+    if surfaces[0] and not (glass[0] and "FTYP" not in head and math.isfinite(_of(surfaces[0], "DISZ", math.inf))):
+        return surfaces, False
+    if surfaces[0]:
+        surfaces, glass = [[], *surfaces], [False, *glass]
+    notes.append("the file has no object: it is taken to be at infinity")
+    if not glass[-2]:
+        return surfaces, False
+    distance = _of(surfaces[-1], "DISZ", 0.0)
+    notes.append(
+        f"the file has no image: a plane {f'at {distance:g}' if distance else 'in the paraxial focus'} is added"
+    )
+    return [*surfaces, []], not distance
+
+
+def _object_distance(head, lines, context: Context) -> float:
     """Return the distance of the object; a very far one given by angles is at infinity."""
     distance = _of(lines, "DISZ", math.inf) * context.scale
     if not FAR <= distance < math.inf or ("FTYP" in head and head["FTYP"].value() not in (0, 4)):
@@ -674,7 +320,7 @@ def _object_distance(head, lines, context: _Context) -> float:
     return math.inf
 
 
-def _check_object(lines, far: bool, context: _Context) -> None:
+def _check_object(lines, far: bool, context: Context) -> None:
     """Raise ValueError for an object that is curved or not in air; note the rest."""
     for line in lines:
         curved = line.key in ("CURV", "CONI") and line.words and line.value()
@@ -715,13 +361,14 @@ def _parameters(lines, key: str, scale_of=None) -> dict[int, float]:
     return {line.whole(): line.value(1) for line in lines if line.key == key and len(line.words) > 1}
 
 
-def _surface(number: int, surfaces, context: _Context) -> surface:
+def _surface(number: int, surfaces, context: Context) -> surface:
     """Return one surface; entries without effect go to the report."""
     lines, scale = surfaces[number], context.scale
     kind = next((line.words[0] for line in lines if line.key == "TYPE" and line.words), "STANDARD").upper()
     if kind not in TYPES:
         raise ValueError(f"surface {number}: TYPE must be one of {', '.join(TYPES)}, got {kind!r}")
-    extended = 2 + int(_parameters(lines, "XDAT").get(1, 0.0))
+    held = _parameters(lines, "XDAT")
+    extended = 3 + int(held.get(2, 0.0)) if kind == "QED_TYPE" else 2 + int(held.get(1, 0.0))
     for line in lines:
         used = line.key in _SURFACE_KEYS
         if line.key in ("PARM", "XDAT") and len(line.words) > 1 and line.value(1):
@@ -743,7 +390,7 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
         gradient, medium = _graded(number, kind, p, scale)
     # Only irregular surfaces have a position of their own.
     own = p if kind == "IRREGULA" else {}
-    with _named_errors(f"surface {number}"):
+    with named_errors(f"surface {number}"):
         return surface(
             shape=shape,
             phase=phase,
@@ -753,7 +400,7 @@ def _surface(number: int, surfaces, context: _Context) -> surface:
             semi_diameter=limit,
             aperture=apertures or None,
             shift=(own.get(1, 0.0) * scale, own.get(2, 0.0) * scale),
-            tilt=_about_fixed_axes(own.get(3, 0.0), own.get(4, 0.0)),
+            tilt=about_fixed_axes(own.get(3, 0.0), own.get(4, 0.0)),
             stop=any(line.key == "STOP" for line in lines),
         )
 
@@ -762,6 +409,9 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
     """Return the shape and the phase of a surface."""
     curvature, conic = _of(lines, "CURV", 0.0) / scale, _of(lines, "CONI", 0.0)
     p, x = _parameters(lines, "PARM"), _parameters(lines, "XDAT")
+    if kind == "QED_TYPE":
+        # The kind of the polynomials, then as the others.
+        strong, x = x.get(1, 0.0) == 1, {i - 1: value for i, value in x.items() if i > 1}
     terms, norm = int(x.get(1, 0.0)), x.get(2, 1.0) * scale or 1.0
     if not 0 <= terms <= MAXIMUM_TERMS:
         raise ValueError(f"surface {number}: XDAT must contain at most {MAXIMUM_TERMS} terms, got {terms}")
@@ -788,6 +438,9 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         step = 2 if kind == "XASPHERE" else 1
         given = [value * scale / norm ** (step * i) for i, value in enumerate(extra, start=1)]
         return (EvenAsphere if step == 2 else OddAsphere)(curvature, conic, given or [0.0]), None
+    if kind == "QED_TYPE":
+        given = [value * scale for value in extra]
+        return QconAsphere(curvature, conic, given, norm) if strong else QbfsAsphere(curvature, given, norm), None
     if kind == "IRREGULA":
         return _irregular(number, curvature, conic, p, _of(lines, "DIAM", 0.0) * scale, scale), None
     if kind == "TILTSURF":
@@ -813,15 +466,6 @@ def _form(number: int, kind: str, lines, scale: float) -> tuple[Shape, Phase | N
         )
     modes = _fringe_modes(len(heights)) if kind == "FZERNSAG" else None
     return ZernikeFreeform(curvature, conic, _zernike_terms(heights, modes, given, norm), norm), None
-
-
-def _about_fixed_axes(about_x: float, about_y: float) -> tuple[float, float, float]:
-    """Return the tilt of a :class:`surface` that equals rotations in degrees about x, then about the new y axis."""
-    if not (about_x and about_y):
-        return about_x, about_y, 0.0
-    (sa, ca), (sb, cb) = ((math.sin(v), math.cos(v)) for v in map(math.radians, (about_x, about_y)))
-    found = math.asin(sa * cb), math.atan2(sb, ca * cb), math.atan2(sa * sb, ca)
-    return tuple(map(math.degrees, found))  # type: ignore[return-value]
 
 
 def _irregular(number: int, curvature: float, conic: float, p: dict, reach: float, scale: float) -> Shape:
@@ -930,7 +574,7 @@ def _limits(number: int, lines, scale: float) -> tuple[float | None, list[Apertu
     return limit, found
 
 
-def _glass(number: int, surfaces, context: _Context):
+def _glass(number: int, surfaces, context: Context):
     """Return the medium behind a surface."""
     line = next((line for line in surfaces[number] if line.key == "GLAS" and line.words), None)
     if line is None:
@@ -940,7 +584,17 @@ def _glass(number: int, surfaces, context: _Context):
         return context.glasses[name]
     if name.upper() == "MIRROR":
         return MIRROR
-    nd, vd = (line.value(3), line.value(4)) if len(line.words) > 4 else (0.0, 0.0)
+    own = name == "___BLANK" or code == "1"
+    nd = line.value(3) if len(line.words) > 3 else 0.0
+    unknown = own and len(line.words) > 4 and line.words[4].strip("?") == ""
+    vd = 0.0 if unknown or len(line.words) <= 4 else line.value(4)
+    if own and nd == -1:
+        context.notes.append(f"surface {number}: {name} of index -1 is a mirror")
+        return MIRROR
+    if own and nd > 0 and not vd:
+        if nd != 1:
+            context.notes.append(f"surface {number}: {name} of index {nd:g} has no Abbe number: no dispersion")
+        return nd
     if code == "2" and len(line.words) > 2 and not (nd > 1 and vd > 0):
         source = line.whole(2)
         if 0 < source < number:
@@ -949,10 +603,14 @@ def _glass(number: int, surfaces, context: _Context):
         context.notes.append(f"surface {number}: the offset of {name}, {nd:g} in nd and {vd:g} in Vd, is not used")
     stated = nd > 1 and vd > 0 and (round(nd, 6), round(vd, 6)) != _PLACEHOLDER
     dpgf = line.value(5) if len(line.words) > 5 else 0.0
-    if not (name == "___BLANK" or code == "1"):
-        found, problem = _catalogued(number, name, context)
+    if not own:
+        found, problem = catalogued(number, name, context)
+        thin = abs(_of(surfaces[number], "DISZ", 0.0)) * context.scale <= THIN
+        if found is None and thin and re.fullmatch(r"NOA-?\d+\w*", name.upper()) and not stated:
+            found = material("NOA61")
+            context.notes.append(f"surface {number}: {name}, a thin layer of an adhesive, is taken to be NOA61")
         if found is not None:
-            return _within(number, found, context)
+            return within(number, found, context)
         digits = re.fullmatch(r"(\d{3})\.?(\d{3})", name)
         if digits and not stated:
             nd, vd, dpgf, stated = 1 + int(digits[1]) / 1000, int(digits[2]) / 10, 0.0, digits[2] != "000"
@@ -970,56 +628,10 @@ def _glass(number: int, surfaces, context: _Context):
         raise ValueError(f"surface {number}: {name} must state an index above 1 and an Abbe number, got {nd:g}, {vd:g}")
     near = ", ".join(nearest_materials(nd, vd, 2, context.makers or None))
     context.notes.append(f"surface {number}: {name} is a model glass of nd = {nd:g}, Vd = {vd:g}; nearest are {near}")
-    return _within(number, model_glass(nd, vd, dpgf), context)
+    return within(number, model_glass(nd, vd, dpgf), context)
 
 
-def _catalogued(number: int, name: str, context: _Context) -> tuple[Material | None, str]:
-    """Return a glass by its name, or by that of its successor, and what is wrong with the name otherwise."""
-    makers, problem = context.makers, ""
-    first = makers[: makers.index("schott")] if "schott" in makers else makers
-    for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
-        try:
-            return material(f"{maker}{name}"), ""
-        except ValueError as error:
-            problem = str(error) if not maker else problem
-    several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
-    # Names of glasses with lead and arsenic, and those of their successors.
-    former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
-    for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
-        if former and (maker in makers or (prefix == "N" and not makers and not several)):
-            for successor in (f"{prefix}-{name.upper()}", f"{prefix}-{former[1]}{former[2]}"):
-                for full in (successor, f"{maker}:{successor}"):
-                    try:
-                        found = material(full)
-                    except ValueError:
-                        continue
-                    context.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
-                    return found, ""
-    if several:
-        context.notes.append(f"surface {number}: {name} is a glass of several makers; that of {several[0]} is taken")
-        return material(f"{several[0]}:{name}"), ""
-    return None, problem
-
-
-def _within(number: int, found: Any, context: _Context) -> Any:
-    """Return a material whose range holds the wavelengths, which may reach somewhat beyond its own; noted."""
-    low, high = min(context.waves) * 1e3, max(context.waves) * 1e3
-    own = found.range
-    if own[0] <= low and high <= own[1]:
-        return found
-    ends = [found.index(value) for value in (low, high)]
-    stretched = low < own[0] / MAXIMUM_STRETCH or high > own[1] * MAXIMUM_STRETCH
-    if stretched or any(isinstance(value, complex) or not value > 0 for value in ends):
-        raise ValueError(
-            f"surface {number}: {found.name} must be used from {own[0]:g} to {own[1]:g} µm, got wavelengths from "
-            f"{low:g} to {high:g} µm"
-        )
-    kind = "the model glass" if found.name.startswith("model ") else found.name
-    context.notes.append(f"surface {number}: {kind} is extrapolated to {low:g} … {high:g} µm")
-    return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
-
-
-def _image(number: int, surfaces, context: _Context) -> surface | None:
+def _image(number: int, surfaces, context: Context) -> surface | None:
     """Return the image surface, None for a plane; a glass behind it has no effect."""
     lines = [line for line in surfaces[number] if line.key not in ("GLAS", "DISZ", "STOP")]
     context.ignored.extend([_named(line, number) for line in surfaces[number] if line.key == "GLAS"])
@@ -1054,7 +666,7 @@ def _wavelengths(general, head, notes: list) -> tuple[list[float], list[float] |
 
 def _factors(head, count: int, notes: list) -> list[list[float]] | None:
     """Return the vignetting factors of each field, None where all are zero; those with an angle are noted."""
-    columns = [(_numbers(head.get(key)) + [0.0] * count)[:count] for key in (*_FACTORS, "VANN")]
+    columns = [(_numbers(head.get(key)) + [0.0] * count)[:count] for key in (*FACTORS, "VANN")]
     rows = [list(row) for row in zip(*columns, strict=True)]
     turned = [str(i) for i, row in enumerate(rows, start=1) if row[4] and any(row[:4])]
     if turned:
@@ -1069,13 +681,13 @@ def _field_weights(head, count: int) -> list[float] | None:
     return weights if len(weights) == count and len(set(weights)) > 1 else None
 
 
-def _field_points(head, system, context: _Context) -> list[tuple[float, float]]:
+def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
     """Return the field points: angles for an object at infinity, heights in millimetres for a near one."""
     kind, far, notes = head["FTYP"].whole() if "FTYP" in head else 0, system.at_infinity, context.notes
     x, y = (_numbers(head.get(key, head.get(older))) for key, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")))
-    pairs = _pairs(x, y)
-    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(pairs) if any(pair))])
-    points = pairs[:count] or [(0.0, 0.0)]
+    given = pairs(x, y)
+    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(given) if any(pair))])
+    points = given[:count] or [(0.0, 0.0)]
     if kind not in range(5) or (kind == 1 and far and any(map(any, points))):
         raise ValueError(
             f"FTYP must be 0 or 4 (angles), 1 (object heights, object near), 2 or 3 (image heights), got {kind}"
@@ -1096,71 +708,35 @@ def _field_points(head, system, context: _Context) -> list[tuple[float, float]]:
         notes.append("fields are angles from the entrance pupil, turned into object heights")
     if kind in (2, 3):
         notes.append(f"fields are image heights ({'real' if kind == 3 else 'paraxial'}), turned into object fields")
-        return list(_fields_of_image_heights(system, points, kind == 3))
+        aim = "real" if "RAIM" in head and len(head["RAIM"].words) > 1 and head["RAIM"].value(1) else "paraxial"
+        return list(fields_of_image_heights(system, points, kind == 3, aim, notes))
     return points
-
-
-def _fields_of_image_heights(system, points, real: bool) -> tuple[tuple[float, float], ...]:
-    """Return the field points whose chief rays land at given heights at the primary wavelength."""
-    properties = first_order(system)
-    scale = float(properties.focal_length if system.at_infinity else properties.magnification)
-    wanted = torch.tensor(points, dtype=torch.float64)
-    size = wanted.square().sum(-1).sqrt()
-    found = size / abs(scale)
-    if real:
-        # Secant steps along the radius of each field, from the paraxial field.
-        unit = wanted / torch.where(size > 0, size, 1.0)[:, None]
-        chief, before, error = torch.zeros(1, 2, dtype=torch.float64), None, None
-        for _ in range(30):
-            fields = _as_fields(system, found[:, None] * unit)
-            place = trace_fields(system, chief, fields=fields, vignetting=False)
-            radius = (place.x.square() + place.y.square()).sqrt()[system.reference, :, 0]
-            now = radius - size
-            if before is None or error is None:
-                change = now / abs(scale)
-            else:
-                slope = (now - error) / torch.where(found != before, found - before, 1.0)
-                change = torch.where(slope != 0, now / torch.where(slope != 0, slope, 1.0), 0.0)
-            before, error, found = found, now, (found - change).clamp(min=0.0)
-            if not bool(torch.isfinite(found).all()):
-                heights = ", ".join(f"{value:g}" for value in size.tolist())
-                raise ValueError(f"fields by real image height ({heights} mm): the chief rays do not arrive")
-            if float(change.abs().max()) < 1e-13:
-                break
-    direction = math.copysign(1.0, scale) * wanted / torch.where(size > 0, size, 1.0)[:, None]
-    return tuple((float(a), float(b)) for a, b in _as_fields(system, found[:, None] * direction))
-
-
-def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:
-    """Return field points of tangents (far objects) or heights."""
-    return torch.rad2deg(torch.atan(tangents)) if system.at_infinity else tangents
 
 
 def _numbers(line) -> list[float]:
     return [] if line is None else [line.value(i) for i in range(len(line.words))]
 
 
-def _pairs(x, y) -> list[tuple[float, float]]:
-    count = max(len(x), len(y))
-    return list(zip(*(value + [0.0] * (count - len(value)) for value in (x, y)), strict=True))
-
-
 def _count(head, place: int) -> int:
     return head["FTYP"].whole(place) if "FTYP" in head and len(head["FTYP"].words) > place else 0
 
 
-def _aperture(head, surfaces, context: _Context, system) -> tuple[float, str]:
+def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
     """Return the size of the aperture and its kind; `system` builds the system from both."""
-    if "ENPD" in head:
+    given = next((key for key in ("ENPD", "FNUM", "OBNA", "FLOA") if key in head), None)
+    if given in ("ENPD", "FNUM", "OBNA") and head[given].words and not head[given].value():
+        context.notes.append(f"{given} is 0")
+        given = None
+    if given == "ENPD":
         return head["ENPD"].value() * context.scale, "EPD"
-    if "FNUM" in head:
+    if given == "FNUM":
         number, near = head["FNUM"].value(), not system(1.0, "EPD").at_infinity
         if near and len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
             # A working F-number: the slope of the marginal ray at the image, linear in that at the object.
             slope = 0.01 * float(first_order(system(math.sin(math.atan(0.01)), "NA")).working_f_number) / number
             return math.sin(math.atan(slope)), "NA"
         return number, "F-number"
-    if "OBNA" in head:
+    if given == "OBNA":
         if math.isinf(_of(surfaces[0], "DISZ", math.inf)):
             raise ValueError(
                 "OBNA, an aperture of the object's side, must belong to a near object, got one at infinity"
@@ -1170,19 +746,25 @@ def _aperture(head, surfaces, context: _Context, system) -> tuple[float, str]:
             context.notes.append(f"OBNA is a cone of {size:g} degrees, turned into a numerical aperture")
             size = math.sin(math.radians(size))
         return size, "NA"
-    if "FLOA" in head:
-        sizes = [_of(lines, "DIAM", 0.0) * context.scale for lines in surfaces[1:-1]]
-        size = sizes[next((i for i, lines in enumerate(surfaces[1:-1]) if any(v.key == "STOP" for v in lines)), 0)]
-        if not size and any(sizes):
-            size = _widest_stop(system(1.0, "stop"), sizes)
-            context.notes.append(
-                f"FLOA without a semi-diameter of the stop: {size:g} mm, so that the axial bundle fills the narrowest "
-                "of the other surfaces' semi-diameters, paraxially"
-            )
-        if not size:
-            raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
+    sizes = [_of(lines, "DIAM", 0.0) * context.scale for lines in surfaces[1:-1]]
+    size = sizes[next((i for i, lines in enumerate(surfaces[1:-1]) if any(v.key == "STOP" for v in lines)), 0)]
+    if given == "FLOA" and size:
         return 2 * size, "stop"
-    raise ValueError("no aperture: one of ENPD, FNUM, OBNA, FLOA must be given")
+    if any(sizes):
+        size = _widest_stop(system(1.0, "stop"), sizes)
+    what = "FLOA without a semi-diameter of the stop" if given else "no aperture (ENPD, FNUM, OBNA, FLOA)"
+    if size:
+        context.notes.append(
+            f"{what}: {size:g} mm, so that the axial bundle fills the narrowest of the surfaces' semi-diameters, "
+            "paraxially"
+        )
+        return 2 * size, "stop"
+    if given:
+        raise ValueError("FLOA takes the aperture from the stop, whose semi-diameter (DIAM) is not given")
+    size = abs(float(first_order(system(1.0, "stop")).focal_length)) / DEFAULT_F_NUMBER
+    size = size if math.isfinite(size) and size else 1.0
+    context.notes.append(f"{what}: an entrance pupil of {size:g} mm, a tenth of the focal length, is taken")
+    return size, "EPD"
 
 
 def _widest_stop(system, sizes) -> float:
@@ -1254,7 +836,7 @@ def _zmx_text(system) -> str:
     count = len(system.fields)
     lines += ["FWGN " + " ".join(map(repr, system.field_weights or [1.0] * count))]
     columns = zip(*(system.vignetting_factors or [(0.0,) * 4] * count), strict=True)
-    lines += [f"{key} " + " ".join(map(repr, column)) for key, column in zip(_FACTORS, columns, strict=True)]
+    lines += [f"{key} " + " ".join(map(repr, column)) for key, column in zip(FACTORS, columns, strict=True)]
     weights = system.wavelength_weights or [1] * len(system.wavelengths)
     lines += [
         f"WAVM {i} {value * MICROMETRES[system.unit]!r} {weight!r}"
@@ -1262,7 +844,7 @@ def _zmx_text(system) -> str:
     ]
     lines += [f"PWAV {system.reference + 1}", "SURF 0", "  TYPE STANDARD", "  CURV 0.0"]
     lines += [f"  DISZ {'INFINITY' if system.at_infinity else repr(system.object_distance * scale)}"]
-    rows = _own_surfaces(system)
+    rows = own_surfaces(system)
     for number, item in enumerate(rows, start=1):
         lines += _written(number, item, scale, number - 1 == system.stop, system)
     image = system.image or surface()
@@ -1280,7 +862,7 @@ def _written_form(name: str, item, scale: float) -> list[str]:
         raise ValueError(f"{name} is shifted or tilted, which is not written; use coordinate breaks")
     shape, phase = item.shape, item.phase
     kind = type(shape)
-    value = {field.name: _plain(getattr(shape, field.name)) for field in dataclasses.fields(shape)}
+    value = {field.name: plain(getattr(shape, field.name)) for field in dataclasses.fields(shape)}
     lines = {"CURV": value.get("curvature", value.get("curvature_y", 0.0)) / scale, "CONI": value.get("conic", 0.0)}
     given, extra = value.get("coefficients", []), []
     parameters: dict[int, float] = {}
@@ -1302,7 +884,7 @@ def _written_form(name: str, item, scale: float) -> list[str]:
     else:
         raise ValueError(f"{name} is a {kind.__name__}, which the format does not support")
     if phase is not None:
-        held = {field.name: _plain(getattr(phase, field.name)) for field in dataclasses.fields(phase)}
+        held = {field.name: plain(getattr(phase, field.name)) for field in dataclasses.fields(phase)}
         if isinstance(phase, LinearGrating) and word == "STANDARD" and not held["frequency_x"]:
             word, parameters = "DGRATING", {1: held["frequency_y"] / scale / 1e3, 2: held["order"]}
         elif isinstance(phase, IdealLens) and word == "STANDARD":
@@ -1349,15 +931,13 @@ def _written(number: int, item, scale: float, stop: bool, system) -> list[str]:
         parameters = [f"  PARM {i} {value!r}" for i, value in enumerate(values, start=1)]
         return [f"SURF {number}", "  TYPE COORDBRK", "  CURV 0.0", *parameters, thickness]
     shape = _written_form(f"surfaces[{number - 1}]", item, scale)
-    if item.material is None:
-        raise ValueError(
-            f"surfaces[{number - 1}] is followed by an index, {float(item.index.detach()):g}, not by a named glass"
-        )
     lines = [f"SURF {number}", *(["  STOP"] if stop else []), *shape, thickness]
-    if item.material != AIR:
+    if item.material is None:
+        lines += [f"  GLAS ___BLANK 1 0 {float(item.index.detach())!r} 0 0 0 0 0 0 0"]
+    elif item.material != AIR:
         name = "MIRROR" if item.material == MIRROR else item.material.name.rpartition(":")[2]
         if name.startswith("model "):
-            words = _model_numbers(item.material)
+            words = model_numbers(item.material)
             lines += [f"  GLAS ___BLANK 1 0 {' '.join(words)}{'' if len(words) > 2 else ' 0'} 0 0 0 0 0"]
         else:
             name = name.replace(" ", "_")

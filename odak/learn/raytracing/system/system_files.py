@@ -1,0 +1,652 @@
+"""Files of optical systems: JSON of the package's own, and what the readers of other formats share."""
+
+import codecs
+import dataclasses
+import json
+import math
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from odak import _validate
+from odak.catalog.materials import (  # noqa: F401
+    MICROMETRES,
+    Material,
+    glass_makers,
+    load_materials,
+    material,
+    model_glass,
+    nearest_materials,
+)
+from odak.learn.raytracing.system.paraxial import entrance_pupil, first_order
+from odak.learn.raytracing.system.pupils import at_stop, through_places, trace_fields
+from odak.learn.raytracing.system.surfaces import (
+    Coating,
+    checked_system,
+    coordinate_break,
+    is_break,
+    optical_system,
+    surface,
+)
+from odak.learn.raytracing.system.tracing import trace
+from odak.raytracing.apertures import Aperture
+from odak.raytracing.gradients import FunctionGradient, Gradient
+from odak.raytracing.interfaces import Phase
+from odak.raytracing.surfaces import (
+    Shape,
+)
+from odak.tools.paths import _text, replacing
+
+FOLDER = Path(__file__).resolve().parents[3] / "catalog" / "data"
+MAXIMUM_BYTES = 4 << 20
+_IMAGE = {"radius", "conic", "coefficients", "shape", "semi_diameter", "aperture", "shift", "tilt"}
+_SURFACE = _IMAGE | {"thickness", "material", "material_range", "stop", "phase", "gradient", "coating"}
+_BREAK = {"break", "shift", "tilt", "thickness", "order", "return_to"}
+_SYSTEM = {
+    "aperture",
+    "aperture_type",
+    "wavelengths",
+    "reference",
+    "fields",
+    "object_distance",
+    "image",
+    "unit",
+    "name",
+    "source",
+    "telecentric",
+    "afocal",
+    "vignetting_factors",
+    "field_weights",
+    "wavelength_weights",
+}
+FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
+
+
+def sample_systems() -> tuple[str, ...]:
+    """Return the names of the sample systems, for :func:`load_system`.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import sample_systems
+    >>> "cooke_triplet" in sample_systems()
+    True
+    """
+    return tuple(sorted(path.stem.removeprefix("system_") for path in FOLDER.glob("system_*.json")))
+
+
+def load_system(path: Any) -> optical_system:
+    """Return a sample system by its name, or one from a JSON file.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        A name of :func:`sample_systems`, or a file written by :func:`save_system`.
+
+    Raises
+    ------
+    ValueError
+        If there is neither, or the file is malformed.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system
+    >>> load_system("double_gauss").name
+    'Double Gauss f/2'
+    """
+    if isinstance(path, str) and path in sample_systems():
+        path = FOLDER / f"system_{path}.json"
+    path = Path(_text("path", path))
+    if not path.is_file():
+        raise ValueError(f"path must be a file or one of {', '.join(sample_systems())}; got {str(path)!r}")
+    if path.stat().st_size > MAXIMUM_BYTES:
+        raise ValueError(f"{path}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
+    try:
+        return system_from_dict(json.loads(path.read_text(encoding="utf-8")))
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def save_system(system: optical_system, path: Any) -> None:
+    """Write a system as JSON, every digit of its numbers.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    path : str or pathlib.Path
+        File to write.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import first_order, load_system, save_system
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.json")
+    ...     save_system(lens, name)
+    ...     again = load_system(name)
+    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
+    0.0
+    """
+    path = _text("path", path)
+    text = json.dumps(system_to_dict(system), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    with replacing(path) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def system_to_dict(system: optical_system) -> dict:
+    """Return a system as a dictionary of plain numbers and strings; infinities are null.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+
+    Returns
+    -------
+    dict
+        Plain numbers and strings, which JSON can hold; infinities are null.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
+    >>> entry = system_to_dict(load_system("cooke_triplet"))
+    >>> system_from_dict(entry).name == load_system("cooke_triplet").name
+    True
+    """
+    checked_system(system)
+    surfaces = [_entry(item, i == system.stop) for i, item in enumerate(own_surfaces(system))]
+    finite = None if system.at_infinity else system.object_distance
+    return {
+        "name": system.name,
+        "source": system.source,
+        "unit": system.unit,
+        "aperture": system.aperture,
+        "aperture_type": system.aperture_type,
+        "wavelengths": list(system.wavelengths),
+        "reference": system.reference,
+        "fields": [list(field) for field in system.fields],
+        "object_distance": finite,
+        **({} if system.image is None else {"image": _shape(system.image)}),
+        **({"telecentric": True} if system.telecentric else {}),
+        **({"afocal": True} if system.afocal else {}),
+        **{
+            key: plain(getattr(system, key))
+            for key in ("vignetting_factors", "field_weights", "wavelength_weights")
+            if getattr(system, key) is not None
+        },
+        "surfaces": surfaces,
+    }
+
+
+def own_surfaces(system) -> list:
+    """Return the surfaces without the lens that an afocal system appends."""
+    return list(system.surfaces)[: -1 if system.afocal else None]
+
+
+def _entry(item: Any, stop: bool) -> dict:
+    if not is_break(item):
+        return _shape(item) | _medium(item) | ({"stop": True} if stop else {})
+    entry: dict[str, Any] = {"break": True, "thickness": float(item.thickness.detach())}
+    if isinstance(item.order, int):
+        return entry | {"return_to": item.order}
+    return entry | {"shift": item.shift.tolist(), "tilt": item.tilt.tolist(), "order": item.order}
+
+
+def _shape(item: Any) -> dict:
+    """Return the shape, aperture, phase and placement of a surface, without what it does not have."""
+    radius = math.inf if item.own_shape is not None else float(item.radius.detach())
+    entry: dict[str, Any] = {"radius": None if math.isinf(radius) else radius, "conic": float(item.conic.detach())}
+    entry |= {"coefficients": item.coefficients.tolist(), "semi_diameter": item.semi_diameter}
+    entry |= {"shift": item.shift.tolist(), "tilt": item.tilt.tolist()}
+    if item.own_shape is not None:
+        entry = {key: value for key, value in entry.items() if key != "conic"} | {"shape": _by_fields(item.shape)}
+    if item.own_phase is not None:
+        entry["phase"] = _by_fields(item.phase)
+    if item.own_gradient is not None:
+        entry["gradient"] = _by_fields(item.gradient)
+    if item.own_coating is not None:
+        coating = item.coating
+        entry["coating"] = {"media": [_film(value) for value in coating.media]}
+        entry["coating"] |= {"thicknesses": plain(coating.thicknesses)}
+        entry["coating"] |= {} if coating.substrate is None else {"substrate": _film(coating.substrate)}
+    entry["aperture"] = [_by_fields(part) for part in item.apertures]
+    return {key: value for key, value in entry.items() if value not in (None, [], [0.0, 0.0])}
+
+
+def _film(medium):
+    """Return the name of a material, its index, or the parts of a complex one."""
+    if isinstance(medium, complex):
+        return [medium.real, medium.imag]
+    return getattr(medium, "name", medium)
+
+
+def _by_fields(item: Any) -> dict:
+    """Return a shape, a phase, a gradient or an aperture as the name of its class and its fields."""
+    if isinstance(item, FunctionGradient):
+        raise ValueError("a graded index given by a function cannot be written: derive a class from Gradient")
+    values = {field.name: plain(getattr(item, field.name)) for field in dataclasses.fields(item)}
+    return {"kind": type(item).__name__} | values
+
+
+def plain(value):
+    """Return a number, or nested lists of numbers, of tensors and tuples."""
+    if hasattr(value, "detach"):
+        return value.detach().tolist()
+    return [plain(entry) for entry in value] if isinstance(value, (tuple, list)) else value
+
+
+def _kinds(base: type) -> dict[str, type]:
+    """Return the classes derived from one by their names, those of the user's program included."""
+    found: dict[str, type] = {}
+    children: list[type] = base.__subclasses__()
+    for child in children:
+        found |= {child.__name__: child} | _kinds(child)
+    return found
+
+
+def _from_fields(where: str, base: type, entry):
+    kinds = _kinds(base)
+    if not isinstance(entry, dict) or "kind" not in entry:
+        accepted = f'{where} must be an object with a "kind", one of {", ".join(sorted(kinds))}'
+        raise ValueError(f"{accepted}; got {entry!r:.80}")
+    entry = dict(entry)
+    kind = kinds[_validate.one_of(f"kind in {where}", entry.pop("kind"), sorted(kinds))]
+    _known(where, entry, [field.name for field in dataclasses.fields(kind)])
+    if base is not Aperture:
+        # Grids as arrays; a list of numbers stays one.
+        entry = {
+            k: np.asarray(v) if isinstance(v, list) and v and isinstance(v[0], list) else v for k, v in entry.items()
+        }
+    with named_errors(where):
+        return kind(**entry)
+
+
+def _medium(item: Any) -> dict:
+    medium = float(item.index.detach()) if item.material is None else getattr(item.material, "name", item.material)
+    entry = {"thickness": float(item.thickness.detach()), "material": medium}
+    if not isinstance(item.material, Material):
+        return entry
+    if item.material.name.startswith("model "):
+        entry["material"] = " ".join(("model", *model_numbers(item.material)))
+    with suppress(ValueError):
+        # A range that a file extended beyond that of the glass.
+        if tuple(item.material.range) != tuple(_material(str(entry["material"])).range):
+            entry["material_range"] = list(item.material.range)
+    return entry
+
+
+def _material(name: str) -> Material:
+    """Return a glass of the catalogue, or the model glass that "model" and its two or three numbers describe."""
+    if not name.startswith("model "):
+        return material(name)
+    words = name.split()[1:]
+    if len(words) not in (2, 3):
+        raise ValueError(f"material must be 'model' and two or three numbers, got {name!r:.80}")
+    return model_glass(*map(float, words))
+
+
+def model_numbers(glass: Material) -> list[str]:
+    """Return every digit of a model glass's index and Abbe number, and its deviation of partial dispersion if any."""
+    return [repr(glass.nd), repr(glass.vd), *glass.name.split()[3:]]
+
+
+def system_from_dict(entry: dict) -> optical_system:
+    """Return the system that :func:`system_to_dict` describes.
+
+    Parameters
+    ----------
+    entry : dict
+        As from :func:`system_to_dict`; what is left out has its default.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a key is unknown or a value out of range, naming it.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, system_from_dict, system_to_dict
+    >>> entry = system_to_dict(load_system("cooke_triplet"))
+    >>> len(system_from_dict(entry).surfaces) == len(load_system("cooke_triplet").surfaces)
+    True
+    """
+    if not isinstance(entry, Mapping):
+        raise TypeError(f"entry must be a dictionary, got {type(entry).__name__}")
+    entry = dict(entry)
+    surfaces = entry.pop("surfaces", None)
+    if not isinstance(surfaces, list) or not surfaces:
+        raise ValueError(f"surfaces must be a list of at least one surface, got {surfaces!r:.80}")
+    _known("system", entry, _SYSTEM | {"notes"})
+    entry.pop("notes", None)
+    if entry.get("object_distance", 0) is None:
+        del entry["object_distance"]
+    built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
+    if entry.get("image") is not None:
+        entry["image"] = _built("image", entry["image"], _IMAGE)
+    return optical_system(built, **entry)
+
+
+def _built(where: str, entry, keys) -> surface:
+    if keys is _SURFACE and isinstance(entry, dict) and entry.get("break"):
+        _known(where, entry, _BREAK)
+        with named_errors(where):
+            return coordinate_break(**{key: value for key, value in entry.items() if key != "break"})
+    _known(where, entry, keys)
+    entry = {"radius": math.inf, **entry}
+    for key, base in (("shape", Shape), ("phase", Phase), ("gradient", Gradient)):
+        if key in entry:
+            entry[key] = _from_fields(f"{key} of {where}", base, entry[key])
+    if "aperture" in entry:
+        parts = entry["aperture"] if isinstance(entry["aperture"], list) else [entry["aperture"]]
+        entry["aperture"] = [_from_fields(f"aperture of {where}", Aperture, part) for part in parts]
+    if "coating" in entry:
+        _known(f"coating of {where}", entry["coating"], {"media", "thicknesses", "substrate"})
+        with named_errors(f"coating of {where}"):
+            entry["coating"] = Coating(**entry["coating"])
+    radius = entry.pop("radius")
+    with named_errors(where):
+        glass, reach = entry.get("material"), entry.pop("material_range", None)
+        if isinstance(glass, str) and glass.startswith("model "):
+            entry["material"] = _material(glass)
+        if reach is not None:
+            low, high = map(float, _validate.several("material_range", reach, 2, positive=True))
+            if not (isinstance(glass, str) and low < high):
+                raise ValueError(f"material_range must be two rising numbers, of a glass, got {reach} of {glass!r:.60}")
+            entry["material"] = dataclasses.replace(_material(glass), range=(low, high))
+        return surface(math.inf if radius is None else radius, **entry)
+
+
+@contextmanager
+def named_errors(where: str) -> Iterator[None]:
+    """Put in front of a message which surface of a file it is about."""
+    try:
+        yield
+    except (TypeError, ValueError) as error:
+        raise type(error)(f"{where}: {error}") from error
+
+
+def _known(where: str, entry, keys) -> None:
+    if not isinstance(entry, dict):
+        raise ValueError(f"{where} must be an object, got {type(entry).__name__}")
+    for key in entry:
+        _validate.one_of(f"key in {where}", key, sorted(keys))
+
+
+# Distance in millimetres beyond which an object given by angles is treated as infinitely far.
+FAR = 1e8
+# How far beyond the range of a glass a file may use it.
+MAXIMUM_STRETCH = 1.5
+_MARKS = ((codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"), (codecs.BOM_UTF8, "utf-8-sig"))
+# Files whose content is packed or hidden: their suffix, their first bytes, and what they are.
+_SEALED: tuple[tuple[str, tuple[bytes, ...], str], ...] = (
+    (".zar", (b"\xea\x00", b"\xec\x03"), "a Zemax archive"),
+    (".zbb", (), "a Zemax black box"),
+    (".zip", (b"PK",), "a packed archive"),
+)
+
+
+class ZmxReport(NamedTuple):
+    """Report of a lens file: the lines that were not used, and decisions that the file left open.
+
+    Attributes
+    ----------
+    ignored : tuple of str
+        Every line that had no effect, as "line 12, surface 3: KEY words".
+    notes : tuple of str
+        Decisions that the file left open, and settings that have no counterpart.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import load_system, read_zmx, write_zmx
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.zmx")
+    ...     write_zmx(lens, name)
+    ...     again, report = read_zmx(name)
+    >>> report.ignored
+    ()
+    """
+
+    ignored: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+class Context(NamedTuple):
+    """Properties that all surfaces of a file share."""
+
+    scale: float
+    glasses: dict
+    makers: list[str]
+    waves: list[float]
+    ignored: list[str]
+    notes: list[str]
+
+
+def lens_text(path: Path) -> str:
+    """Return the text of a file: UTF-16 with or without its mark, UTF-8 with or without, or Latin-1.
+
+    Raises
+    ------
+    ValueError
+        If there is no such file, it is too large, or an archive or a black box.
+    """
+    if not path.is_file():
+        raise ValueError(f"path must be a file, got {str(path)!r}")
+    with path.open("rb") as stream:
+        start = stream.read(2)
+    for suffix, marks, kind in _SEALED:
+        if path.suffix.lower() == suffix or start in marks:
+            raise ValueError(f"{path.name} is {kind}, which is not read; save the lens as a text file (.zmx) instead")
+    if path.stat().st_size > MAXIMUM_BYTES:
+        raise ValueError(f"{path.name}: must be of at most {MAXIMUM_BYTES} bytes, got {path.stat().st_size}")
+    return _decoded(path.read_bytes(), path.name)
+
+
+def _decoded(data: bytes, name: str) -> str:
+    encoding = next((encoding for mark, encoding in _MARKS if data.startswith(mark)), "utf-8")
+    if encoding == "utf-8" and b"\x00" in data[:2]:
+        encoding = "utf-16-le" if data[1:2] == b"\x00" else "utf-16-be"
+    try:
+        return data.decode(encoding)
+    except UnicodeDecodeError:
+        if encoding != "utf-8":
+            raise ValueError(f"{name}: not valid {encoding}") from None
+        return data.decode("latin-1")
+
+
+def pairs(x, y) -> list[tuple[float, float]]:
+    """Return pairs of two lists, the shorter one filled up with zeros."""
+    count = max(len(x), len(y))
+    return list(zip(*(value + [0.0] * (count - len(value)) for value in (x, y)), strict=True))
+
+
+def about_fixed_axes(about_x: float, about_y: float) -> tuple[float, float, float]:
+    """Return the tilt of a :class:`surface` that equals rotations in degrees about x, then about the new y axis."""
+    if not (about_x and about_y):
+        return about_x, about_y, 0.0
+    (sa, ca), (sb, cb) = ((math.sin(v), math.cos(v)) for v in map(math.radians, (about_x, about_y)))
+    found = math.asin(sa * cb), math.atan2(sb, ca * cb), math.atan2(sa * sb, ca)
+    return tuple(map(math.degrees, found))  # type: ignore[return-value]
+
+
+def catalogued(number: int, name: str, context: Context) -> tuple[Material | None, str]:
+    """Return a glass by its name, or by that of its successor, and what is wrong with the name otherwise."""
+    makers, problem = context.makers, ""
+    first = makers[: makers.index("schott")] if "schott" in makers else makers
+    for maker in (*(f"{maker}:" for maker in first), "", *(f"{maker}:" for maker in makers)):
+        try:
+            return material(f"{maker}{name}"), ""
+        except ValueError as error:
+            problem = str(error) if not maker else problem
+    several = [maker for maker in glass_makers() if f"'{maker}:{name}'" in problem]
+    # Names of glasses with lead and arsenic, and those of their successors.
+    former = re.fullmatch(r"([A-Z]+?)N?(\d+\w*)", name.upper())
+    for maker, prefix in (("schott", "N"), ("hoya", "E"), ("cdgm", "H"), ("hikari", "J")):
+        if former and (maker in makers or (prefix == "N" and not makers and not several)):
+            for successor in (f"{prefix}-{name.upper()}", f"{prefix}-{former[1]}{former[2]}"):
+                for full in (successor, f"{maker}:{successor}"):
+                    try:
+                        found = material(full)
+                    except ValueError:
+                        continue
+                    context.notes.append(f"surface {number}: {name} is not known; its successor {found.name} is taken")
+                    return found, ""
+    if several:
+        context.notes.append(f"surface {number}: {name} is a glass of several makers; that of {several[0]} is taken")
+        return material(f"{several[0]}:{name}"), ""
+    return None, problem
+
+
+def within(number: int, found: Any, context: Context) -> Any:
+    """Return a material whose range holds the wavelengths, which may reach somewhat beyond its own; noted."""
+    low, high = min(context.waves) * 1e3, max(context.waves) * 1e3
+    own = found.range
+    if own[0] <= low and high <= own[1]:
+        return found
+    ends = [found.index(value) for value in (low, high)]
+    stretched = low < own[0] / MAXIMUM_STRETCH or high > own[1] * MAXIMUM_STRETCH
+    if stretched or any(isinstance(value, complex) or not value > 0 for value in ends):
+        raise ValueError(
+            f"surface {number}: {found.name} must be used from {own[0]:g} to {own[1]:g} µm, got wavelengths from "
+            f"{low:g} to {high:g} µm"
+        )
+    kind = "the model glass" if found.name.startswith("model ") else found.name
+    context.notes.append(f"surface {number}: {kind} is extrapolated to {low:g} … {high:g} µm")
+    return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
+
+
+def fields_of_image_heights(
+    system, points, real: bool, aim: str = "paraxial", notes: list | None = None
+) -> tuple[tuple[float, float], ...]:
+    """Return the field points whose chief rays land at given heights at the primary wavelength.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    points : sequence of pairs
+        Heights (x, y) in the image.
+    real : bool
+        Trace chief rays; else the heights are paraxial.
+    aim : str
+        Of :func:`launch`; where chief rays through the paraxial pupil do not arrive, "real" in any case.
+    notes : list, optional
+        To which heights out of reach are appended; their fields are those of the farthest chief rays that arrive.
+    """
+    properties = first_order(system)
+    scale = float(properties.focal_length if system.at_infinity else properties.magnification)
+    wanted = torch.tensor(points, dtype=torch.float64)
+    size = wanted.square().sum(-1).sqrt()
+    if not math.isfinite(scale) or not scale:
+        if bool((size > 0).any()):
+            raise ValueError(f"fields by image height need a finite focal length or magnification, got {scale:g}")
+        return tuple((0.0, 0.0) for _ in points)
+    found = size / abs(scale)
+    unit = wanted / torch.where(size > 0, size, 1.0)[:, None]
+    if real:
+        with torch.no_grad():
+            met = torch.zeros_like(size, dtype=torch.bool)
+            if aim == "paraxial":
+                found, met = _by_secants(system, found, size, unit, scale)
+            found = found * math.copysign(1.0, scale)
+            for i in (~met & (size > 0)).nonzero().flatten().tolist():
+                found[i] = _from_axis(system, float(size[i]), unit[i], notes)
+    else:
+        found = found * math.copysign(1.0, scale)
+    return tuple((float(a) + 0.0, float(b) + 0.0) for a, b in _as_fields(system, found[:, None] * unit))
+
+
+def _by_secants(system, found, size, unit, scale: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return tangents or heights of fields by secant steps from the paraxial field, and which of them arrive."""
+    chief = torch.zeros(1, 2, dtype=torch.float64)
+    before: Any = None
+    error: Any = None
+    change, now = found, found
+    for _ in range(30):
+        place = trace_fields(system, chief, fields=_as_fields(system, found[:, None] * unit), vignetting=False)
+        now = (place.x.square() + place.y.square()).sqrt()[system.reference, :, 0] - size
+        if before is None:
+            change = now / abs(scale)
+        else:
+            slope = (now - error) / torch.where(found != before, found - before, 1.0)
+            change = torch.where(slope != 0, now / torch.where(slope != 0, slope, 1.0), 0.0)
+        before, error, found = found, now, (found - change).clamp(min=0.0)
+        if not bool(torch.isfinite(found).any()) or float(change.abs().nan_to_num().max()) < 1e-13:
+            break
+    met = torch.isfinite(found) & (now.abs() <= 1e-9 * size)
+    return torch.where(met | (size == 0), found.nan_to_num(), 0.0), met
+
+
+def _from_axis(system, size: float, unit, notes: list | None) -> float:
+    """Return the tangent or height of the field whose chief ray lands at a distance from the axis.
+
+    Fields are continued from the axis in steps of adaptive length: for each, Newton's method finds the field and the
+    place in the entrance pupil at which a ray passes the centre of the stop and lands at the distance. The farthest
+    field is taken, and noted, where the distance is out of reach.
+    """
+    numbers = system.prescription().at(system.reference)
+    pupil = entrance_pupil(system, prescription=numbers)
+    reach, radius = float(pupil.reach), float(pupil.stop_radius)
+
+    def errors(field, place, distance):
+        """Return the misses at the stop and in the image of rays of fields, angles or heights, through the pupil."""
+        points = (torch.rad2deg(field) if system.at_infinity else field)[:, None] * unit
+        across = (pupil.middle[i] + reach * place[:, None] * unit[i] for i in range(2))
+        rays = through_places(system, points[:, None], pupil, *across)
+        x, y, kept = at_stop(system, numbers, rays)
+        image = trace(system, rays, prescription=numbers, vignetting=False)
+        stop = (x * unit[0] + y * unit[1]) / radius
+        miss = (image.x * unit[0] + image.y * unit[1] - distance) / size
+        held = kept.reshape(-1) & image.arrived.reshape(-1)
+        return torch.stack([torch.where(held, value.reshape(-1), torch.nan) for value in (stop, miss)])
+
+    def solved(start, distance):
+        """Return the field and the place in the pupil, None where rays are lost on the way."""
+        here = start
+        for _ in range(8):
+            if system.at_infinity and not float(here[0].abs()) < 1.56:
+                return None
+            width = 1e-6 * torch.stack([here[0].abs().clamp(min=1e-3), torch.ones_like(here[1])])
+            found = errors(*(here[:, None] + torch.nn.functional.pad(torch.diag(width), (1, 0))), distance)
+            jacobian = (found[:, 1:] - found[:, :1]) / width
+            if not bool(torch.isfinite(jacobian).all()) or not bool(torch.linalg.det(jacobian)):
+                return None
+            change = torch.linalg.solve(jacobian, found[:, 0])
+            if not float(change.abs().max()) < 10:
+                return None
+            here = here - change
+            if float(change.abs().max()) < 1e-11:
+                return here if bool(torch.isfinite(errors(*here[:, None], distance)).all()) else None
+        return None
+
+    here, share, step = torch.zeros(2, dtype=torch.float64), 0.0, 1.0
+    near = solved(here, 1e-3 * size)
+    rate = here if near is None else near / 1e-3
+    while near is not None and share < 1 and step > 2e-3:
+        target = min(1.0, share + step)
+        found = solved(here + rate * (target - share), target * size)
+        outwards = found is not None and float(found[0].abs()) > float(here[0].abs())
+        if found is None or not outwards:
+            step = (target - share) / 2
+            continue
+        rate = (found - here) / (target - share)
+        here, share, step = found, target, 1.3 * step
+    if notes is not None and share < 1:
+        where = f"{math.degrees(float(here[0])):.4g} degrees" if system.at_infinity else f"{float(here[0]):.4g} mm"
+        notes.append(
+            f"a field by real image height, {size:g} mm, is out of reach: chief rays arrive up to "
+            f"{share * size:.4g} mm, from {where}, which is taken"
+        )
+    return math.tan(float(here[0])) if system.at_infinity else float(here[0])
+
+
+def _as_fields(system, tangents: torch.Tensor) -> torch.Tensor:
+    """Return field points of tangents (far objects) or heights."""
+    return torch.rad2deg(torch.atan(tangents)) if system.at_infinity else tangents
