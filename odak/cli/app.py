@@ -736,7 +736,9 @@ def eyebox(
 def trace(
     system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json or .zmx file.")],
     output: Output = Path("trace"),
-    rings: Annotated[int, typer.Option(metavar="COUNT", help="Number of rings of rays in the pupil, 1 to 100.")] = 6,
+    rings: Annotated[
+        int, typer.Option(metavar="COUNT", help="Number of rings of the rays that are counted, 1 to 100.")
+    ] = 6,
     aim: Annotated[
         str,
         typer.Option(metavar="paraxial|real", help="Pupil that the rays are aimed at: the paraxial or the real one."),

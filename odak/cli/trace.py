@@ -11,17 +11,17 @@ from odak.cli.files import writable_folder
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import finite, versions
 from odak.learn.raytracing.system import (
+    FieldQuality,
     distortion,
+    field_quality,
     first_order,
     lens_report,
     load_system,
-    point_spread_function,
     read_zmx,
     report_figures,
     sample_systems,
     spot_diagram,
     system_to_dict,
-    wavefront,
 )
 from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
@@ -31,13 +31,18 @@ MAXIMUM_RINGS = 100
 FORMATS = ("png", "svg", "pdf")
 DEFINITIONS = {
     "lengths": "In the system's unit; angles in degrees; wavefronts in wavelengths.",
-    "rms_spot": "Root mean square distance of the rays from their centroid in the image plane, per field: all "
-    "wavelengths together, equally weighted.",
-    "largest_spot": "Largest distance from that centroid.",
+    "rms_spot": "Root mean square distance of the rays from their centroid in the image plane over the area of the "
+    "pupil, per field: all wavelengths together, with the weights of the system.",
+    "largest_spot": "Largest distance from the centroid, of the rays of the rings.",
     "distortion": "Chief ray's image height at the reference wavelength over the paraxial one, less 1.",
-    "wavefront_rms": "Standard deviation of the path to the reference sphere, at the reference wavelength.",
-    "strehl": "Peak of the diffraction image at the reference wavelength over that of a perfect lens.",
-    "statuses": "How many rays ended how.",
+    "wavefront_rms": "Standard deviation of the path to the reference sphere over the area of the pupil, at the "
+    "reference wavelength.",
+    "strehl": "Peak of the diffraction image at the reference wavelength over that of the same pupil without "
+    "aberrations.",
+    "passed": "Share of the area of the pupil that no aperture blocks.",
+    "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
+    "change of these from half as many rings: relative for the first two, absolute for the others.",
+    "statuses": "How many rays of the rings, of all wavelengths, ended how.",
 }
 
 
@@ -138,37 +143,37 @@ def run(
     mark = files.fingerprint(values, [path for path in (Path(name), *glasses) if path.is_file()])
     if (kept := files.kept_report(folder, mark, notices)) is not None:
         return kept
-    drawn = report_figures(system, aim)
+    quality = field_quality(system, aim)
+    drawn = report_figures(system, aim, quality)
     names = [*(f"{title}.{figures}" for title in drawn), "report.html"]
     files.announce(folder, [*names, files.REPORT], notices)
     with torch.no_grad():
-        report = describe(system, rings, aim) | {"ignored": ignored}
+        report = describe(system, rings, aim, quality) | {"ignored": ignored}
     for title, figure in drawn.items():
         # The layout serves both files of a figure; each saving would find it twice again.
         figure.draw_without_rendering()
         figure.set_layout_engine("none")
         with replacing(folder / f"{title}.{figures}") as stream:
             figure.savefig(stream, format=figures, dpi=140)
-    lens_report(system, folder / "report.html", aim, drawn)
+    lens_report(system, folder / "report.html", aim, drawn, quality)
     return files.write_report(folder, report | {"figures": names[:-1]}, mark, names)
 
 
-def describe(system, rings: int, aim: str) -> dict:
+def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
     """Return the entries of the report on a system."""
     spots = spot_diagram(system, "rings", rings, aim=aim)
-    wave = wavefront(system, "rings", rings, aim=aim)
-    spread = point_spread_function(system, 64, 1024, aim=aim)
     bent = distortion(system, aim=aim)
     place = system.reference
     fields = [
         {
             "field": list(field),
-            "rms_spot": finite(spots.rms[i]),
+            "rms_spot": finite(quality.rms_spot[i]),
             "largest_spot": finite(spots.largest[i]),
             "centroid": [finite(value) for value in spots.center[i]],
             "distortion": finite(bent[place, i]),
-            "wavefront_rms": finite(wave.rms[place, i]),
-            "strehl": finite(spread.strehl[place, i]),
+            "wavefront_rms": finite(quality.wavefront_rms[i]),
+            "strehl": finite(quality.strehl[i]),
+            "passed": finite(quality.passed[i]),
             "statuses": {
                 status.name.lower(): int((spots.status[:, i] == status).sum())
                 for status in RayStatus
@@ -181,6 +186,7 @@ def describe(system, rings: int, aim: str) -> dict:
         "system": system_to_dict(system),
         "first_order": {name: finite(value) for name, value in first_order(system)._asdict().items()},
         "rays": {"pattern": "rings", "count": rings, "aim": aim},
+        "quadrature": {"rings": quality.count, "change": finite(quality.change)},
         "fields": fields,
         "versions": versions(),
         "definitions": DEFINITIONS,

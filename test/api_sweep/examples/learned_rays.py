@@ -237,6 +237,8 @@ BY_CALL = {
         "spread": Build(lambda _: huygens_point_spread_function(_lens(), 8, 16)),
         "frequency": 5.0,
     },
+    f"{HERE}.system.strehl_ratio": {"count": 4},
+    f"{HERE}.system.pupil_quadrature": {"count": 2},
     f"{HERE}.system.q_fit": {"found": Build(lambda _: wavefront(_lens(), count=4)), "radial": 2, "azimuthal": 2},
     f"{HERE}.system.zernike_fit": {"found": Build(lambda _: wavefront(_lens(), count=4)), "terms": 6},
     f"{HERE}.system.surface": {

@@ -9,7 +9,7 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
-from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields
+from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields, weights_of
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     checked_prescription,
@@ -39,7 +39,8 @@ class Spots(NamedTuple):
     center : torch.Tensor
         Reference points, ``[..., F, 2]``.
     rms, largest : torch.Tensor
-        Root mean square and largest distance from the reference point, all wavelengths together, ``[..., F]``.
+        Root mean square and largest distance from the reference point, all wavelengths together, ``[..., F]``; the
+        mean is that of the rays, with the weights of a :class:`PupilQuadrature` that of the area of the pupil.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
 
@@ -103,6 +104,8 @@ def spot_diagram(
     kept = traced.arrived
     x, y = torch.where(kept, traced.x, 0.0), torch.where(kept, traced.y, 0.0)
     share = wavelength_shares(system, prescription, x)[:, None, None]
+    weights = weights_of(pupil, count, x)
+    share = share if weights is None else share * weights
     number = (kept * share).sum((-3, -1))
     if reference == "chief":
         chief = trace_fields(
@@ -674,13 +677,16 @@ class Wavefront(NamedTuple):
         Optical path to the reference sphere less that of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN where
         a ray is lost. Positive where the wave lags.
     rms : torch.Tensor
-        Its standard deviation over the rays, ``[..., W, F]``.
+        Its standard deviation over the area of the pupil where the rays have weights, over the rays where they have
+        none, ``[..., W, F]``.
     pupil : torch.Tensor
         Pupil coordinates, ``[P, 2]``, or ``[F, P, 2]`` where each field has its own.
     cosines : torch.Tensor
         Direction cosines u, v of the rays in image space less those of the chief ray, ``[..., W, F, P, 2]``.
     status : torch.Tensor
         int8, numbers of :class:`odak.raytracing.RayStatus`: what befell the ray first.
+    weights : torch.Tensor or None
+        Fractions of the area of the pupil that the rays stand for, ``[P]`` or ``[F, P]``; None where all are alike.
 
     Examples
     --------
@@ -696,11 +702,12 @@ class Wavefront(NamedTuple):
     pupil: torch.Tensor
     cosines: torch.Tensor
     status: torch.Tensor
+    weights: torch.Tensor | None = None
 
 
 def wavefront(
     system: Any,
-    pupil: Any = "rings",
+    pupil: Any = "gauss",
     count: int = 12,
     *,
     prescription: Prescription | None = None,
@@ -715,8 +722,8 @@ def wavefront(
     system : optical_system
         The system.
     pupil : str or torch.Tensor
-        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius; ``[F, P, 2]`` for points
-        of each field's own.
+        Pattern of :func:`pupil_samples`, points of :func:`pupil_quadrature`, or points ``[P, 2]`` in units of the
+        pupil's radius; ``[F, P, 2]`` for points of each field's own.
     count : int
         Count of :func:`pupil_samples`.
     prescription : Prescription, optional
@@ -737,7 +744,9 @@ def wavefront(
     -----
     The sphere of each wavelength and field is centred where the chief ray of that wavelength intersects the image
     surface, and passes through the paraxial exit pupil's centre, which may be at infinity. Welford, Aberrations of
-    Optical Systems (1986), section 7.2.
+    Optical Systems (1986), section 7.2. Rays of "gauss" have the weights of a Gaussian quadrature, so that means over
+    the pupil do not depend on their number; where an aperture cuts the pupil, those of :func:`pupil_quadrature` follow
+    its rim.
 
     Examples
     --------
@@ -766,17 +775,20 @@ def wavefront(
     traced = type(traced)._make([*held, traced.status])
     numbers = system.prescription() if prescription is None else prescription
     index = numbers.index[..., -1][..., None, None]
-    total = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
-    lag = total[..., 1:] - total[..., :1]
+    path = path_at_start(system, rays, numbers) + traced.path + index * _to_sphere(system, traced, prescription)
+    lag = path[..., 1:] - path[..., :1]
     lag = torch.where(kept, lag, 0.0) / wavelengths_of(system, numbers)[:, None, None]
-    number = kept.sum(-1)
-    mean = lag.sum(-1) / number.clamp_min(1)
-    spread = torch.where(kept, lag - mean[..., None], 0.0).square().sum(-1) / number.clamp_min(1)
+    weights = weights_of(pupil, count, lag)
+    share = kept.to(lag) if weights is None else kept * weights
+    number = share.sum(-1)
+    total = torch.where(number > 0, number, 1.0)
+    mean = (share * lag).sum(-1) / total
+    spread = (share * torch.where(kept, lag - mean[..., None], 0.0).square()).sum(-1) / total
     rms = torch.where(spread > 0, torch.where(spread > 0, spread, 1.0).sqrt(), 0 * spread)
     rms = torch.where(number > 0, rms, torch.nan)
     cosines = torch.stack([value[..., 1:] - value[..., :1] for value in (traced.u, traced.v)], -1)
     cosines = torch.where(kept[..., None], cosines, torch.nan)
-    return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status)
+    return Wavefront(torch.where(kept, lag, torch.nan), rms, points, cosines, status, weights)
 
 
 def path_at_start(system, rays, numbers: Prescription):
@@ -965,8 +977,9 @@ def _polar(pupil: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 def _fitted(found: Wavefront, basis: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the coefficients of a basis ``[..., P, terms]`` by least squares, and the root mean square of the rest."""
     kept = (found.status == 0)[..., None]
-    weighted = torch.where(kept, basis, 0.0)
-    values = torch.where(kept, found.path[..., None], 0.0)
+    share = torch.ones_like(basis[..., :1]) if found.weights is None else found.weights[..., None].sqrt()
+    weighted = torch.where(kept, share * basis, 0.0)
+    values = torch.where(kept, share * found.path[..., None], 0.0)
     coefficients = torch.linalg.lstsq(weighted, values).solution
-    left = torch.where(kept, weighted @ coefficients - values, 0.0).square().sum((-2, -1)) / kept.sum((-2, -1))
+    left = (weighted @ coefficients - values).square().sum((-2, -1)) / (kept * share.square()).sum((-2, -1))
     return coefficients[..., 0], torch.where(left > 0, torch.where(left > 0, left, 1.0).sqrt(), 0.0)

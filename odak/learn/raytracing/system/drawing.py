@@ -45,6 +45,8 @@ from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, i
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
+    FieldQuality,
+    field_quality,
     modulation_transfer_function,
     point_spread_function,
     relative_illumination,
@@ -669,7 +671,9 @@ def through_focus_figure(
 
 
 @torch.no_grad()
-def wavefront_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> Figure:
+def wavefront_figure(
+    system: Any, samples: int = 64, aim: str = "paraxial", quality: FieldQuality | None = None
+) -> Figure:
     """Return maps of the wavefront over the pupil, and the diffraction images, at the reference wavelength.
 
     Parameters
@@ -680,12 +684,15 @@ def wavefront_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> F
         Samples across the pupil.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
+    quality : FieldQuality, optional
+        From :func:`field_quality`, where available.
 
     Returns
     -------
     matplotlib.figure.Figure
-        A column for each field: path differences in wavelengths, and below the amplitude (square root of the
-        intensity) of the image. Images are left out if a wavefront has more than two waves RMS.
+        A column for each field: path differences in wavelengths with their root mean square, and below the amplitude
+        (square root of the intensity) of the image with its Strehl ratio, both numbers those of `quality`. Images are
+        left out if a wavefront has more than two waves RMS.
 
     Examples
     --------
@@ -702,6 +709,7 @@ def wavefront_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> F
     inside = x * x + y * y <= 1 + 1e-9
     points = torch.stack([x[inside], y[inside]], -1)
     found = wavefront(system, points, prescription=numbers, aim=aim)
+    quality = _quality(system, aim, quality)
     small = float(found.rms.nan_to_num(nan=9.0).max()) <= LARGE
     figure, panels = _panels(1 + small, fields, (2.9 * fields + 0.6, 2.9 * (1 + small) + 0.2))
     for i, axes in enumerate(panels[0]):
@@ -709,7 +717,7 @@ def wavefront_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> F
         grid[inside] = found.path[0, i].cpu()
         span = float(grid.abs().nan_to_num().max()) or 1.0
         shown = axes.imshow(grid.numpy(), origin="lower", extent=(-1, 1, -1, 1), cmap="RdBu_r", vmin=-span, vmax=span)
-        axes.set_title(f"field {field_label(system, i)}\nRMS {float(found.rms[0, i]):.3g} λ", fontsize=9)
+        axes.set_title(f"field {field_label(system, i)}\nRMS {float(quality.wavefront_rms[i]):.3g} λ", fontsize=9)
         axes.set(xticks=[-1, 0, 1], yticks=[-1, 0, 1])
         figure.colorbar(shown, ax=axes, shrink=0.8, label="path (λ)" if i == fields - 1 else None)
     panels[0, 0].set_ylabel("pupil y", fontsize=9)
@@ -722,7 +730,7 @@ def wavefront_figure(system: Any, samples: int = 64, aim: str = "paraxial") -> F
         rows, columns = (float(v) * MICROMETRES[system.unit] * half for v in spread.pitch[0, i])
         extent = (-columns, columns, -rows, rows)
         shown = axes.imshow(middle.sqrt().cpu().numpy(), origin="lower", extent=extent, cmap="magma", vmin=0)
-        axes.set_title(f"Strehl ratio {float(spread.strehl[0, i]):.2f}", fontsize=9)
+        axes.set_title(f"Strehl ratio {float(quality.strehl[i]):.2f}", fontsize=9)
         axes.set_xlabel(f"x ({image_unit(system)})", fontsize=9)
         figure.colorbar(shown, ax=axes, shrink=0.8, label="amplitude" if i == fields - 1 else None)
     panels[1, 0].set_ylabel(f"y ({image_unit(system)})", fontsize=9)
@@ -1004,7 +1012,14 @@ def tolerance_figure(system: Any, found: Any, limit: float | None = None) -> Fig
     return figure
 
 
-def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
+def _quality(system, aim: str, given) -> FieldQuality:
+    """Return the numbers of each field, those that are given where there are any."""
+    if given is not None and not isinstance(given, FieldQuality):
+        raise TypeError(f"quality must be a FieldQuality, got {type(given).__name__}")
+    return field_quality(system, aim) if given is None else given
+
+
+def report_figures(system: Any, aim: str = "paraxial", quality: FieldQuality | None = None) -> dict[str, Figure]:
     """Return the figures of :func:`lens_report` by their names; those that a system cannot have are left out.
 
     Parameters
@@ -1013,6 +1028,8 @@ def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
         The system.
     aim : str
         "paraxial" or "real", how :func:`launch` aims.
+    quality : FieldQuality, optional
+        From :func:`field_quality`, where available: the numbers in the titles.
 
     Examples
     --------
@@ -1021,15 +1038,16 @@ def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
     ['layout', 'spots', 'fans', 'transfer', 'through_focus', 'wavefront']
     """
     checked_system(system)
+    quality = _quality(system, aim, quality)
     found = {
         "layout": layout_figure(system, aim),
-        "spots": spots_figure(system, spot_diagram(system, "rings", 8, aim=aim)),
+        "spots": spots_figure(system, spot_diagram(system, "rings", 8, aim=aim)._replace(rms=quality.rms_spot)),
         "fans": fans_figure(system, aim=aim),
     }
     if image_aperture(system):
         found["transfer"] = transfer_figure(system, aim=aim)
         found["through_focus"] = through_focus_figure(system, aim=aim)
-    found["wavefront"] = wavefront_figure(system, aim=aim)
+    found["wavefront"] = wavefront_figure(system, aim=aim, quality=quality)
     if any(any(field) for field in system.fields):
         found["field"] = field_figure(system)
         found["image"] = image_figure(system, aim=aim)
@@ -1041,7 +1059,13 @@ def report_figures(system: Any, aim: str = "paraxial") -> dict[str, Figure]:
     return found
 
 
-def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str, Figure] | None = None) -> None:
+def lens_report(
+    system: Any,
+    path: Any,
+    aim: str = "paraxial",
+    figures: dict[str, Figure] | None = None,
+    quality: FieldQuality | None = None,
+) -> None:
     """Write a report of a system as one self-contained HTML file: prescription, first order, all figures, sums.
 
     Parameters
@@ -1054,6 +1078,8 @@ def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str
         "paraxial" or "real", how :func:`launch` aims.
     figures : dict, optional
         From :func:`report_figures`, where available.
+    quality : FieldQuality, optional
+        From :func:`field_quality`, where available.
 
     Examples
     --------
@@ -1083,12 +1109,13 @@ def lens_report(system: Any, path: Any, aim: str = "paraxial", figures: dict[str
     parts = [f"<h1>{html.escape(system.name or 'Optical system')}</h1>", f"<p>{html.escape(system.source)}</p>"]
     if figures is not None and not isinstance(figures, dict):
         raise TypeError(f"figures must be those of report_figures, got {type(figures).__name__}")
-    figures = report_figures(system, aim) if figures is None else figures
+    quality = _quality(system, aim, quality)
+    figures = report_figures(system, aim, quality) if figures is None else figures
     for name in headings:
         if name in figures:
             parts += [f"<h2>{headings[name]}</h2>", _svg(figures[name])]
         if name == "layout":
-            parts += _numbers_of(system, aim)
+            parts += _numbers_of(system, aim, quality)
     page = _PAGE.format(title=html.escape(system.name or "Optical system"), body="\n".join(parts))
     with replacing(path) as stream:
         stream.write(page.encode("utf-8"))
@@ -1126,7 +1153,7 @@ def _table(head, rows) -> str:
 
 
 @torch.no_grad()
-def _numbers_of(system, aim: str) -> list[str]:
+def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     """Return the tables of a report."""
     unit, scale = unit_of(system), MICROMETRES[system.unit]
     properties = first_order(system)
@@ -1152,21 +1179,25 @@ def _numbers_of(system, aim: str) -> list[str]:
             (f"{i}{mark}", "∞" if radius is None else radius, entry["thickness"], str(entry.get("material", "")), kind)
         )
     parts += [f"<h2>Prescription ({unit})</h2>", _table(("surface", "radius", "thickness", "material", "shape"), rows)]
-    spots, wave = spot_diagram(system, "rings", 8, aim=aim), wavefront(system, "rings", 12, aim=aim)
-    lost = (~(spots.status == 0)).sum((0, 2))
+    largest = spot_diagram(system, "rings", 8, aim=aim).largest
     rows = [
         (
             field_label(system, i),
-            spots.rms[i] * scale,
-            spots.largest[i] * scale,
-            wave.rms[system.reference, i],
-            int(lost[i]),
+            quality.rms_spot[i] * scale,
+            largest[i] * scale,
+            quality.wavefront_rms[i],
+            quality.strehl[i],
+            100 * (1 - quality.passed[i]).clamp_min(1e-9),
         )
         for i in range(len(system.fields))
     ]
     small = image_unit(system)
-    head = ("field", f"RMS spot ({small})", f"largest ({small})", "wavefront RMS (λ)", "rays lost")
+    head = (
+        "field", f"RMS spot ({small})", f"largest ({small})", "wavefront RMS (λ)", "Strehl ratio", "vignetted (%)"
+    )  # fmt: skip
     parts += ["<h2>Fields</h2>", _table(head, rows)]
+    stated = f"Means over the area of the pupil by Gaussian quadrature with {quality.count} rings"
+    parts += [f"<p>{stated}; with half as many they differ by at most {quality.change:.1g}.</p>"]
     try:
         sums = seidel_sums(system)
     except ValueError:

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
 from odak import _validate
@@ -13,12 +14,15 @@ from odak.learn.raytracing.system.paraxial import entrance_pupil
 from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system
 from odak.learn.raytracing.system.tracing import Rays, Traced, in_surface_frame, trace
 
-PATTERNS = ("rings", "grid", "x", "y", "random")
+PATTERNS = ("rings", "grid", "x", "y", "random", "gauss")
 AIMS = ("paraxial", "real")
 # Steps of Newton's method, and steps along a continuation.
 ROUNDS, MARCHES = 8, 60
 # Newton's method ends with steps this small relative to that of its differences; one more follows.
 CLOSE = 1e-6
+# Spokes of the Gaussian quadrature for each of its rings. Steps along a spoke in which its clear parts are looked for,
+# and halvings by which their ends are found.
+SPOKES, STEPS, HALVINGS = 4, 48, 13
 
 
 def pupil_samples(
@@ -36,6 +40,7 @@ def pupil_samples(
     pattern : str
         "rings": the centre and `count` rings of 6, 12, 18 … points. "grid": those of a square grid of `count` ×
         `count` that lie in the disc. "x", "y": `count` points along a diameter. "random": `count` random points.
+        "gauss": the points of :func:`pupil_quadrature` for a clear pupil.
     count : int
         As above.
     seed : int
@@ -70,6 +75,8 @@ def pupil_samples(
         line = _line(count)
         found = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
         found = found[found.square().sum(-1) <= 1 + 1e-12]
+    elif pattern == "gauss":
+        found = _polar_nodes(count)[0].reshape(-1, 2)
     elif pattern == "random":
         generator = torch.Generator().manual_seed(seed)
         radius, angle = torch.rand(2, count, generator=generator, dtype=wide).unbind()
@@ -78,6 +85,145 @@ def pupil_samples(
         line, still = _line(count), torch.zeros(count, dtype=wide)
         found = torch.stack([line, still] if pattern == "x" else [still, line], -1)
     return found.to(device=device, dtype=dtype)
+
+
+class PupilQuadrature(NamedTuple):
+    """Points of a pupil with weights, in place of the name of a pattern.
+
+    Attributes
+    ----------
+    points : torch.Tensor
+        In units of the pupil's radius, ``[P, 2]``, or ``[F, P, 2]`` where each field has its own.
+    weights : torch.Tensor
+        Fractions of the area of the pupil for which they stand, ``[P]`` or ``[F, P]``. Their sum is the fraction that
+        no aperture blocks.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import PupilQuadrature, load_system, pupil_quadrature
+    >>> isinstance(pupil_quadrature(load_system("singlet"), 4), PupilQuadrature)
+    True
+    """
+
+    points: torch.Tensor
+    weights: torch.Tensor
+
+
+@torch.no_grad()
+def pupil_quadrature(
+    system: Any,
+    count: int = 12,
+    *,
+    fields: Any = None,
+    prescription: Prescription | None = None,
+    aim: str = "paraxial",
+    vignetting: bool = True,
+) -> PupilQuadrature:
+    """Return points and weights by which means over the area of the pupil converge fastest.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    count : int
+        Points along each of 4 × `count` spokes.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points in place of the system's.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, of one system.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+    vignetting : bool
+        Leave out what apertures block at the reference wavelength; where some of the pupil is blocked, each field has
+        points of its own.
+
+    Returns
+    -------
+    PupilQuadrature
+        Without a graph: points and weights are numbers, also where an aperture cuts the pupil.
+
+    Notes
+    -----
+    Gauss–Legendre nodes in the square of the radius and equal angles are exact for polynomials up to the degree
+    4·`count` − 2 of the pupil coordinates: G. W. Forbes, "Optical system assessment for design: numerical ray tracing
+    in the Gaussian pupil", J. Opt. Soc. Am. A 5, 1943 (1988), doi:10.1364/JOSAA.5.001943. Apertures are followed by
+    rays along each spoke, whose clear parts have nodes of their own. The rim of a vignetted pupil has corners, at
+    which the error falls with the square of `count`; :func:`field_quality` states it.
+
+    Examples
+    --------
+    The mean square of the radius over a disc is 1/2, and a clear pupil loses nothing:
+
+    >>> from odak.learn.raytracing.system import load_system, pupil_quadrature
+    >>> points, weights = pupil_quadrature(load_system("singlet"), 3)
+    >>> round(float((weights * points.square().sum(-1)).sum()), 12), round(float(weights.sum()), 12)
+    (0.5, 1.0)
+    """
+    checked_system(system), checked_prescription(prescription)
+    count, vignetting = _validate.integer("count", count, minimum=1), _validate.flag("vignetting", vignetting)
+    numbers = (system.prescription() if prescription is None else prescription).at(system.reference)
+    if len(numbers.batch):
+        raise ValueError(f"prescription must be of one system, got a batch of {tuple(numbers.batch)}")
+    device = numbers.thickness.device
+    whole = PupilQuadrature(*(value.flatten(0, 1).to(device) for value in _polar_nodes(count)))
+    if not vignetting:
+        return whole
+    spoke = _spokes(count).to(device)
+    options = {"fields": fields, "prescription": numbers, "aim": aim}
+
+    def clear(radius: torch.Tensor) -> torch.Tensor:
+        """Return which of the rays at radii ``[..., spokes, R]`` of the spokes arrive, ``[F, spokes, R]``."""
+        rays = launch(system, (radius[..., None] * spoke[:, None]).flatten(-3, -2), **options)
+        return trace(system, rays, prescription=numbers).arrived[0].unflatten(-1, radius.shape[-2:])
+
+    line = torch.linspace(0, 1, STEPS + 1, dtype=torch.float64, device=device)
+    flags = clear(line.expand(len(spoke), -1))
+    if bool(flags.all()):
+        return whole
+    changes = flags[..., 1:] != flags[..., :-1]
+    # The places of the changes come first, in order; the rest of the slots are empty intervals at the rim.
+    slots = int(changes.sum(-1).max())
+    order = torch.where(changes, torch.arange(STEPS, device=device), STEPS).sort(-1).values[..., :slots]
+    low, high = line[order], line[(order + 1).clamp(max=STEPS)]
+    inside = flags.gather(-1, order)
+    for _ in range(HALVINGS):
+        middle = (low + high) / 2
+        same = clear(middle) == inside
+        low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+    first = torch.where(flags[..., :1], 0.0, 1.0).to(low)
+    ends = torch.cat([first, (low + high) / 2, first.new_ones(*first.shape[:-1], 1 + slots % 2)], -1)
+    start, stop = ends.sort(-1).values.square().unflatten(-1, (-1, 2))[..., None].unbind(-2)
+    nodes, parts = _legendre(count, device)
+    square = start + (stop - start) * nodes
+    weights = ((stop - start) * parts / len(spoke)).flatten(1)
+    points = (square.sqrt()[..., None] * spoke[:, None, None]).flatten(1, -2)
+    used = (weights > 0).any(0)
+    return PupilQuadrature(points[:, used], weights[:, used])
+
+
+def _legendre(count: int, device=None) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the nodes and weights of the Gauss–Legendre rule on 0 … 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return torch.as_tensor((nodes + 1) / 2, device=device), torch.as_tensor(weights / 2, device=device)
+
+
+def _spokes(count: int) -> torch.Tensor:
+    """Return the directions of the spokes, ``[4 count, 2]``, none of them along an axis."""
+    angle = (torch.arange(SPOKES * count, dtype=torch.float64) + 0.5) * (2 * math.pi / (SPOKES * count))
+    return torch.stack([angle.cos(), angle.sin()], -1)
+
+
+def _polar_nodes(count: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the points ``[spokes, count, 2]`` and weights of the quadrature of a clear pupil."""
+    spoke, (square, weights) = _spokes(count), _legendre(count)
+    return square.sqrt()[:, None] * spoke[:, None], (weights / len(spoke)).expand(len(spoke), -1)
+
+
+def weights_of(pupil: Any, count: int, like: torch.Tensor) -> torch.Tensor | None:
+    """Return the weights ``[P]`` or ``[F, P]`` of a pupil's points, None where all are alike."""
+    if isinstance(pupil, PupilQuadrature):
+        return pupil.weights.to(like)
+    return _polar_nodes(count)[1].flatten().to(like) if isinstance(pupil, str) and pupil == "gauss" else None
 
 
 def _line(count: int) -> torch.Tensor:
@@ -212,12 +358,15 @@ def pupil_of(pupil, count: int, system) -> torch.Tensor:
     """Return the points of a pupil, from the name of a pattern or as given."""
     checked_system(system)
     device = system.surfaces[0].thickness.device
+    pupil = pupil.points if isinstance(pupil, PupilQuadrature) else pupil
     if isinstance(pupil, str):
         return pupil_samples(_validate.one_of("pupil", pupil, PATTERNS), count, device=device)
     if not isinstance(pupil, torch.Tensor) or pupil.ndim not in (2, 3) or pupil.shape[-1] != 2:
         given = tuple(pupil.shape) if isinstance(pupil, torch.Tensor) else type(pupil).__name__
         known = ", ".join(map(repr, PATTERNS))
-        raise ValueError(f"pupil must be one of {known} or a tensor [P, 2] or [F, P, 2], got {given}")
+        raise ValueError(
+            f"pupil must be one of {known}, a PupilQuadrature or a tensor [P, 2] or [F, P, 2], got {given}"
+        )
     return pupil.to(device=device, dtype=torch.float64)
 
 

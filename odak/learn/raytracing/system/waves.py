@@ -12,21 +12,31 @@ from odak._array import is_readable, phasor_of_cycles
 from odak._torch_private import load_forward_rules
 from odak._warnings import AccuracyWarning, warn
 from odak.learn._tensors import floating
-from odak.learn.raytracing.system.analysis import path_at_start, wavefront
+from odak.learn.raytracing.system.analysis import path_at_start, spot_diagram, wavefront
 from odak.learn.raytracing.system.paraxial import check_image_space, entrance_pupil, first_order
 from odak.learn.raytracing.system.pupils import (
     AIMS,
+    SPOKES,
+    PupilQuadrature,
     aimed,
     at_stop,
     field_points,
     launch,
     places_of,
     pupil_factors,
+    pupil_quadrature,
     pupil_samples,
     solve_pairs,
     through_places,
+    trace_fields,
 )
-from odak.learn.raytracing.system.surfaces import Prescription, checked_prescription, checked_system, wavelengths_of
+from odak.learn.raytracing.system.surfaces import (
+    Prescription,
+    checked_prescription,
+    checked_system,
+    wavelength_shares,
+    wavelengths_of,
+)
 from odak.learn.raytracing.system.tracing import trace
 from odak.raytracing.geometry import safe_sqrt
 from odak.raytracing.intersections import RayStatus
@@ -40,6 +50,11 @@ PIECE = 1 << 18
 RINGS, DEGREE = 10, 7
 # Step of differences in radii of the pupil: their error grows with its square, rounding with its inverse.
 STEP = 3e-4
+# Places of the search for the peak of an image: their distance in wavelengths over the aperture, their largest number
+# along each axis, and how often the neighbourhood of the best one is searched again.
+CLOSE, MOST, ZOOMS = 0.25, 301, 6
+# Rings of the quadratures among which the first converged one is taken, and the change that is small enough.
+RING_COUNTS, SMALL = (8, 16, 32, 64), 1e-3
 
 
 class PlaneRays(NamedTuple):
@@ -239,7 +254,7 @@ class Spread(NamedTuple):
     pitch : torch.Tensor
         Pixel pitches (y, x) in the system's unit, ``[..., W, F, 2]``.
     strehl : torch.Tensor
-        Largest value of the intensity, ``[..., W, F]``.
+        Largest of the samples, ``[..., W, F]``; :func:`strehl_ratio` is the peak itself.
 
     Examples
     --------
@@ -360,6 +375,196 @@ def _derivatives(found, weight):
             AccuracyWarning,
         )
     return straight
+
+
+def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: Any) -> torch.Tensor:
+    """Return the peak of the diffraction image of a point over that of the same pupil without aberrations.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str, PupilQuadrature or torch.Tensor
+        Pattern of :func:`pupil_samples`, points of :func:`pupil_quadrature`, or points ``[P, 2]``.
+    count : int
+        Count of :func:`pupil_samples`.
+    **options
+        Of :func:`wavefront` (`prescription`, `fields`, `aim`, `vignetting`).
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., W, F]``, differentiable.
+
+    Notes
+    -----
+    The largest modulus of the sum of the plane waves of all rays in the image plane, not on a grid but at the maximum
+    itself, whose distance from the chief ray does not matter. The pupil is uniformly filled, and light is scalar (Born
+    and Wolf, Principles of Optics, 1999, section 9.1.3).
+
+    Examples
+    --------
+    For small aberrations it is exp(−(2π·RMS)²):
+
+    >>> import math
+    >>> from odak.learn.raytracing.system import optical_system, strehl_ratio, surface, wavefront
+    >>> sphere = surface(radius=-400.0, thickness=-199.99, material="mirror")
+    >>> mirror = optical_system([sphere], aperture=20.0)
+    >>> round(float(strehl_ratio(mirror)), 3), round(math.exp(-float((2 * math.pi * wavefront(mirror).rms) ** 2)), 3)
+    (0.985, 0.985)
+    """
+    found = wavefront(system, pupil, count, **options)
+    given = options.get("prescription")
+    numbers = system.prescription() if given is None else given
+    waves = wavelengths_of(system, numbers)[:, None] / numbers.index[..., -1].abs()[..., None]
+    kept = found.status == RayStatus.HIT
+    weight = kept.to(found.path) if found.weights is None else kept * found.weights
+    weight = weight / weight.sum(-1, keepdim=True)
+    wave = phasor_of_cycles(torch.where(kept, found.path, 0.0), torch.complex128) * weight
+    slopes = torch.where(kept[..., None], found.cosines, 0.0) / waves[..., None, None]
+    with torch.no_grad():
+        x, y = _peak(wave, slopes, spot_diagram(system, pupil, count, **options, reference="chief"), kept)
+    return _sum_of_waves(wave, slopes, x, y)[..., 0, 0]
+
+
+def _sum_of_waves(wave: torch.Tensor, slopes: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Return the intensity at x ``[..., m]`` and y ``[..., n]``, ``[..., m, n]``, of the waves of rays ``[..., P]``."""
+    along_x, along_y = (
+        phasor_of_cycles(slopes[..., i, None] * place[..., None, :], torch.complex128) for i, place in enumerate((x, y))
+    )
+    field = (along_x * wave[..., None]).mT @ along_y
+    return field.real.square() + field.imag.square()
+
+
+def _peak(
+    wave: torch.Tensor, slopes: torch.Tensor, spots: Any, kept: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return where the sum of the waves is largest, from the chief ray, ``[..., 1]`` each."""
+    scale = slopes.square().sum(-1).amax(-1, keepdim=True).sqrt().clamp_min(1e-300)
+    number = kept.sum(-1, keepdim=True).clamp_min(1)
+    centres, spreads = [], []
+    for value in (spots.x, spots.y):
+        value = value.nan_to_num()
+        centres.append(value.sum(-1, keepdim=True) / number)
+        spreads.append((value.square().sum(-1, keepdim=True) / number - centres[-1].square()).clamp_min(0))
+    # Beyond a distance the rays are too few to tell the image from its repetitions.
+    farthest = math.sqrt(wave.shape[-1] / SPOKES) / math.pi
+    reach = torch.minimum(2 * (spreads[0] + spreads[1]).sqrt() + 2 / scale, max(farthest, 2.0) / scale)
+    count = min(2 * math.ceil(float((reach * scale).amax()) / CLOSE) + 1, MOST)
+    for zoom in range(ZOOMS + 1):
+        line = torch.linspace(-1, 1, count, dtype=torch.float64, device=reach.device)
+        x, y = (centre + reach * line for centre in centres)
+        best = _sum_of_waves(wave, slopes, x, y).flatten(-2).argmax(-1, keepdim=True)
+        centres = [x.gather(-1, best // count), y.gather(-1, best % count)]
+        reach, count = reach * (2.0 / (count - 1)) if zoom == 0 else reach / 3, 9
+    return centres[0], centres[1]
+
+
+class FieldQuality(NamedTuple):
+    """Converged numbers of the image of each field point.
+
+    Attributes
+    ----------
+    rms_spot : torch.Tensor
+        Root mean square distance of the rays from their centroid over the area of the pupil, all wavelengths together,
+        ``[F]``.
+    wavefront_rms : torch.Tensor
+        Standard deviation of the path to the reference sphere over the area of the pupil, in wavelengths, at the
+        reference wavelength, ``[F]``.
+    strehl : torch.Tensor
+        :func:`strehl_ratio` at the reference wavelength, ``[F]``.
+    passed : torch.Tensor
+        Fraction of the area of the pupil that no aperture blocks, ``[F]``.
+    count : int
+        Rings of the quadrature.
+    change : float
+        Largest change from half as many rings: relative for spots and wavefronts, absolute for the other two.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import FieldQuality, field_quality, load_system
+    >>> isinstance(field_quality(load_system("singlet")), FieldQuality)
+    True
+    """
+
+    rms_spot: torch.Tensor
+    wavefront_rms: torch.Tensor
+    strehl: torch.Tensor
+    passed: torch.Tensor
+    count: int  # type: ignore[assignment]  # hides tuple.count
+    change: float
+
+
+@torch.no_grad()
+def field_quality(system: Any, aim: str = "paraxial", *, fields: Any = None) -> FieldQuality:
+    """Return spots, wavefronts, Strehl ratios and vignetting of each field by quadratures that have converged.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+    fields : sequence of pairs or torch.Tensor, optional
+        Field points in place of the system's.
+
+    Returns
+    -------
+    FieldQuality
+        Of the first of the quadratures of 16, 32 and 64 rings whose `change` is at most 1e-3; of the last one,
+        whatever its change, where none is.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import field_quality, load_system
+    >>> found = field_quality(load_system("cooke_triplet"))
+    >>> found.change < 1e-3, bool((found.passed > 0.5).all())
+    (True, True)
+    """
+    checked_system(system)
+    numbers = system.prescription().at(system.reference)
+    before: list[torch.Tensor] = []
+    for count in RING_COUNTS:
+        options: dict[str, Any] = {"fields": fields, "aim": aim}
+        points = pupil_quadrature(system, count, **options)
+        passed, options["prescription"] = points.weights.sum(-1), numbers
+        spots = _converged_spots(system, count, points, fields, aim)
+        values = [
+            spots,
+            wavefront(system, points, **options).rms[0],
+            strehl_ratio(system, points, **options)[0],
+            passed.expand(spots.shape),
+        ]
+        changes = [(a - b).abs() for a, b in zip(values, before, strict=False)]
+        scales = [values[0].clamp_min(1e-12), values[1].clamp_min(1e-2), *map(torch.ones_like, values[2:])]
+        change = max(
+            (float((c / s).nan_to_num().max()) for c, s in zip(changes, scales, strict=False)), default=math.inf
+        )
+        if change <= SMALL:
+            break
+        before = values
+    spots, waves, strehl, passed = values
+    return FieldQuality(spots, waves, strehl, passed, count, change)
+
+
+def _converged_spots(system, count: int, points: PupilQuadrature, fields, aim: str) -> torch.Tensor:
+    """Return the root mean square of spots, ``[F]``, of wavelengths whose vignetted pupils may differ."""
+    numbers, whole = system.prescription(), points.points.ndim == 2
+    shares = wavelength_shares(system, None, points.weights)
+    parts, origin = [], None
+    for place in range(len(shares)):
+        own = numbers.at(place)
+        options: dict[str, Any] = {"fields": fields, "aim": aim, "prescription": own}
+        if not whole and place != system.reference:
+            points = pupil_quadrature(system, count, **options)
+        found = trace_fields(system, points, **options)
+        weight = torch.where(found.arrived, shares[place] * points.weights, 0.0)[0]
+        x, y = (torch.where(found.arrived, value, 0.0)[0] for value in (found.x, found.y))
+        origin = (x[:, :1], y[:, :1]) if origin is None else origin
+        x, y = x - origin[0], y - origin[1]
+        parts.append(torch.stack([(weight * value).sum(-1) for value in (torch.ones_like(x), x, y, x * x + y * y)]))
+    number, x, y, squares = sum(parts)  # type: ignore[misc]
+    return safe_sqrt((squares - (x * x + y * y) / number) / number)
 
 
 def modulation_transfer_function(spread: Spread, axis: str = "y") -> tuple[torch.Tensor, torch.Tensor]:

@@ -8,17 +8,22 @@ import torch
 
 from odak.learn.raytracing.system import (
     airy_pattern,
+    field_quality,
     first_order,
     modulation_transfer_function,
     optical_system,
     point_spread_function,
+    pupil_quadrature,
     rms_spot,
+    strehl_ratio,
     surface,
     trace_fields,
     wavefront,
     zernike_fit,
 )
 from odak.learn.wave import propagate_beam
+from odak.raytracing.apertures import CircularAperture
+from odak.raytracing.interfaces import IdealLens
 
 F64 = torch.float64
 N = 1.5
@@ -174,3 +179,46 @@ def test_spherical_aberration_of_a_sphere_mirror():
     coefficients, _ = zernike_fit(wavefront(mirror), 11)
     expected = (aperture / 2) ** 4 / (4 * radius**3) / wavelength
     assert float(coefficients[0, 0, 10].abs() * 6 * math.sqrt(5)) == pytest.approx(expected, rel=2e-3)
+
+
+def test_strehl_ratio_out_of_focus_is_a_sinc():
+    """(sin πw/πw)² for w waves at the rim, while the peak is on the axis; Born and Wolf (1999), 8.8.2, eq. 26."""
+    system = hyperboloid(1000.0, 4.0, wavelengths=500e-6)
+    for waves in (0.0, 0.25, 0.4, 0.6):
+        with torch.no_grad():
+            system.surfaces[-1].thickness.fill_(1 / (1 / 1000.0 - waves * 2 * 500e-6 / 2.0**2))
+        expected = float(np.sinc(waves) ** 2)
+        for count in (6, 9):
+            assert float(strehl_ratio(system, count=count)) == pytest.approx(expected, abs=1e-4)
+
+
+def test_gaussian_quadrature_of_the_pupil_is_exact():
+    """Means of x²ⁱy²ʲ over the unit disc are (2i)!(2j)!/(4ⁱ⁺ʲ i! j! (i + j + 1)!)."""
+    for count in (2, 4):
+        points, weights = pupil_quadrature(hyperboloid(), count)
+        for i in range(2 * count):
+            for j in range(2 * count - i):
+                f = math.factorial
+                exact = f(2 * i) * f(2 * j) / (4 ** (i + j) * f(i) * f(j) * f(i + j + 1))
+                mean = float((weights * points[:, 0] ** (2 * i) * points[:, 1] ** (2 * j)).sum())
+                assert mean == pytest.approx(exact, rel=1e-12), (count, i, j)
+
+
+def test_vignetted_pupils_are_weighted_by_area():
+    """A pupil of radius 1 cut by a circle of radius 0.8 at a distance of 0.6, with a hole of radius 0.3 about it."""
+    size, far, hole = 0.8, 0.6, 0.3
+    ring = surface(thickness=1.0, aperture=CircularAperture(radius=10 * size, inner=10 * hole), shift=(0.0, 10 * far))
+    lens = surface(phase=IdealLens(100.0), thickness=100.0)
+    system = optical_system([surface(thickness=1.0, stop=True), ring, lens], 20.0)
+    a, b = (1 + far**2 - size**2) / (2 * far), (size**2 + far**2 - 1) / (2 * far)
+    area = math.acos(a) + size**2 * math.acos(b / size) - far * math.sqrt(1 - a * a)
+    assert float(field_quality(system).passed) == pytest.approx(area / math.pi - hole**2, abs=2e-4)
+    points, weights = pupil_quadrature(system, 32)
+    # The centroid along y of what is left, by cells of a fine grid.
+    line = (torch.arange(2000, dtype=F64) + 0.5) / 1000 - 1
+    x, y = torch.meshgrid(line, line, indexing="xy")
+    away = (x * x + (y - far) ** 2).sqrt()
+    kept = (x * x + y * y < 1) & (away < size) & (away > hole)
+    mean = float((weights[0] * points[0, :, 1]).sum() / weights[0].sum())
+    assert mean == pytest.approx(float(y[kept].mean()), abs=1e-3)
+    assert float((weights[0] * points[0, :, 0]).sum()) == pytest.approx(0, abs=1e-6)
