@@ -26,6 +26,8 @@ from odak._warnings import AccuracyWarning, ArgumentWarning, warn
 
 # More samples along one axis than any memory holds along two; refused before anything is allocated.
 LONGEST_SIDE = 2**31 - 1
+# A picture of 0 … 255 reaches more than this, and one of 0 … 1 does not.
+_OVERSHOT = 8
 # Stacks of so many planes of at least so many rows, each 3 or 4 samples wide, are pictures with their colours last.
 _LEAST_PICTURE = 16
 
@@ -370,6 +372,25 @@ def texts(name: str, value) -> list[str]:
         if not isinstance(entry, str):
             raise TypeError(f"{name} must contain strings, got {entry!r:.80}")
     return entries
+
+
+def check_white(name: str, brightest: float, white: float, remedy: str) -> None:
+    """Warn where a picture looks like one of 0 … 1 though 255 or more is white, or the other way round.
+
+    Parameters
+    ----------
+    name : str
+        Name of the picture.
+    brightest : float
+        Its largest value; none of a picture that is black.
+    white : float
+        Value of white.
+    remedy : str
+        What to do, with which the message ends.
+    """
+    # Room for the overshoot of a picture of 0 … 1.
+    if (white >= 255 and 0 < brightest <= _OVERSHOT) or (white == 1 and _OVERSHOT < brightest < math.inf):
+        warn(f"{name} reaches {brightest:g} where {white:g} is white: {remedy}", ArgumentWarning)
 
 
 def place_in(name: str, value, count: int) -> int:

@@ -612,7 +612,7 @@ _ENCODER_OPTIONS = {"JPEG": {"quality": 95, "subsampling": 0}}
 
 
 def save_image(
-    fn: str | os.PathLike, img: np.ndarray, cmin: float = 0, cmax: float = 255, color_depth: int = 8
+    fn: str | os.PathLike, img: np.ndarray, cmin: float = 0, cmax: float | None = None, color_depth: int = 8
 ) -> bool:
     """Write an image to a file, `cmin` as black and `cmax` as white.
 
@@ -627,8 +627,9 @@ def save_image(
         not-a-number is black.
     cmin : float
         Value of black.
-    cmax : float
-        Value of white.
+    cmax : float, optional
+        Value of white, 255 by default. An :class:`~odak.ArgumentWarning` says where that leaves a picture of 0 … 1
+        nearly black.
     color_depth : {8, 16}
         Bits per channel; 16 in PNG, and for grey in TIFF.
 
@@ -658,8 +659,10 @@ def save_image(
     ...     load_image(name).tolist()
     [[0.0, 51.0, 255.0]]
     """
-    path = validate_path(fn, _FORMATS)
-    levels = _levels(_checked(img), cmin, cmax, color_depth)
+    path, image = validate_path(fn, _FORMATS), _checked(img)
+    if cmax is None:
+        check_levels(image, 255)
+    levels = _levels(image, cmin, 255 if cmax is None else cmax, color_depth)
     encode = _encoder(path, levels)
     with replacing(path) as stream:
         try:
@@ -819,6 +822,12 @@ def _checked(img):
     if img.ndim not in (2, 3) or 0 in img.shape or (img.ndim == 3 and img.shape[-1] not in (1, 3, 4)):
         raise ValueError(f"img must be [H], [H, W] or [H, W, 1 | 3 | 4], none empty; got {img.shape}")
     return img[..., 0] if img.ndim == 3 and img.shape[-1] == 1 else img
+
+
+def check_levels(img: np.ndarray, white: float) -> None:
+    """Warn where a picture of 0 … 1 is about to be saved with a white of 255."""
+    brightest = np.max(img, initial=0, where=~np.isnan(img))
+    _validate.check_white("img", float(brightest), white, "the file is nearly black; give cmax=1.0 where 1 is white")
 
 
 def _levels(img, cmin, cmax, color_depth):

@@ -128,7 +128,8 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     Parameters
     ----------
     image_field : array
-        Values from 0 to 255; those outside take the nearest level, not-a-number takes 0.
+        Values from 0 to 255; those outside take the nearest level, not-a-number takes 0. An
+        :class:`~odak.ArgumentWarning` names a picture of 0 … 1.
     bits : int
         Bits to keep, 1 to 8.
 
@@ -161,8 +162,11 @@ def quantize(image_field: ArrayT, bits: int = 4) -> ArrayT:
     xp = _array.namespace(image_field)
     if not xp.isdtype(image_field.dtype, "real floating"):
         image_field = xp.astype(image_field, xp.float64)
-    levels = xp.trunc(image_field / 2 ** (8 - bits))
-    levels = xp.where(xp.isnan(levels), xp.zeros_like(levels), xp.clip(levels, 0, 2**bits - 1))
+    known = xp.where(xp.isnan(image_field), xp.zeros_like(image_field), image_field)
+    if _array.is_readable(known) and 0 not in known.shape:
+        remedy = "multiply it by 255, or use odak.learn.tools.quantize, which takes 0 … 1"
+        _validate.check_white("image_field", float(xp.max(known)), 255, remedy)
+    levels = xp.clip(xp.trunc(known / 2 ** (8 - bits)), 0, 2**bits - 1)
     return xp.astype(levels, xp.int64)
 
 

@@ -41,7 +41,8 @@ REASONS = {
         raytracing/system/surfaces: _any _fields _image _optional is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
-        tools/matrix: slice_rgbd_targets
+        tools/matrix: quantize slice_rgbd_targets
+        tools/transformation: quaternion_to_rotation_matrix
         wave/eyebox: _of_each eyebox_hologram
         wave/gaussians/scene: chosen
         wave/gaussians/sets: prune

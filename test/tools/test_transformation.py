@@ -99,7 +99,14 @@ def test_quaternions():
     half = np.deg2rad(25)
     about_y = torch_tools.quaternion_to_rotation_matrix(torch.tensor([np.cos(half), 0, np.sin(half), 0]))
     np.testing.assert_allclose(about_y, odak.tools.rotmaty(50.0), atol=1e-15)
-    assert torch_tools.quaternion_to_rotation_matrix(torch.zeros(4)).isnan().all()
+    some = torch.eye(4, 4)
+    some[2] = 0
+    some.requires_grad_()
+    with pytest.warns(odak.AccuracyWarning, match="1 of 4 quaternions are zero"):
+        rotations = torch_tools.quaternion_to_rotation_matrix(some)
+    np.testing.assert_array_equal(rotations[2].detach(), np.eye(3))
+    rotations.square().sum().backward()
+    assert some.grad.isfinite().all() and not some.grad[2].any()
 
 
 def test_voxels():

@@ -907,8 +907,8 @@ _OKLAB = np.array(
 _ICTCP_CONES = np.array([(1688, 2146, 262), (683, 2951, 462), (99, 309, 3688)]) / 4096
 _ICTCP = np.array([(2048, 2048, 0), (6610, -13613, 7003), (17933, -17390, -543)]) / 4096
 _SRGB = _rgb_to_xyz_rows(BT709_PRIMARIES, IEC_WHITE)
-# Roots of darker values have the gradient of this one; float16 does not reach far enough for the first.
-_DARKEST, _DARKEST_HALF = 1e-12, 1e-6
+# Cone response of a grey of 1/255 in sRGB: roots of darker ones have the slope at this one.
+_DARKEST = 1 / (255 * 12.92)
 _BISECTIONS = 40
 
 
@@ -1212,7 +1212,9 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
 
     Notes
     -----
-    Ottosson, *A perceptual color space for image processing* (2020).
+    Ottosson, *A perceptual color space for image processing* (2020). The slope of a cube root is infinite at black;
+    the gradient, not the value, takes cone responses below that of the grey 1/255 of sRGB, 3.0e-4, as this one, with a
+    slope of 74 (L*a*b*, of lightness 1, has 9 at most).
 
     Examples
     --------
@@ -1508,11 +1510,11 @@ def cube_root(relative):
 
 
 def _signed_cube_root(value):
-    """Return the cube root of values of either sign; near 0 with a bounded gradient."""
-    darkest = _DARKEST_HALF if value.dtype == torch.float16 else _DARKEST
-    some = value.abs() > darkest
+    """Return the cube root of values of either sign; below the darkest level with the slope at that level."""
+    some = value.abs() > _DARKEST
     root = value.sign() * torch.where(some, value.abs(), 1.0) ** (1 / 3)
-    return torch.where(some, root, value * darkest ** (-2 / 3))
+    dark = value.detach().sign() * value.detach().abs() ** (1 / 3)
+    return torch.where(some, root, dark + (value - value.detach()) * (_DARKEST ** (-2 / 3) / 3))
 
 
 @functools.lru_cache(maxsize=32)

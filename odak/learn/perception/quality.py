@@ -998,8 +998,14 @@ class _Wrapper(nn.Module):
             message = f"{type(self).__name__} needs the package {self._package} ({error}): pip install {self._package}"
             if required:
                 raise ImportError(message) from error
-            _warnings.warn(f"{message}. Until then its value is not a number.", _warnings.MissingPackageWarning)
+            _warnings.warn(f"{message}. Until then it cannot be called.", _warnings.MissingPackageWarning)
             self.available = False
+            self._message = message
+
+    def _require(self):
+        """Raise ImportError where the package is missing."""
+        if not self.available:
+            raise ImportError(self._message)
 
     def _import(self):
         with _quietly():
@@ -1032,13 +1038,15 @@ class _DifferencePredictor(_Wrapper):
         -------
         torch.Tensor
             Just-objectionable differences (JOD) without axes, float32: 10 for equal pictures, less for worse ones.
-            Differentiable. Not a number when the package is missing.
+            Differentiable.
 
         Raises
         ------
         ValueError, TypeError
             If the shapes differ, there are not three to five axes and one or three channels, or the rate is missing
             for a video, not positive, or given for pictures.
+        ImportError
+            If the package is missing.
         """
         predictions, targets = checked_pair(predictions, targets)
         if not isinstance(dim_order, str):
@@ -1054,8 +1062,7 @@ class _DifferencePredictor(_Wrapper):
         else:
             axes, options = "BCHW", {}
         predictions, targets = (_as_batch(value, dim_order, axes).float() for value in (predictions, targets))
-        if not self.available:
-            return predictions.new_full((), torch.nan)
+        self._require()
         with _quietly():
             scores = [
                 self._metric().predict(one[None], two[None], dim_order=axes, **options)[0].reshape(())
@@ -1077,7 +1084,7 @@ class CVVDP(_DifferencePredictor):
     device : torch.device
         Where the comparison runs.
     required : bool
-        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+        Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
 
     Attributes
     ----------
@@ -1089,7 +1096,7 @@ class CVVDP(_DifferencePredictor):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message states what to install.
+        If the package is missing and required, or called for; the message states what to install.
 
     Examples
     --------
@@ -1132,7 +1139,7 @@ class FVVDP(_DifferencePredictor):
     device : torch.device
         Where the comparison runs.
     required : bool
-        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+        Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
 
     Attributes
     ----------
@@ -1144,7 +1151,7 @@ class FVVDP(_DifferencePredictor):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message states what to install.
+        If the package is missing and required, or called for; the message states what to install.
 
     Examples
     --------
@@ -1178,7 +1185,7 @@ class LPIPS(_Wrapper):
     Parameters
     ----------
     required : bool
-        Raise when the package is missing. Otherwise that is logged once, and values are not numbers.
+        Raise when the package is missing. Otherwise a :class:`~odak.MissingPackageWarning` says so, and calls raise.
 
     Attributes
     ----------
@@ -1190,7 +1197,7 @@ class LPIPS(_Wrapper):
     Raises
     ------
     ImportError
-        If the package is missing and required; the message states what to install.
+        If the package is missing and required, or called for; the message states what to install.
 
     Examples
     --------
@@ -1218,16 +1225,17 @@ class LPIPS(_Wrapper):
         Returns
         -------
         torch.Tensor
-            Distance without axes, float32. Differentiable. Not a number when the package is missing.
+            Distance without axes, float32. Differentiable.
 
         Raises
         ------
         ValueError, TypeError
             If the shapes differ, or there are not three or four axes and one or three channels.
+        ImportError
+            If the package is missing.
         """
         pictures = [_as_batch(value).float() for value in checked_pair(predictions, targets)]
-        if not self.available:
-            return pictures[0].new_full((), torch.nan)
+        self._require()
         # The network was trained on −1 … 1.
         pictures = [(2 * picture - 1).clamp(-1, 1).expand(-1, 3, -1, -1) for picture in pictures]
         return self._network(pictures[0].device)(*pictures).mean()

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 
 from odak import _torch_private, _validate
-from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import checked_device, kind_of
 from odak.tools import file
 from odak.tools.paths import replacing, validate_path
@@ -271,23 +270,13 @@ def _as_array(img):
     return image
 
 
-# Below this largest value an image taken as one of levels up to 255 is more probably one of 0 to 1 with overshoot.
-_DARK = 8.0
-
-
 def _white_of(image, color_depth):
     """Guess the value of white where the caller names none."""
     if color_depth == 16 and (image > 255).any():
         return 65535.0
-    if image.dtype.kind in "iu" or not (image > 1).any():
-        return 255.0 if image.dtype.kind in "iu" else 1.0
-    brightest = np.nanmax(image)
-    if brightest <= _DARK:
-        warn(
-            f"img is saved with 255 as white, since it exceeds 1, but reaches only {brightest:g}: the file is nearly "
-            "black; give cmax=1.0 where 1 is white",
-            ArgumentWarning,
-        )
+    if image.dtype.kind not in "iu" and not (image > 1).any():
+        return 1.0
+    file.check_levels(image, 255.0)
     return 255.0
 
 

@@ -318,7 +318,7 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
     Returns
     -------
     torch.Tensor
-        Decibels, without axes; infinite for equal images, where it has no gradient.
+        Decibels, without axes; infinite for equal images, with a gradient of 0.
 
     Raises
     ------
@@ -338,7 +338,9 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
     _same_shape("image", image, "ground_truth", ground_truth)
     _validate.real("peak_value", peak_value, positive=True)
     image, ground_truth = (value if value.is_floating_point() else value.float() for value in (image, ground_truth))
-    return 10 * torch.log10(peak_value**2 / (image - ground_truth).square().mean())
+    error = (image - ground_truth).square().mean()
+    equal = error == 0
+    return torch.where(equal, torch.inf, 10 * torch.log10(peak_value**2 / torch.where(equal, 1.0, error)))
 
 
 def _differences(batch):

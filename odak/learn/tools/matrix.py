@@ -69,7 +69,9 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     Parameters
     ----------
     image_field : torch.Tensor
-        Values; those outside the limits take the nearest level, not-a-number takes 0.
+        Values; those outside the limits take the nearest level, not-a-number takes 0. An
+        :class:`~odak.ArgumentWarning` names a picture of 0 … 255 where the upper limit is 1, and one of 0 … 1 where
+        it is 255 or 256.
     bits : int
         Bits, 1 to 30.
     limits : sequence of float
@@ -102,6 +104,9 @@ def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] =
     low, high = (float(limit) for limit in _validate.several("limits", limits, 2))
     if not low < high:
         raise ValueError(f"limits must be two rising numbers, got {limits!r}")
+    if image_field.numel() and _array.is_readable(image_field):
+        brightest = float(image_field.detach().nan_to_num(nan=0.0).max())
+        _validate.check_white("image_field", brightest, high, "give the limits of its values, such as limits=(0, 255)")
     levels = (image_field - low) / (high - low) * 2**bits
     return levels.nan_to_num(nan=0.0).clamp(0, 2**bits).to(torch.int32).clamp(max=2**bits - 1)
 

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import torch
 
-from odak import _validate
+from odak import _array, _validate
+from odak._warnings import AccuracyWarning, warn
 from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, floating, in_own_precision, tensor, tensors_of
 from odak.tools import transformation
@@ -29,6 +30,7 @@ __all__ = [
 ]
 
 _NONE = torch.zeros(1, 3)
+_NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
@@ -37,12 +39,13 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     Parameters
     ----------
     quaternions : torch.Tensor
-        ``[..., 4]`` in the order w, x, y, z, of any length but 0.
+        ``[..., 4]`` in the order w, x, y, z, of any length.
 
     Returns
     -------
     torch.Tensor
-        ``[..., 3, 3]``, for column vectors; NaN for a quaternion of length zero.
+        ``[..., 3, 3]``, for column vectors: the identity, without a gradient, for quaternions of zeros, whose number
+        an :class:`~odak.AccuracyWarning` states (not of values on a GPU, which would have to be read).
 
     Examples
     --------
@@ -54,7 +57,15 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     quaternions = floating("quaternions", quaternions)
     if quaternions.ndim == 0 or quaternions.shape[-1] != 4:
         raise ValueError(f"quaternions must be [..., 4], got {tuple(quaternions.shape)}")
-    w, x, y, z = (quaternions / quaternions.square().sum(-1, keepdim=True).sqrt()).unbind(-1)
+    squared = quaternions.square().sum(-1, keepdim=True)
+    none = squared == 0
+    if _array.is_readable(none) and bool(none.any()):
+        warn(
+            f"{int(none.sum())} of {none.numel()} quaternions are zero and count as no rotation; give (1, 0, 0, 0)",
+            AccuracyWarning,
+        )
+    units = torch.where(none, quaternions.new_tensor(_NO_TURN), quaternions / squared.where(~none, 1).sqrt())
+    w, x, y, z = units.unbind(-1)
     rows = (
         *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

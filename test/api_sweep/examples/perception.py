@@ -194,6 +194,9 @@ NOT_CALLED = {
 }
 if importlib.util.find_spec("pycvvdp") is None:
     NOT_CALLED[f"{HERE}.castle_contrast_sensitivity"] = "needs the tables of the package cvvdp"
+for _measure, _module in (("CVVDP", "pycvvdp"), ("FVVDP", "pyfvvdp"), ("LPIPS", "lpips")):
+    if importlib.util.find_spec(_module) is None:
+        NOT_CALLED[f"{HERE}.{_measure}.forward"] = f"needs the package {_module}"
 ALLOWED = {
     (f"{HERE}.display_color_hvs", "resolution", "*"): "kept for the caller, counts nowhere",
     (f"{HERE}.display_color_hvs", "distance_from_screen", "*"): "kept for the caller, counts nowhere",

@@ -74,6 +74,13 @@ def test_whites_and_black():
         assert value.abs().max() < 1e-12
         value.sum().backward()
         assert black.grad.isfinite().all()
+    # In steps of 8-bit greys the gradient of Oklab is bounded, and the values are those of the definition.
+    dark = torch.tensor([0, 1e-9, 1e-5, 4e-4], dtype=torch.float64).expand(1, 3, 1, 4).clone().requires_grad_()
+    value = p.xyz_to_oklab(dark)
+    torch.testing.assert_close(value[0, 0, 0, 1:3] ** 3, dark[0, 0, 0, 1:3] * value[0, 0, 0, 3] ** 3 / 4e-4)
+    value[:, 0].sum().backward()
+    slopes = dark.grad.sum(1).flatten()
+    assert slopes[:3].tolist() == pytest.approx([slopes[0].item()] * 3) and 70 < slopes[0] < 80
     # BT.2100: I is PQ's 0.508 for grey of 100 cd/m², which has no chroma.
     assert p.rgb_to_ictcp(pixel((100, 100, 100))).flatten().tolist() == pytest.approx([0.508078, 0, 0], abs=1e-6)
 

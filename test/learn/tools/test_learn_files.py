@@ -53,7 +53,6 @@ def test_layouts_come_back(path, shape, stored, depth):
     [
         (torch.tensor([[0.0, 0.5, 1.0]]), 8, [0, 128, 255]),
         (torch.tensor([[0.0, 100.0, 255.0]]), 8, [0, 100, 255]),
-        (torch.tensor([[0, 1, 1]]), 8, [0, 1, 1]),
         (torch.tensor([[0, 1, 255]], dtype=torch.uint8), 16, [0, 257, 65535]),
         (torch.tensor([[0.0, 300.0, 65535.0]]), 16, [0, 300, 65535]),
         (torch.tensor([[False, True]]), 8, [0, 255]),
@@ -64,6 +63,22 @@ def test_layouts_come_back(path, shape, stored, depth):
 def test_white_without_limits(path, image, depth, levels):
     save_image(path, image, color_depth=depth)
     assert levels_in(path).tolist() == [levels]
+
+
+@pytest.mark.parametrize("mask", [torch.tensor([[0, 1, 1]]), torch.tensor([[0.0, 1.0, 1.2]])])
+def test_picture_of_0_to_1_saved_nearly_black(path, mask):
+    with pytest.warns(odak.ArgumentWarning, match=r"img reaches 1.* where 255 is white: .* give cmax=1\.0"):
+        save_image(path, mask)
+    assert levels_in(path).tolist() == [[0, 1, 1]]
+    with pytest.warns(odak.ArgumentWarning, match="nearly black"):
+        odak.tools.save_image(path, mask.numpy())
+
+
+def test_quantize_names_a_picture_of_the_other_range():
+    with pytest.warns(odak.ArgumentWarning, match="image_field reaches 1 where 255 is white: multiply it by 255"):
+        odak.tools.quantize(np.linspace(0, 1, 5))
+    with pytest.warns(odak.ArgumentWarning, match=r"image_field reaches 255 where 1 is white: .*limits=\(0, 255\)"):
+        odak.learn.tools.quantize(torch.linspace(0, 255, 5))
 
 
 def test_limits_may_be_tensors(path):

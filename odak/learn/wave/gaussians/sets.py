@@ -356,14 +356,7 @@ def _degree(count: int) -> int:
 
 def _pose(quaternion, shift) -> tuple[torch.Tensor, torch.Tensor]:
     """Return R and T of points as rows, with x and y reversed: odak's images are inverted along both axes."""
-    w, x, y, z = np.asarray(quaternion) / np.linalg.norm(quaternion)
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    rotation = quaternion_to_rotation_matrix(torch.tensor(quaternion, dtype=torch.float64)).numpy()
     reversed_axes = np.array([-1.0, -1.0, 1.0])
     return torch.from_numpy((rotation.T * reversed_axes).astype(np.float32)), torch.from_numpy(
         (np.asarray(shift) * reversed_axes).astype(np.float32)
