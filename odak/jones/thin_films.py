@@ -57,7 +57,8 @@ def thin_film_stack(
         Vacuum wavelength, in the unit of `thicknesses`.
     indices : sequence of number or array
         Refractive indices: incident medium, films in the order in which the wave passes them, substrate. Complex for
-        absorbing media, n + iκ with κ ≥ 0. The incident medium must not absorb.
+        absorbing media, n + iκ with κ ≥ 0; tables with the time dependence exp(+iωt) give the conjugate, n − iκ. The
+        incident medium must not absorb: a reflected fraction of power is then not defined.
     thicknesses : sequence of float or array
         Thickness of each film: two fewer than `indices`.
     angle : float or array
@@ -144,6 +145,20 @@ def _normal_index(xp, index, transverse):
     return xp.where(xp.imag(root) < 0, -root, root)
 
 
+def _check_absorption(xp, name, index) -> None:
+    """Refuse an index that amplifies, and an incident medium that absorbs; of a GPU nothing is read."""
+    if not _array.is_readable(index) or 0 in index.shape:
+        return
+    (least,), (most,) = (_validate.numbers(found(xp.imag(index))) for found in (xp.min, xp.max))
+    if least < 0:
+        raise ValueError(
+            f"{name} must be n + iκ with κ ≥ 0, since fields vary as exp(i(kz − ωt)); got κ = {least:.6g}: "
+            "give the conjugate of an index n − iκ"
+        )
+    if most > 0 and name == "indices[0]":
+        raise ValueError(f"indices[0], of the incident medium, must not absorb; got κ = {most:.6g}")
+
+
 def check_stack(wavelength, angle, indices, thicknesses):
     """Return the array namespace and all arguments as arrays of double precision on one device."""
     for name, value in (("indices", indices), ("thicknesses", thicknesses)):
@@ -168,5 +183,7 @@ def check_stack(wavelength, angle, indices, thicknesses):
         is_complex = isinstance(value, complex) or "complex" in str(getattr(value, "dtype", ""))
         dtype = xp.complex128 if is_complex else xp.float64
         wide.append(xp.astype(value, dtype) if is_array(value) else xp.asarray(value, dtype=dtype, device=device))
+        if is_complex and name.startswith("indices"):
+            _check_absorption(xp, name, wide[-1])
     _validate.fitting(**dict(zip(names, wide, strict=True)))
     return xp, wide

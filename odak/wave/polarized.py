@@ -16,6 +16,9 @@ from odak.jones.calculus import check_angle, matrix_on_axes, retarder, stack_mat
 from odak.jones.thin_films import check_stack, stack_response
 from odak.wave.transfer_functions import pitches
 
+# Waves beyond this share of the largest transverse frequency graze the plane, and the share of power that is told.
+_GRAZING, _MOST_GRAZING = 0.97, 0.01
+
 
 def apply_jones(matrix: Array, field: Array) -> Array:
     """Return a polarised field behind an element.
@@ -391,7 +394,19 @@ def longitudinal_field(
     -------
     array
         Complex ``[..., rows, columns]``: E_z = −F⁻¹{(f_x·F{E_x} + f_y·F{E_y})/f_z}, from div E = 0, for each plane wave
-        of the spectrum. Evanescent waves, whose f_z is imaginary, are included; those that graze the plane are not.
+        of the spectrum. Evanescent waves, whose f_z is imaginary, are included; about those that graze the plane, where
+        1/f_z is infinite, its mean over a frequency's share of the spectrum is taken.
+
+    Warns
+    -----
+    SamplingWarning
+        If more than 1 % of the component's power is in waves within 3 % of grazing, or evanescent: a window that cuts
+        the field makes such waves. The square root of this share is about the relative error. On a GPU the spectrum is
+        not read.
+
+    Notes
+    -----
+    Near a focus :func:`focus_polarized` gives this component of the whole field, whatever the window.
 
     Examples
     --------
@@ -411,14 +426,39 @@ def longitudinal_field(
     _validate.number("index", index, positive=True)
     fy, fx = _frequencies(xp, field.shape[-2:], dx, _array.device_of(field))
     limit = cast(index, field, xp.float64) / cast(wavelength, field, xp.float64)
-    squared = xp.astype(limit**2 - (fx**2 + fy**2), xp.complex128)
-    grazing = xp.abs(squared) < 1e-12 * limit**2
-    fz = xp.sqrt(xp.where(grazing, xp.ones_like(squared), squared))
-    zero = xp.zeros_like(squared)
-    weight_x, weight_y = (xp.where(grazing, zero, -f / fz) for f in (fx + 0 * fy, fy + 0 * fx))
+    inverse, across = _inverse_axial_frequency(
+        xp, fy, fx, [n * d for n, d in zip(field.shape[-2:], _steps("dx", dx), strict=True)], limit
+    )
     spectrum = xp.fft.fftn(field, axes=(-2, -1))
-    result = cast(weight_x, field) * spectrum[..., 0, :, :] + cast(weight_y, field) * spectrum[..., 1, :, :]
+    weight_x, weight_y = (cast(-f * inverse, field) for f in (fx, fy))
+    result = weight_x * spectrum[..., 0, :, :] + weight_y * spectrum[..., 1, :, :]
+    if _array.is_readable(result):
+        power = xp.real(result) ** 2 + xp.imag(result) ** 2
+        grazes = xp.astype(across > _GRAZING * limit, power.dtype)
+        (grazing,), (whole,) = (_validate.numbers(xp.sum(part)) for part in (power * grazes, power))
+        if grazing > _MOST_GRAZING * whole:
+            warn(
+                f"{100 * grazing / whole:.2g} % of the power of the longitudinal component is in waves that graze the "
+                f"plane or are evanescent, as a window that cuts the field makes them: expect an error of about "
+                f"{100 * math.sqrt(grazing / whole):.2g} %; take a wider window, or focus_polarized, which returns it",
+                SamplingWarning,
+            )
     return xp.astype(xp.fft.ifftn(result, axes=(-2, -1)), field.dtype, copy=False)
+
+
+def _inverse_axial_frequency(xp, fy, fx, widths, limit):
+    """Return 1/f_z, its mean along the radius over cells of a frequency that hold f_z = 0, and the radial frequency."""
+    across = xp.sqrt(fy**2 + fx**2)
+    axis = across == 0
+    divisor = xp.where(axis, xp.ones_like(across), across)
+    half = (xp.abs(fy) / widths[0] + xp.abs(fx) / widths[1]) / (2 * divisor)
+    near = ~axis & (xp.abs(across - limit) < half)
+    # Where it is not needed: any values whose functions are finite.
+    inner, outer = xp.where(near, (across - half) / limit, 0.5), xp.where(near, (across + half) / limit, 2.0)
+    # The integral of 1/√(1 − t²) is arcsin t up to 1, and from there −i·arcosh t.
+    mean = _array.make_complex(math.pi / 2 - xp.asin(inner), -xp.acosh(outer)) / ((outer - inner) * limit)
+    squared = xp.astype(limit**2 - across**2, xp.complex128)
+    return xp.where(near, mean, 1 / xp.sqrt(xp.where(near, xp.ones_like(squared), squared))), across
 
 
 def focus_polarized(

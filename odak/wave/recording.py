@@ -12,6 +12,8 @@ from odak.wave.sampling import warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
 _AXES = (-2, -1)
+# Light between the radius of the filter and 1.1 times that, relative to the light inside, that shows a wider band.
+_RIM, _LEAKED = 1.1, 5e-4
 
 
 def reference_wave(
@@ -166,6 +168,12 @@ def off_axis_field(
     ValueError, TypeError
         If an argument is outside its range, naming it, or the reference has no tilt and no bandwidth is given.
 
+    Warns
+    -----
+    SamplingWarning
+        If light just outside the filter is more than 0.05 % of that inside: the field's band is wider than the filter,
+        or overlaps the light of the object with itself. On a GPU the spectrum is not read.
+
     Notes
     -----
     Leith and Upatnieks, J. Opt. Soc. Am. 52, 1123 (1962); Cuche, Marquet and Depeursinge, Appl. Opt. 39, 4070 (2000).
@@ -194,9 +202,21 @@ def off_axis_field(
         xp.asarray(np.fft.fftfreq(n, step), dtype=_array.real_dtype(hologram), device=_array.device_of(hologram))
         for n, step in zip((rows, columns), steps, strict=True)
     )
-    passed = xp.astype(fy[:, None] ** 2 + fx**2 <= bandwidth**2, _array.real_dtype(hologram))
-    beside = hologram * _inverse_conjugate(reference)
-    return xp.fft.ifftn(xp.fft.fftn(beside, axes=_AXES) * passed, axes=_AXES)
+    relative = (fy[:, None] ** 2 + fx**2) / bandwidth**2
+    passed = xp.astype(relative <= 1, _array.real_dtype(hologram))
+    spectrum = xp.fft.fftn(hologram * _inverse_conjugate(reference), axes=_AXES)
+    if _array.is_readable(spectrum):
+        beyond = xp.astype((relative > 1) & (relative < _RIM**2), passed.dtype)
+        power = xp.real(spectrum) ** 2 + xp.imag(spectrum) ** 2
+        (outside,), (inside,) = (_validate.numbers(xp.sum(power * part)) for part in (beyond, passed))
+        if outside > _LEAKED * inside:
+            warn(
+                f"light just outside the filter of {bandwidth:.4g} cycles/m is {100 * outside / inside:.2g} % of "
+                "that inside: the field's band is wider, or overlaps the light of the object with itself, or there is noise; "
+                "tilt the reference to three times the band, or give the bandwidth",
+                SamplingWarning,
+            )
+    return xp.fft.ifftn(spectrum * passed, axes=_AXES)
 
 
 def phase_shifting_field(holograms: Array, reference: Array, phase_steps: Sequence[float] | Array) -> Array:

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from odak.jones import thin_film_stack
+from odak.wave import thin_film_transfer
 
 WAVELENGTH = 550e-9
 
@@ -100,6 +101,16 @@ def test_gradients_and_faces():
 def test_results_have_the_shape_of_all_arguments():
     bare = thin_film_stack(np.linspace(400e-9, 700e-9, 5), [1.0, 1.5], [], np.zeros((2, 1)))
     assert bare.r.shape == bare.t.shape == bare.absorptance.shape == (2, 5)
+
+
+@pytest.mark.parametrize("absorbing", [0.2 - 3.4j, np.array([1.5, 0.2 - 3.4j]), torch.tensor(0.2 - 3.4j)])
+def test_indices_that_amplify_or_absorb_before_the_stack_are_refused(absorbing):
+    with pytest.raises(ValueError, match=r"indices\[1\] must be n \+ iκ .*exp\(i\(kz − ωt\)\); got κ = -3\.4"):
+        thin_film_stack(WAVELENGTH, [1.0, absorbing], [])
+    with pytest.raises(ValueError, match=r"indices\[0\], of the incident medium, must not absorb; got κ = 3\.4"):
+        thin_film_stack(WAVELENGTH, [absorbing.real - 1j * absorbing.imag, 1.0], [])
+    with pytest.raises(ValueError, match=r"indices\[1\] must be n"):
+        thin_film_transfer((4, 4), 1e-6, WAVELENGTH, [1.0, absorbing], [])
 
 
 def test_wrong_use_names_the_argument():

@@ -1,5 +1,7 @@
 """Polarised fields: Jones elements per pixel, films, div E = 0, and focusing after Richards and Wolf."""
 
+import warnings
+
 import numpy as np
 import pytest
 import torch
@@ -7,6 +9,7 @@ from scipy.integrate import quad
 from scipy.special import jv
 
 import odak
+from odak import SamplingWarning
 from odak.jones import circular_polarizer, polarizer, retarder, thin_film_stack
 from odak.wave import (
     apply_jones,
@@ -143,6 +146,22 @@ def test_the_longitudinal_component_makes_the_divergence_vanish():
         + (e_z[1] - e_z[0]) / 2e-10
     )
     assert np.abs(divergence).max() < 1e-5 * np.abs(frequency).max()
+
+
+def test_window_that_cuts_the_focus_is_told():
+    pupil = np.zeros((2, 200, 200), dtype=complex)
+    pupil[0] = 1
+    for side, largest in ((81, 0.14), (161, 0.07)):
+        whole = focus_polarized(pupil, 8.2e-6, WAVELENGTH, 1e-3, 0.8, (side, side), 40e-9)
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            found = longitudinal_field(whole[:2], 40e-9, WAVELENGTH)
+        error = np.linalg.norm(found - whole[2]) / np.linalg.norm(whole[2])
+        assert error < largest
+        assert [warning.category for warning in told] == ([SamplingWarning] if error > 0.1 else [])
+        if told:
+            expected = float(str(told[0].message).partition("error of about ")[2].partition(" %")[0])
+            assert expected == pytest.approx(100 * error, rel=0.2)
 
 
 def diffraction_integrals(aperture, index, radius, z):

@@ -44,7 +44,11 @@ def test_off_axis_field_is_exact_where_the_orders_are_apart():
     np.testing.assert_allclose(found, field, atol=1e-10)
     # Twice the band overlaps the light of the object with itself.
     wide = limited_field(0.66 * carrier)
-    found = wave.off_axis_field(wave.recorded_intensity(wide, reference), reference, PITCH, 0.66 * carrier)
+    recorded = wave.recorded_intensity(wide, reference)
+    with pytest.warns(SamplingWarning, match="the field's band is wider"):
+        wave.off_axis_field(recorded, reference, PITCH)
+    with pytest.warns(SamplingWarning, match="or overlaps the light of the object"):
+        found = wave.off_axis_field(recorded, reference, PITCH, 0.66 * carrier)
     assert np.linalg.norm(found - wide) > 0.02 * np.linalg.norm(wide)
 
 
