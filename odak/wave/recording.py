@@ -211,9 +211,9 @@ def off_axis_field(
         (outside,), (inside,) = (_validate.numbers(xp.sum(power * part)) for part in (beyond, passed))
         if outside > _LEAKED * inside:
             warn(
-                f"light just outside the filter of {bandwidth:.4g} cycles/m is {100 * outside / inside:.2g} % of "
-                "that inside: the field's band is wider, or overlaps the light of the object with itself, or there is noise; "
-                "tilt the reference to three times the band, or give the bandwidth",
+                f"light just outside the filter of {bandwidth:.4g} cycles/m is {100 * outside / inside:.2g} % of that "
+                "inside: the field's band is wider, or overlaps the light of the object with itself, or there is "
+                "noise; tilt the reference to three times the band, or give the bandwidth",
                 SamplingWarning,
             )
     return xp.fft.ifftn(spectrum * passed, axes=_AXES)

@@ -30,7 +30,6 @@ __all__ = [
 ]
 
 _NONE = torch.zeros(1, 3)
-_NO_TURN = (1.0, 0.0, 0.0, 0.0)
 
 
 def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
@@ -44,8 +43,8 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
     Returns
     -------
     torch.Tensor
-        ``[..., 3, 3]``, for column vectors: the identity, without a gradient, for quaternions of zeros, whose number
-        an :class:`~odak.AccuracyWarning` states (not of values on a GPU, which would have to be read).
+        ``[..., 3, 3]``, for column vectors: those of zeros are taken as (1, 0, 0, 0), and an
+        :class:`~odak.AccuracyWarning` states their number (not of values on a GPU, which would have to be read).
 
     Examples
     --------
@@ -64,8 +63,8 @@ def quaternion_to_rotation_matrix(quaternions: torch.Tensor) -> torch.Tensor:
             f"{int(none.sum())} of {none.numel()} quaternions are zero and count as no rotation; give (1, 0, 0, 0)",
             AccuracyWarning,
         )
-    units = torch.where(none, quaternions.new_tensor(_NO_TURN), quaternions / squared.where(~none, 1).sqrt())
-    w, x, y, z = units.unbind(-1)
+    w, x, y, z = (quaternions / squared.where(~none, 1).sqrt()).unbind(-1)
+    w = w + none[..., 0].to(w.dtype)
     rows = (
         *(1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
         *(2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),

@@ -356,11 +356,11 @@ def _degree(count: int) -> int:
 
 def _pose(quaternion, shift) -> tuple[torch.Tensor, torch.Tensor]:
     """Return R and T of points as rows, with x and y reversed: odak's images are inverted along both axes."""
-    rotation = quaternion_to_rotation_matrix(torch.tensor(quaternion, dtype=torch.float64)).numpy()
-    reversed_axes = np.array([-1.0, -1.0, 1.0])
-    return torch.from_numpy((rotation.T * reversed_axes).astype(np.float32)), torch.from_numpy(
-        (np.asarray(shift) * reversed_axes).astype(np.float32)
+    quaternion, shift, reversed_axes = (
+        torch.tensor(values, dtype=torch.float64) for values in (quaternion, shift, (-1.0, -1.0, 1.0))
     )
+    rotation = quaternion_to_rotation_matrix(quaternion)
+    return (rotation.T * reversed_axes).float(), (shift * reversed_axes).float()
 
 
 def _read_tables(file: Path, read: Callable):
