@@ -11,6 +11,7 @@ import pytest
 import torch
 from physics import gaussian_beam
 
+import odak
 from odak.learn.tools import load_image
 from odak.learn.wave import (
     Scene2D,
@@ -199,7 +200,6 @@ def test_scene():
         (None, "args_prop must have"),
         (settings(pad_size=[4]), "pad_size"),
         (settings(wavelengths=[-1.0]), "wavelengths must be positive"),
-        (settings(wavelengths=[5e-7]), "one for each of the 3 colours of the Gaussians, got 1"),
         (settings(wavelengths=[5e-7] * 4), "one for each of the 3 colours of the Gaussians, got 4"),
     ):
         with pytest.raises(ValueError, match=message):
@@ -318,6 +318,15 @@ def test_a_hologram_is_fitted():
 def test_a_choice_may_be_masked():
     assert STEFunction.apply(torch.tensor([[1.0, float("-inf")]])).tolist() == [[1.0, 0.0]]
     assert STEFunction.apply(torch.tensor([[1.0, float("nan")]])).isnan().any()
+
+
+@pytest.mark.parametrize(("count", "used"), [(1, "colour 0 is used"), (2, "colours 0 to 1 are used")])
+def test_fewer_wavelengths_than_colours_take_the_first(count, used):
+    model = complex_2d_gaussians(4, (32, 24), "cpu", seed=2)
+    whole = Scene2D(model, settings()).render((32, 24))
+    with pytest.warns(odak.ArgumentWarning, match=f"{count} for 3 colours of the Gaussians: {used}"):
+        scene = Scene2D(model, settings(wavelengths=WAVELENGTHS[:count]))
+    torch.testing.assert_close(scene.render((32, 24)), whole[:count])
 
 
 @pytest.mark.parametrize("count", [1, 2, 4])

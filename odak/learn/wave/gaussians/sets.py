@@ -15,6 +15,7 @@ from torch import nn
 from torch.nn import functional
 
 from odak import _array, _validate
+from odak._warnings import ArgumentWarning, warn
 from odak.learn._tensors import floating, get_device, rows_of, shaped, tensor, trainable
 from odak.learn.tools.file import first_line, save_torch_tensor, torch_load
 from odak.learn.tools.transformation import PerspectiveCamera, quaternion_to_rotation_matrix
@@ -725,6 +726,7 @@ class Scene2D:
         The Gaussians.
     args_prop : object
         With the attributes `wavelengths` (metres, one for each colour) and `pad_size` (rows and columns of the field).
+        Fewer wavelengths than colours are those of the first colours; an :class:`~odak.ArgumentWarning` says so.
 
     Attributes
     ----------
@@ -736,7 +738,7 @@ class Scene2D:
     Raises
     ------
     ValueError
-        If an attribute is missing or not positive, or there are more or fewer wavelengths than colours.
+        If an attribute is missing or not positive, or there are more wavelengths than colours.
 
     Examples
     --------
@@ -754,10 +756,17 @@ class Scene2D:
         self.gaussians, self.args_prop = gaussians, args_prop
         self.wavelengths = _validate.real("wavelengths", lengths(wavelengths), positive=True)
         self.pad_size = _validate.size("pad_size", pad_size)
-        if (colours := gaussians.colours.shape[1]) != len(self.wavelengths):
+        colours, count = gaussians.colours.shape[1], len(self.wavelengths)
+        if count > colours:
             raise ValueError(
-                f"args_prop.wavelengths must be one for each of the {colours} colours of the Gaussians, "
-                f"got {len(self.wavelengths)}"
+                f"args_prop.wavelengths must be one for each of the {colours} colours of the Gaussians, got {count}"
+            )
+        if count < colours:
+            used = "colour 0 is" if count == 1 else f"colours 0 to {count - 1} are"
+            warn(
+                f"args_prop.wavelengths are {count} for {colours} colours of the Gaussians: {used} used, in this "
+                f"order; make the Gaussians with channels={count}, or give a wavelength for each colour",
+                ArgumentWarning,
             )
         self._grids: dict = {}
 
@@ -809,7 +818,8 @@ class Scene2D:
         scales, rotation, phase, opacities, means = self.gaussians.apply_activations()
         covariance = self.gaussians.compute_cov_2D(scales, rotation)
         conics = torch.stack(self.gaussians.invert_cov_2D(*covariance), dim=-1)
-        weights = torch.polar(torch.ones_like(phase), phase) * (self.gaussians.colours * opacities[:, None])
+        colours, phase = (values[:, : len(self.wavelengths)] for values in (self.gaussians.colours, phase))
+        weights = torch.polar(torch.ones_like(phase), phase) * (colours * opacities[:, None])
         return zero_pad(sum_of_gaussians(means, conics, weights, height, width), self.pad_size)
 
 
