@@ -8,6 +8,7 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array
+from odak._warnings import SamplingWarning, warn
 from odak.wave.sampling import warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
