@@ -1,6 +1,5 @@
 """Computation of holograms of pictures larger than memory, for `odak hologram --tiles`, in chunks that lie on disk."""
 
-import json
 import math
 import os
 import shutil
@@ -164,7 +163,12 @@ def _claim(state: Path, job: Job, index: int, again: bool) -> None:
     if not about.exists():
         state.mkdir(parents=True, exist_ok=True)
         files.write_json(about, identity)
-    elif json.loads(about.read_text(encoding="utf-8")) != identity:
+        return
+    try:
+        same = files.read_report(about) == identity
+    except ValueError as error:
+        raise InputError(f"--output: {str(about)!r} is damaged ({error}); use --again to start over") from None
+    if not same:
         raise InputError(
             f"--output contains the state of a run with another picture, {str(state)!r}; use --again to start over"
         )

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import shutil
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,15 @@ import numpy as np
 from tqdm import tqdm
 
 from odak import _array, _validate
+from odak._warnings import AccuracyWarning, warn
 from odak.tools.paths import validate_path
 from odak.wave.propagation import propagate_beam
 from odak.wave.transfer_functions import pitches, whole_lines
 
 METHODS = ("gradient descent", "Gerchberg-Saxton")
 _DECAYS = (0.9, 0.999)
+# Damaged chunks that a warning names.
+_NAMED = 5
 
 
 def hologram_in_chunks(
@@ -36,7 +40,8 @@ def hologram_in_chunks(
 
     After each iteration the state is stored in `folder`, in Zarr's format; what the one before had stored is removed
     then. A run that was interrupted goes on from the last whole iteration when it is called again, and so does a
-    finished one that is called with more iterations.
+    finished one that is called with more iterations. Each chunk is compared with its checksum before; if one is missing
+    or was changed, it is named and the iterations that led to it are computed again.
 
     Parameters
     ----------
@@ -83,6 +88,8 @@ def hologram_in_chunks(
     -----
     SamplingWarning
         If the propagation is outside the method's range.
+    AccuracyWarning
+        If the state in `folder` is damaged, naming its chunks.
 
     Notes
     -----
@@ -210,17 +217,43 @@ class _State:
         self.folder = folder
         self.problem = problem
         self.done, self.scale, self.energy = 0, 1.0, 0.0
+        self.checksums: dict[str, np.ndarray] = {}
         folder.mkdir(parents=True, exist_ok=True)
-        stored = sorted(path for path in folder.glob("iteration_*") if path.suffix != ".part")
-        if not stored:
-            return
-        about = json.loads((stored[-1] / "about.json").read_text(encoding="utf-8"))
-        if about["problem"] != problem:
-            different = [key for key, value in problem.items() if about["problem"].get(key) != value]
-            raise ValueError(
-                f"folder {str(folder)!r} contains the state of another problem: other {', '.join(different)}"
+        stored = [path for path in folder.glob("iteration_*") if path.suffix != ".part"]
+        for place in sorted(stored, reverse=True):
+            about, bad = self._examined(place)
+            if not bad:
+                self.done, self.scale, self.energy = about["done"], about["scale"], about["energy"]
+                return
+            named = ", ".join(bad[:_NAMED]) + (f" and {len(bad) - _NAMED} more" if len(bad) > _NAMED else "")
+            warn(
+                f"folder {str(place)!r} is damaged, missing or changed: {named}; the iterations up to this one are "
+                "computed again",
+                AccuracyWarning,
             )
-        self.done, self.scale, self.energy = about["done"], about["scale"], about["energy"]
+            shutil.rmtree(place)
+
+    def _examined(self, place: Path) -> tuple[dict, list[str]]:
+        """Return the numbers stored with an iteration, and the names of what is missing or not as it was written."""
+        import dask
+
+        try:
+            about = json.loads((place / "about.json").read_text(encoding="utf-8"))
+            other = [key for key, value in self.problem.items() if about["problem"].get(key) != value]
+            tables = {name: np.array(table, np.uint32) for name, table in about.get("checksums", {}).items()}
+            about = {name: about[name] for name in ("done", "scale", "energy")}
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return {}, ["about.json"]
+        if other:
+            raise ValueError(
+                f"folder {str(self.folder)!r} contains the state of another problem: other {', '.join(other)}"
+            )
+        checks = [
+            dask.delayed(_damage)(str(place / f"{name}.zarr"), at, int(table[at]))
+            for name, table in tables.items()
+            for at in np.ndindex(table.shape)
+        ]
+        return about, [found for found in dask.compute(*checks) if found]
 
     def _place(self, number: int) -> Path:
         return self.folder / f"iteration_{number:06d}"
@@ -237,11 +270,8 @@ class _State:
         part = self._part()
         shutil.rmtree(part, ignore_errors=True)
         part.mkdir()
-        writing = {
-            name: array.astype(np.float32).to_zarr(str(part / f"{name}.zarr"), compute=False)
-            for name, array in arrays.items()
-        }
-        _, computed = dask.compute(writing, sums)
+        writing = {name: _stored(array.astype(np.float32), part / f"{name}.zarr") for name, array in arrays.items()}
+        self.checksums, computed = dask.compute(writing, sums)
         return {name: float(value) for name, value in computed.items()}
 
     def _part(self) -> Path:
@@ -257,7 +287,41 @@ class _State:
             "scale": self.scale,
             "energy": self.energy,
             "loss": loss,
+            "checksums": {name: table.tolist() for name, table in self.checksums.items()},
         }
         (part / "about.json").write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
         os.replace(part, self._place(self.done))
         shutil.rmtree(former, ignore_errors=True)
+
+
+def _stored(array: Any, path: Path) -> Any:
+    """Return a Dask array of the checksums of an array's chunks; computing it writes them."""
+    import zarr
+
+    array = array.rechunk(array.chunksize)
+    target = zarr.open_array(str(path), mode="w", shape=array.shape, chunks=array.chunksize, dtype=array.dtype)
+
+    def write(values, block_info=None):
+        target[tuple(slice(*span) for span in block_info[0]["array-location"])] = values
+        return np.full((1,) * values.ndim, _checksum(values), np.uint32)
+
+    ones = tuple((1,) * count for count in array.numblocks)
+    return array.map_blocks(write, dtype=np.uint32, chunks=ones, meta=np.empty((0,) * array.ndim, np.uint32))
+
+
+def _damage(path: str, at: tuple[int, ...], checksum: int) -> str:
+    """Return the name of a chunk if it cannot be read or has another checksum, an empty text if it is whole."""
+    import zarr
+
+    try:
+        stored = zarr.open_array(path, mode="r")
+        values = stored[tuple(slice(i * n, (i + 1) * n) for i, n in zip(at, stored.chunks, strict=True))]
+        whole = _checksum(np.asarray(values)) == checksum
+    except Exception:  # The decoders of Zarr raise errors of many types.
+        whole = False
+    return "" if whole else f"chunk {'.'.join(map(str, at))} of {os.path.basename(path)}"
+
+
+def _checksum(values: np.ndarray) -> int:
+    """Return the CRC-32 of values; -0 counts as 0, since Zarr does not store chunks that equal their fill value."""
+    return zlib.crc32((values + values.dtype.type(0)).tobytes())

@@ -162,6 +162,22 @@ def test_a_run_is_continued_for_the_same_picture_only(grey_file, tmp_path):
     assert read_report(tmp_path / "b")["parameters"]["distance"] == 4e-3
 
 
+def test_damage_between_two_runs_is_named_and_mended(grey_file, tmp_path):
+    options = [*GEOMETRY, "--quiet", "--iterations"]
+    for folder in ("a", "b"):
+        run(grey_file, "-o", tmp_path / folder, *options, 1 if folder == "b" else 2)
+    state = tmp_path / "b" / "state_532nm"
+    chunk = next(path for path in (state / "iteration_000001" / "phase.zarr").rglob("0") if path.is_file())
+    chunk.write_bytes(chunk.read_bytes()[:50])
+    said = run(grey_file, "-o", tmp_path / "b", *options, 2)
+    (warning,) = read_report(tmp_path / "b")["warnings"]
+    assert "of phase.zarr; the iterations up to this one are computed again" in warning and warning in said.stderr
+    assert read_report(tmp_path / "a")["channels"] == read_report(tmp_path / "b")["channels"]
+    (state / "picture.json").write_text("{")
+    said = run(grey_file, "-o", tmp_path / "b", *options, 3, expect=2)
+    assert "picture.json' is damaged" in said.stderr and "--again" in said.stderr
+
+
 # A run that ends without any warning, in the middle of writing the state of its third iteration.
 KILLED = """
 import os, sys

@@ -141,6 +141,34 @@ def test_an_interrupted_run_ends_as_an_unbroken_one(tmp_path, monkeypatch):
         hologram_in_chunks(picture(), tmp_path / "b", 4, **{**PROBLEM, "distance": 3e-3})
 
 
+@pytest.mark.parametrize("damage", ["missing", "flipped", "truncated", "array", "numbers"])
+def test_a_damaged_state_is_named_and_computed_again(damage, tmp_path):
+    pytest.importorskip("zarr")
+    whole = hologram_in_chunks(picture(), tmp_path / "a", 3, **PROBLEM)
+    hologram_in_chunks(picture(), tmp_path / "b", 2, **PROBLEM)
+    place = tmp_path / "b" / "iteration_000002"
+    chunks = [path for path in (place / "phase.zarr").rglob("*") if path.is_file() and path.name.isdigit()]
+    assert len(chunks) == whole.npartitions > 1
+    chunk, named = sorted(chunks)[-1], r"chunk \d\.\d of phase\.zarr;"
+    content = chunk.read_bytes()
+    if damage == "missing":
+        chunk.unlink()
+    elif damage == "array":
+        (place / "second.zarr" / "zarr.json").unlink()
+        named = rf"(chunk \d\.\d of second\.zarr(, |;)){{{len(chunks)}}}"
+    elif damage == "numbers":
+        (place / "about.json").write_text((place / "about.json").read_text()[:-20])
+        named = "about.json;"
+    else:
+        middle = len(content) // 2
+        bent = bytes([content[middle] ^ 64])
+        chunk.write_bytes(content[:middle] + (b"" if damage == "truncated" else bent + content[middle + 1 :]))
+    with pytest.warns(odak.AccuracyWarning, match=f"iteration_000002' is damaged, missing or changed: {named}"):
+        again = hologram_in_chunks(picture(), tmp_path / "b", 3, **PROBLEM)
+    np.testing.assert_array_equal(again.compute(), whole.compute())
+    assert [path.name for path in (tmp_path / "b").iterdir()] == ["iteration_000003"]
+
+
 def test_a_dark_target_is_refused(tmp_path):
     pytest.importorskip("zarr")
     with pytest.raises(ValueError, match="target must be finite and not all zero"):
