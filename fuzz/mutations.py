@@ -268,3 +268,62 @@ def _pickle_number(data, chance, seeds, tokens):
     size = {b"K": 1, b"M": 2, b"J": 4}[data[place : place + 1]]
     value = chance.choice((0, 1, 3, 255, 65535, -1, 2**31 - 1, -(2**31)))
     return data[:place] + b"J" + struct.pack("<i", value) + data[place + 1 + size :]
+
+
+_NUMBERS = (float("nan"), float("inf"), -1.0, 0.0, 1e300, -1e-300, 2.0**53, 255.0, 532.0)
+_SHAPES = ((0,), (1,), (2,), (3, 3), (6, 8), (8, 6), (2, 2, 8), (1 << 20, 1 << 10), (1 << 40,), (5, 0, 7))
+
+
+def in_hdf5(data: bytes, chance: random.Random) -> bytes:
+    """Change an attribute or an array of an HDF5 file; as it is if it is none. Archives change as archives."""
+    if data.startswith(b"PK"):
+        return in_archive(data, chance)
+    import h5py
+    import numpy as np
+
+    from odak.instruments.array_files import check_heaps
+
+    try:
+        check_heaps(data)
+        with h5py.File(io.BytesIO(data), "r") as store:
+            if sum(store[name].nbytes for name in store) > 1 << 20:
+                return data
+            values, header = {name: store[name][()] for name in store}, dict(store.attrs)
+    except Exception:  # what h5py stumbles on is of no interest here
+        return data
+    if not values or not header:
+        return data
+    name, key, options = chance.choice(list(values)), chance.choice(list(header)), {}
+    array, shape, action = values[name], None, chance.randrange(9)
+    if action == 0:
+        header[key] = chance.choice((*_NUMBERS, "x", "\x01", [1, 2, 3], [], np.zeros(9000), True, -3, 2**62))
+    elif action == 1:
+        del values[name]
+    elif action == 2 and np.size(array):
+        wide = np.array(array, dtype=chance.choice((np.float64, np.float32, array.dtype)))
+        with np.errstate(all="ignore"):
+            wide.flat[chance.randrange(wide.size)] = np.array(chance.choice(_NUMBERS)).astype(wide.dtype)
+        values[name] = wide
+    elif action == 3:
+        values[name] = np.array(array).astype(chance.choice(("f2", "i8", ">f8", "u1", "S3", "c8", "?")))
+    elif action == 4:
+        values[name] = np.resize(array, chance.choice([s for s in _SHAPES if np.prod(s) < 1000]))
+    elif action == 5:
+        values[chance.choice(("dark", "x", "a/b", *values))] = array
+    elif action == 6:
+        del header[key]
+    else:
+        # Arrays that are promised and not there; chunks of one element, or of all.
+        shape = chance.choice(_SHAPES)
+        options = {"dtype": chance.choice(("f8", "u1", "i4"))}
+        if action == 8 and 0 not in shape:
+            options |= {"chunks": chance.choice((tuple([1] * len(shape)), tuple(min(n, 1 << 12) for n in shape)))}
+            options |= {"compression": "gzip"} if chance.random() < 0.5 else {}
+    with h5py.File("made.h5", "w", driver="core", backing_store=False) as store:
+        with contextlib.suppress(ValueError, TypeError, OSError):
+            for each, value in values.items():
+                promise = {"shape": shape, **options} if shape is not None and each == name else {"data": value}
+                store.create_dataset(each, **promise)
+            store.attrs.update(header)
+        store.flush()
+        return store.id.get_file_image()

@@ -214,6 +214,18 @@ def _scene(path):
         os.unlink(target)
 
 
+def _calibration(path):
+    from odak.instruments import load_calibration
+
+    load_calibration(path)
+
+
+def _captures(path):
+    from odak.instruments import load_captures
+
+    load_captures(path)
+
+
 def _command(path):
     from odak.tools import large_language_model
     from odak.visualize.blender import server
@@ -312,6 +324,15 @@ READERS = {
         (b'"arrays": "../x.npz"', b"<f4", b"|O", b"fortran_order"),
         _in_scene,
         named=True,
+    ),
+    "calibration": Reader(
+        seed_files.calibration_seeds,
+        _calibration,
+        (b"<f8", b"|O", b"fortran_order", b"(1000000000, 1000)", b"TREE", b"SNOD", b"HEAP", b"OHDR", b"FRHP"),
+        mutations.in_hdf5,
+    ),
+    "captures": Reader(
+        seed_files.capture_seeds, _captures, (b"TREE", b"SNOD", b"HEAP", b"OHDR", b"FRHP"), mutations.in_hdf5
     ),
     "command": Reader(
         seed_files.command_seeds,

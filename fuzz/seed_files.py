@@ -266,6 +266,40 @@ def scene_seeds(folder):
 MARK = b"\n--arrays--\n"
 
 
+def _table():
+    from odak.instruments import SimulatedTable
+
+    return SimulatedTable(seed=1, shape=(6, 8), camera_shape=(5, 7))
+
+
+def calibration_seeds(folder):
+    """Yield calibrations, HDF5 and archives, with and without regions."""
+    import dataclasses
+
+    from odak.instruments import Calibration, save_calibration
+
+    table = _table()
+    found = Calibration.nominal(table.modulator, table.camera, 532e-9, 2e-2)
+    found = dataclasses.replace(found, phases=found.phases[:8], uncertainty={"distance": 1e-6})
+    regional = dataclasses.replace(found, regional_phases=np.ones((2, 2, 1)) * found.phases)
+    for name in ("seed.h5", "seed.npz"):
+        for calibration in (found, regional):
+            path = os.path.join(folder, name)
+            save_calibration(path, calibration)
+            yield os.path.splitext(name)[1], content(path)
+
+
+def capture_seeds(folder):
+    """Yield captures."""
+    from odak.instruments import record_captures, save_captures
+
+    table, path = _table(), os.path.join(folder, "seed.h5")
+    levels = np.random.default_rng(0).integers(256, size=(3, 6, 8))
+    for dark in (0.0, np.ones((5, 7))):
+        save_captures(path, record_captures(table.modulator, table.camera, levels, 532e-9, dark=dark))
+        yield ".h5", content(path)
+
+
 def command_seeds(folder):
     """Yield commands as texts, and an answer of a language model."""
     yield ".txt", b"render('picture.png', exit=True)"

@@ -9,8 +9,7 @@ import itertools
 import json
 import math
 import os
-import zipfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -22,10 +21,12 @@ from scipy.optimize import least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.captures import SUFFIXES, read_hdf5, write_hdf5
+from odak.instruments.array_files import SUFFIXES, checked_array, checked_number, read_hdf5, write_hdf5
+from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
 from odak.instruments.exposures import SATURATED, set_exposure
 from odak.instruments.mapping import Registration
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
+from odak.tools.file import read_npz
 from odak.tools.paths import replacing, validate_path
 from odak.tools.zernike import zernike_polynomial
 from odak.wave import propagate_beam
@@ -1706,6 +1707,13 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
     calibration : Calibration
         The results.
 
+    Raises
+    ------
+    ValueError
+        If a value is out of range or an array of another shape than the others require; the message names it.
+    OSError
+        If the disk is full; the error names the file, and one that was there before remains.
+
     Examples
     --------
     >>> import os, tempfile
@@ -1721,22 +1729,8 @@ def save_calibration(path: str | os.PathLike, calibration: Calibration) -> None:
     if not isinstance(calibration, Calibration):
         raise TypeError(f"calibration must be a Calibration, got {type(calibration).__name__}")
     path = validate_path(path, [".npz", *SUFFIXES])
-    registration = calibration.registration
-    header = {
-        "format": FORMAT,
-        "version": VERSION,
-        "wavelength": calibration.wavelength,
-        "pitch": calibration.pitch,
-        "distance": calibration.distance,
-        "distortion": registration.distortion,
-        "camera_shape": list(registration.shape),
-        "residual": registration.residual,
-        **{f"uncertainty_{name}": value for name, value in calibration.uncertainty.items()},
-    }
-    arrays = {name: getattr(calibration, name) for name in ("phases", "amplitude", "wavefront")}
-    arrays["homography"] = registration.homography
-    if calibration.regional_phases is not None:
-        arrays["regional_phases"] = calibration.regional_phases
+    header = {"format": FORMAT, "version": VERSION, **_values(_checked(_values(calibration)))}
+    arrays = {name: header.pop(name) for name in (*_MAPS, "homography", "regional_phases") if name in header}
     if path.lower().endswith(SUFFIXES):
         write_hdf5(path, arrays, header, UNITS)
         return
@@ -1765,7 +1759,9 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not a calibration; the message names it.
+        If it is not a calibration, a value is out of range (such as a length that is not in metres) or an array of
+        another shape than the others require, or its arrays take more than 160 MiB and more than 64 bytes for each
+        byte of the file; the message names the file and the value.
 
     Examples
     --------
@@ -1784,35 +1780,103 @@ def load_calibration(path: str | os.PathLike) -> Calibration:
         raise FileNotFoundError(f"there is no file {path!r}")
     try:
         arrays, header = read_hdf5(path, FORMAT, VERSION) if path.lower().endswith(SUFFIXES) else _read_npz(path)
-        known = {name: arrays[name].astype(float) for name in ("phases", "amplitude", "wavefront", "homography")}
-        rows, columns = (int(n) for n in header["camera_shape"])
-        registration = Registration(
-            *(known["homography"], float(header["distortion"]), (rows, columns), float(header["residual"])),
-            float(header.get("uncertainty_registration", 0.0)),
-        )
-        prefix = "uncertainty_"
-        return Calibration(
-            wavelength=float(header["wavelength"]),
-            pitch=float(header["pitch"]),
-            distance=float(header["distance"]),
-            phases=known["phases"],
-            amplitude=known["amplitude"],
-            wavefront=known["wavefront"],
-            registration=registration,
-            regional_phases=arrays.get("regional_phases"),
-            uncertainty={k.removeprefix(prefix): float(v) for k, v in header.items() if k.startswith(prefix)},
-        )
-    except (KeyError, TypeError, ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        return _checked({**header, **arrays})
+    except KeyError as error:
+        raise ValueError(f"{path!r} cannot be read as a calibration: {error} is missing") from error
+    except (TypeError, ValueError, OSError) as error:
         raise ValueError(f"{path!r} cannot be read as a calibration: {error}") from error
 
 
 def _read_npz(path: str) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """Return the arrays and the header of a ``.npz`` file."""
-    with np.load(path, allow_pickle=False) as store:
-        header = json.loads(store["header"].tobytes().decode())
-        if header["format"] != FORMAT or header["version"] != VERSION:
-            raise ValueError(f"its format is {header['format']!r}, version {header['version']!r}")
-        return {name: store[name] for name in store.files if name != "header"}, header
+    arrays = read_npz(path)
+    try:
+        header = json.loads(arrays.pop("header").tobytes().decode())
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"its header is not JSON: {error}") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT or header.get("version") != VERSION:
+        told = header if isinstance(header, dict) else {}
+        raise ValueError(f"its format is {told.get('format')!r}, version {told.get('version')!r}")
+    return arrays, header
+
+
+def _values(calibration: Calibration) -> dict[str, Any]:
+    """Return the values of a calibration by the names that they have in files."""
+    registration = calibration.registration
+    return {
+        **{name: getattr(calibration, name) for name in ("wavelength", "pitch", "distance", *_MAPS)},
+        "homography": registration.homography,
+        "distortion": registration.distortion,
+        "camera_shape": registration.shape,
+        "residual": registration.residual,
+        **({} if calibration.regional_phases is None else {"regional_phases": calibration.regional_phases}),
+        **{f"{_UNCERTAIN}{name}": value for name, value in calibration.uncertainty.items()},
+    }
+
+
+_MAPS, _UNCERTAIN = ("phases", "amplitude", "wavefront"), "uncertainty_"
+# Largest phase in radians; distortion at which the mapping of a camera folds; largest camera; least ratio of the
+# magnifications of a camera along two directions.
+_LARGEST_PHASE, _LARGEST_DISTORTION, _LARGEST_CAMERA, _LEAST_RATIO = 1e6, 1 / 3, 65536, 1e-3
+
+
+def _checked(values: Mapping[str, Any]) -> Calibration:
+    """Return a calibration after checking each value: what is out of range or of another shape is refused by name."""
+    phases = checked_array("phases", values["phases"], ("levels",), -_LARGEST_PHASE, _LARGEST_PHASE)
+    if len(phases) < 2:
+        raise ValueError(f"phases must have at least 2 levels, got {len(phases)}")
+    amplitude = checked_array("amplitude", values["amplitude"], ("rows", "columns"), 0, 1 + 1e-6)
+    if not amplitude.any():
+        raise ValueError("amplitude must be above 0 at some pixel, got 0 at all")
+    regional = values.get("regional_phases")
+    if regional is not None:
+        shape = ("region rows", "region columns", len(phases))
+        regional = checked_array("regional_phases", regional, shape, -_LARGEST_PHASE, _LARGEST_PHASE)
+        if any(n > m for n, m in zip(regional.shape, amplitude.shape, strict=False)):
+            raise ValueError(f"regional_phases must have at most {amplitude.shape} regions, got {regional.shape[:2]}")
+    names = [name for name in values if name.startswith(_UNCERTAIN)]
+    doubts = {name.removeprefix(_UNCERTAIN): float(checked_number(name, values[name], 0, 1e6)) for name in names}
+    return Calibration(
+        checked_number("wavelength", values["wavelength"], *WAVELENGTHS, "metres"),
+        checked_number("pitch", values["pitch"], *PITCHES, "metres"),
+        checked_number("distance", values["distance"], 1e-9, LARGEST_DISTANCE, "metres"),
+        phases,
+        amplitude,
+        checked_array("wavefront", values["wavefront"], amplitude.shape, -_LARGEST_PHASE, _LARGEST_PHASE),
+        _checked_registration(values, doubts.get("registration", 0.0)),
+        regional,
+        doubts,
+    )
+
+
+def _checked_registration(values: Mapping[str, Any], doubt: float) -> Registration:
+    """Return the registration of a file unless it maps the sensor through infinity or onto a line."""
+    shape = np.asarray(values["camera_shape"])
+    if shape.shape != (2,):
+        raise ValueError(f"camera_shape must be two numbers [rows, columns], got {values['camera_shape']!r:.80}")
+    rows, columns = (
+        int(checked_number(f"camera_shape[{i}]", n, 1, _LARGEST_CAMERA, whole=True)) for i, n in enumerate(shape)
+    )
+    homography = checked_array("homography", values["homography"], (3, 3), -1e12, 1e12)
+    corners = np.array(list(itertools.product((-columns, columns), (-rows, rows)))) / 2
+    depths = np.array([homography[2, 2], *(corners @ homography[2, :2] + homography[2, 2])])
+    if not (abs(depths) > 1e-9 * abs(homography[2]).max()).all() or len(set(np.sign(depths))) > 1:
+        raise ValueError("homography must map the whole sensor to points at finite distances, and has a pole on it")
+    # Its derivative in the middle of the sensor, in metres for each pixel.
+    derivative = homography[:2, :2] - np.outer(homography[:2, 2], homography[2, :2]) / homography[2, 2]
+    large, small = np.linalg.svd(derivative / homography[2, 2], compute_uv=False)
+    if not (PITCHES[0] / 100 < large < 100 * PITCHES[1] and small > _LEAST_RATIO * large):
+        raise ValueError(
+            f"homography must map a pixel to an area, of {PITCHES[0] / 100:g} to {100 * PITCHES[1]:g} metres, got "
+            f"{large:g} along one direction and {small:g} along the other"
+        )
+    return Registration(
+        homography,
+        checked_number("distortion", values["distortion"], -_LARGEST_DISTORTION, _LARGEST_DISTORTION),
+        (rows, columns),
+        checked_number("residual", values["residual"], 0, _LARGEST_CAMERA, "pixels"),
+        doubt,
+    )
 
 
 class _Part(NamedTuple):

@@ -1,6 +1,5 @@
-"""Captures of patterns, and the files that hold them and calibrations: HDF5 with units and versions."""
+"""Captures of patterns, and the HDF5 files that hold them."""
 
-import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -9,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from odak import _validate
+from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.protocols import Camera, Modulator, check_square_pixels
-from odak.tools.paths import temporary_name, validate_path
 
 __all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
 
@@ -25,7 +24,9 @@ CAPTURE_UNITS = {
     "camera_pitch": "m",
     "exposure": "s",
 }
-SUFFIXES = (".h5", ".hdf5")
+# Ranges of what files hold: lengths and times in metres and seconds, levels and counts.
+WAVELENGTHS, PITCHES, LARGEST_DISTANCE = (1e-9, 1e-3), (1e-8, 1e-2), 1e3
+EXPOSURES, MOST_BITS = (1e-12, 1e6), 32
 
 
 @dataclass(frozen=True)
@@ -198,6 +199,13 @@ def save_captures(path: str | os.PathLike, captures: Captures) -> None:
     captures : Captures
         The captures.
 
+    Raises
+    ------
+    ValueError
+        If a value is out of range or an array of another shape than the others require; the message names it.
+    OSError
+        If the disk is full; the error names the file, and one that was there before remains.
+
     Examples
     --------
     >>> import os, tempfile
@@ -214,7 +222,7 @@ def save_captures(path: str | os.PathLike, captures: Captures) -> None:
     """
     if not isinstance(captures, Captures):
         raise TypeError(f"captures must be Captures, got {type(captures).__name__}")
-    values = dict(captures.__dict__)
+    values = _checked(captures.__dict__).__dict__.copy()
     arrays = {name: np.asarray(values.pop(name)) for name in ("levels", "frames", "positions", "dark")}
     write_hdf5(path, arrays, {"format": CAPTURES, "version": CAPTURES_VERSION, **values}, CAPTURE_UNITS)
 
@@ -237,7 +245,9 @@ def load_captures(path: str | os.PathLike) -> Captures:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it does not hold captures; the message names it.
+        If it does not hold captures, a value is out of range or an array of another shape than the others require, or
+        its arrays take more than 160 MiB and more than 64 bytes for each byte of the file; the message names the file
+        and the value.
 
     Examples
     --------
@@ -255,97 +265,35 @@ def load_captures(path: str | os.PathLike) -> Captures:
     ...         print("cannot be read as captures" in str(error))
     True
     """
-    arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
     try:
-        dark = arrays.get("dark", np.zeros(()))
-        found = Captures(
-            levels=arrays["levels"],
-            frames=arrays["frames"],
-            positions=arrays["positions"],
-            wavelength=float(header["wavelength"]),
-            pitch=float(header["pitch"]),
-            camera_pitch=float(header["camera_pitch"]),
-            camera_bits=int(header["camera_bits"]),
-            exposure=float(header["exposure"]),
-            dark=dark if dark.ndim else float(dark),
-        )
-    except (KeyError, TypeError, ValueError) as error:
+        arrays, header = read_hdf5(path, CAPTURES, CAPTURES_VERSION)
+        return _checked({**header, "dark": 0.0, **arrays})
+    except FileNotFoundError:
+        raise
+    except KeyError as error:
+        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: {error} is missing") from error
+    except (TypeError, ValueError) as error:
         raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: {error}") from error
-    if found.levels.ndim != 3 or found.frames.ndim != 4 or len(found.levels) != len(found.frames):
-        raise ValueError(f"{os.fspath(path)!r} cannot be read as captures: its arrays do not fit each other")
-    return found
 
 
-def write_hdf5(
-    path: str | os.PathLike, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any], units: Mapping[str, str]
-) -> None:
-    """Write arrays with units and a header to an HDF5 file, which appears whole or not at all.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.h5`` or ``.hdf5`` file.
-    arrays : mapping
-        Data sets by name.
-    header : mapping
-        Attributes of the file: numbers, texts, or lists of numbers.
-    units : mapping
-        Unit of each quantity by its name.
-    """
-    h5py = _h5py()
-    with temporary_name(validate_path(path, SUFFIXES)) as name, h5py.File(name, "w") as store:
-        for key, value in arrays.items():
-            packed = {"compression": "gzip", "shuffle": True} if np.size(value) > 64 else {}
-            store.create_dataset(key, data=value, **packed).attrs["units"] = units.get(key, "1")
-        store.attrs.update({**header, "units": json.dumps(units, ensure_ascii=False)})
-
-
-def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Read the data sets and the attributes of an HDF5 file.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        ``.h5`` or ``.hdf5`` file.
-    kind, version : str and int
-        Format and version that it must have.
-
-    Returns
-    -------
-    tuple of dict
-        Arrays and attributes by name.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is another file; the message names it.
-    """
-    h5py = _h5py()
-    path = validate_path(path, SUFFIXES)
-    if not os.path.exists(path):
-        raise FileNotFoundError(f"there is no file {path!r}")
-    try:
-        with h5py.File(path, "r") as store:
-            header = dict(store.attrs)
-            if header.get("format") != kind or header.get("version") != version:
-                raise ValueError(f"its format is {header.get('format')!r}, version {header.get('version')!r}")
-            # Data sets that lie in other files, or that are no numbers, are none of this format.
-            for name in store:
-                kept = isinstance(store.get(name, getlink=True), h5py.HardLink) and isinstance(
-                    store[name], h5py.Dataset
-                )
-                if not kept or store[name].is_virtual or store[name].external or store[name].dtype.kind not in "iuf":
-                    raise ValueError(f"{name!r} is not an array of numbers within the file")
-            return {name: np.asarray(store[name]) for name in store}, header
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{path!r} cannot be read as {kind.removeprefix('odak ')}: {error}") from error
-
-
-def _h5py() -> Any:
-    try:
-        import h5py
-    except ImportError:
-        raise ImportError("HDF5 files need h5py: pip install odak[instruments]") from None
-    return h5py
+def _checked(values: Mapping[str, Any]) -> Captures:
+    """Return captures after checking each value: what is out of range or of another shape is refused by its name."""
+    bits = int(checked_number("camera_bits", values["camera_bits"], 1, MOST_BITS, whole=True))
+    top = (1 << bits) - 1
+    levels = checked_array("levels", values["levels"], ("patterns", "rows", "columns"), 0, 65535, whole=True)
+    shape = (len(levels), "captures", "camera rows", "camera columns")
+    frames = checked_array("frames", values["frames"], shape, 0, top, whole=True)
+    dark = values["dark"]
+    return Captures(
+        levels,
+        frames,
+        checked_array("positions", values["positions"], (len(levels),), -LARGEST_DISTANCE, LARGEST_DISTANCE),
+        checked_number("wavelength", values["wavelength"], *WAVELENGTHS, "metres"),
+        checked_number("pitch", values["pitch"], *PITCHES, "metres"),
+        checked_number("camera_pitch", values["camera_pitch"], *PITCHES, "metres"),
+        bits,
+        checked_number("exposure", values["exposure"], *EXPOSURES, "seconds"),
+        checked_array("dark", dark, frames.shape[2:], 0, top)
+        if np.ndim(dark)
+        else checked_number("dark", dark, 0, top, "counts"),
+    )

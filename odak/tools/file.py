@@ -12,7 +12,9 @@ import signal
 import struct
 import subprocess
 import sys
+import tokenize
 import warnings
+import zipfile
 import zlib
 from collections.abc import Callable, Iterable
 from numbers import Real
@@ -470,6 +472,62 @@ def read_text_file(filename: str | os.PathLike) -> list[str]:
             return [line.rstrip() for line in stream]
     except UnicodeDecodeError as error:
         raise ValueError(f"{path!r} is not a UTF-8 text file: {error}") from error
+
+
+# Bytes that the arrays of a small file may take. Reading them takes some of it again; 256 MB are documented.
+MOST_BYTES = 160 << 20
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+
+
+def read_npz(path: str | os.PathLike, most: int = MOST_BYTES) -> dict[str, np.ndarray]:
+    """Read the arrays of a ``.npz`` file after checking what its headers promise.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File that :func:`numpy.savez` wrote.
+    most : int
+        Bytes of all its arrays, unless the file is as large.
+
+    Returns
+    -------
+    dict
+        Arrays of integers and floats by their names.
+
+    Raises
+    ------
+    ValueError
+        If it is not such a file, is truncated, or would take more memory.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            records = archive.infolist()
+            promised, most = sum(record.file_size for record in records), max(most, os.path.getsize(path))
+            if promised > most:
+                raise ValueError(f"its records take {promised} bytes; at most {most} are read from a file of its size")
+            return {record.filename.removesuffix(".npy"): _read_array(archive, record) for record in records}
+    # RuntimeError: encryption; NotImplementedError: another compression.
+    except (zipfile.BadZipFile, zlib.error, EOFError, struct.error, RuntimeError, NotImplementedError) as error:
+        raise ValueError(f"it is not an archive of arrays: {error or type(error).__name__}") from error
+
+
+def _read_array(archive: zipfile.ZipFile, record: zipfile.ZipInfo) -> np.ndarray:
+    """Return an array of an archive, unless its header promises more than is there."""
+    with archive.open(record) as stream:
+        try:
+            version = np.lib.format.read_magic(stream)
+            if version not in _HEADERS:
+                raise ValueError(f"its version is {version}")
+            shape, _, dtype = _HEADERS[version](stream)
+        # Python's parser reads headers.
+        except (ValueError, TypeError, SyntaxError, RecursionError, tokenize.TokenError) as error:
+            raise ValueError(f"{record.filename!r} is not an array: {error}") from error
+        if dtype.kind not in "iuf" or min(shape, default=0) < 0:
+            raise ValueError(f"{record.filename!r} is not an array of numbers, but of {dtype}")
+        if math.prod(shape) * dtype.itemsize > record.file_size:
+            raise ValueError(f"{record.filename!r} is truncated: its header states {list(shape)}")
+    with archive.open(record) as stream:
+        return np.lib.format.read_array(stream, allow_pickle=False)
 
 
 ALLOWED_COMMANDS = {"blender", "dispynode.py", "ffmpeg", "python", "python3", "git"}

@@ -1,6 +1,7 @@
 """Tasks that test_faults.py runs in a separate process, with a forked child for each that is terminated."""
 
 import contextlib
+import importlib.util
 import os
 import random
 import signal
@@ -12,7 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from odak import tools
+from odak import instruments, tools
 from odak.learn.models import save_weights, train
 from odak.learn.raytracing.system import load_system, save_system, write_zmx
 from odak.learn.tools import save_torch_tensor
@@ -37,6 +38,19 @@ def _lens(version):
     return lens
 
 
+def _captures(version):
+    shape = (6, 24, 24)
+    frames = np.random.default_rng(version).integers(4096, size=(6, 2, 24, 24))
+    return instruments.Captures(np.ones(shape, int), frames, np.zeros(6), 532e-9, 8e-6, 4e-6, 12, 1e-3)
+
+
+def _calibration(version):
+    registration = instruments.Registration(np.diag([4e-6, 4e-6, 1.0]), 0.0, (24, 24))
+    wavefront = np.random.default_rng(version).random((24, 24))
+    there = (532e-9, 8e-6, 0.01, np.arange(256.0), np.ones((24, 24)), wavefront, registration)
+    return instruments.Calibration(*there)
+
+
 WRITERS = {
     "image.png": lambda path, version: tools.save_image(path, np.full((64, 64), 60.0 * version)),
     "deep.png": lambda path, version: tools.save_image(path, np.full((9, 9, 3), 60.0 * version), color_depth=16),
@@ -51,6 +65,10 @@ WRITERS = {
     "lens.json": lambda path, version: save_system(_lens(version), path),
     "lens.zmx": lambda path, version: write_zmx(_lens(version), path),
 }
+WRITERS["table.npz"] = lambda path, version: instruments.save_calibration(path, _calibration(version))
+if importlib.util.find_spec("h5py"):
+    WRITERS["table.h5"] = WRITERS["table.npz"]
+    WRITERS["captures.h5"] = lambda path, version: instruments.save_captures(path, _captures(version))
 
 
 def die():

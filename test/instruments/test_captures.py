@@ -1,13 +1,15 @@
 """Captures, their noise, and their files."""
 
+import dataclasses
+import importlib.resources
 import importlib.util
-from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from odak import instruments
+from odak.instruments import array_files, calibration, captures
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -72,9 +74,108 @@ def test_files_that_reach_outside_of_themselves_are_refused(tmp_path):
         instruments.load_captures(tmp_path / "a.h5")
 
 
+def nominal(shape=(6, 8), camera_shape=(5, 7)):
+    table = instruments.SimulatedTable(1, shape=shape, camera_shape=camera_shape)
+    found = instruments.Calibration.nominal(table.modulator, table.camera, 532e-9, 2e-2)
+    return dataclasses.replace(found, uncertainty={"distance": 1e-6})
+
+
+NAN, INF, FLAT = np.nan, np.inf, np.array([[1.0, 0, 0], [2, 0, 0], [0, 0, 1]])
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"wavelength": NAN}, "wavelength must be finite, got nan"),
+        ({"wavelength": 532.0}, "wavelength must be from 1e-09 to 0.001 metres, got 532"),
+        ({"pitch": -8e-6}, "pitch must be from 1e-08 to 0.01 metres, got -8e-06"),
+        ({"distance": INF}, "distance must be finite, got inf"),
+        ({"distance": 0.0}, "distance must be from"),
+        ({"phases": np.full(256, NAN)}, "phases must be from .* got nan"),
+        ({"phases": np.zeros((2, 128))}, r"phases must be \[levels\], got \[2, 128\]"),
+        ({"phases": np.zeros(1)}, "phases must have at least 2 levels, got 1"),
+        ({"amplitude": np.full((6, 8), -1.0)}, "amplitude must be from 0 to 1, got -1"),
+        ({"amplitude": np.zeros((6, 8))}, "amplitude must be above 0"),
+        ({"amplitude": np.ones((0, 8))}, "amplitude must not be empty"),
+        ({"wavefront": np.zeros((8, 6))}, r"wavefront must be \[6, 8\], got \[8, 6\]"),
+        ({"wavefront": np.full((6, 8), -INF)}, "wavefront must be from .* got -inf"),
+        ({"regional_phases": np.zeros((2, 2, 9))}, r"regional_phases must be \[region rows, region columns, 256\]"),
+        ({"regional_phases": np.zeros((7, 2, 256))}, "regional_phases must have at most"),
+        ({"homography": np.zeros((3, 3))}, "homography must map the whole sensor"),
+        ({"homography": FLAT * 1e-6}, "homography must map"),
+        ({"homography": np.diag([1.0, 1e-6, 1e-6])}, "homography must map a pixel to an area"),
+        ({"homography": np.array([[4e-6, 0, 0], [0, 4e-6, 0], [0.4, 0, 1]])}, "homography .* has a pole on it"),
+        ({"homography": np.full((3, 3), NAN)}, "homography must be from .* got nan"),
+        ({"camera_shape": [5.5, 7]}, r"camera_shape\[0\] must be a whole number"),
+        ({"camera_shape": [5, 7, 3]}, "camera_shape must be two numbers"),
+        ({"distortion": -0.5}, "distortion must be from"),
+        ({"residual": -1.0}, "residual must be from 0"),
+        ({"uncertainty_distance": NAN}, "uncertainty_distance must be finite"),
+    ],
+)
+@pytest.mark.parametrize("end", ["npz", "h5"])
+def test_nonsense_in_calibrations_is_refused_by_its_name(values, told, end, tmp_path, monkeypatch):
+    if end == "h5":
+        pytest.importorskip("h5py", reason="h5py is not installed")
+    path, found = tmp_path / f"a.{end}", nominal()
+    instruments.save_calibration(path, found)
+    before = path.read_bytes()
+    with pytest.raises((ValueError, TypeError), match=f"^{told}"):
+        calibration._checked(calibration._values(found) | values)
+    # As a file that another program wrote: without the checks of this one.
+    with monkeypatch.context() as without:
+        written = calibration._values(found) | values
+        without.setattr(calibration, "_checked", lambda values: values)
+        without.setattr(calibration, "_values", lambda given: written)
+        instruments.save_calibration(path, found)
+    assert path.read_bytes() != before
+    with pytest.raises(ValueError, match=rf"a\.{end}' cannot be read as a calibration: {told}"):
+        instruments.load_calibration(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({"frames": np.full((3, 2, 5, 7), 5000)}, "frames must be from 0 to 4095, got 5000"),
+        ({"frames": np.zeros((3, 2, 5, 7))}, "frames must be integers, got float64"),
+        ({"frames": np.zeros((2, 2, 5, 7), int)}, r"frames must be \[3, captures, camera rows, camera columns\]"),
+        ({"levels": np.full((3, 6, 8), -1)}, "levels must be from 0 to 65535, got -1"),
+        ({"positions": np.array([0.0, NAN, 0.0])}, "positions must be from -1000 to 1000, got nan"),
+        ({"dark": np.zeros((7, 5))}, r"dark must be \[5, 7\], got \[7, 5\]"),
+        ({"dark": -3.0}, "dark must be from 0 to 4095 counts, got -3"),
+        ({"exposure": NAN}, "exposure must be finite"),
+        ({"camera_bits": 0}, "camera_bits must be from 1 to 32, got 0"),
+        ({"camera_pitch": 4.0}, "camera_pitch must be from 1e-08 to 0.01 metres, got 4.0"),
+    ],
+)
+def test_nonsense_in_captures_is_refused_by_its_name(values, told, tmp_path):
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    table = instruments.SimulatedTable(1, shape=(6, 8), camera_shape=(5, 7))
+    levels = np.random.default_rng(0).integers(256, size=(3, 6, 8))
+    found = instruments.record_captures(table.modulator, table.camera, levels, 532e-9)
+    with pytest.raises((ValueError, TypeError), match=f"^{told}"):
+        instruments.save_captures(tmp_path / "a.h5", dataclasses.replace(found, **values))
+    assert not list(tmp_path.iterdir())
+    parts = found.__dict__ | values
+    arrays = {name: np.asarray(parts.pop(name)) for name in ("levels", "frames", "positions", "dark")}
+    header = {"format": captures.CAPTURES, "version": captures.CAPTURES_VERSION, **parts}
+    array_files.write_hdf5(tmp_path / "a.h5", arrays, header, captures.CAPTURE_UNITS)
+    with pytest.raises(ValueError, match=rf"a\.h5' cannot be read as captures: {told}"):
+        instruments.load_captures(tmp_path / "a.h5")
+
+
+def test_what_compresses_best_is_read_too(tmp_path, monkeypatch):
+    """A panel without faults is two maps of one value, which gzip shrinks by a factor of a thousand."""
+    pytest.importorskip("h5py", reason="h5py is not installed")
+    monkeypatch.setattr(array_files, "MOST_BYTES", 1 << 16)
+    found = nominal((120, 160))
+    instruments.save_calibration(tmp_path / "a.h5", found)
+    assert np.array_equal(instruments.load_calibration(tmp_path / "a.h5").amplitude, found.amplitude)
+
+
 def test_the_captures_of_the_package_are_those_that_its_script_makes():
     pytest.importorskip("h5py", reason="h5py is not installed")
-    path = files("odak") / "assets" / "simulated_captures.h5"
+    path = importlib.resources.files("odak") / "assets" / "simulated_captures.h5"
     captures = instruments.load_captures(path)
     script = ROOT / "scripts" / "make_simulated_captures.py"
     if not script.exists():

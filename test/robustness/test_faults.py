@@ -10,11 +10,12 @@ import warnings
 from pathlib import Path
 
 import faults
+import numpy as np
 import pytest
 import torch
 from faults import STAGES, WRITERS
 
-from odak import ConvergenceWarning, tools
+from odak import ConvergenceWarning, instruments, tools
 from odak.cli import main
 from odak.tools import paths
 
@@ -101,6 +102,12 @@ class TestFullDisk:
             "a.json": lambda path, tensor: tools.save_dictionary({"a": tensor}, path),
             "a.ply": lambda path, tensor: tools.write_PLY(tensor[:, :9].reshape(-1, 3, 3), path),
         }
+        if "captures.h5" in WRITERS:
+            # HDF5 itself ends the process where a disk is full.
+            pattern, rest = np.zeros((1, 6, 8), int), (np.zeros(1), 532e-9, 8e-6, 4e-6, 16, 1e-3)
+            writers["a.h5"] = lambda path, tensor: instruments.save_captures(
+                path, instruments.Captures(pattern, (tensor * 65535).int().numpy()[None, None], *rest)
+            )
         for name, write in writers.items():
             path = str(small_disk / name)
             write(path, large[:9, :9].clone())

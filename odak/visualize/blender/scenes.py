@@ -10,14 +10,10 @@ import math
 import os
 import re
 import shutil
-import struct
 import subprocess
 import sys
 import tempfile
 import threading
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -29,7 +25,7 @@ from odak._python import other_python_command
 from odak._warnings import AccuracyWarning, DeviceWarning, warn
 from odak.catalog.materials import MICROMETRES
 from odak.log import logger
-from odak.tools.file import _kill_with_children, validate_path
+from odak.tools.file import _kill_with_children, read_npz, validate_path
 from odak.tools.paths import replacing
 from odak.visualize.blender.items import (
     D_LINE,
@@ -330,17 +326,6 @@ FORMAT = "odak scene"
 VERSION = 1
 MAXIMUM_BYTES = 256 << 20
 ARRAYS = {"vertices": "f4", "faces": "i4", "normals": "f4", "colors": "f4", "uv": "f4", "image": "u1", "rods": "f4"}
-# Errors that NumPy raises on broken archives and headers of arrays.
-_BROKEN_ARRAYS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    tokenize.TokenError,
-    SyntaxError,
-    EOFError,
-    struct.error,
-    # Compression that is not known, and encryption.
-    RuntimeError,
-)
 _KEYS = ("unit", "metres", "wavelength", "objects", "lights", "camera", "background", "start_from", "remove", "render")
 
 
@@ -400,9 +385,9 @@ def read_scene(path: str) -> dict:
             raise ValueError(f"arrays must be the name of a file beside it, got {name!r}")
         name = os.path.join(os.path.dirname(path), name)
         _check_digest(name, document.pop("arrays_sha256", None))
-        with np.load(name, allow_pickle=False) as store:
-            document["objects"] = [_with_arrays(entry, store) for entry in document["objects"]]
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, *_BROKEN_ARRAYS) as error:
+        arrays = read_npz(name, MAXIMUM_BYTES)
+        document["objects"] = [_with_arrays(entry, arrays) for entry in document["objects"]]
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ValueError(f"{path!r} cannot be read as a scene: {error}") from error
     return document
 
@@ -434,24 +419,11 @@ def _entry(number: int, item: Item, arrays: dict) -> dict:
     return entry
 
 
-def _array(store, name: str) -> np.ndarray:
-    """Return an array of an archive, unless its header promises more than is there."""
-    record = store.zip.getinfo(f"{name}.npy")
-    if record.file_size > MAXIMUM_BYTES:
-        raise ValueError(f"{name} is larger than {MAXIMUM_BYTES} bytes")
-    with store.zip.open(record) as stream:
-        read_header = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-        shape, _, dtype = read_header[np.lib.format.read_magic(stream)](stream)
-        if math.prod(shape) * dtype.itemsize > record.file_size:
-            raise ValueError(f"{name} is truncated: its header states {list(shape)}")
-    return store[name]
-
-
-def _with_arrays(entry: dict, store) -> dict:
+def _with_arrays(entry: dict, arrays: dict[str, np.ndarray]) -> dict:
     entry = dict(entry)
     for key, dtype in ARRAYS.items():
         if entry[key] is not None:
-            entry[key] = _array(store, entry[key])
+            entry[key] = arrays[entry[key]]
             if entry[key].dtype != np.dtype(dtype):
                 raise ValueError(f"{key} of {entry['name']!r} must be {dtype}, got {entry[key].dtype}")
     count = len(entry["vertices"])
