@@ -15,6 +15,8 @@ from odak.learn.tools.matrix import blur_gaussian, plane_indices, plane_masks
 from odak.wave.transfer_functions import checked_pitch, pitches
 
 SCHEMES = ("defocus", "naive")
+# Standard deviation of a blur, in pixels, below which a picture looks as sharp as before.
+_LEAST_BLUR = 0.5
 
 
 def defocused_targets(
@@ -22,8 +24,7 @@ def defocused_targets(
 ) -> torch.Tensor:
     """Return the targets of planes on which the pixels of other planes are out of focus.
 
-    A pixel j planes away is taken from the picture blurred by a Gaussian of σ = int(j·blur_ratio); σ = 0 leaves it
-    sharp. The picture is blurred once for each σ.
+    A pixel j planes away is taken from the picture blurred by a Gaussian of σ = j·blur_ratio; σ = 0 leaves it sharp.
 
     Parameters
     ----------
@@ -41,7 +42,8 @@ def defocused_targets(
     Returns
     -------
     torch.Tensor
-        Pictures ``[P, C, m, n]``; zeros surround the picture that is blurred.
+        Pictures ``[P, C, m, n]``. At the rim the blur is divided by its share inside the picture: it is a mean of what
+        the picture shows, so that an even picture stays even.
 
     Raises
     ------
@@ -51,14 +53,17 @@ def defocused_targets(
     if _validate.real("blur_ratio", blur_ratio) < 0:
         raise ValueError(f"blur_ratio must not be negative, got {blur_ratio}")
     side = _validate.integer("target_blur_size", blur_size, minimum=1) | 1
-    sigmas = [int(distance * blur_ratio) for distance in range(number_of_planes)]
-    widths = sorted(set(sigmas))
-    which = torch.tensor([widths.index(sigma) for sigma in sigmas], device=image.device)
-    # A width of zero leaves the image as it is.
-    blurred = torch.stack([blur_gaussian(image, (side, side), (w, w), keep_sum=True) if w else image for w in widths])
+    even, blurred = torch.ones_like(image[:1]), [image]
+    for distance in range(1, number_of_planes):
+        width = (distance * blur_ratio,) * 2
+        blurred.append(
+            torch.divide(*(blur_gaussian(picture, (side, side), width, keep_sum=True) for picture in (image, even)))
+            if blur_ratio
+            else image
+        )
     planes = torch.arange(number_of_planes, device=image.device)
-    source = which[(indices - planes[:, None, None]).abs()]
-    return blurred.gather(0, source[:, None].expand(-1, *image.shape))
+    source = (indices - planes[:, None, None]).abs()
+    return torch.stack(blurred).gather(0, source[:, None].expand(-1, *image.shape))
 
 
 def geometric_targets(
@@ -93,7 +98,8 @@ def geometric_targets(
     Returns
     -------
     torch.Tensor
-        Pictures ``[P, C, m, n]``; zeros surround the picture that is blurred.
+        Pictures ``[P, C, m, n]``. At the rim the blur is divided by its share inside the picture, as in
+        :func:`defocused_targets`.
     """
     dtype = image.dtype
     image = image.float() if dtype in (torch.float16, torch.bfloat16) else image
@@ -102,7 +108,9 @@ def geometric_targets(
         2 * torch.pi * torch.fft.fftfreq(2 * n, pitch, dtype=torch.float64, device=image.device)
         for n, pitch in zip((rows, columns), pixel_pitch, strict=True)
     )
-    spectrum = torch.fft.fft2(image, (2 * rows, 2 * columns))
+    spectrum, even = (
+        torch.fft.fft2(picture, (2 * rows, 2 * columns)) for picture in (image, torch.ones_like(image[:1]))
+    )
     masks = plane_masks(indices, len(distances))
     targets = torch.zeros(len(distances), *image.shape, dtype=image.dtype, device=image.device)
     places = distances.tolist()
@@ -120,7 +128,11 @@ def geometric_targets(
                     # The transform of a disc of unit area, 2·J₁(x)/x.
                     safe = argument.clamp_min(1e-6)
                     discs.append(2 * torch.special.bessel_j1(safe) / safe)
-                blurred = torch.fft.ifft2(spectrum * torch.stack(discs).to(image.dtype)).real[..., :rows, :columns]
+                blurred, share = (
+                    torch.fft.ifft2(picture * torch.stack(discs).to(image.dtype)).real[..., :rows, :columns]
+                    for picture in (spectrum, even)
+                )
+                blurred = blurred / share
             targets[focus] += masks[plane] * blurred.clamp_min(0)
     return targets.to(dtype)
 
@@ -198,10 +210,11 @@ class FocalTargets(nn.Module):
             return
         blur = self.number_of_planes, self.blur_ratio, self.target_blur_size
         self.targets = self.multiplier * defocused_targets(*picture, *blur)
-        if self.number_of_planes > 1 and self.blur_ratio and int((self.number_of_planes - 1) * self.blur_ratio) == 0:
+        if 0 < (widest := (self.number_of_planes - 1) * self.blur_ratio) < _LEAST_BLUR:
             warn(
-                f"blur_ratio {self.blur_ratio} blurs nothing on {self.number_of_planes} planes: give a larger one, or "
-                "the distances, wavelengths and pixel_pitch that a blur follows from",
+                f"blur_ratio {self.blur_ratio} blurs by a σ of at most {widest:.2g} pixels on {self.number_of_planes} "
+                "planes, hardly at all: give a larger one, or the distances, wavelengths and pixel_pitch that a blur "
+                "follows from",
                 AccuracyWarning,
             )
 
@@ -472,7 +485,7 @@ class multiplane_loss(FocalTargets):
     target_depth : torch.Tensor
         Depth of each pixel ``[m, n]``, 0 … 1; a pixel belongs to plane round(depth·(P − 1)).
     blur_ratio : float
-        Growth of the blur's σ from one plane to the next: a pixel j planes away is blurred by σ = int(j·blur_ratio).
+        Growth of the blur's σ from one plane to the next: a pixel j planes away is blurred by σ = j·blur_ratio.
     target_blur_size : int
         Side of the blur's kernel in pixels; an even one grows by one.
     number_of_planes : int
@@ -632,7 +645,7 @@ class perceptual_multiplane_loss(FocalTargets):
     target_depth : torch.Tensor
         Depth of each pixel ``[m, n]``, 0 … 1; a pixel belongs to plane round(depth·(P − 1)).
     blur_ratio : float, default: 0.25
-        Growth of the blur's σ from one plane to the next: a pixel j planes away is blurred by σ = int(j·blur_ratio).
+        Growth of the blur's σ from one plane to the next: a pixel j planes away is blurred by σ = j·blur_ratio.
     target_blur_size : int, default: 10
         Side of the blur's kernel in pixels; an even one grows by one.
     number_of_planes : int, default: 4

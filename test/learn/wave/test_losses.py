@@ -102,12 +102,13 @@ def targets_by_definition(picture, depth, planes, ratio, size, multiplier):
     result = np.zeros((planes, *picture.shape))
     for i in range(planes):
         for j in range(planes):
-            sigma = int(abs(i - j) * ratio)
+            sigma = abs(i - j) * ratio
             blurred = picture.numpy()
             if sigma:
                 kernel = generate_2d_gaussian([side, side], [sigma, sigma], dtype=torch.float64).numpy()
                 kernel = kernel / kernel.sum()
-                blurred = np.stack([ndimage.convolve(plane, kernel, mode="constant") for plane in blurred])
+                share = ndimage.convolve(np.ones(blurred.shape[1:]), kernel, mode="constant")
+                blurred = np.stack([ndimage.convolve(plane, kernel, mode="constant") / share for plane in blurred])
             result[i] += (index == j) * blurred
     return multiplier * result
 
@@ -129,10 +130,11 @@ def test_what_is_in_focus_is_sharp():
     loss = multiplane_loss(PICTURE, DEPTH, blur_ratio=1.0)
     assert torch.equal(loss.masks.sum(0), torch.ones_like(PICTURE))
     assert torch.equal((loss.masks * loss.targets).sum(0), PICTURE)
-    # An even picture stays even out of focus, away from the dark around it: the kernels' weights add up to one.
-    even = multiplane_loss(torch.ones(1, 9, 12), steps().float(), 1.0, 3).targets
-    torch.testing.assert_close(even[..., 1:-1, 1:-1], torch.ones(4, 1, 7, 10))
-    assert even[3, 0, 4, 0] < 0.9
+    # An even picture stays even out of focus, up to its rim.
+    geometry = {"distances": [0.0, 1e-3, 2e-3, 3e-3], "wavelengths": [532e-9], "pixel_pitch": 8e-6}
+    for blur in ({"blur_ratio": 1.0, "target_blur_size": 3}, geometry):
+        even = multiplane_loss(torch.ones(1, 9, 12), steps().float(), **blur).targets
+        torch.testing.assert_close(even, torch.ones(4, 1, 9, 12))
 
 
 def test_one_plane_and_no_blur():
@@ -328,24 +330,31 @@ def test_contrast_of_what_is_dark_beside_bright_light():
     torch.testing.assert_close(speckle_contrast(5)(light), speckle_contrast(5)(light.double()).float())
 
 
-def test_defaults_that_blur_nothing_say_so():
-    with pytest.warns(AccuracyWarning, match=r"blur_ratio 0.25 blurs nothing on 4 planes"):
-        multiplane_loss(PICTURE, DEPTH)
+def test_default_blur_grows_by_parts_of_a_pixel():
+    point = torch.zeros(1, 21, 21, dtype=torch.float64)
+    point[0, 10, 10] = 1
+    for number, depth in ((1, 1 / 3), (3, 1.0)):
+        seen = multiplane_loss(point, torch.full((21, 21), depth, dtype=torch.float64), target_blur_size=21).targets[0]
+        rows = (torch.arange(21, dtype=torch.float64) - 10) * 21 / 20
+        kernel = torch.exp(-(rows**2) / (2 * (0.25 * number) ** 2))
+        torch.testing.assert_close(seen[0], kernel[:, None] * kernel / kernel.sum() ** 2)
+    with pytest.warns(AccuracyWarning, match=r"blur_ratio 0\.1 blurs by a σ of at most 0\.3 pixels on 4 planes"):
+        multiplane_loss(PICTURE, DEPTH, blur_ratio=0.1)
 
 
 @pytest.mark.parametrize("aperture", [None, 0.1])
 def test_blur_of_the_geometry_is_a_disc_that_grows_with_distance_and_wavelength(aperture):
     colours, pitch, step = [639e-9, 473e-9], 8e-6, 2e-3 if aperture is None else 1e-3
-    size, places = 101, [0.0, step, 3 * step]
+    size, places = 161, [0.0, step, 3 * step]
     depth = torch.zeros(size, size, dtype=torch.float64)
     point = torch.zeros(2, size, size, dtype=torch.float64)
-    point[:, 50, 50] = 1
+    point[:, 80, 80] = 1
     loss = multiplane_loss(
         point, depth, number_of_planes=3, distances=places, wavelengths=colours, pixel_pitch=pitch,
         numerical_aperture=aperture,
     )  # fmt: skip
     torch.testing.assert_close(loss.targets[0], point)
-    rows = torch.arange(size, dtype=torch.float64) - 50
+    rows = torch.arange(size, dtype=torch.float64) - 80
     squared = rows[:, None] ** 2 + rows**2
     for plane, place in ((1, step), (2, 3 * step)):
         for colour, wavelength in enumerate(colours):
