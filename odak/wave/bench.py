@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,7 +13,15 @@ from odak.wave.elements import share_in_disc, share_in_strip, thin_lens
 from odak.wave.fourier import centred, fourier_sum
 from odak.wave.methods import check_has_kernel, find_method
 from odak.wave.propagation import propagate_beam
-from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_beyond_nyquist
+from odak.wave.sampling import (
+    FOCAL,
+    Weaker,
+    plain_numbers,
+    sampled_axes,
+    undersampling,
+    warn_beyond_nyquist,
+    warn_of_factor,
+)
 from odak.wave.transfer_functions import check_geometry, fraction_of_cycles, pitches
 from odak.wave.windows import propagate_to_window
 
@@ -28,6 +36,7 @@ def propagate_abcd(
     output_dx: float | Sequence[float] | None = None,
     output_shape: Sequence[int] | None = None,
     path_length: float = 0.0,
+    offset: Sequence[float] = (0.0, 0.0),
 ) -> tuple:
     """Propagate a field through a first-order system of lenses, mirrors and spaces, given by its ray matrix.
 
@@ -52,6 +61,8 @@ def propagate_abcd(
         Rows and columns of the result; by default those of the field.
     path_length : float
         Optical path along the axis in metres, whose phase exp(ikL) is applied.
+    offset : sequence of float
+        Place (y, x) of the middle of the result in metres.
 
     Returns
     -------
@@ -96,9 +107,12 @@ def propagate_abcd(
     like = xp.zeros((1, 1), dtype=xp.float64, device=_array.device_of(field))
     wave = _per_field(wavelength, like)
     found = []
-    for axis, entries, pitch, wanted, count in zip((-2, -1), matrices, pitches(dx), given, counts, strict=True):
-        (a, b), (c, d) = _entries(entries, like)
-        field, out = _along_axis(field, a, b, c, d, _array.cast(pitch, like), wanted, count, wave, axis)
+    places = _validate.several("offset", offset, 2)
+    for axis, entries, pitch, wanted, count, place in zip(
+        (-2, -1), matrices, pitches(dx), given, counts, places, strict=True
+    ):
+        system = _entries(entries, like)
+        field, out = _along_axis(field, system, _array.cast(pitch, like), wanted, count, wave, axis, place)
         found.append(out)
     if _array.is_array(path_length) or path_length != 0:
         cycles = fraction_of_cycles(_array.cast(path_length, like), wave)
@@ -134,9 +148,11 @@ def _entries(matrix, like):
     return (a, b), (c, d)
 
 
-def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: int):
-    """Return the field after the system along one axis, and its pitch there."""
-    xp = _array.namespace(field)
+def _along_axis(field, system, pitch, wanted, count: int, wavelength, axis: int, place):
+    """Return the field after the system along one axis, about a place there, and its pitch."""
+    xp, ((a, b), (c, d)) = _array.namespace(field), system
+    moved = _array.is_array(place) or place != 0
+    place = _array.cast(place, wavelength) if moved else 0.0
     n = field.shape[axis]
     numbers = [min(_validate.numbers(value)) for value in (a, b, pitch, wavelength)]
     # On twice the grid the longer wavelengths are exact too, up to twice the shortest.
@@ -148,16 +164,18 @@ def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: 
         raise ValueError("output_dx must be given for several wavelengths, whose own pitches λ·|B|/(N·dx) differ")
     else:
         out = xp.abs(a) * pitch if imaged else wavelength * xp.abs(b) / (n * pitch)
-    positions = centred(wavelength, count, axis) * out
+    positions = centred(wavelength, count, axis) * out + place
     # Half the window, and where light of the highest frequency of the field's middle, and of its edge, arrives.
-    half, step = count // 2 * min(_validate.numbers(out)), numbers[2]
+    half, step = count // 2 * min(_validate.numbers(out)) + abs(_validate.numbers(place)[0]), numbers[2]
     middle, edge = numbers[3] * abs(numbers[1]) / (2 * step), abs(numbers[0]) * n * step / 2
     backwards = numbers[1] < 0
     if imaged:
         # Fresnel propagation over B/A, magnification by A, and a lens of power −C/A.
         frequencies = centred(wavelength, 2 * n, axis) / (2 * n * pitch)
         spectrum = fourier_sum(field, xp.ones_like(wavelength) / (2 * n), 2 * n, -1, axis)
-        spectrum = spectrum * phasor_of_cycles(-wavelength * b / a * frequencies**2 / 2, field.dtype)
+        cycles = -wavelength * b / a * frequencies**2 / 2
+        cycles = cycles + frequencies * place / a if moved else cycles
+        spectrum = spectrum * phasor_of_cycles(cycles, field.dtype)
         result = fourier_sum(spectrum, out / (a * pitch * 2 * n), count, +1, axis) / (2 * n)
         quarter = (0.25 if backwards else -0.25) if numbers[0] < 0 else 0.0
         cycles = c * positions**2 / (2 * a * wavelength) + quarter
@@ -167,7 +185,9 @@ def _along_axis(field, a, b, c, d, pitch, wanted, count: int, wavelength, axis: 
             # The sum repeats itself at λ|B| over the pitch of the samples, which light at the edges would reach.
             field, pitch = _between_samples(field, wavelength, axis), pitch / 2
         source = centred(wavelength, field.shape[axis], axis) * pitch
-        field = field * phasor_of_cycles(a * source**2 / (2 * b * wavelength), field.dtype)
+        cycles = a * source**2 / (2 * b * wavelength)
+        cycles = cycles - source * place / (b * wavelength) if moved else cycles
+        field = field * phasor_of_cycles(cycles, field.dtype)
         result = fourier_sum(field, pitch * out / (wavelength * b), count, -1, axis)
         cycles = d * positions**2 / (2 * b * wavelength) + (0.125 if backwards else -0.125)
         amplitude = pitch / xp.sqrt(wavelength * xp.abs(b))
@@ -282,21 +302,35 @@ class ThinLens:
             Wavelength in vacuum in metres.
         """
         _warn_of_lens(self, field.shape[-2:], pitch, wavelength)
+        return self.times(field, pitch, wavelength), pitch
+
+    def times(self, field: Array, pitch: Any, wavelength: Any) -> Array:
+        """Return a field times the transmission of the lens at its samples.
+
+        Parameters
+        ----------
+        field : array
+            Complex field ``[..., rows, columns]``.
+        pitch : float or array
+            Pixel pitch in metres, or a pair (rows, columns).
+        wavelength : float or array
+            Wavelength in metres.
+        """
         y, x = _positions(field, pitch, self.offset)
         focal, wave = (_per_field(value, y) for value in (self.focal, wavelength))
-        return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype), pitch
+        return field * phasor_of_cycles(-(y**2 + x**2) / (2 * focal * wave), field.dtype)
 
     def matrix(self) -> Any:
         """Return the ray matrix."""
         return [[1.0, 0.0], [-1 / self.focal, 1.0]]
 
 
-def _warn_of_lens(lens, shape, pitch, wavelength) -> None:
+def _warn_of_lens(lens, shape, pitch, wavelength, name="ThinLens") -> None:
     """Warn of a lens that is undersampled on a grid."""
     numbers = plain_numbers(*pitches(pitch), *lens.offset, lens.focal, wavelength)
     if numbers is not None:
         axes = sampled_axes(tuple(shape), numbers[:2], numbers[2:4])
-        warn_beyond_nyquist("ThinLens", thin_lens, axes, numbers[4:], Weaker(0, 1, FOCAL))
+        warn_beyond_nyquist(name, thin_lens, axes, numbers[4:], Weaker(0, 1, FOCAL))
 
 
 @dataclass(frozen=True)
@@ -341,6 +375,10 @@ class CircularAperture:
         radius, (dy, dx) = _per_field(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
         share = share_in_disc(y, x, (dy, dx), radius)
         return field * xp.astype(share, field.dtype), pitch
+
+    def extent(self) -> tuple:
+        """Return height and width in metres."""
+        return 2 * self.radius, 2 * self.radius
 
 
 @dataclass(frozen=True)
@@ -390,6 +428,10 @@ class RectangularAperture:
             size, step = _per_field(size, place), _array.cast(step, place)
             field = field * xp.astype(share_in_strip(place, step, size), field.dtype)
         return field, pitch
+
+    def extent(self) -> tuple:
+        """Return height and width in metres."""
+        return self.height, self.width
 
 
 @dataclass(frozen=True)
@@ -514,6 +556,10 @@ class BenchPlane(NamedTuple):
 class optical_bench:
     """Sequence of optical elements as one object, differentiable in each of its numbers.
 
+    A lens that is steeper than the samples of the field can follow goes into the ray matrix of the space behind it
+    (:func:`propagate_abcd`, paraxial), whose result is that of a finer grid. Where a lens is sampled, the space
+    propagates by its own method.
+
     Parameters
     ----------
     elements : sequence
@@ -558,8 +604,10 @@ class optical_bench:
         dx : float or sequence of float
             Its pixel pitch in metres, one number or a pair (rows, columns).
         """
-        *_, last = self._planes(field, dx)
-        return last.field, last.pitch
+        *_, (_, light, _) = self._light(field, dx)
+        for lens in light.lenses:
+            _warn_of_lens(lens, light.field.shape[-2:], light.pitch, self.wavelength, "the field behind the bench")
+        return light.sampled(self.wavelength), light.pitch
 
     def planes(self, field: Array, dx: float | Sequence[float]) -> list[BenchPlane]:
         """Return the field in front of the first element and behind each element.
@@ -571,17 +619,21 @@ class optical_bench:
         dx : float or sequence of float
             Its pixel pitch in metres.
         """
-        return list(self._planes(field, dx))
+        return [
+            BenchPlane(position, light.sampled(self.wavelength), light.pitch, element)
+            for position, light, element in self._light(field, dx)
+        ]
 
-    def _planes(self, field, dx):
+    def _light(self, field, dx):
+        """Yield position, light and element in front of the first element and behind each."""
         field, position = _array.to_complex(_validate.image("field", field)), 0.0
         check_geometry(None, 0.0, dx, self.wavelength, tuple(field.shape[:-2]))
-        pitch = dx
-        yield BenchPlane(position, field, pitch, None)
+        light = _Light(field, dx)
+        yield position, light, None
         for element in self.elements:
-            field, pitch = element.apply(field, pitch, self.wavelength)
+            light = light.through(element, self.wavelength)
             position = position + _length(element)
-            yield BenchPlane(position, field, pitch, element)
+            yield position, light, element
 
     def matrix(self) -> Any:
         """Return the ray matrix ``[[A, B], [C, D]]`` of the whole bench, as nested lists of its numbers.
@@ -644,6 +696,152 @@ class optical_bench:
         for place, element in zip(places[1:], self.elements, strict=True):
             _draw_element(pen, element, lambda y, place=place: at(place, y), tall, margin / 4)
         return image
+
+
+@dataclass(frozen=True)
+class _Light:
+    """Light on its way: a field, and the lenses of its plane that are too steep for its samples.
+
+    Lenses and what else multiplies a field may change places. A lens that is undersampled is kept until the next space,
+    and goes into the ray matrix of it: Collins' integral has the phase of a matrix in its kernel.
+
+    Attributes
+    ----------
+    field : array
+        Complex ``[..., rows, columns]``.
+    pitch : float or pair
+        Pixel pitch.
+    lenses : tuple of ThinLens
+        What is still to be multiplied with the field.
+    openings : tuple
+        Apertures of this plane: where they are closed, no lens has to be sampled.
+    coarse : float
+        How many times the light is beyond Nyquist on this pitch: the samples are right, but not enough to go on.
+    """
+
+    field: Any
+    pitch: Any
+    lenses: tuple = ()
+    openings: tuple = ()
+    coarse: float = 0.0
+
+    def sampled(self, wavelength):
+        """Return the field with its lenses, at the samples."""
+        field = self.field
+        for lens in self.lenses:
+            field = lens.times(field, self.pitch, wavelength)
+        return field
+
+    def through(self, element, wavelength) -> "_Light":
+        """Return the light behind an element."""
+        if isinstance(element, ThinLens) and self._is_steep(element, wavelength):
+            return replace(self, lenses=(*self.lenses, element))
+        if isinstance(element, _MULTIPLIES):
+            field, _ = element.apply(self.field, self.pitch, wavelength)
+            opening = (element,) if isinstance(element, (CircularAperture, RectangularAperture)) else ()
+            return replace(self, field=field, openings=(*self.openings, *opening))
+        if self.coarse > 1:
+            finer = 0.995 * min(_validate.numbers(list(pitches(self.pitch)))) / self.coarse
+            warn_of_factor("the light behind the lens", self.coarse, (f"a window_dx of at most {finer:.3g} m",))
+        if any(self._is_steep(lens, wavelength, self.openings) for lens in self.lenses):
+            if isinstance(element, (FreeSpace, FirstOrderSystem)):
+                return self._folded(element, wavelength)
+            for lens in self.lenses:
+                _warn_of_lens(lens, self.field.shape[-2:], self.pitch, wavelength)
+        return _Light(*element.apply(self.sampled(wavelength), self.pitch, wavelength))
+
+    def _is_steep(self, lens, wavelength, openings=()) -> bool:
+        """Return whether a lens is undersampled where the apertures are open; False where that cannot be known."""
+        numbers = _known(*pitches(self.pitch), *lens.offset, lens.focal)
+        waves = _known_all(wavelength)
+        if numbers is None or waves is None:
+            return False
+        axes = list(sampled_axes(tuple(self.field.shape[-2:]), numbers[:2], numbers[2:4]))
+        for opening in openings:
+            known = _known(*opening.offset, *opening.extent())
+            if known is not None:
+                places = zip(axes, known[:2], known[2:], numbers[2:4], strict=True)
+                axes = [
+                    (max(low, place - shift - size / 2), min(high, place - shift + size / 2), step)
+                    for (low, high, step), place, size, shift in places
+                ]
+        if any(low > high for low, high, _ in axes):
+            return False
+        return undersampling(thin_lens, tuple(axes), (numbers[4], min(waves))) > 1 + 1e-9
+
+    def _folded(self, element, wavelength) -> "_Light":
+        """Return the light behind a space or a system, with the lenses in its ray matrix.
+
+        Lenses of the powers Pᵢ with their axes at cᵢ are one lens and a prism of the slope Σ Pᵢcᵢ. Light goes straight
+        on to B times the slope, where it has D times the slope.
+        """
+        power = sum(1 / lens.focal for lens in self.lenses)
+        slopes = [sum(lens.offset[axis] / lens.focal for lens in self.lenses) for axis in (0, 1)]
+        if isinstance(element, FreeSpace):
+            matrix, length, offset = element.matrix(), element.distance * element.index, element.offset
+            out, shape = self.pitch if element.window_dx is None else element.window_dx, element.window_shape
+        else:
+            matrix, length, offset = element.abcd, element.path_length, (0.0, 0.0)
+            out, shape = element.output_dx, element.output_shape
+        matrices = matrix if _is_pair(matrix) else (matrix, matrix)
+        total = tuple([[row[0] - row[1] * power, row[1]] for row in m] for m in matrices)
+        places = tuple(
+            place - m[0][1] * slope if _array.is_array(slope) or slope else place
+            for place, m, slope in zip(offset, matrices, slopes, strict=True)
+        )
+        field, out = propagate_abcd(
+            self.field, total if _is_pair(matrix) else total[0], self.pitch, wavelength, out, shape, length, places
+        )
+        if any(_array.is_array(value) or value != 0 for lens in self.lenses for value in lens.offset):
+            middles = _positions(field, out, [-place for place in offset])
+            wave = _per_field(wavelength, middles[0])
+            cycles = -sum((lens.offset[0] ** 2 + lens.offset[1] ** 2) / (2 * lens.focal) for lens in self.lenses)
+            for m, slope, x in zip(matrices, slopes, middles, strict=True):
+                cycles = cycles + m[1][1] * slope * (2 * x - m[0][1] * slope) / 2
+            field = field * phasor_of_cycles(cycles / wave, field.dtype)
+        return self._less_its_sphere(_Light(field, out), total, slopes, offset, wavelength)
+
+    def _less_its_sphere(self, light, total, slopes, offset, wavelength) -> "_Light":
+        """Return light behind lenses without the spherical wave that they made of it, if that is too steep as well."""
+        ((a, b), (c, _)), _ = total
+        known = [_known(*(value for row in m for value in row)) for m in total]
+        steps, out, waves = _known(*pitches(self.pitch)), _known(*pitches(light.pitch)), _known_all(wavelength)
+        if steps is None or out is None or waves is None or known[0] is None or known[0] != known[1]:
+            return light
+        scale, power = abs(known[0][0]), abs(known[0][2])
+        lit = [n * step for n, step in zip(self.field.shape[-2:], steps, strict=True)]
+        for opening in self.openings:
+            sizes = _known(*opening.extent())
+            lit = lit if sizes is None else [min(both) for both in zip(lit, sizes, strict=True)]
+        # Several Fresnel zones, and enough samples for the fringes at the rim.
+        spherical = all(
+            abs(known[0][1]) * max(waves) < scale * width**2 / 8 and scale * width > 32 * step
+            for width, step in zip(lit, out, strict=True)
+        )
+        if not power or not spherical:
+            # Close to a focus or an image there is no such wave; light from the rims has the largest frequency.
+            factor = max(step * width * power / min(waves) for step, width in zip(out, lit, strict=True))
+            return replace(light, coarse=factor)
+        middle = tuple(-slope / c - place for slope, place in zip(slopes, offset, strict=True))
+        arrived = tuple(b * slope - place for slope, place in zip(slopes, offset, strict=True))
+        lens, opening = ThinLens(-a / c, middle), RectangularAperture(scale * lit[0], scale * lit[1], arrived)
+        if not light._is_steep(lens, wavelength, (opening,)):
+            return light
+        field = ThinLens(a / c, middle).times(light.field, light.pitch, wavelength)
+        return replace(light, field=field, lenses=(lens,), openings=(opening,))
+
+
+_MULTIPLIES = (ThinLens, CircularAperture, RectangularAperture, Mask)
+
+
+def _known(*values) -> tuple[float, ...] | None:
+    """Return single numbers as floats without their derivatives, None where one cannot be read."""
+    found = [_known_all(value) for value in values]
+    return None if None in found else tuple(one[0] for one in found if one)
+
+
+def _known_all(value) -> list[float] | None:
+    return _validate.numbers(value) if _array.is_readable(value) else None
 
 
 def _draw_element(pen, element, at: Callable, tall: float, wing: float) -> None:
