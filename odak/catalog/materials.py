@@ -131,6 +131,38 @@ def herzberger(squared, coefficients):
     return conrady(squared, coefficients) + sum(b * pole ** (k + 1) for k, b in enumerate(coefficients["B"]))
 
 
+def table(squared, coefficients):
+    """Return the index between tabulated values: cubic polynomials in 1/λ² through the four nearest of them."""
+    places, values = coefficients["W"], coefficients["N"]
+    count, found = min(4, len(places)), 0 * squared
+    for first in range(len(places) - count + 1):
+        # The pieces meet at the tabulated values, beyond the first and the last of which they are continued.
+        rows = range(first, first + count)
+        piece = sum(
+            values[i]
+            * math.prod((1 / squared - places[j] ** -2) / (places[i] ** -2 - places[j] ** -2) for j in rows if j != i)
+            for i in rows
+        )
+        start = squared >= (0.0 if not first else places[first + 1] ** 2)
+        if _array.is_array(squared):
+            found = _array.namespace(squared).where(start, piece + 0 * squared, found)
+        elif start:
+            found = piece
+    return found
+
+
+def tabulated(name: str, wavelengths: Iterable[float], values: Iterable[float], source: str) -> Material:
+    """Return a material by its indices at some wavelengths in micrometres, relative to air."""
+    rows = sorted(zip(wavelengths, values, strict=True))
+    if not rows or any(not (place > 0 and value > 0) for place, value in rows):
+        raise ValueError(f"{name} must have positive wavelengths and indices, got {rows!r:.80}")
+    if len({place for place, _ in rows}) < len(rows):
+        raise ValueError(f"{name} must have different wavelengths, got {[place for place, _ in rows]!r:.80}")
+    places, indices = (tuple(map(float, part)) for part in zip(*rows, strict=True))
+    reach = (places[0], places[-1]) if len(places) > 1 else (0.2, 20.0)
+    return Material(name, "table", {"W": places, "N": indices}, reach, "air", source)
+
+
 def model_glass(nd: float, vd: float, dpgf: float = 0.0) -> Material:
     """Return a model glass of given index and dispersion, as patents and lens files state them.
 
@@ -191,6 +223,7 @@ FORMULAS = {
 }
 # Read from glass catalogues, not from JSON.
 FORMULAS["handbook"] = Formula(handbook, ("A", "P", "B", "C"))
+FORMULAS["table"] = Formula(table, ("W", "N"))
 FORMULAS["herzberger"] = Formula(herzberger, ("A", "P", "B"))
 
 

@@ -17,6 +17,7 @@ from odak.learn.raytracing.system import (
     first_order,
     lens_report,
     load_system,
+    read_seq,
     read_zmx,
     report_figures,
     sample_systems,
@@ -61,7 +62,7 @@ def read_system(name: str, argument: str = "SYSTEM"):
     Parameters
     ----------
     name : str
-        A sample system, a .json file or a .zmx file.
+        A sample system, or a .json, .zmx or .seq file.
     argument : str
         Its name in messages.
 
@@ -73,11 +74,12 @@ def read_system(name: str, argument: str = "SYSTEM"):
     suffix = Path(name).suffix.lower()
     if suffix and not Path(name).is_file():
         raise InputError(f"{argument} not found: {name!r}")
-    if suffix not in ("", ".json", ".zmx"):
-        raise InputError(f"{argument} must be a .json or .zmx file, or the name of a sample lens; got {name!r}")
+    readers = {".zmx": read_zmx, ".seq": read_seq}
+    if suffix not in ("", ".json", *readers):
+        raise InputError(f"{argument} must be a .json, .zmx or .seq file, or the name of a sample lens; got {name!r}")
     try:
-        if suffix == ".zmx":
-            system, report = read_zmx(name)
+        if suffix in readers:
+            system, report = readers[suffix](name)
             return system, [*report.ignored, *report.notes]
         return load_system(name), []
     except json.JSONDecodeError as error:

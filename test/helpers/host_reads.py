@@ -17,6 +17,7 @@ REASONS = {
         raytracing/system/design: report
         raytracing/system/drawing: *
         raytracing/system/system_files: *
+        raytracing/system/codev: *
         raytracing/system/zemax: *
         tools/file: *
         tools/function: __array__

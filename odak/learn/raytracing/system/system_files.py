@@ -522,6 +522,16 @@ def within(number: int, found: Any, context: Context) -> Any:
     return dataclasses.replace(found, range=(min(low, own[0]), max(high, own[1])))
 
 
+def aperture_of_working(system, number: float) -> float:
+    """Return the numerical aperture of a near object at which the working F-number is that stated.
+
+    `system` builds the system from a size and a kind of the aperture. The slope of the marginal ray at the image is
+    linear in that at the object.
+    """
+    slope = 0.01 * float(first_order(system(math.sin(math.atan(0.01)), "NA")).working_f_number) / number
+    return math.sin(math.atan(abs(slope)))
+
+
 def fields_of_image_heights(
     system, points, real: bool, aim: str = "paraxial", notes: list | None = None
 ) -> tuple[tuple[float, float], ...]:

@@ -26,6 +26,7 @@ from odak.learn.raytracing.system.system_files import (
     Context,
     ZmxReport,
     about_fixed_axes,
+    aperture_of_working,
     catalogued,
     fields_of_image_heights,
     lens_text,
@@ -732,9 +733,7 @@ def _aperture(head, surfaces, context: Context, system) -> tuple[float, str]:
     if given == "FNUM":
         number, near = head["FNUM"].value(), not system(1.0, "EPD").at_infinity
         if near and len(head["FNUM"].words) > 1 and head["FNUM"].value(1):
-            # A working F-number: the slope of the marginal ray at the image, linear in that at the object.
-            slope = 0.01 * float(first_order(system(math.sin(math.atan(0.01)), "NA")).working_f_number) / number
-            return math.sin(math.atan(slope)), "NA"
+            return aperture_of_working(system, number), "NA"
         return number, "F-number"
     if given == "OBNA":
         if math.isinf(_of(surfaces[0], "DISZ", math.inf)):
