@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odak import instruments
-from odak.cli.files import REPORT, SILENT, Notices, announce, writable_folder, write_json
+from odak.cli.files import REPORT, SILENT, Notices, announce, claim, claiming, writable_folder, write_json
 from odak.cli.job import InputError, did_you_mean
 from odak.cli.report import collected_warnings, versions
 from odak.instruments import Calibration
@@ -125,6 +125,7 @@ def open_table(names: dict[str, str | None], options: Sequence[str], seed: int, 
     return Table(opened["modulator"], opened["camera"], opened["polariser"])
 
 
+@claiming
 def run(
     step: str,
     table: Table,
@@ -168,7 +169,9 @@ def run(
     path = folder / "calibration.npz" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
         raise InputError(f"--results must end in .npz or .h5, got {str(path)!r}")
-    writable_folder(path.parent, "--results")
+    # Steps add to the results: nobody else may write between reading and writing.
+    claim(folder)
+    claim(writable_folder(path.parent, "--results"), "--results")
     known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
     if path.exists():
         try:

@@ -20,8 +20,11 @@ from odak.cli.files import (
     REPORT,
     SILENT,
     Notices,
+    claim,
+    claiming,
     fingerprint_of,
     finished_report,
+    locked,
     sources,
     writable_folder,
     write_json,
@@ -52,6 +55,7 @@ class Frame:
     job: Job
 
 
+@claiming
 def run(
     images: Sequence[str],
     values: dict[str, Any],
@@ -120,6 +124,7 @@ def run(
         raise InputError(
             f"--output {str(folder)!r} must not contain a folder named {SUMMARY}, which is the name of a result file"
         )
+    claim(folder)
     waiting = [frame for frame in frames if again or not finished_report(frame.job.output, fingerprint_of(frame.job))]
     replaced = [f"{frame.job.output.name}/{REPORT}" for frame in waiting if (frame.job.output / REPORT).exists()]
     if replaced:
@@ -169,7 +174,11 @@ def _compute(frames, failed, values, cluster, **options) -> set[str]:
                 kind = "" if isinstance(result.error, InputError) else f"{type(result.error).__name__}: "
                 failed[frame.name] = " ".join(f"{kind}{result.error}".split())
             else:
-                _write(frame, result)
+                try:
+                    _write(frame, result)
+                except InputError as error:  # another run is writing to this folder
+                    failed[frame.name] = str(error)
+                    continue
                 for text in result[0]["warnings"]:
                     warn(f"{frame.name}: {text}", OdakWarning)
         return {record["worker"] for record in work.records}
@@ -376,13 +385,14 @@ def _write(frame: Frame, result: tuple[dict, dict[str, bytes]]) -> None:
     """Write a picture's files, the report last; it then speaks of the files of this machine."""
     report, written = result
     folder = writable_folder(frame.job.output)
-    (folder / REPORT).unlink(missing_ok=True)
-    for name, content in written.items():
-        with replacing(str(folder / Path(name).name)) as stream:
-            stream.write(content)
-    report["parameters"] |= {name: frame.job.to_dict()[name] for name in ("image", "depth_map", "output", "quiet")}
-    report["picture"]["file"] = str(image_path(frame.job.image))
-    write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint_of(frame.job)})
+    with locked(folder):
+        (folder / REPORT).unlink(missing_ok=True)
+        for name, content in written.items():
+            with replacing(str(folder / Path(name).name)) as stream:
+                stream.write(content)
+        report["parameters"] |= {name: frame.job.to_dict()[name] for name in ("image", "depth_map", "output", "quiet")}
+        report["picture"]["file"] = str(image_path(frame.job.image))
+        write_json(folder / REPORT, {**report, FINGERPRINT: fingerprint_of(frame.job)})
 
 
 # --- odak worker

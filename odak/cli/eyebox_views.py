@@ -141,6 +141,7 @@ class EyeboxJob:
         return [(y, x) for y in rows for x in columns]
 
 
+@files.claiming
 def run(job: EyeboxJob, notices: files.Notices = files.SILENT) -> dict:
     """Compute, save, read back and judge the hologram; write patterns, pictures and report.json.
 

@@ -5,15 +5,23 @@ bits, the phase of a pixel is then grey·2π/2^depth, which is what a modulator 
 displays.
 """
 
+import errno
+import functools
 import hashlib
 import json
 import math
 import os
+import re
+import socket
+import sys
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, ParamSpec, TypeVar
 
+from odak._warnings import ArgumentWarning, warn
 from odak.cli.job import InputError, Job, depth_map_path, image_path
 from odak.tools import check_directory
 from odak.tools.paths import replacing
@@ -23,6 +31,7 @@ if TYPE_CHECKING:
     from PIL import Image
 
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
+LOCK = ".odak.lock"
 # Parameters without effect on the result: the device and the printed output.
 _IRRELEVANT = ("image", "depth_map", "output", "device", "quiet", "preset")
 
@@ -55,6 +64,130 @@ def writable_folder(folder: Path, name: str = "--output") -> Path:
     except (OSError, ValueError) as error:
         raise InputError(f"{name} cannot be written to: {str(folder)!r} ({' '.join(str(error).split())})") from None
     return folder
+
+
+# What the run at hand has to release, and the folders that it and the runs around it hold.
+_claims: ContextVar[tuple[ExitStack, frozenset[Path]]] = ContextVar("claims")
+_Parameters = ParamSpec("_Parameters")
+_Result = TypeVar("_Result")
+
+
+def claiming(run: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
+    """Return a function that keeps the folders that it claims until it ends.
+
+    Parameters
+    ----------
+    run : callable
+        It calls :func:`claim`, or :func:`announce`, which does.
+    """
+
+    @functools.wraps(run)
+    def claimed(*arguments: _Parameters.args, **options: _Parameters.kwargs) -> _Result:
+        with ExitStack() as stack:
+            former = _claims.set((stack, _claims.get((stack, frozenset()))[1]))
+            try:
+                return run(*arguments, **options)
+            finally:
+                _claims.reset(former)
+
+    return claimed
+
+
+def claim(folder: Path, name: str = "--output") -> None:
+    """Keep other runs from writing to a folder until this one ends, also if it is killed.
+
+    Parameters
+    ----------
+    folder : Path
+        Existing folder.
+    name : str
+        Its name in messages.
+
+    Raises
+    ------
+    InputError
+        If another run has claimed it.
+    """
+    stack, held = _claims.get()
+    if folder not in held:
+        stack.enter_context(locked(folder, name))
+        _claims.set((stack, held | {folder}))
+
+
+@contextmanager
+def locked(folder: Path, name: str = "--output") -> Iterator[None]:
+    """Hold the lock of a folder; parameters and errors are those of :func:`claim`.
+
+    The lock is one of the operating system on a hidden file, which is removed at the end. It ends with the process.
+    """
+    path = folder / LOCK
+    descriptor = _lock_file(path, name)
+    try:
+        os.ftruncate(descriptor, 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, f"process {os.getpid()} on {socket.gethostname()}".encode())
+        yield
+    finally:
+        if sys.platform == "win32":
+            # No open file is removed there. One that the next run has opened by now stays.
+            os.close(descriptor)
+            with suppress(OSError):
+                path.unlink()
+        else:
+            # Removed before the lock ends: the next run looks whether the file that it locked is still there.
+            path.unlink(missing_ok=True)
+            os.close(descriptor)
+
+
+def _lock_file(path: Path, name: str) -> int:
+    """Return the descriptor of the locked file at a path, made if need be."""
+    while True:
+        try:
+            descriptor = os.open(path, os.O_CREAT | os.O_RDWR | getattr(os, "O_NOFOLLOW", 0), 0o666)
+        except PermissionError:
+            raise InputError(
+                f"{name} {str(path.parent)!r} is in use by a run of another user, or was when that was killed: remove "
+                f"{LOCK} if it has ended, or name another folder"
+            ) from None
+        try:
+            if not _lock(descriptor):
+                # What stands in the file is shown only if it is what a run writes.
+                os.lseek(descriptor, 0, os.SEEK_SET)
+                holder = os.read(descriptor, 300).decode(errors="replace")
+                holder = f" ({holder})" if re.fullmatch(r"process \d+ on [\w.-]+", holder) else ""
+                raise InputError(
+                    f"{name} {str(path.parent)!r} is in use by another run{holder}; wait for its end, or name another "
+                    "folder"
+                )
+            if os.path.lexists(path) and os.path.samestat(os.fstat(descriptor), os.lstat(path)):
+                return descriptor
+        except BaseException:
+            os.close(descriptor)
+            raise
+        os.close(descriptor)
+
+
+def _lock(descriptor: int) -> bool:
+    """Lock an open file and return True, or False if another process has locked it."""
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            # No other process can read a locked byte there: one behind the text is locked.
+            os.lseek(descriptor, 4096, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in (errno.EAGAIN, errno.EACCES, errno.EDEADLK):
+            return False
+        warn(
+            f"the file system of --output has no locks ({error.strerror}): run no other command that writes there",
+            ArgumentWarning,
+        )
+    return True
 
 
 def write_json(path: Path, value: dict) -> None:
@@ -198,7 +331,8 @@ def kept_report(folder: Path, mark: str, notices: Notices) -> dict | None:
 
 
 def announce(folder: Path, names: Iterable[str], notices: Notices) -> None:
-    """Give notice of the files that a run will replace; InputError where a folder has the name of one of them."""
+    """Claim a folder and give notice of the files that a run will replace; InputError if one is a folder."""
+    claim(folder)
     found = []
     for name in names:
         if (folder / name).is_dir():

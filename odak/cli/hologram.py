@@ -42,6 +42,7 @@ UNFIT = tuple(
 )
 
 
+@files.claiming
 def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
     """Compute, save, read back and verify the holograms of a picture.
 

@@ -186,6 +186,7 @@ class DesignJob:
         return [word.strip() for word in text.split(",")]
 
 
+@files.claiming
 def run(job: DesignJob, notices: files.Notices = files.SILENT) -> dict:
     """Design a lens and write lens.json, layout.png and report.json, and lens.zmx if requested.
 

@@ -100,6 +100,7 @@ class MetamerJob:
             raise InputError(str(error)) from None
 
 
+@files.claiming
 def run(job: MetamerJob, notices: files.Notices = files.SILENT) -> dict:
     """Make the metamer of a picture; write metamer.png, pooling_map.png, comparison.png and report.json.
 

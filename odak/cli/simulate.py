@@ -108,6 +108,7 @@ _TYPES: dict[str, dict] = {
 }
 
 
+@files.claiming
 def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> dict:
     """Pass light through the bench of a file, and write the fields that it records.
 

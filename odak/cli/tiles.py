@@ -28,6 +28,7 @@ MOST_PIXELS_IN_PNG = 4096**2
 _IN_PARTS = (1, 8, 32946)
 
 
+@files.claiming
 def run(job: Job, notices: files.Notices = files.SILENT, again: bool = False, workers: int | None = None) -> dict:
     """Compute, save, read back and verify the holograms of a picture, a chunk at a time.
 

@@ -94,6 +94,7 @@ def read_system(name: str, argument: str = "SYSTEM"):
         raise InputError(f"{argument} {name!r} cannot be read as a lens: {text}") from None
 
 
+@files.claiming
 def run(
     name: str,
     output: Path,
