@@ -2,9 +2,7 @@
 
 import json
 import math
-import mmap
 import os
-import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -21,8 +19,6 @@ MOST_INFLATION = 64
 MOST_ENTRIES, MOST_ATTRIBUTES, LONGEST_ATTRIBUTE = 64, 256, 1 << 16
 # A chunk is decompressed whole, and found in a tree; h5py makes chunks of 8 kB to 1 MB.
 LARGEST_CHUNK, SMALLEST_CHUNK, FEW_CHUNKS = 32 << 20, 4096, 4096
-# Signature and version of the heaps that hold texts, by the specification of the file format.
-HEAP = b"GCOL\x01\0\0\0"
 # Identifiers of filters of HDF5 that undo no more than one compression: deflate, shuffle, Fletcher's checksum.
 DEFLATE, FILTERS = 1, {1, 2, 3}
 
@@ -41,7 +37,7 @@ def write_hdf5(
     arrays : mapping
         Data sets by name.
     header : mapping
-        Attributes of the file: numbers, texts, or lists of numbers.
+        Attributes of the file: "format", a text, and numbers or lists of numbers.
     units : mapping
         Unit of each quantity by its name.
 
@@ -59,6 +55,7 @@ def write_hdf5(
                 made = store.create_dataset(key, data=value, **(packed if np.size(value) > 64 else {}))
                 made.attrs["units"] = units.get(key, "1")
             store.attrs.update({**header, "units": json.dumps(units, ensure_ascii=False)})
+            store.attrs["format"] = np.bytes_(header["format"])
             store.flush()
             image = store.id.get_file_image()
         if promised <= _most(len(image)):
@@ -94,11 +91,9 @@ def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[st
     if not os.path.exists(path):
         raise FileNotFoundError(f"there is no file {path!r}")
     try:
-        with open(path, "rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
-            check_heaps(content)
         with h5py.File(path, "r") as store:
             header = _attributes(store)
-            if header.get("format") != kind or header.get("version") != version:
+            if header.get("format", kind) != kind or header.get("version") != version:
                 raise ValueError(f"its format is {header.get('format')!r}, version {header.get('version')!r}")
             if len(store) > MOST_ENTRIES:
                 raise ValueError(f"it has {len(store)} arrays; at most {MOST_ENTRIES} are read")
@@ -113,34 +108,28 @@ def read_hdf5(path: str | os.PathLike, kind: str, version: int) -> tuple[dict[st
         raise ValueError(str(error) or type(error).__name__) from error
 
 
-def check_heaps(content: bytes | mmap.mmap) -> None:
-    """Raise ValueError if a heap of texts has free space of no size, over which HDF5 2.0 and earlier loop for ever."""
-    place = content.find(HEAP)
-    while place >= 0:
-        (length,) = struct.unpack("<Q", content[place + 8 : place + 16].ljust(8, b"\0"))
-        entry, end = place + 16, min(place + length, len(content))
-        while entry + 16 <= end:
-            number, taken = struct.unpack_from("<H6xQ", content, entry)
-            if number == 0 and taken < 16:
-                raise ValueError("a heap of its texts is broken")
-            entry += taken if number == 0 else 16 + (taken + 7) // 8 * 8
-        place = content.find(HEAP, place + 1)
-
-
 def _most(size: int) -> int:
     """Return the bytes that the arrays of a file of so many bytes may take."""
     return max(MOST_BYTES, MOST_INFLATION * size)
 
 
 def _attributes(store: Any) -> dict[str, Any]:
-    """Return the attributes of a file, texts and numbers."""
+    """Return the attributes of a file: numbers, and texts of fixed length.
+
+    Texts of variable length are left out: HDF5 takes memory for the length that a broken one states, up to gigabytes,
+    and loops for ever over a broken heap of them. In earlier files the format was such a text.
+    """
     if len(store.attrs) > MOST_ATTRIBUTES:
         raise ValueError(f"it has {len(store.attrs)} attributes; at most {MOST_ATTRIBUTES} are read")
+    found = {}
     for name in store.attrs:
         held = store.attrs.get_id(name)
         if math.prod(held.shape) * held.dtype.itemsize > LONGEST_ATTRIBUTE:
             raise ValueError(f"its attribute {name!r} is longer than {LONGEST_ATTRIBUTE} bytes")
-    return dict(store.attrs)
+        if held.dtype.kind in "iufS":
+            value = store.attrs[name]
+            found[name] = value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+    return found
 
 
 def _check_promise(h5py: Any, store: Any, name: str) -> None:

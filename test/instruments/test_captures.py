@@ -57,12 +57,30 @@ def test_files_are_read_back_and_say_their_units(tmp_path):
     for name, value in captures.__dict__.items():
         assert np.array_equal(getattr(again, name), value)
     with h5py.File(tmp_path / "a.h5") as store:
-        assert store.attrs["format"] == "odak captures" and store["frames"].attrs["units"] == "count"
+        assert store.attrs["format"] == b"odak captures" and store["frames"].attrs["units"] == "count"
     with pytest.raises(FileNotFoundError):
         instruments.load_captures(tmp_path / "b.h5")
     (tmp_path / "b.h5").write_bytes(b"no such format")
     with pytest.raises(ValueError, match=r"b\.h5' cannot be read as captures"):
         instruments.load_captures(tmp_path / "b.h5")
+
+
+def test_texts_of_variable_length_are_not_read(tmp_path):
+    """HDF5 takes memory for the length that a broken one states; earlier files had the format as such."""
+    h5py = pytest.importorskip("h5py", reason="h5py is not installed")
+    path = tmp_path / "a.h5"
+    instruments.save_calibration(path, nominal())
+    with h5py.File(path, "a") as store:
+        store.attrs["format"] = "odak calibration"
+    assert instruments.load_calibration(path).distance == 2e-2
+    content, text = path.read_bytes(), b"odak calibration"
+    length = (len(text)).to_bytes(4, "little")
+    heap = content.rfind(b"GCOL", 0, content.rfind(text)).to_bytes(8, "little")
+    assert content.count(length + heap) == 1
+    path.write_bytes(content.replace(length + heap, (1 << 20).to_bytes(4, "little") + heap))
+    assert instruments.load_calibration(path).distance == 2e-2
+    with h5py.File(path) as store, pytest.raises(OSError, match="does not match"):
+        store.attrs["format"]
 
 
 def test_files_that_reach_outside_of_themselves_are_refused(tmp_path):

@@ -233,8 +233,8 @@ class TestImages:
         from odak.tools import file
 
         monkeypatch.setattr(file, "FREE_PIXELS", 100)
-        tools.save_image(tmp_path / "a.png", np.full((200, 200), 7.0))
-        assert (tools.load_image(tmp_path / "a.png") == 7).all()
+        tools.save_image(tmp_path / "a.png", np.full((200, 200), 77.0))
+        assert (tools.load_image(tmp_path / "a.png") == 77).all()
 
     def test_an_inset_starts_no_program(self, tmp_path):
         from odak.visualize.plotly import field_figures
