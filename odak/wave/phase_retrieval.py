@@ -394,7 +394,8 @@ def weighted_gerchberg_saxton(
 
     Each iteration adapts the weights of the target's amplitude where it is not zero, until the far field is
     proportional to the target, for arrays of spots and for images. Where the target is zero the far field should be
-    dark.
+    dark. Neighbouring samples of an image are met at the samples alone: between them the far field of a random start
+    is speckle, which :func:`odak.learn.wave.propagator` and an optimizer with a smooth phase avoid.
 
     Parameters
     ----------
