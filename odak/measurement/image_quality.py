@@ -29,7 +29,7 @@ class SlantedEdge:
     edge_spread : array
         Edge spread function, oversampled.
     line_spread : array
-        Derivative of the edge spread function, before the window.
+        Derivative of the edge spread function per bin, before the window.
     """
 
     frequency: object
@@ -64,11 +64,11 @@ def slanted_edge_mtf(
     ----------
     image : array
         ``[rows, columns]``, linear in intensity, with one edge between a dark and a bright side that crosses all
-        rows or all columns, ideally at about 5° to them; noise is allowed.
+        rows or all columns, at any angle, best at about 5° to them; noise is allowed.
     pixel_pitch : float
         Distance between pixels, which are square; frequencies are in cycles per its unit.
     oversampling : int
-        Bins per pixel.
+        Bins per pixel, fewer where the pixels do not lie as densely along the normal: 1.4 at 45°.
     window : str
         Window on the line spread function: "hamming" (ISO 12233:2014) or "tukey" (as in the edition of 2023).
     edge_degree : int
@@ -127,9 +127,9 @@ def slanted_edge_mtf(
     edge = _edge_curve(still, degree)
     rows = _whole_shifts(edge)
     distance, angle = _distances(still.shape[1], edge[:rows])
-    edge_spread, position = _average(image[:rows, :], distance, factor, correct_bins)
-    line_spread = _derivative(edge_spread)
-    return _transform(edge_spread, line_spread, position, angle, pixel_pitch, factor, window, correct_bins)
+    edge_spread, position, step, width = _average(image[:rows, :], distance, angle, factor, correct_bins)
+    bins = step, width if correct_bins else 0.0
+    return _transform(edge_spread, _derivative(edge_spread), position, angle, pixel_pitch, bins, window)
 
 
 def _runs_along_rows(still) -> bool:
@@ -154,6 +154,9 @@ def _edge_curve(still, degree: int):
         weight = gradients * np.where(np.abs(away) <= 1, 0.54 + 0.46 * np.cos(np.pi * away), 0)
         area = weight.sum(axis=1)
         found = area > 0.1 * area.max()
+        # A window that the picture's border cuts moves its centroid inwards.
+        whole = found & (centre - half > -1) & (centre + half < gradients.shape[1] + 1)
+        found = whole if whole.sum() >= max(8, 2 * (degree + 1)) else found
         if found.sum() <= degree + 1:
             raise ValueError("image must show an edge in every row; none was found in most rows")
         place = (weight[found] @ columns) / area[found]
@@ -190,47 +193,56 @@ def _distances(columns: int, edge):
     return along / np.sqrt(1 + slope[:, None] ** 2), float(angle)
 
 
-def _average(image, distance, factor: int, recentre: bool):
-    """Return the mean of the pixels in bins of 1/factor pixel around the edge, and the bins' centres in pixels."""
-    xp = _array.namespace(image)
-    # Only distances that every row reaches, an even number of bins with the edge at bin n // 2.
-    reach = min(-distance[:, 0].max(), distance[:, -1].min())
-    half = int(np.floor(reach * factor)) - 1
-    if half < 4 * factor:
-        raise ValueError(f"image must show at least 5 pixels on either side of the edge, got {reach:.1f}")
-    limits = (np.arange(-half, half + 1) - 0.5) / factor
+def _average(image, distance, angle: float, factor: int, recentre: bool):
+    """Return the mean of the pixels in bins around the edge, the bins' centres and the width of what they average.
+
+    Bins are 1/factor pixel wide. Near a slope p/q of small numbers, as at 45°, pixels lie on lines along the edge,
+    1/√(p² + q²) pixel apart: bins are then as wide as that, and centred on the lines.
+    """
+    xp, device = _array.namespace(image), _array.device_of(image)
     flat = distance.reshape(-1)
     order = np.argsort(flat, kind="stable")
-    edges = np.searchsorted(flat[order], limits)
-    count = np.diff(edges)
-    values = xp.reshape(image, (-1,))
-    device = _array.device_of(image)
-    values = xp.take(values, xp.asarray(order, device=device), axis=0)
+    ordered = flat[order]
+    reach, step, offset = _full_reach(ordered), 1 / factor, 0.0
+    gaps = np.diff(ordered)
+    # Lines far from the edge are short, and leave gaps first.
+    even = min(reach, np.abs(ordered[:-1][gaps > step]).min(initial=reach))
+    reach = even if even > max(reach / 2, 10) else reach
+    gap = gaps[np.abs(ordered[:-1]) < reach].max()
+    if gap > step:
+        slope = abs(math.tan(math.radians(angle)))
+        numbers = ((p, q) for q in range(1, factor + 1) for p in range(q + 1) if math.hypot(p, q) < factor)
+        p, q = min(numbers, key=lambda pair: abs(slope - pair[0] / pair[1]))
+        step = max(gap * (1 + 1e-9), 1 / math.hypot(p, q))
+        offset = float(np.angle(np.exp(2j * np.pi * ordered / step).sum())) / (2 * np.pi) * step
+    # An even number of bins with the edge at bin n // 2.
+    half = int(np.floor((reach - abs(offset)) / step)) - 1
+    if half * step < 4:
+        raise ValueError(f"image must show at least 5 pixels on either side of the edge, got {reach:.1f}")
+    limits = offset + (np.arange(-half, half + 1) - 0.5) * step
+    edges = np.searchsorted(ordered, limits)
+    count = np.maximum(np.diff(edges), 1)
+    values = xp.take(xp.reshape(image, (-1,)), xp.asarray(order, device=device), axis=0)
     # Differences of a running sum in double precision: no loop over bins, and gradients pass.
     running = xp.cumulative_sum(xp.astype(values, xp.float64), include_initial=True)
     at = xp.take(running, xp.asarray(edges, device=device), axis=0)
-    filled = np.flatnonzero(count)
-    mean = (at[1:] - at[:-1]) / xp.asarray(np.maximum(count, 1).astype(np.float64), device=device)
-    if len(filled) < len(count):
-        mean = _fill(mean, filled, len(count))
+    mean = (at[1:] - at[:-1]) / xp.asarray(count.astype(np.float64), device=device)
     position = (limits[:-1] + limits[1:]) / 2
+    place, square = (np.diff(np.concatenate(([0.0], np.cumsum(ordered**power)))[edges]) / count for power in (1, 2))
     if recentre:
         # Pixels do not fall evenly into a bin: move each mean from where they lie to the bin's centre.
-        summed = np.diff(np.concatenate(([0.0], np.cumsum(flat[order])))[edges])
-        off = np.where(count > 0, position - summed / np.maximum(count, 1), 0) * factor
-        mean = mean + _derivative(mean) * xp.asarray(off, device=device)
-    return mean, position
+        mean = mean + _derivative(mean) * xp.asarray((position - place) / step, device=device)
+    # The width of even bins of the same variance, at the edge.
+    near = np.abs(position) <= 2
+    return mean, position, step, float(np.sqrt(12 * np.maximum(square - place**2, 0)[near].mean()))
 
 
-def _fill(mean, filled, count: int):
-    """Replace empty bins by the line through their nearest neighbours."""
-    xp, device = _array.namespace(mean), _array.device_of(mean)
-    bins = np.arange(count)
-    right = np.clip(np.searchsorted(filled, bins), 1, len(filled) - 1)
-    low, high = filled[right - 1], filled[right]
-    share = xp.asarray(np.clip((bins - low) / (high - low), 0, 1), device=device)
-    take = lambda index: xp.take(mean, xp.asarray(index, device=device), axis=0)  # noqa: E731
-    return (1 - share) * take(low) + share * take(high)
+def _full_reach(ordered) -> float:
+    """Return the distance up to which lines along the edge hold a third of the pixels that those at the edge hold."""
+    far = int(np.abs(ordered).max()) + 2
+    count = np.diff(np.searchsorted(ordered, np.arange(-far, far + 1)))
+    enough = 3 * count >= count[far - 2 : far + 2].mean()
+    return float(min(np.append(side, False).argmin() for side in (enough[far:], enough[:far][::-1])))
 
 
 def _derivative(edge_spread):
@@ -239,17 +251,16 @@ def _derivative(edge_spread):
     return xp.concat((inner[:1], inner, inner[-1:]))
 
 
-def _transform(edge_spread, line_spread, position, angle, pitch, factor, window, correct_bins) -> SlantedEdge:
+def _transform(edge_spread, line_spread, position, angle, pitch, bins, window) -> SlantedEdge:
     xp, device = _array.namespace(line_spread), _array.device_of(line_spread)
     count = len(position)
     weight = _window(count, window)
     spectrum = xp.abs(xp.fft.rfft(line_spread * xp.asarray(weight, device=device)))
     # Cycles per pixel; beyond one per pixel there is nothing but noise.
-    cycles = np.arange(count // 2 + 1) * factor / count
+    step, width = bins
+    cycles = np.arange(count // 2 + 1) / (count * step)
     kept = cycles <= 1
-    filters = np.sinc(2 * cycles[kept] / factor)
-    if correct_bins:
-        filters = filters * np.sinc(cycles[kept] / factor)
+    filters = np.sinc(2 * cycles[kept] * step) * np.sinc(cycles[kept] * width)
     # With 4 bins per pixel and more the filters stay above 0.5; the standard's limit of 10 applies to the coarser ones.
     gain = xp.asarray(np.minimum(1 / np.maximum(filters, 0.1), 10.0), device=device)
     mtf = spectrum[: int(kept.sum())] / spectrum[0] * gain
