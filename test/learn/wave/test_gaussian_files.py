@@ -145,9 +145,14 @@ def test_what_is_no_reconstruction(tmp_path):
     with pytest.raises(ValueError, match=r"images\.bin' cannot be read"):
         load_colmap(tmp_path)
     (tmp_path / "images.bin").write_bytes(whole)
-    (tmp_path / "cameras.bin").write_bytes(struct.pack("<QiiQQ4d", 1, 3, 2, 64, 48, 1.0, 2.0, 3.0, 4.0))
-    with pytest.raises(ValueError, match="has distortion"):
-        load_colmap(tmp_path)
+    radial = [(number, 2, 64, 48, 70.0, 33.0, 20.0) for number in (3, 7)]
+    for coefficient in (-0.05, 0.0):
+        cameras = [struct.pack("<iiQQ4d", *camera, coefficient) for camera in radial]
+        (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 2) + b"".join(cameras))
+        if coefficient:
+            with pytest.raises(ValueError, match=r"SIMPLE_RADIAL has distortion.*image_undistorter .* read OUT/sparse"):
+                load_colmap(tmp_path)
+    assert load_colmap(tmp_path)[0].camera.focal_length.tolist() == [70, 70]
     for file in tmp_path.iterdir():
         file.unlink()
     colmap_files(tmp_path, False)

@@ -30,9 +30,20 @@ _BROKEN = (plyfile.PlyParseError, KeyError, ValueError, TypeError, ArithmeticErr
 _MOST = 50_000_000
 # Amplitude of the constant harmonic, and the grey level that it is added to in files of splatting.
 _CONSTANT, _MIDDLE = 0.5 / math.sqrt(math.pi), 0.5
-# Camera models of COLMAP without distortion: number in binary files, parameters, and (fx, fy, cx, cy) among them.
-_MODELS = {"SIMPLE_PINHOLE": (0, 3, (0, 0, 1, 2)), "PINHOLE": (1, 4, (0, 1, 2, 3))}
-_PARAMETERS = {0: 3, 1: 4, 2: 4, 3: 5, 4: 8, 5: 8, 6: 12, 7: 5, 8: 4, 9: 5, 10: 12}
+# Camera models of COLMAP by their number in binary files: name and parameters, of which those of the first five are
+# fx, fy, cx, cy at the places listed, and then coefficients of distortion.
+_MODELS = (
+    *(("SIMPLE_PINHOLE", 3), ("PINHOLE", 4), ("SIMPLE_RADIAL", 4), ("RADIAL", 5), ("OPENCV", 8), ("OPENCV_FISHEYE", 8)),
+    *(("FULL_OPENCV", 12), ("FOV", 5), ("SIMPLE_RADIAL_FISHEYE", 4), ("RADIAL_FISHEYE", 5), ("THIN_PRISM_FISHEYE", 12)),
+)
+_ONE_LENGTH, _TWO_LENGTHS = (0, 0, 1, 2), (0, 1, 2, 3)
+_PLACES = {
+    "SIMPLE_PINHOLE": _ONE_LENGTH,
+    "PINHOLE": _TWO_LENGTHS,
+    "SIMPLE_RADIAL": _ONE_LENGTH,
+    "RADIAL": _ONE_LENGTH,
+    "OPENCV": _TWO_LENGTHS,
+}
 
 
 class Splats(NamedTuple):
@@ -310,7 +321,8 @@ def load_colmap(folder: str | os.PathLike, device: torch.device | str = "cpu") -
     FileNotFoundError
         If the folder has no such files.
     ValueError
-        If a file is broken, or a camera has distortion: undistort the images with COLMAP first.
+        If a file is broken, or a camera has distortion, as COLMAP's default SIMPLE_RADIAL may: COLMAP's
+        ``image_undistorter`` makes images and cameras without, and the message gives its command.
 
     Examples
     --------
@@ -372,11 +384,14 @@ def _read_tables(file: Path, read: Callable):
 
 
 def _intrinsics(model: str, width: int, height: int, parameters):
-    if model not in _MODELS:
-        raise ValueError(f"camera model {model} has distortion; known are {', '.join(_MODELS)}")
-    _, count, order = _MODELS[model]
+    count, order = dict(_MODELS).get(model, len(parameters)), _PLACES.get(model)
     if len(parameters) != count or not all(math.isfinite(value) for value in parameters):
         raise ValueError(f"camera model {model} must have {count} finite parameters, got {len(parameters)}")
+    if order is None or any(parameters[max(order) + 1 :]):
+        raise ValueError(
+            f"camera model {model} has distortion, or is not known; images and cameras without are what `colmap "
+            "image_undistorter --image_path IMAGES --input_path MODEL --output_path OUT` writes: read OUT/sparse"
+        )
     return (_validate.side("width", width), _validate.side("height", height)), tuple(parameters[i] for i in order)
 
 
@@ -401,11 +416,12 @@ def _images_of_text(content: bytes) -> list:
 
 def _cameras_of_binary(content: bytes) -> dict:
     (count,) = struct.unpack_from("<Q", content)
-    names, at, cameras = {number: name for name, (number, _, _) in _MODELS.items()}, 8, {}
+    at, cameras = 8, {}
     for _ in range(min(count, _MOST)):
         number, model, width, height = struct.unpack_from("<iiQQ", content, at)
-        parameters = struct.unpack_from(f"<{_PARAMETERS.get(model, 0)}d", content, at + 24)
-        cameras[number] = _intrinsics(names.get(model, f"number {model}"), width, height, parameters)
+        name, length = _MODELS[model] if 0 <= model < len(_MODELS) else (f"number {model}", 0)
+        parameters = struct.unpack_from(f"<{length}d", content, at + 24)
+        cameras[number] = _intrinsics(name, width, height, parameters)
         at += 24 + 8 * len(parameters)
     return cameras
 
