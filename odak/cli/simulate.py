@@ -7,7 +7,8 @@ the field passes in order. Lengths are numbers of metres, or texts with a unit s
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,10 @@ import torch
 from odak import _validate, wave
 from odak.cli import files, report
 from odak.cli.job import InputError, check_wavelength, did_you_mean, parse_length, warn_of_samples
+from odak.wave.bench import Light
+from odak.wave.elements import hyperbolic_lens
 from odak.wave.methods import PROPAGATION_TYPES
+from odak.wave.sampling import Weaker, sampled_axes, warn_beyond_nyquist, warn_of_tilt
 from odak.wave.transfer_functions import pitches
 
 BENCH, ELEMENTS, CONFIG = "bench", "elements", "config.json"
@@ -77,6 +81,8 @@ KINDS: dict[str, dict[str, Parameter]] = {
     "propagate": {
         "distance": Parameter("length", REQUIRED, "Distance; negative goes back."),
         "method": Parameter("method", "auto", "Propagation method."),
+        "pixel_pitch": Parameter("pitch", None, "Distance between samples behind; without it, that in front."),
+        "resolution": Parameter("pair of counts", None, "Rows and columns behind; without it, those in front."),
     },
     "record": {
         "name": Parameter("name", REQUIRED, "Name of the files that hold the field at this place."),
@@ -145,16 +151,20 @@ def run(config: Path, output: Path, notices: files.Notices = files.SILENT) -> di
         recorded = [element["name"] for element in elements if element["kind"] == "record"]
         names = [f"{name}{suffix}" for name in recorded for suffix in SUFFIXES]
         files.announce(folder, [*names, files.REPORT], notices)
-        field = np.zeros(bench["resolution"], complex)
+        light = Light(np.zeros(bench["resolution"], complex), bench["pixel_pitch"])
         steps, power = [], 0.0
         for element in elements:
             kind = element["kind"]
-            field = field + SOURCE[kind](bench, element) if kind in SOURCES else PASSAGE[kind](field, bench, element)
-            step = {"kind": kind, "power": float(np.sum(np.abs(field) ** 2) * math.prod(pitches(bench["pixel_pitch"])))}
+            if kind in SOURCES:
+                light = replace(light, field=light.field + SOURCE[kind](bench, element))
+            for part in PASSAGE[kind](light, element) if kind in PASSAGE else ():
+                light = light.through(part, bench["wavelength"])
+            area = math.prod(pitches(light.pitch))
+            step = {"kind": kind, "power": float(np.sum(np.abs(light.field) ** 2) * area)}
             power = step["power"] if kind in SOURCES else power
             step["share_of_source"] = step["power"] / power if power > 0 else None
             if kind == "record":
-                step |= _write(folder, element["name"], field, bench)
+                step |= _write(folder, element["name"], light.sampled(bench["wavelength"]), light.pitch)
             steps.append(step)
     summary = {
         "bench": bench,
@@ -363,18 +373,20 @@ def _value(kind: str, value: Any, folder: Path) -> Any:
 # --- Sources, which return fields, and elements, which change them
 
 
-def _grid(bench: dict, offset: Any = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+def _grid(resolution: Sequence[int], pitch: Any, offset: Any = (0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions of the samples in metres, ``[rows, 1]`` and ``[1, columns]``, relative to an offset."""
     rows, columns = (
-        (np.arange(count) - count // 2) * pitch - shift
-        for count, pitch, shift in zip(bench["resolution"], pitches(bench["pixel_pitch"]), offset, strict=True)
+        (np.arange(count) - count // 2) * step - shift
+        for count, step, shift in zip(resolution, pitches(pitch), offset, strict=True)
     )
     return rows[:, None], columns[None, :]
 
 
 def _plane_wave(bench: dict, element: dict) -> np.ndarray:
-    rows, columns = _grid(bench)
+    rows, columns = _grid(bench["resolution"], bench["pixel_pitch"])
     k = wave.wavenumber(bench["wavelength"])
+    for step, angle in zip(pitches(bench["pixel_pitch"]), element["tilt"], strict=True):
+        warn_of_tilt("plane_wave", step, k, angle)
     tilt = [math.sin(math.radians(angle)) for angle in element["tilt"]]
     return np.asarray(wave.generate_complex_field(element["amplitude"], k * (tilt[0] * rows + tilt[1] * columns)))
 
@@ -393,66 +405,55 @@ def _gaussian_beam(bench: dict, element: dict) -> np.ndarray:
 
 
 def _point_source(bench: dict, element: dict) -> np.ndarray:
-    rows, columns = _grid(bench, element["offset"])
+    pitch, numbers = bench["pixel_pitch"], (element["distance"], bench["wavelength"])
+    axes = sampled_axes(bench["resolution"], pitches(pitch), element["offset"])
+    further = Weaker(0, 1, "a distance of at least {:.3g} m")
+    warn_beyond_nyquist("point_source", hyperbolic_lens, axes, numbers, further)
+    rows, columns = _grid(bench["resolution"], pitch, element["offset"])
     distance = np.sqrt(rows**2 + columns**2 + element["distance"] ** 2)
     phase = wave.wavenumber(bench["wavelength"]) * (distance - element["distance"])
     return np.asarray(wave.generate_complex_field(element["amplitude"] * element["distance"] / distance, phase))
 
 
-def _circular_aperture(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
-    rows, columns = _grid(bench, element["offset"])
-    return field * (rows**2 + columns**2 <= (element["diameter"] / 2) ** 2)
+def _circular_aperture(light: Light, element: dict) -> list:
+    return [wave.CircularAperture(element["diameter"] / 2, element["offset"])]
 
 
-def _rectangular_aperture(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
-    inside = [
-        np.abs(axis) <= size / 2 for axis, size in zip(_grid(bench, element["offset"]), element["size"], strict=True)
-    ]
-    return field * (inside[0] & inside[1])
+def _rectangular_aperture(light: Light, element: dict) -> list:
+    height, width = element["size"]
+    return [wave.RectangularAperture(height, width, element["offset"])]
 
 
-def _lens(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
-    phase = wave.lens_phase(
-        bench["resolution"], element["focal_length"], bench["pixel_pitch"], bench["wavelength"], element["offset"]
-    )
-    field = field * wave.generate_complex_field(1.0, phase)
-    return field if element["diameter"] is None else _circular_aperture(field, bench, element)
+def _lens(light: Light, element: dict) -> list:
+    lens = wave.ThinLens(element["focal_length"], element["offset"])
+    return [lens] if element["diameter"] is None else [lens, *_circular_aperture(light, element)]
 
 
-def _slm(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
+def _slm(light: Light, element: dict) -> list:
     phase = files.load_pattern(element["pattern"], files.stored_bits(element["pattern"]))
-    return field * wave.generate_complex_field(1.0, _fitting(phase, bench, element["pattern"]))
+    return [wave.Mask(wave.generate_complex_field(1.0, _fitting(phase, light, element["pattern"])))]
 
 
-def _mask(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
+def _mask(light: Light, element: dict) -> list:
     from odak.learn.tools import load_image
 
     picture = load_image(element["picture"], normalizeby=None)
-    return field * np.sqrt(_fitting(picture, bench, element["picture"]))
+    return [wave.Mask(np.sqrt(_fitting(picture, light, element["picture"])))]
 
 
-def _fitting(picture: torch.Tensor, bench: dict, path: str) -> np.ndarray:
-    values = picture.double().numpy()
+def _fitting(picture: torch.Tensor, light: Light, path: str) -> np.ndarray:
+    values, wanted = picture.double().numpy(), light.field.shape
     values = values[..., :3].mean(-1) if values.ndim == 3 else values
-    if values.shape != tuple(bench["resolution"]):
+    if values.shape != wanted:
         raise InputError(
-            f"{path!r} must have the resolution of the bench, {bench['resolution'][0]} x {bench['resolution'][1]} "
-            f"pixels; got {values.shape[0]} x {values.shape[1]}"
+            f"{path!r} must have the resolution of the field, {wanted[0]} x {wanted[1]} pixels; "
+            f"got {values.shape[0]} x {values.shape[1]}"
         )
     return values
 
 
-def _propagate(field: np.ndarray, bench: dict, element: dict) -> np.ndarray:
-    result = wave.propagate_beam(
-        field,
-        None,
-        element["distance"],
-        bench["pixel_pitch"],
-        bench["wavelength"],
-        element["method"],
-        zero_padding=[True, False, True],
-    )
-    return np.asarray(result)
+def _propagate(light: Light, element: dict) -> list:
+    return [wave.FreeSpace(element["distance"], element["method"], element["resolution"], element["pixel_pitch"])]
 
 
 SOURCE: dict[str, Callable[[dict, dict], np.ndarray]] = {
@@ -460,18 +461,17 @@ SOURCE: dict[str, Callable[[dict, dict], np.ndarray]] = {
     "gaussian_beam": _gaussian_beam,
     "point_source": _point_source,
 }
-PASSAGE: dict[str, Callable[[np.ndarray, dict, dict], np.ndarray]] = {
+PASSAGE: dict[str, Callable[[Light, dict], list]] = {
     "circular_aperture": _circular_aperture,
     "rectangular_aperture": _rectangular_aperture,
     "lens": _lens,
     "slm": _slm,
     "mask": _mask,
     "propagate": _propagate,
-    "record": lambda field, bench, element: field,
 }
 
 
-def _write(folder: Path, name: str, field: np.ndarray, bench: dict) -> dict:
+def _write(folder: Path, name: str, field: np.ndarray, pitch: Any) -> dict:
     """Write a field as data and as pictures, and return its numbers."""
     from odak.tools.paths import replacing
 
@@ -480,14 +480,21 @@ def _write(folder: Path, name: str, field: np.ndarray, bench: dict) -> dict:
     intensity = np.abs(field) ** 2
     peak = np.unravel_index(int(intensity.argmax()), intensity.shape)
     total = intensity.sum()
-    position = [float(axis.ravel()[index]) for axis, index in zip(_grid(bench), peak, strict=True)]
-    centroid = [float((axis * intensity).sum() / total) if total else None for axis in _grid(bench)]
+    places = _grid(field.shape, pitch)
+    position = [float(axis.ravel()[index]) for axis, index in zip(places, peak, strict=True)]
+    centroid = [float((axis * intensity).sum() / total) if total else None for axis in places]
     largest = float(intensity.max())
     shade = torch.as_tensor(intensity / (largest or 1.0))[None]
     panels = [
         report.picture_panel(f"{name}: intensity, white is {largest:.4g}", shade),
         report.phase_panel(f"{name}: phase", torch.as_tensor(np.angle(field))),
     ]
-    dy, dx = pitches(bench["pixel_pitch"])
-    files.write_png(folder / f"{name}.png", report.sheet([panels], bench["resolution"][1] * dx, dy / dx))
-    return {"name": name, "peak": largest, "peak_position": position, "centroid": centroid}
+    dy, dx = pitches(pitch)
+    files.write_png(folder / f"{name}.png", report.sheet([panels], field.shape[1] * dx, dy / dx))
+    return {
+        "name": name,
+        "pixel_pitch": pitch,
+        "peak": largest,
+        "peak_position": position,
+        "centroid": centroid,
+    }

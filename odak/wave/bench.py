@@ -628,7 +628,7 @@ class optical_bench:
         """Yield position, light and element in front of the first element and behind each."""
         field, position = _array.to_complex(_validate.image("field", field)), 0.0
         check_geometry(None, 0.0, dx, self.wavelength, tuple(field.shape[:-2]))
-        light = _Light(field, dx)
+        light = Light(field, dx)
         yield position, light, None
         for element in self.elements:
             light = light.through(element, self.wavelength)
@@ -699,7 +699,7 @@ class optical_bench:
 
 
 @dataclass(frozen=True)
-class _Light:
+class Light:
     """Light on its way: a field, and the lenses of its plane that are too steep for its samples.
 
     Lenses and what else multiplies a field may change places. A lens that is undersampled is kept until the next space,
@@ -732,7 +732,7 @@ class _Light:
             field = lens.times(field, self.pitch, wavelength)
         return field
 
-    def through(self, element, wavelength) -> "_Light":
+    def through(self, element, wavelength) -> "Light":
         """Return the light behind an element."""
         if isinstance(element, ThinLens) and self._is_steep(element, wavelength):
             return replace(self, lenses=(*self.lenses, element))
@@ -748,7 +748,7 @@ class _Light:
                 return self._folded(element, wavelength)
             for lens in self.lenses:
                 _warn_of_lens(lens, self.field.shape[-2:], self.pitch, wavelength)
-        return _Light(*element.apply(self.sampled(wavelength), self.pitch, wavelength))
+        return Light(*element.apply(self.sampled(wavelength), self.pitch, wavelength))
 
     def _is_steep(self, lens, wavelength, openings=()) -> bool:
         """Return whether a lens is undersampled where the apertures are open; False where that cannot be known."""
@@ -769,7 +769,7 @@ class _Light:
             return False
         return undersampling(thin_lens, tuple(axes), (numbers[4], min(waves))) > 1 + 1e-9
 
-    def _folded(self, element, wavelength) -> "_Light":
+    def _folded(self, element, wavelength) -> "Light":
         """Return the light behind a space or a system, with the lenses in its ray matrix.
 
         Lenses of the powers Pᵢ with their axes at cᵢ are one lens and a prism of the slope Σ Pᵢcᵢ. Light goes straight
@@ -799,9 +799,9 @@ class _Light:
             for m, slope, x in zip(matrices, slopes, middles, strict=True):
                 cycles = cycles + m[1][1] * slope * (2 * x - m[0][1] * slope) / 2
             field = field * phasor_of_cycles(cycles / wave, field.dtype)
-        return self._less_its_sphere(_Light(field, out), total, slopes, offset, wavelength)
+        return self._less_its_sphere(Light(field, out), total, slopes, offset, wavelength)
 
-    def _less_its_sphere(self, light, total, slopes, offset, wavelength) -> "_Light":
+    def _less_its_sphere(self, light, total, slopes, offset, wavelength) -> "Light":
         """Return light behind lenses without the spherical wave that they made of it, if that is too steep as well."""
         ((a, b), (c, _)), _ = total
         known = [_known(*(value for row in m for value in row)) for m in total]
