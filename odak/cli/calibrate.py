@@ -26,6 +26,7 @@ from odak.instruments.calibration import (
     wavefront_with_uncertainty,
 )
 from odak.instruments.exposures import set_exposure
+from odak.instruments.protocols import checked_camera
 from odak.instruments.simulated import REALISTIC
 from odak.tools.paths import replacing
 
@@ -165,6 +166,10 @@ def run(
     """
     if step not in STEPS:
         raise InputError(f"STEP must be one of {', '.join(STEPS)}; got {step!r}.{did_you_mean(step, STEPS)}")
+    try:
+        table = table._replace(camera=checked_camera(table.camera))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"the camera cannot be used: {error}") from None
     folder = writable_folder(output)
     path = folder / "calibration.npz" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
@@ -188,7 +193,7 @@ def run(
     with collected_warnings() as texts:
         try:
             found = STEPS[step](table, known)
-        except RuntimeError as error:
+        except (RuntimeError, ValueError) as error:
             raise InputError(f"the step {step} failed: {error}") from None
     instruments.save_calibration(path, found.calibration)
     figure = Figure(figsize=(9, 3.4), layout="constrained")

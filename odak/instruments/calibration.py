@@ -23,9 +23,9 @@ from odak import _validate
 from odak._warnings import AccuracyWarning, warn
 from odak.instruments.array_files import SUFFIXES, checked_array, checked_number, read_hdf5, write_hdf5
 from odak.instruments.captures import LARGEST_DISTANCE, PITCHES, WAVELENGTHS
-from odak.instruments.exposures import SATURATED, set_exposure
+from odak.instruments.exposures import SATURATED, STALE, set_exposure
 from odak.instruments.mapping import Registration
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.tools.file import read_npz
 from odak.tools.paths import replacing, validate_path
 from odak.tools.zernike import zernike_polynomial
@@ -65,6 +65,10 @@ UNITS = {
 }
 # Deviation of the captures of a phase response, 0.002 by noise alone, above which the response is taken to vary.
 SPREAD_OF_RESPONSE = 0.01
+# Pixels of a modulator from which the hologram of spots is computed by iterations, at most.
+SAMPLED = 1 << 17
+# Part of the circle in radians that the phases of levels may leave out.
+LARGEST_GAP = 0.15 * np.pi
 # Columns of other levels beside the border of the two halves, and rows and columns of pixels evaluated at most.
 GUARD, LARGEST_WINDOW = 3, 201
 # Rows and columns of pixels of a region at least.
@@ -324,8 +328,11 @@ def calibrate_table(
     True
     """
     rounds = _validate.integer("rounds", rounds, minimum=1)
+    check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     there = (modulator, camera, wavelength)
     phases, doubt, spread = phases_with_uncertainty(*there, distance)
+    warn_of_short_range(phases)
     varies = spread > SPREAD_OF_RESPONSE
     if regions is None:
         enough = all(n >= SMALLEST_REGION * parts for n, parts in zip(modulator.shape, REGIONS, strict=True))
@@ -468,6 +475,7 @@ def measure_phase_response(
     """
     phases, _, spread = phases_with_uncertainty(modulator, camera, wavelength, distance, samples, captures)
     _warn_of_deviations(spread)
+    warn_of_short_range(phases)
     return phases
 
 
@@ -479,6 +487,7 @@ def phases_with_uncertainty(
     The parameters are those of :func:`measure_phase_response`.
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     top = (1 << _validate.integer("modulator.bits", modulator.bits, minimum=1)) - 1
     levels = _measured_levels(top, samples)
     lens_phase(modulator, wavelength, distance)  # checks the lengths
@@ -499,6 +508,9 @@ def phases_with_uncertainty(
     _read_around(camera, np.array(camera.shape[::-1]) // 2, reach)
     modulator.show(np.where(left, deflected, (top + 1) // 2))
     set_exposure(camera)
+    check_frames_are_new(
+        modulator, camera, nearest_levels(_deflected(modulator), np.array([0, np.pi])) * (top + 1) // 2
+    )
     found = []
     for fixed in (left, ~left):
         frames = []
@@ -516,6 +528,23 @@ def phases_with_uncertainty(
     interpolation = 1.5 * float(np.abs(phases - fewer)[:within].max())
     spread = max(first, second)
     return phases, math.hypot(float(np.abs(one - other).max()), interpolation, spread), spread
+
+
+def check_frames_are_new(modulator: Modulator, camera: Camera, other: np.ndarray, count: int = 5) -> None:
+    """Raise an error if a camera returns frames of the pattern before, after another one `other` was shown."""
+    first, second = (camera.capture(1)[0].astype(float) for _ in range(2))
+    modulator.show(other)
+    frames = [camera.capture(1)[0].astype(float) for _ in range(count)]
+    last = frames[-1]
+    before = (first + second) / 2
+    if ((last - before) ** 2).mean() < 9 * ((first - second) ** 2).mean():
+        return
+    older = [((frame - before) ** 2).mean() < ((frame - last) ** 2).mean() for frame in frames]
+    if any(older):
+        raise RuntimeError(
+            STALE.format(sum(older), "a new pattern was shown", "the one before")
+            + f"; or set a longer settling_time of the modulator, now {modulator.settling_time:g} s"
+        )
 
 
 def _guard(modulator: Modulator, top: int) -> np.ndarray:
@@ -568,6 +597,19 @@ def _warn_of_deviations(other: float) -> None:
         warn(
             f"the phase response is uncertain: captures deviate by {other:.0%} from those of levels with one phase at "
             "all pixels, because of fringing fields between them, or a response that varies over the panel or in time",
+            AccuracyWarning,
+        )
+
+
+def warn_of_short_range(phases: np.ndarray) -> None:
+    """Warn if the phases of the levels leave out a part of the circle, which holograms need."""
+    wrapped = np.sort(np.mod(phases, 2 * np.pi))
+    gap = float(np.diff(wrapped, append=wrapped[0] + 2 * np.pi).max())
+    if gap > LARGEST_GAP:
+        warn(
+            f"the phases of the levels leave out {gap / np.pi:.2g}π of 2π: patterns get the nearest phase there and "
+            "lose light to the zero order; increase the range of the modulator (voltages, look-up table), or use a "
+            "shorter wavelength",
             AccuracyWarning,
         )
 
@@ -655,6 +697,7 @@ def regions_with_uncertainty(
     modulator, less whose multiples the phases are interpolated between the levels that are measured.
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     rows, columns = modulator.shape
     down, across = _validate.size("regions", regions)
     if rows < SMALLEST_REGION * down or columns < SMALLEST_REGION * across:
@@ -823,6 +866,7 @@ def register_camera(
     True
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     shape, pitch = np.array(modulator.shape), modulator.pitch
     half = shape * pitch * float(_validate.number("extent", extent, positive=True)) / 2
     # A pixel does not send light to points that are farther from it than this along an axis, and lenses that focus
@@ -1056,6 +1100,7 @@ def wavefront_with_uncertainty(
     The parameters are those of :func:`measure_wavefront`.
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     shape = np.array(modulator.shape)
     order, iterations, captures = (
         _validate.integer(name, value, minimum=least)
@@ -1347,6 +1392,7 @@ def distance_with_uncertainty(
     The parameters are those of :func:`measure_distance`. The error of the wavefront is not in the uncertainty.
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     distance = float(_validate.number("distance", distance, positive=True))
     span, samples = _validate.number("span", span, positive=True), _validate.integer("samples", samples, minimum=5)
     if span >= 1:
@@ -1534,6 +1580,7 @@ def illumination_with_uncertainty(
     The parameters are those of :func:`measure_illumination`.
     """
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     rows, columns = modulator.shape
     cells, order = _validate.integer("cells", cells, minimum=3), _validate.integer("order", order, minimum=1)
     number = [np.minimum(np.arange(n) * cells // n, cells - 1) for n in (rows, columns)]
@@ -1921,15 +1968,25 @@ def spots_phase(
 
     The phases of the spots begin at random, by the seed.
     """
-    lenses = np.stack([lens_phase(modulator, wavelength, distance, point) for point in points]).reshape(len(points), -1)
-    waves = np.exp(1j * lenses)
-    angles = 2 * np.pi * np.random.default_rng(seed).random(len(points))
+    draw = np.random.default_rng(seed)
+    angles = 2 * np.pi * draw.random(len(points))
     weights = np.ones(len(points))
+    size = math.prod(modulator.shape)
+    # Weights and phases of the spots follow from a part of the pixels (Pozzi et al., Appl. Opt. 57, 6664 (2018)).
+    chosen = np.sort(draw.choice(size, SAMPLED, replace=False)) if size > SAMPLED else np.arange(size)
+    lenses = (lens_phase(modulator, wavelength, distance, point).ravel()[chosen] for point in points)
+    waves = np.stack([np.exp(1j * lens) for lens in lenses])
     for _ in range(iterations if len(points) > 1 else 1):
-        hologram = (weights * np.exp(1j * angles)) @ waves
+        factors = weights * np.exp(1j * angles)
+        hologram = factors @ waves
         hologram /= np.abs(hologram)
         spots = (waves @ hologram.conj()).conj()
         angles, weights = np.angle(spots), weights * np.abs(spots).mean() / np.abs(spots)
+    if size > SAMPLED:
+        hologram = np.zeros(modulator.shape, dtype=np.complex64)
+        for factor, point in zip(factors, points, strict=True):
+            phase = np.remainder(lens_phase(modulator, wavelength, distance, point) + np.angle(factor), 2 * np.pi)
+            hologram += np.abs(factor) * np.exp(1j * phase.astype(np.float32))
     return np.angle(hologram).reshape(modulator.shape)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from odak import _validate
 from odak.instruments.array_files import checked_array, checked_number, read_hdf5, write_hdf5
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 
 __all__ = ["Captures", "load_captures", "record_captures", "save_captures"]
 
@@ -166,6 +166,7 @@ def record_captures(
     if places.shape != (len(levels),):
         raise ValueError(f"positions must contain one number for each of {len(levels)} patterns, got {places.shape}")
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     if stage is None and places.any():
         raise ValueError("stage must be given where positions differ from 0, got None")
     frames = []

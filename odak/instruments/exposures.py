@@ -5,11 +5,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import label
 from scipy.optimize import curve_fit, least_squares
 
 from odak import _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.instruments.protocols import Camera, Laser, Modulator, Rotator
+from odak.instruments.protocols import Camera, CheckedCamera, Laser, Modulator, Rotator, checked_camera
 
 __all__ = [
     "PolarisationResult",
@@ -25,6 +26,14 @@ __all__ = [
 EXPOSED = 0.6
 # Counts of this share of the range are taken as saturated.
 SATURATED = 0.98
+# Pixels that are stuck at most, reductions of the exposure by 4 through which they stay saturated, and the exposure in
+# seconds up to which light is searched for.
+LARGEST_STUCK, FEWEST_CUTS, LONGEST_DARK = 200, 5, 30.0
+# Frames that are older than what they should show.
+STALE = (
+    "{} frames that the camera returned after {} show {}: discard as many frames before each capture (skip= of "
+    "VideoCamera), empty the buffer of the camera, or use a trigger"
+)
 # Side in pixels of the squares whose settling is measured.
 SQUARE = 8
 
@@ -46,6 +55,17 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
     float
         Exposure time in seconds.
 
+    Raises
+    ------
+    RuntimeError
+        If the camera sees no light, or its counts do not follow the exposure: a gamma curve, an automatic gain.
+
+    Warns
+    -----
+    AccuracyWarning
+        If pixels are stuck, whose counts do not follow the exposure as those of the others do, or the exposure is at a
+        limit of the camera.
+
     Examples
     --------
     >>> import numpy as np
@@ -61,16 +81,103 @@ def set_exposure(camera: Camera, show: Callable[[], None] | None = None, level: 
         raise ValueError(f"level must be below {SATURATED}, got {level}")
     if show is not None:
         show()
-    top = (1 << camera.bits) - 1
-    for _ in range(8):
-        brightest = float(camera.capture(1).max())
-        if 0.8 * level * top < brightest < 1.1 * level * top:
-            break
+    camera = checked_camera(camera)
+    start, wanted, loudest, same, darkest = camera.exposure, level * camera.top, np.zeros(0, bool), 0, np.inf
+    for _ in range(24):
+        frame = camera.capture(1)[0]
+        brightest, now = float(frame.max()), camera.exposure
+        if 0.8 * wanted < brightest < 1.1 * wanted:
+            if camera.examined or not _examine(camera):
+                break
+            continue
         # A saturated pixel gives a lower bound only; a dark one may be its offset alone.
-        camera.exposure *= (
-            0.25 if brightest >= SATURATED * top else float(np.clip(level * top / max(brightest, 1), 0.1, 10))
-        )
+        factor = 0.25 if brightest >= SATURATED * camera.top else float(np.clip(wanted / max(brightest, 1), 0.1, 10))
+        # Pixels that stay the brightest however much the exposure is reduced.
+        loud = frame >= min(SATURATED * camera.top, 0.95 * brightest)
+        same = same + 1 if factor < 1 and np.array_equal(loud, loudest) and loud.sum() <= LARGEST_STUCK else 0
+        loudest = loud
+        if same == FEWEST_CUTS:
+            _replace(camera, loud)
+            camera.exposure = start
+            continue
+        darkest = min(darkest, brightest)
+        # Noise and offset alone do not grow with the exposure.
+        none = brightest < max(1.5 * darkest, darkest + 0.02 * camera.top) and brightest < 0.3 * wanted
+        if factor > 1 and none and now >= min(LONGEST_DARK, camera.limits[1]):
+            camera.exposure = start
+            raise RuntimeError(
+                f"the camera sees no light: its brightest pixel has {brightest:.0f} of {camera.top} counts at an "
+                f"exposure of {now:.3g} s, {darkest:.0f} at shorter ones; check that the laser is on, that no shutter "
+                "or cap is closed, and the distance"
+            )
+        camera.exposure *= factor
+        # What the device made of it.
+        if abs(camera.exposure / now - 1) < 1e-3:
+            warn(
+                f"the exposure of {now:.3g} s is at a limit of the camera: its brightest pixel has {brightest:.0f} of "
+                f"{camera.top} counts; {'attenuate the light' if factor < 1 else 'use more light'}",
+                AccuracyWarning,
+            )
+            break
+    else:
+        if not camera.examined:
+            _examine(camera)
     return camera.exposure
+
+
+def _examine(camera: CheckedCamera) -> bool:
+    """Check that the counts of a camera follow its exposure; return whether stuck pixels were found and replaced."""
+    before = camera.exposure
+    if before / 4 < camera.limits[0]:
+        return False
+    frames = []
+    for part in (1, 2, 4):
+        camera.exposure = before / part
+        frames.append(camera.capture(1)[0].astype(float))
+    camera.exposure = before
+    whole, half, quarter = frames
+    floor = float(np.median(whole))
+    bright = whole >= floor + 0.3 * (whole.max() - floor)
+    stuck = bright & (quarter - floor > 0.8 * (whole - floor)) & (half - floor > 0.8 * (whole - floor))
+    if 0 < stuck.sum() <= min(LARGEST_STUCK, bright.sum()) and (stuck.sum() < bright.sum() or _alone(stuck)):
+        _replace(camera, stuck)
+        return True
+    camera.examined = True
+    first, second = (whole - half)[bright].sum(), (half - quarter)[bright].sum()
+    if first <= 0.05 * whole[bright].sum():
+        camera.exposure = before / 2
+        later = [camera.capture(1)[0].astype(float)[bright].sum() for _ in range(6)]
+        camera.exposure = before
+        changed = np.flatnonzero(np.array(later) < 0.9 * whole[bright].sum())
+        if len(changed):
+            raise RuntimeError(STALE.format(1 + changed[0], "its exposure was changed", "that before"))
+        raise RuntimeError(
+            f"the counts of the camera do not follow its exposure: {whole[bright].mean():.0f} at {before:.3g} s and "
+            f"{half[bright].mean():.0f} at half of it; switch off its automatic exposure and gain"
+        )
+    exponent = math.log2(first / max(second, 1e-3 * first))
+    if not 0.75 < exponent < 1.3:
+        raise RuntimeError(
+            f"the counts of the camera grow as the power {exponent:.2f} of its exposure: switch off its gamma curve "
+            "and its automatic gain, or use raw frames"
+        )
+    return False
+
+
+def _alone(mask: np.ndarray) -> bool:
+    """Return whether no two pixels of a mask touch."""
+    _, groups = label(mask, np.ones((3, 3)))
+    return bool(groups == mask.sum())
+
+
+def _replace(camera: CheckedCamera, stuck: np.ndarray) -> None:
+    camera.replace(stuck)
+    row, column = np.argwhere(stuck)[0] + np.array((camera.region or (0, 0))[:2])
+    warn(
+        f"{stuck.sum()} pixels of the camera do not change with its exposure, the first at row {row}, column {column}: "
+        "those around them take their places",
+        AccuracyWarning,
+    )
 
 
 def measure_dark(camera: Camera, laser: Laser, count: int = 16) -> np.ndarray:
@@ -99,7 +206,7 @@ def measure_dark(camera: Camera, laser: Laser, count: int = 16) -> np.ndarray:
     >>> dark.shape, bool(dark.mean() < lit)
     ((32, 32), True)
     """
-    power = laser.power
+    power, camera = laser.power, checked_camera(camera)
     laser.power = 0.0
     try:
         return camera.capture(_validate.integer("count", count, minimum=1)).mean(0)
@@ -156,7 +263,8 @@ def capture_hdr(
     times = _validate.several("exposures", exposures, positive=True)
     if len(times) < 2:
         raise ValueError(f"exposures must be at least two, got {len(times)}")
-    before, top = camera.exposure, (1 << camera.bits) - 1
+    camera = checked_camera(camera)
+    before, top = camera.exposure, camera.top
     frames, fine = [], []
     try:
         for time in times:
@@ -272,6 +380,7 @@ def measure_settling(
     >>> bool(abs(found.time_constant / table.truth.time_constant - 1) < 0.1)
     True
     """
+    camera = checked_camera(camera)
     longest = modulator.settling_time if longest is None else longest
     longest = float(_validate.number("longest", longest, positive=True))
     samples = _validate.integer("samples", samples, minimum=6)
@@ -425,6 +534,7 @@ def measure_polarisation(
     """
     samples = _validate.integer("samples", samples, minimum=5)
     angles = np.arange(samples) * (180.0 / samples)
+    camera = checked_camera(camera)
     region = camera.region
     modulator.show(levels)
     brightest, place = -1.0, (0, 0)

@@ -11,7 +11,7 @@ from odak._warnings import ConvergenceWarning, warn
 from odak.instruments.calibration import nearest_levels
 from odak.instruments.exposures import set_exposure
 from odak.instruments.mapping import Registration
-from odak.instruments.protocols import Camera, Modulator, check_square_pixels
+from odak.instruments.protocols import Camera, Modulator, check_square_pixels, checked_camera
 from odak.wave import spot_hologram, uniformity
 
 __all__ = ["SpotFeedback", "equalise_spots"]
@@ -147,6 +147,7 @@ def equalise_spots(
         _validate.integer(name, count, minimum=1) for name, count in (("turns", turns), ("captures", captures))
     )
     check_square_pixels(modulator, camera)
+    camera = checked_camera(camera)
     asked = np.ones(len(points))
     if intensities is not None:
         asked = np.asarray(_validate.real("intensities", _validate.array("intensities", intensities), positive=True))

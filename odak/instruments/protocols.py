@@ -68,6 +68,15 @@ class Camera(Protocol):
         Exposure time in seconds; may be set.
     region : tuple of int or None
         First row, first column, rows and columns that are read out; None for the whole sensor. May be set.
+    exposure_limits : tuple of float, optional
+        Shortest and longest exposure time in seconds; measurements keep within them.
+
+    Notes
+    -----
+    Measurements check what :meth:`capture` returns. They also take one frame ``[rows, columns]`` for each call, whole
+    frames where a region was set, and colour frames ``[count, rows, columns, 3]``, whose channel of the largest
+    variance is used: light of one wavelength. Other shapes, counts beyond the bit depth, and data that are shifted to
+    the upper bits raise a ValueError.
 
     Examples
     --------
@@ -181,6 +190,151 @@ def check_square_pixels(modulator: Any, camera: Any) -> None:
                 f"{name}.pitch must be one number in metres, that of square pixels, got {instrument.pitch!r}"
             )
         _validate.number(f"{name}.pitch", instrument.pitch, positive=True)
+
+
+class CheckedCamera:
+    """Camera whose captures are checked and brought to one form, whose exposure keeps within its limits.
+
+    Parameters
+    ----------
+    camera : Camera
+        The camera.
+    """
+
+    def __init__(self, camera: Any):
+        self.camera, self.pitch = camera, camera.pitch
+        rows, columns = _validate.size("camera.shape", camera.shape)
+        self.shape = (rows, columns)
+        self.bits = _validate.integer("camera.bits", camera.bits, minimum=1)
+        limits = getattr(camera, "exposure_limits", None)
+        if limits is not None:
+            limits = _validate.several("camera.exposure_limits", limits, 2, positive=True)
+        self.limits = (0.0, np.inf) if limits is None else (float(limits[0]), float(limits[1]))
+        self.examined = False
+        self._stuck = np.zeros((0, 2), dtype=int)
+
+    @property
+    def exposure(self) -> float:
+        """Exposure time in seconds."""
+        return self.camera.exposure
+
+    @exposure.setter
+    def exposure(self, value: float) -> None:
+        self.camera.exposure = float(np.clip(value, *self.limits))
+
+    @property
+    def region(self) -> tuple[int, int, int, int] | None:
+        """First row, first column, rows and columns that are read out; None for the whole sensor."""
+        return self.camera.region
+
+    @region.setter
+    def region(self, value: tuple[int, int, int, int] | None) -> None:
+        self.camera.region = value
+
+    @property
+    def top(self) -> int:
+        """Largest count."""
+        return (1 << self.bits) - 1
+
+    def replace(self, stuck: np.ndarray) -> None:
+        """Replace pixels, of a mask of the region, in later captures by the median of those around them."""
+        row, column, *_ = self.region or (0, 0)
+        self._stuck = np.concatenate([self._stuck, np.argwhere(stuck) + np.array([row, column])])
+
+    def capture(self, count: int = 1) -> np.ndarray:
+        """Return captures ``[count, rows, columns]`` of the region."""
+        frames = checked_frames(self.camera.capture(count), count, self)
+        while len(frames) < count:
+            more = checked_frames(self.camera.capture(count - len(frames)), count - len(frames), self)
+            frames = np.concatenate([frames, more])
+        first, size = np.array((self.region or (0, 0))[:2]), np.array(frames.shape[1:])
+        places = self._stuck - first
+        places = places[((places >= 0) & (places < size)).all(-1)]
+        if len(places):
+            frames = frames.copy()
+            bad = np.zeros(size, dtype=bool)
+            bad[tuple(places.T)] = True
+            for row, column in places:
+                down, across = slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2)
+                fine = frames[:, down, across][:, ~bad[down, across]]
+                frames[:, row, column] = np.median(fine, axis=-1) if fine.size else 0
+        return frames
+
+
+def checked_camera(camera: Any) -> CheckedCamera:
+    """Return a camera whose captures are checked, the same if they are already."""
+    return camera if isinstance(camera, CheckedCamera) else CheckedCamera(camera)
+
+
+def checked_frames(frames: Any, count: int, camera: Any) -> np.ndarray:
+    """Return captures of a camera ``[at most count, rows, columns]`` of its region after a check.
+
+    Parameters
+    ----------
+    frames : array
+        What the camera returned.
+    count : int
+        Number of captures asked for.
+    camera : Camera
+        The camera.
+
+    Returns
+    -------
+    numpy.ndarray
+        The captures.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If they are not captures of this camera; the message names the remedy.
+    """
+    found = np.asarray(frames)
+    if found.dtype.kind not in "uif":
+        raise TypeError(f"camera.capture must return integers [count, rows, columns], got an array of {found.dtype}")
+    whole = tuple(camera.shape)
+    row, column, *size = camera.region or (0, 0, *whole)
+    sizes = (tuple(size), whole)
+    got = list(found.shape)
+    if found.shape[-2:] not in sizes and found.shape[-3:-1] in sizes and found.shape[-1] in (1, 3, 4):
+        # Light of one wavelength; the fourth channel is the transparency.
+        channels = found[..., :3]
+        found = channels[..., int(channels.reshape(-1, channels.shape[-1]).var(0).argmax())]
+    if found.ndim == 4 and found.shape[1] == 1:
+        found = found[:, 0]
+    found = found[None] if found.ndim == 2 else found
+    if found.ndim != 3 or found.shape[1:] not in sizes or not 0 < len(found) <= count:
+        turned = any(part[::-1] in sizes for part in (tuple(got[-2:]), tuple(got[-3:-1]))) and size[0] != size[1]
+        hint = (
+            "; these are columns and rows: transpose the frames, or exchange the numbers of camera.shape"
+            if turned
+            else ""
+        )
+        raise ValueError(
+            f"camera.capture({count}) must return [{count}, {size[0]}, {size[1]}] (count, rows, columns) or colours in "
+            f"a last axis of 3, got {got}{hint}"
+        )
+    if found.shape[1:] != tuple(size):
+        found = found[:, row : row + size[0], column : column + size[1]]
+    largest, smallest, top = found.max(), found.min(), (1 << camera.bits) - 1
+    if not (np.isfinite(largest) and smallest >= 0):
+        raise ValueError(
+            f"captures must be counts from 0 to {top}, got {smallest} to {largest}"
+            + ("; 16 bits were read as signed integers: use .view(numpy.uint16)" if found.dtype == np.int16 else "")
+        )
+    if found.dtype.kind in "ui" and largest > smallest:
+        used = int(np.bitwise_or.reduce(found, axis=None))
+        shift = (used & -used).bit_length() - 1
+        if shift >= 2 and (largest > top or len(np.unique(found.ravel()[:10_000])) > 16):
+            raise ValueError(
+                f"all counts are multiples of {1 << shift}, up to {largest}: the camera shifts its data left by "
+                f"{shift} bits; return frames >> {shift}, with camera.bits the bits that are left"
+            )
+    if largest > top:
+        raise ValueError(
+            f"captures must be counts from 0 to {top}, camera.bits = {camera.bits}, got up to {largest}: set "
+            f"camera.bits to {int(largest).bit_length()}, or scale the counts"
+        )
+    return found
 
 
 def open_instrument(name: str, **options: Any) -> Any:

@@ -90,3 +90,19 @@ class Camera:
         read = electrons + 30 + np.sqrt(electrons + 9) * noise
         top = (1 << self.bits) - 1
         return np.rint(np.clip(read / WELL, 0, 1) * top).astype(np.uint16)
+
+
+class Altered:
+    """Camera whose captures are altered by a function of the frames and the camera."""
+
+    def __init__(self, camera, change, **members):
+        self.__dict__.update(camera=camera, change=change, **members)
+
+    def __getattr__(self, name):
+        return getattr(self.camera, name)
+
+    def __setattr__(self, name, value):
+        setattr(self.camera, name, value)
+
+    def capture(self, count=1):
+        return self.change(self.camera.capture(count), self.camera)

@@ -5,9 +5,11 @@ import warnings
 
 import numpy as np
 import pytest
+from laboratory import Altered, Laboratory
 
 from odak import AccuracyWarning, instruments
 from odak.instruments import calibration as calibrating
+from odak.instruments import protocols
 
 SMALL = {"shape": (32, 32), "distance": 4e-3, "camera_shape": (48, 48)}
 
@@ -180,3 +182,112 @@ def test_levels_of_regions_are_nearest_everywhere(tmp_path):
         again = instruments.load_calibration(tmp_path / name)
         assert np.array_equal(again.regional_phases, tables) and again.registration.shape == (32, 32)
         assert np.array_equal(again.wavefront, found.wavefront) and again.distance == found.distance
+
+
+def laboratory(**options):
+    return Laboratory((96, 128), distance=0.01, camera_shape=(200, 240), **options)
+
+
+def response(table, change, **members):
+    camera = Altered(table.camera, change, **members)
+    return instruments.measure_phase_response(table.modulator, camera, 532e-9, 0.01, samples=9, captures=1)
+
+
+FORMS = {
+    "colours": lambda frames, _: np.stack([frames // 9, frames, frames // 7], axis=-1),
+    "transparency": lambda frames, _: np.stack([frames, 0 * frames, 0 * frames, 0 * frames + 4095], axis=-1),
+    "one frame": lambda frames, _: frames[0],
+    "one frame of colours": lambda frames, _: np.stack([frames[0], frames[0] // 3, 0 * frames[0]], axis=-1),
+    "an axis of channels": lambda frames, _: frames[:, None],
+    "floats": lambda frames, _: frames.astype(float),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_captures_in_other_forms_are_taken(form):
+    table = laboratory()
+    assert np.abs(response(table, FORMS[form]) - table.phases).max() < 0.01
+
+
+def test_a_camera_that_ignores_its_region_is_read_whole():
+    table = laboratory()
+    table.camera.region = (20, 30, 40, 50)
+    there = protocols.checked_camera(Altered(table.camera, lambda *_: np.arange(48_000).reshape(1, 200, 240) % 4001))
+    assert np.array_equal(there.capture()[0], (np.arange(48_000).reshape(200, 240) % 4001)[20:60, 30:80])
+
+
+FAULTS = {
+    "gamma": (lambda frames, _: np.rint(4095 * (frames / 4095) ** (1 / 2.2)).astype(int), r"the power 0\.4\d .* gamma"),
+    "shifted": (lambda frames, _: frames << 4, "multiples of 16, .* shifts its data left by 4 bits"),
+    "deeper": (lambda frames, _: 37 * frames + 1, "counts from 0 to 4095, camera.bits = 12"),
+    "signed": (lambda frames, _: (37 * frames).astype(np.int16) - 100, "16 bits were read as signed integers"),
+    "no number": (lambda frames, _: frames * np.nan, "got nan to nan"),
+    "too many": (lambda frames, _: np.repeat(frames, 2, axis=0), r"must return \[1, .*, got \[2, "),
+    "automatic": (lambda frames, _: np.rint(2400 * (frames / frames.max())).astype(int), "automatic"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_cameras_are_named(fault):
+    change, message = FAULTS[fault]
+    table = laboratory()
+    table.camera.exposure = 3.0
+    with pytest.raises((RuntimeError, ValueError), match=message):
+        response(table, change)
+
+
+def test_transposed_captures_are_named():
+    table = laboratory()
+    camera = Altered(table.camera, lambda frames, _: frames.swapaxes(1, 2))
+    with pytest.raises(ValueError, match=r"got \[1, 240, 200\]; these are columns and rows: transpose the frames"):
+        instruments.set_exposure(camera)
+
+
+@pytest.mark.parametrize("late", ["exposure", "pattern"])
+def test_frames_older_than_the_pattern_or_the_exposure_are_named(late):
+    table, kept = laboratory(), []
+
+    def older(frames, camera):
+        kept.append((frames, table.modulator.shown))
+        # Of the exposure before, or only of the pattern before.
+        same = [f for f, shown in kept[:-1] if f.shape == frames.shape and (late == "exposure" or shown < kept[-1][1])]
+        fresh = late == "pattern" and kept[-2:][0][1] == kept[-1][1]
+        return frames if fresh or not same else same[-1]
+
+    with pytest.raises(RuntimeError, match=r"1 frames that the camera returned after .* discard as many frames"):
+        response(table, older)
+
+
+@pytest.mark.parametrize(("count", "value"), [(1, 4095), (6, 4095), (6, 3000)])
+def test_stuck_pixels_do_not_set_the_exposure(count, value):
+    """A saturated one ended in an exposure of 15 ns, six in an error of the phase response."""
+    table, places = laboratory(), np.random.default_rng(1).integers(60, 140, (count, 2))
+
+    def hot(frames, camera):
+        row, column, *_ = camera.region or (0, 0)
+        frames[:, places[:, 0] - row, places[:, 1] - column] = value
+        return frames
+
+    with pytest.warns(AccuracyWarning, match=f"^{count} pixels of the camera do not change with its exposure"):
+        found = response(table, hot)
+    assert np.abs(found - table.phases).max() < 0.01
+
+
+def test_a_dark_table_and_limits_of_the_exposure_are_named():
+    """The exposure was 100 000 s."""
+    table = laboratory()
+    table.power, table.camera.exposure = 0.0, 1e-3
+    with pytest.raises(RuntimeError, match=r"sees no light: .* of 4095 counts .* laser is on"):
+        instruments.set_exposure(table.camera)
+    assert table.camera.exposure == 1e-3
+    table.power = 1.0
+    camera = Altered(table.camera, lambda frames, _: frames, exposure_limits=(1e-5, 0.05))
+    with pytest.warns(AccuracyWarning, match="0.05 s is at a limit of the camera: .* use more light"):
+        assert instruments.set_exposure(camera) == 0.05
+
+
+def test_a_response_that_ends_early_is_named():
+    table = laboratory(phases=1.5 * np.pi * np.arange(256) / 255)
+    with pytest.warns(AccuracyWarning, match=r"leave out 0\.5π of 2π"):
+        found = response(table, lambda frames, _: frames)
+    assert np.abs(found - table.phases).max() < 0.01

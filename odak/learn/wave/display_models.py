@@ -15,6 +15,7 @@ from odak import _array, _validate
 from odak._warnings import ConvergenceWarning, warn
 from odak.instruments import Calibration, Camera, Captures, Modulator, Registration
 from odak.instruments.mapping import plane_points
+from odak.instruments.protocols import checked_camera
 from odak.learn._tensors import tensor, trainable
 from odak.learn.wave.slm import smooth
 from odak.wave.elements import zernike_modes
@@ -864,12 +865,13 @@ def display_camera(
     places = model.registration().camera_pixels(points)
     scale = math.exp(-float(model.brightness.detach()))
     count = _validate.integer("captures", captures, minimum=1)
+    checked = checked_camera(camera)
 
     def capture(phase: torch.Tensor) -> torch.Tensor:
         if tuple(phase.shape[-2:]) != model.shape or phase.numel() != rows * columns:
             raise ValueError(f"phase must be {list(model.shape)}, got {list(phase.shape)}")
         modulator.show(model.levels(phase.reshape(rows, columns)).cpu().numpy())
-        counts = camera.capture(count).mean(0) - dark - float(model.offset.detach())
+        counts = checked.capture(count).mean(0) - dark - float(model.offset.detach())
         image = map_coordinates(counts, [places[..., 1], places[..., 0]], order=3, mode="nearest")
         return torch.as_tensor(scale * image).to(phase).reshape(phase.shape)
 
