@@ -410,9 +410,11 @@ def test_a_camera_that_sees_few_spots_is_reported():
 
 
 def test_focus_outside_of_the_range_warns():
-    table = instruments.SimulatedTable(4, aberration=0.0, distance_error=0.0)
+    table = instruments.SimulatedTable(
+        4, shape=(96, 96), camera_shape=(120, 120), distance=12e-3, aberration=0.0, distance_error=0.0
+    )
     mapping = instruments.Registration(table.truth.homography, table.truth.distortion, table.camera.shape)
-    there = (*instruments_of(table), 532e-9, 22e-3, table.truth.phases, mapping)
+    there = (*instruments_of(table), 532e-9, 13.2e-3, table.truth.phases, mapping)
     with pytest.warns(AccuracyWarning, match="end of the range"):
         found = instruments.measure_distance(*there, span=0.05, captures=1)
     assert found == pytest.approx(table.truth.distance, rel=1e-3)
