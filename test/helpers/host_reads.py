@@ -19,6 +19,7 @@ REASONS = {
         raytracing/system/system_files: *
         raytracing/system/codev: *
         raytracing/system/zemax: *
+        raytracing/system/zooms: configurations
         tools/file: *
         tools/function: __array__
         tools/models: fit

@@ -111,3 +111,4 @@ from .waves import strehl_ratio as strehl_ratio
 from .waves import through_focus_modulation as through_focus_modulation
 from .zemax import read_zmx as read_zmx
 from .zemax import write_zmx as write_zmx
+from .zooms import configurations as configurations

@@ -1,7 +1,7 @@
 """Optical systems: surfaces, their coatings, coordinate breaks, their sequence, and their numbers as tensors."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from dataclasses import fields as fields_of
 from itertools import pairwise, zip_longest
@@ -950,6 +950,9 @@ class optical_system(torch.nn.Module):
     wavelength_weights : sequence of float, optional
         For each wavelength its weight in spots, in merit functions and in the monochrome picture of
         :func:`image_simulation`; all alike by default.
+    settings : sequence of tuple
+        What differs between configurations, zoom positions say: (name, place, values), see :class:`configurations`. The
+        system itself is not changed by them. None by default.
 
     Raises
     ------
@@ -996,6 +999,7 @@ class optical_system(torch.nn.Module):
         vignetting_factors: Iterable | None = None,
         field_weights: Iterable | None = None,
         wavelength_weights: Iterable | None = None,
+        settings: Sequence[tuple] = (),
     ):
         super().__init__()
         surfaces = list(surfaces) if isinstance(surfaces, Iterable) else []
@@ -1061,6 +1065,7 @@ class optical_system(torch.nn.Module):
         self.field_weights = checked_weights("field_weights", field_weights, len(self.fields))
         self.wavelength_weights = checked_weights("wavelength_weights", wavelength_weights, count)
         self.name, self.source = _validate.text("name", name), _validate.text("source", source)
+        self.settings = checked_settings(settings, len(surfaces))
 
     @property
     def at_infinity(self) -> bool:
@@ -1242,6 +1247,58 @@ def _factors(values, count: int) -> tuple[tuple[float, ...], ...] | None:
     if any(row[2] >= 1 or row[3] >= 1 for row in found):
         raise ValueError(f"vignetting_factors must have VCX and VCY below 1, which close the pupil, got {found}")
     return found
+
+
+SETTINGS = {
+    "surfaces": ("thickness", "curvature", "conic", "index", "semi_diameter", "material"),
+    "system": ("aperture", "object_distance", "fields", "wavelengths", "image_heights", "real_image_heights"),
+}
+
+
+def checked_settings(settings, count: int) -> tuple[tuple[str, int | None, tuple], ...]:
+    """Return settings (name, place, values) of configurations after checking that they are.
+
+    Parameters
+    ----------
+    settings : sequence of tuple
+        The settings.
+    count : int
+        Number of surfaces of the system.
+    """
+    if isinstance(settings, (str, Mapping)) or not isinstance(settings, Iterable):
+        raise TypeError(f"settings must be a sequence of (name, place, values), got {type(settings).__name__}")
+    found: list[tuple[str, int | None, tuple]] = []
+    for entry in settings:
+        if not isinstance(entry, (tuple, list)) or len(entry) != 3:
+            raise ValueError(f"settings must be (name, place, values), got {entry!r:.80}")
+        name = _validate.one_of("name in settings", entry[0], SETTINGS["surfaces"] + SETTINGS["system"])
+        if name in SETTINGS["system"] and entry[1] is not None:
+            raise ValueError(
+                f"place in settings must be None for {name}, which belongs to the system, got {entry[1]!r}"
+            )
+        place = None if name in SETTINGS["system"] else _validate.place_in("place in settings", entry[1], count)
+        values = entry[2].tolist() if hasattr(entry[2], "tolist") else entry[2]
+        if isinstance(values, str) or not isinstance(values, Iterable):
+            raise TypeError(f"values in settings must be a sequence, got {type(values).__name__}")
+        found.append((name, place, tuple(_setting(name, value) for value in values)))
+    if len({len(values) for _, _, values in found}) > 1 or any(not values for _, _, values in found):
+        counts = ", ".join(f"{len(values)} of {name}" for name, _, values in found)
+        raise ValueError(f"settings must have one value for each configuration, got {counts}")
+    return tuple(found)
+
+
+def _setting(name: str, value):
+    """Return the value of a setting after checking it."""
+    if name == "material":
+        return _medium(value)
+    if name in ("fields", "image_heights", "real_image_heights"):
+        return _fields(value)
+    if name == "wavelengths":
+        return _wavelengths(value)
+    if name == "object_distance":
+        return float(number_or_infinity(f"{name} in settings", value))
+    positive = name in ("aperture", "semi_diameter", "index")
+    return _validate.constant(f"{name} in settings", value, positive=positive)
 
 
 def checked_weights(name: str, values, count: int) -> tuple[float, ...] | None:

@@ -63,6 +63,7 @@ _SYSTEM = {
     "vignetting_factors",
     "field_weights",
     "wavelength_weights",
+    "settings",
 }
 FACTORS = ("VDXN", "VDYN", "VCXN", "VCYN")
 
@@ -180,8 +181,15 @@ def system_to_dict(system: optical_system) -> dict:
             for key in ("vignetting_factors", "field_weights", "wavelength_weights")
             if getattr(system, key) is not None
         },
+        **({"settings": [_setting(*entry) for entry in system.settings]} if system.settings else {}),
         "surfaces": surfaces,
     }
+
+
+def _setting(name: str, place: int | None, values: tuple) -> list:
+    """Return a setting of configurations in plain numbers and names; infinities are null."""
+    kept = [getattr(value, "name", None if value == math.inf else plain(value)) for value in values]
+    return [name, place, kept]
 
 
 def own_surfaces(system) -> list:
@@ -326,10 +334,24 @@ def system_from_dict(entry: dict) -> optical_system:
     entry.pop("notes", None)
     if entry.get("object_distance", 0) is None:
         del entry["object_distance"]
+    if isinstance(entry.get("settings"), list):
+        entry["settings"] = [_setting_of(item) for item in entry["settings"]]
     built = [_built(f"surfaces[{number}]", item, _SURFACE) for number, item in enumerate(surfaces)]
     if entry.get("image") is not None:
         entry["image"] = _built("image", entry["image"], _IMAGE)
     return optical_system(built, **entry)
+
+
+def _setting_of(entry):
+    """Return a setting of a file, with infinities in place of null."""
+    if not isinstance(entry, list) or len(entry) != 3 or not isinstance(entry[2], list):
+        return entry
+    name, place, values = entry
+    if name == "material":
+        values = [
+            _material(value) if isinstance(value, str) and value.startswith("model ") else value for value in values
+        ]
+    return name, place, [math.inf if value is None else value for value in values]
 
 
 def _built(where: str, entry, keys) -> surface:

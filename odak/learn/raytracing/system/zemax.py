@@ -174,6 +174,10 @@ _OF_SURFACES = (
     "COMM HIDE MIRR SLAB POPS SSID TYPE CURV CONI PARM XDAT DISZ GLAS STOP CLAP FLAP OBSC OBDC SQAP SQOB ELAP"
 )
 _SURFACE_KEYS = frozenset(re.findall(r"\w+", _OF_SURFACES)) | {"ELOB"}
+# Operands of configurations, and those of them without effect on rays.
+_IDLE_OPERANDS = frozenset(("MOFF", "LTTL", "NCOM", "MNUM"))
+_OF_CONFIGURATIONS = "THIC CRVT CURV CONN SDIA APER GLSS XFIE YFIE WAVE PRAM TEMP PRES IGNR WLWT FLWT"
+_OPERANDS = _IDLE_OPERANDS | frozenset(_OF_CONFIGURATIONS.split())
 # Keys of surfaces without effect on rays.
 _INERT_KEYS = frozenset(
     ("DIAM", "MEMA", "OEMA", "FIMP", "COAT", "VDSZ", "VPAR", "PPAR", "UDAP", "UDOB", "UDAD", "SPID")
@@ -244,7 +248,7 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     ignored: list[str] = []
     try:
         for line in general:
-            if line.key not in _GENERAL_KEYS and not (line.key == "VANN" and not any(_numbers(line))):
+            if line.key not in _GENERAL_KEYS | _OPERANDS and not (line.key == "VANN" and not any(_numbers(line))):
                 ignored.append(_named(line))
         head = {line.key: line for line in reversed(general)}
         surfaces, focused = _completed(head, surfaces, notes)
@@ -285,10 +289,11 @@ def read_zmx(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
             notes.append("the telecentric flag of FTYP needs a near object and an aperture by OBNA or FLOA: not used")
         found = system(size, form, telecentric=telecentric)
         points = _field_points(head, found, context)
-        own = {
+        own: dict[str, Any] = {
             "vignetting_factors": _factors(head, len(points), notes),
             "field_weights": _field_weights(head, len(points)),
         }
+        own["settings"] = _settings(general, head, surfaces, form, context)
         found = system(size, form, telecentric=telecentric, fields=points, **own)
     except ValueError as error:
         raise ValueError(f"{path.name}: {error}") from error
@@ -333,10 +338,6 @@ def _check_object(lines, far: bool, context: Context) -> None:
 
 def _note_settings(head, surfaces, notes: list) -> None:
     """Note settings of the whole file that its reader may miss."""
-    if "MNUM" in head and head["MNUM"].words and head["MNUM"].value() > 1:
-        notes.append(
-            f"the file holds {head['MNUM'].whole()} configurations: read as the one that its surfaces describe"
-        )
     held = [
         number
         for number, lines in enumerate(surfaces)
@@ -346,6 +347,87 @@ def _note_settings(head, surfaces, notes: list) -> None:
     if held:
         where = ", ".join(map(str, held))
         notes.append(f"curvatures of surfaces {where} are variables or solves in the file: read as they stand")
+
+
+def _settings(general, head, surfaces, form: str, context: Context) -> list[tuple]:
+    """Return what differs between the configurations of a file; operands that are not used are noted."""
+    count = head["MNUM"].whole() if "MNUM" in head and head["MNUM"].words else 1
+    if count < 2:
+        return []
+    context.notes.append(
+        f"the file holds {count} configurations: the system is the one that its surfaces describe, its settings are "
+        "those of all (see configurations)"
+    )
+    scale, unused = context.scale, set()
+    held: dict[tuple[str, int], dict[int, Line]] = {}
+    for line in general:
+        if line.key in _OPERANDS - _IDLE_OPERANDS and len(line.words) > 2 and 1 <= line.whole(1) <= count:
+            held.setdefault((line.key, line.whole()), {})[line.whole(1)] = line
+        elif line.key in _OPERANDS - _IDLE_OPERANDS:
+            unused.add(line.key)
+    stop = next((i for i, lines in enumerate(surfaces) if any(line.key == "STOP" for line in lines)), 1)
+    kind = _count(head, 0)
+    factor = scale if kind in (1, 2, 3) else 1.0
+    found: list[tuple] = []
+    points = _listed_points(head, factor)
+    fields, waves = [list(map(list, points)) for _ in range(count)], [list(context.waves) for _ in range(count)]
+    for (key, place), lines in held.items():
+
+        def values(name: str, start: float, scale: float = 1.0, place=place, lines=lines) -> list[float]:
+            """Return the values of an operand, that of the surface's own line `name` where it has none."""
+            own = _of(surfaces[place], name, start) if name else start
+            return [scale * (lines[i].value(2) if i in lines else own) for i in range(1, count + 1)]
+
+        inside = 1 <= place <= len(surfaces) - 2
+        if key == "THIC" and inside:
+            found.append(("thickness", place - 1, values("DISZ", 0.0, scale)))
+        elif key == "THIC" and place == 0 and kind not in (0, 4):
+            far = [value if value < FAR else math.inf for value in values("DISZ", math.inf, scale)]
+            found.append(("object_distance", None, far))
+        elif key in ("CRVT", "CURV") and inside:
+            found.append(("curvature", place - 1, values("CURV", 0.0, 1 / scale)))
+        elif key == "CONN" and inside:
+            found.append(("conic", place - 1, values("CONI", 0.0)))
+        elif key == "SDIA" and place == stop and form == "stop":
+            found.append(("aperture", None, values("DIAM", 0.0, 2 * scale)))
+        elif key == "SDIA" and inside and any(line.key == "FLAP" for line in surfaces[place]):
+            found.append(("semi_diameter", place - 1, values("DIAM", 0.0, scale)))
+        elif key == "APER" and form != "stop" and len(lines) == count:
+            found.append(("aperture", None, values("", 1.0, scale if form == "EPD" else 1.0)))
+        elif key == "GLSS" and inside:
+            found.append(("material", place - 1, _glasses_of(place, surfaces, lines, count, context)))
+        elif key in ("XFIE", "YFIE") and 1 <= place <= len(points) and kind != 4:
+            axis = 0 if key == "XFIE" else 1
+            for row, value in zip(fields, values("", points[place - 1][axis] / factor, factor), strict=True):
+                row[place - 1][axis] = value
+        elif key == "WAVE" and 1 <= place <= len(context.waves):
+            for row, value in zip(waves, values("", context.waves[place - 1] * 1e3, 1e-3), strict=True):
+                row[place - 1] = value
+        elif key != "SDIA":
+            unused.add(f"{key} {place}")
+    if kind in (2, 3):
+        found.append((("image_heights", "real_image_heights")[kind - 2], None, fields))
+    elif any(row != fields[0] for row in fields):
+        found.append(("fields", None, fields))
+    if any(row != waves[0] for row in waves):
+        found.append(("wavelengths", None, waves))
+    if unused:
+        context.notes.append(f"operands of configurations that are not used: {', '.join(sorted(unused))}")
+    return found
+
+
+def _glasses_of(place: int, surfaces, lines: dict, count: int, context: Context) -> list:
+    """Return the medium behind a surface in each configuration."""
+    found = []
+    for i in range(1, count + 1):
+        rows = list(surfaces)
+        if i in lines:
+            name = lines[i].words[2].strip('"')
+            kept = [line for line in surfaces[place] if line.key != "GLAS"]
+            glass = [Line(lines[i].number, "GLAS", (name,))] if name.upper() not in ("AIR", "") else []
+            rows[place] = kept + glass
+        found.append(_glass(place, rows, context))
+    return found
 
 
 def _named(line: Line, surface_number: int | None = None) -> str:
@@ -685,10 +767,7 @@ def _field_weights(head, count: int) -> list[float] | None:
 def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
     """Return the field points: angles for an object at infinity, heights in millimetres for a near one."""
     kind, far, notes = head["FTYP"].whole() if "FTYP" in head else 0, system.at_infinity, context.notes
-    x, y = (_numbers(head.get(key, head.get(older))) for key, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")))
-    given = pairs(x, y)
-    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(given) if any(pair))])
-    points = given[:count] or [(0.0, 0.0)]
+    points = _listed_points(head, 1.0)
     if kind not in range(5) or (kind == 1 and far and any(map(any, points))):
         raise ValueError(
             f"FTYP must be 0 or 4 (angles), 1 (object heights, object near), 2 or 3 (image heights), got {kind}"
@@ -712,6 +791,14 @@ def _field_points(head, system, context: Context) -> list[tuple[float, float]]:
         aim = "real" if "RAIM" in head and len(head["RAIM"].words) > 1 and head["RAIM"].value(1) else "paraxial"
         return list(fields_of_image_heights(system, points, kind == 3, aim, notes))
     return points
+
+
+def _listed_points(head, scale: float) -> list[tuple[float, float]]:
+    """Return the field points as the file states them."""
+    x, y = (_numbers(head.get(key, head.get(older))) for key, older in (("XFLN", "XFLD"), ("YFLN", "YFLD")))
+    given = pairs(x, y)
+    count = _count(head, 2) or max([1, *(i + 1 for i, pair in enumerate(given) if any(pair))])
+    return [(a * scale, b * scale) for a, b in given[:count]] or [(0.0, 0.0)]
 
 
 def _numbers(line) -> list[float]:
@@ -821,18 +908,21 @@ def _zmx_text(system) -> str:
         raise ValueError("aperture_type NA with an object at infinity has no .zmx form; use the F-number")
     size = system.aperture if system.aperture_type in ("F-number", "NA") else system.aperture * scale
     factor = scale if kind else 1.0
+    fields = system.fields
+    heights = next((entry for entry in system.settings if entry[0].endswith("image_heights")), None)
+    if heights is not None:
+        kind, factor, fields = 3 if heights[0].startswith("real") else 2, scale, heights[2][0]
     makers = {str(getattr(item.material, "name", "")).partition(":") for item in system.surfaces}
     makers = sorted({maker.upper() for maker, colon, _ in makers if colon} | {"SCHOTT"})
     lines = ["VERS 140124 258 36214", "MODE SEQ", f"NAME {' '.join(system.name.split())}", "UNIT MM X W X CM MR CPMM"]
     lines += [f"GCAT {' '.join(makers)}", _APERTURES[system.aperture_type].format(repr(size)).strip()]
+    lines += [f"FTYP {kind} {int(system.telecentric)} {len(fields)} {len(system.wavelengths)} 0 0 {int(system.afocal)}"]
     lines += [
-        f"FTYP {kind} {int(system.telecentric)} {len(system.fields)} {len(system.wavelengths)} 0 0 {int(system.afocal)}"
-    ]
-    lines += [
-        f"{key} " + " ".join(repr(field[axis] * factor) for field in system.fields)
+        f"{key} " + " ".join(repr(field[axis] * factor) for field in fields)
         for axis, key in enumerate(("XFLN", "YFLN"))
     ]
-    count = len(system.fields)
+    lines += ["RAIM 0 2 1 1"] if kind == 3 else []
+    count = len(fields)
     lines += ["FWGN " + " ".join(map(repr, system.field_weights or [1.0] * count))]
     columns = zip(*(system.vignetting_factors or [(0.0,) * 4] * count), strict=True)
     lines += [f"{key} " + " ".join(map(repr, column)) for key, column in zip(FACTORS, columns, strict=True)]
@@ -848,7 +938,44 @@ def _zmx_text(system) -> str:
         lines += _written(number, item, scale, number - 1 == system.stop, system)
     image = system.image or surface()
     lines += [f"SURF {len(rows) + 1}", *_written_form("image", image, scale), "  DISZ 0"]
-    return "\n".join([*lines, *_written_limits("image", image, scale)]) + "\n"
+    lines += _written_limits("image", image, scale)
+    return "\n".join([*lines, *_written_settings(system, scale, factor)]) + "\n"
+
+
+def _written_settings(system, scale: float, factor: float) -> list[str]:
+    """Return the operands of the configurations."""
+    lines = [f"MNUM {len(system.settings[0][2])} 1"] if system.settings else []
+
+    def add(key: str, place: int, values) -> None:
+        lines.extend(f"{key} {place} {i} {value} 0 0 0 1 1 1 0 0" for i, value in enumerate(values, start=1))
+
+    for name, place, values in system.settings:
+        if name in ("thickness", "curvature", "conic"):
+            key, unit = {"thickness": ("THIC", scale), "curvature": ("CRVT", 1 / scale), "conic": ("CONN", 1.0)}[name]
+            add(key, place + 1, (repr(value * unit) for value in values))
+        elif name == "object_distance":
+            add("THIC", 0, (repr(value * scale) if math.isfinite(value) else "1.0E+10" for value in values))
+        elif name == "aperture" and system.aperture_type == "stop":
+            add("SDIA", system.stop + 1, (repr(value * scale / 2) for value in values))
+        elif name == "aperture":
+            add("APER", 0, (repr(value * (scale if system.aperture_type == "EPD" else 1.0)) for value in values))
+        elif name == "material" and all(value == AIR or hasattr(value, "name") for value in values):
+            add("GLSS", place + 1, (value if value == AIR else value.name.rpartition(":")[2] for value in values))
+        elif name.endswith(("fields", "image_heights")) and len({len(points) for points in values}) == 1:
+            columns = [
+                (key, i + 1, [points[i][axis] * factor for points in values])
+                for axis, key in enumerate(("XFIE", "YFIE"))
+                for i in range(len(values[0]))
+            ]
+            for key, i, column in columns:
+                if len(set(column)) > 1:
+                    add(key, i, map(repr, column))
+        elif name == "wavelengths" and all(len(row) == len(system.wavelengths) for row in values):
+            for i in range(len(system.wavelengths)):
+                add("WAVE", i + 1, (repr(row[i] * MICROMETRES[system.unit]) for row in values))
+        else:
+            raise ValueError(f"settings of {name} have no form in the format, or differ in number")
+    return lines
 
 
 def _written_form(name: str, item, scale: float) -> list[str]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from odak.learn.raytracing.system import first_order, read_seq, read_zmx, rms_spot
+from odak.learn.raytracing.system import configurations, first_order, read_seq, read_zmx, rms_spot
 
 FOLDER = Path(__file__).resolve().parents[5] / "shared" / "lenses"
 EXPECTED = json.loads((FOLDER / "expected.json").read_text()) if (FOLDER / "expected.json").is_file() else {}
@@ -86,3 +86,28 @@ def test_a_public_codev_file_has_its_focal_length(name):
     system, _ = read_seq(FOLDER / "codev" / f"{name}.seq")
     with torch.no_grad():
         assert abs(float(first_order(system).focal_length)) == pytest.approx(CODEV[name], rel=1e-8)
+
+
+# Focal lengths and f-numbers of the first and the last zoom position, as the names of the files state them.
+ZOOMS = {
+    "configurations__Canon_FD20-35mm_f3.5L_Aspherical": (20, 35, 3.5, 3.5),
+    "real-height__Canon_EF28-200mm_f3.5-5.6_USM": (28, 200, 3.5, 5.6),
+}
+
+
+@pytest.mark.parametrize("name", sorted(ZOOMS))
+def test_zoom_positions_of_a_public_file_are_those_of_its_name(name):
+    if not KINDS.is_dir():
+        pytest.skip("no folder of public lenses beside the project")
+    system, _ = read_zmx(KINDS / f"{name}.zmx")
+    zoom = configurations(system)
+    with torch.no_grad():
+        found = first_order(system, prescription=zoom.prescription())
+        # Without the fields of the image heights, whose search takes seconds.
+        bare = configurations(system, [entry for entry in system.settings if entry[0] != "real_image_heights"])
+        last = [float(first_order(bare.view(i)).working_f_number) for i in (0, -1)]
+    assert found.focal_length[[0, -1]].tolist() == pytest.approx(ZOOMS[name][:2], rel=0.05)
+    assert last == pytest.approx(ZOOMS[name][2:], rel=0.05)
+    # The image stays in its plane, paraxially, in every position.
+    gap = found.image_distance - zoom.prescription().thickness[:, -1]
+    assert float(gap.abs().max()) < 0.03

@@ -1,0 +1,144 @@
+"""Configurations: zoom positions against closed forms, their gradients, and their way through files."""
+
+import math
+
+import pytest
+import torch
+
+from odak.learn.raytracing.system import (
+    configurations,
+    first_order,
+    load_system,
+    optical_system,
+    read_zmx,
+    rms_spot,
+    surface,
+    system_from_dict,
+    system_to_dict,
+    trace_fields,
+    write_zmx,
+)
+from odak.raytracing.interfaces import IdealLens
+
+FOCAL, GAPS = (60.0, -40.0), (30.0, 38.0, 45.0)
+
+
+def two_lenses(**options):
+    front = surface(phase=IdealLens(FOCAL[0]), thickness=GAPS[0])
+    back = surface(phase=IdealLens(FOCAL[1]), thickness=100.0)
+    return optical_system([front, back], 10.0, fields=[0.0, 2.0], **options)
+
+
+def images():
+    """Return focal lengths of the pair and distances of the image behind it, by Gauss's formulas."""
+    f1, f2 = FOCAL
+    whole = [f1 * f2 / (f1 + f2 - d) for d in GAPS]
+    return whole, [f * (f1 - d) / f1 for f, d in zip(whole, GAPS, strict=True)]
+
+
+def test_zoom_positions_are_those_of_two_ideal_lenses():
+    whole, behind = images()
+    zoom = configurations(two_lenses(), [("thickness", 0, GAPS), ("thickness", 1, behind)])
+    found = first_order(zoom.system, prescription=zoom.prescription())
+    assert found.focal_length.tolist() == pytest.approx(whole, rel=1e-12)
+    # One trace of all positions: each field lands at f·tan of its angle.
+    with torch.no_grad():
+        place = trace_fields(zoom.system, "rings", 2, prescription=zoom.prescription(), vignetting=False)
+        sizes = zoom.each(rms_spot)
+    assert place.y.shape == (3, 1, 2, 19)
+    expected = torch.tensor(whole)[:, None].double() * math.tan(math.radians(2.0))
+    assert torch.allclose(place.y[:, 0, 1], expected.expand(3, 19), rtol=1e-6)
+    assert sizes.shape == (3, 2) and float(sizes.max()) < 1e-5
+
+
+def test_gradients_of_all_positions_at_once():
+    _, behind = images()
+    zoom = configurations(two_lenses(), [("thickness", 0, GAPS), ("thickness", 1, behind)])
+    gaps = zoom.vary("thickness", 0)
+    found = first_order(zoom.system, prescription=zoom.prescription()).focal_length
+    found.sum().backward()
+    f1, f2 = FOCAL
+    assert gaps.grad.tolist() == pytest.approx([f1 * f2 / (f1 + f2 - d) ** 2 for d in GAPS], rel=1e-10)
+    # A number of the system is shared: its gradient is the sum of those of its configurations.
+    lens = load_system("cooke_triplet")
+    focus = configurations(lens, [("thickness", -1, [42.0, 42.3])])
+    bend = lens.vary(curvature=[0])[0]
+    focus.each(rms_spot).sum().backward()
+    parts = []
+    for i in range(2):
+        alone = bend.grad.clone()
+        bend.grad = None
+        rms_spot(focus.view(i)).sum().backward()
+        parts.append(bend.grad.clone())
+        bend.grad = alone
+    assert torch.allclose(bend.grad, sum(parts), rtol=1e-12)
+
+
+def test_a_zoom_is_adjusted_by_its_gradients():
+    """Newton's method on the gaps of three positions at once: focal lengths of 80, 110 and 140 mm."""
+    zoom = configurations(two_lenses(), [("thickness", 0, [40.0, 38.0, 36.0])])
+    gaps, wanted = zoom.vary("thickness", 0), torch.tensor([80.0, 110.0, 140.0], dtype=torch.float64)
+    for _ in range(8):
+        # The power is linear in the gap.
+        miss = 1 / first_order(zoom.system, prescription=zoom.prescription()).focal_length - 1 / wanted
+        (slope,) = torch.autograd.grad(miss.sum(), gaps)
+        with torch.no_grad():
+            gaps -= miss / slope
+    f1, f2 = FOCAL
+    assert gaps.tolist() == pytest.approx([f1 + f2 - f1 * f2 / f for f in wanted.tolist()], abs=1e-9)
+    assert zoom.settings == (("thickness", 0, tuple(gaps.tolist())),)
+
+
+def test_focus_positions_differ_in_object_fields_glasses_and_apertures():
+    lens = load_system("singlet")
+    settings = [
+        ("object_distance", None, [math.inf, 300.0]),
+        ("fields", None, [[0.0, 3.0], [0.0, -15.0]]),
+        ("aperture", None, [10.0, 5.0]),
+        ("material", 0, ["N-BK7", "N-SF6"]),
+    ]
+    views = [configurations(lens, settings).view(i) for i in range(2)]
+    assert [view.at_infinity for view in views] == [True, False]
+    assert views[1].fields == ((0.0, 0.0), (0.0, -15.0)) and views[1].aperture == 5.0
+    apart = load_system("singlet")
+    apart.surfaces[0].material = views[1].surfaces[0].material
+    assert float(first_order(views[1]).focal_length) == float(first_order(apart).focal_length)
+    assert lens.at_infinity and lens.surfaces[0].material is not views[1].surfaces[0].material
+
+
+def test_configurations_travel_in_files(tmp_path):
+    whole, behind = images()
+    settings = [("thickness", 0, GAPS), ("thickness", 1, behind), ("aperture", None, [10.0, 9.0, 8.0])]
+    lens = two_lenses(settings=[*settings, ("fields", None, [[0.0, 2.0], [0.0, 1.5], [0.0, 1.0]])])
+    assert system_from_dict(system_to_dict(lens)).settings == lens.settings
+    write_zmx(lens, tmp_path / "zoom.zmx")
+    again, report = read_zmx(tmp_path / "zoom.zmx")
+    assert sorted(again.settings, key=str) == sorted(lens.settings, key=str) and report.ignored == ()
+    found = configurations(again).each(first_order)
+    assert found.focal_length.tolist() == pytest.approx(whole, rel=1e-12)
+    # Fields by image height are found for each position.
+    text = (tmp_path / "zoom.zmx").read_text().replace("FTYP 0", "FTYP 3").replace("YFIE 2", "MOFF 2")
+    (tmp_path / "zoom.zmx").write_text(text.replace("SURF 0", "PRAM 1 1 2.0 0\nSURF 0"))
+    heights, report = read_zmx(tmp_path / "zoom.zmx")
+    assert any("PRAM" in note for note in report.notes)
+    zoom = configurations(heights)
+    for i, f in enumerate(whole):
+        assert zoom.view(i).fields[1][1] == pytest.approx(math.degrees(math.atan(2.0 / f)), rel=1e-6)
+    write_zmx(heights, tmp_path / "heights.zmx")
+    assert configurations(read_zmx(tmp_path / "heights.zmx")[0]).view(2).fields == zoom.view(2).fields
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ([], "at least one entry"),
+        ([("thickness", 0, [1.0, 2.0]), ("conic", 0, [1.0])], "one value for each configuration"),
+        ([("thickness", 7, [1.0])], "place in settings"),
+        ([("length", 0, [1.0])], "name in settings"),
+        ([("aperture", 0, [1.0])], "place in settings must be None"),
+        ([("index", 0, [-1.0])], "index in settings"),
+    ],
+)
+def test_settings_that_are_none_are_refused(settings, message):
+    with pytest.raises((ValueError, TypeError), match=message):
+        configurations(two_lenses(), settings)
