@@ -303,8 +303,10 @@ def wrapped_mean_squared_error(
     return squared.mean() if reduction == "mean" else squared.sum()
 
 
-def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.0) -> torch.Tensor:
-    """Return the peak signal-to-noise ratio 10·log₁₀(peak²/MSE) in decibels, over all values.
+def psnr(
+    image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.0, reduction: str = "pooled"
+) -> torch.Tensor:
+    """Return the peak signal-to-noise ratio 10·log₁₀(peak²/MSE) in decibels.
 
     Parameters
     ----------
@@ -314,16 +316,20 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
         Image to compare with, of the same shape.
     peak_value : float
         Largest value that the image could have.
+    reduction : {"pooled", "mean", "none"}
+        The ratio of the mean squared error of a whole batch; the mean of the ratios of its images; or one for each.
+        The images of a batch ``[..., C, H, W]`` are its last three axes. Two images of 20 and 40 dB have 23.0 dB
+        pooled, and 30 dB on average.
 
     Returns
     -------
     torch.Tensor
-        Decibels, without axes; infinite for equal images, with a gradient of 0.
+        Decibels, without axes, or ``[...]`` with "none"; infinite for equal images, with a gradient of 0.
 
     Raises
     ------
     ValueError, TypeError
-        If the shapes differ or the peak is not positive.
+        If the shapes differ, the peak is not positive, or the reduction is not known.
 
     Examples
     --------
@@ -337,10 +343,13 @@ def psnr(image: torch.Tensor, ground_truth: torch.Tensor, peak_value: float = 1.
     """
     _same_shape("image", image, "ground_truth", ground_truth)
     _validate.real("peak_value", peak_value, positive=True)
+    reduction = _validate.one_of("reduction", reduction, ("pooled", "mean", "none"))
     image, ground_truth = (value if value.is_floating_point() else value.float() for value in (image, ground_truth))
-    error = (image - ground_truth).square().mean()
+    squared = (image - ground_truth).square()
+    error = squared.mean() if reduction == "pooled" else squared.flatten(max(squared.ndim - 3, 0)).mean(-1)
     equal = error == 0
-    return torch.where(equal, torch.inf, 10 * torch.log10(peak_value**2 / torch.where(equal, 1.0, error)))
+    ratio = torch.where(equal, torch.inf, 10 * torch.log10(peak_value**2 / torch.where(equal, 1.0, error)))
+    return ratio.mean() if reduction == "mean" else ratio
 
 
 def _differences(batch):

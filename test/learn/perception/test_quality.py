@@ -107,6 +107,13 @@ def test_psnr():
     expected = -10 * torch.log10(((one - two) ** 2).mean())
     assert PSNR()(one, two).item() == pytest.approx(expected.item(), rel=1e-12)
     assert PSNR()(one, two, peak_value=10.0).item() == pytest.approx(expected.item() + 20, rel=1e-12)
+    batch, other = pictures(4, 3, 8, 9)
+    each = torch.stack([PSNR()(*pair) for pair in zip(batch, other, strict=True)])
+    torch.testing.assert_close(PSNR()(batch, other, reduction="none"), each)
+    torch.testing.assert_close(PSNR()(batch, other, reduction="mean"), each.mean())
+    torch.testing.assert_close(PSNR()(batch, other), -10 * torch.log10((10 ** (-each / 10)).mean()))
+    assert PSNR()(batch[0, 0], other[0, 0], reduction="none").shape == ()
+    assert PSNR()(batch[:1], batch[:1], reduction="none").tolist() == [float("inf")]
     same = one.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(PSNR()(same, one), same)
     assert not gradient.any()
