@@ -729,9 +729,10 @@ def eyebox(
 @app.command(
     help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss, double_gauss_f28, "
     "triplet_f28, phone_f2), a .json file written by odak, a .zmx file of Zemax or a .seq file of CODE V.\n\n"
-    "Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, footprint, "
-    "polarisation, Seidel coefficients), report.html with all of them, the prescription and the "
-    "aberrations, and report.json with first-order properties, spot sizes and the number of rays that were lost."
+    "Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, "
+    "performance over the field, pupil, footprint, polarisation, Seidel coefficients), report.html with all of them, "
+    "the prescription and the aberrations, and report.json with first-order properties, spot sizes, wavefronts, Strehl "
+    "ratios, modulation and vignetting."
 )
 def trace(
     system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx or .seq file.")],

@@ -13,6 +13,7 @@ from odak.cli.report import finite, versions
 from odak.learn.raytracing.system import (
     FieldQuality,
     distortion,
+    field_modulation,
     field_quality,
     first_order,
     lens_report,
@@ -24,6 +25,7 @@ from odak.learn.raytracing.system import (
     spot_diagram,
     system_to_dict,
 )
+from odak.learn.raytracing.system.drawing import image_aperture, modulation_frequencies
 from odak.learn.raytracing.system.system_files import load_materials
 from odak.raytracing.intersections import RayStatus
 from odak.tools.paths import replacing
@@ -40,6 +42,8 @@ DEFINITIONS = {
     "reference wavelength.",
     "strehl": "Peak of the diffraction image at the reference wavelength over that of the same pupil without "
     "aberrations.",
+    "modulation": "Modulation transfer at the reference wavelength and modulation_frequencies, in cycles per unit of "
+    "length, of gratings along x (tangential) and along y; of fields with more than 2 waves RMS that of the rays.",
     "passed": "Share of the area of the pupil that no aperture blocks.",
     "quadrature": "Rings of the Gaussian quadrature of rms_spot, wavefront_rms, strehl and passed, and the largest "
     "change of these from half as many rings: relative for the first two, absolute for the others.",
@@ -166,7 +170,10 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
     """Return the entries of the report on a system."""
     spots = spot_diagram(system, "rings", rings, aim=aim)
     bent = distortion(system, aim=aim)
-    place = system.reference
+    place, modulation, frequencies = system.reference, None, []
+    if image_aperture(system) and not system.afocal:
+        frequencies = modulation_frequencies(system)
+        modulation = field_modulation(system, frequencies, aim=aim)
     fields = [
         {
             "field": list(field),
@@ -177,6 +184,12 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
             "wavefront_rms": finite(quality.wavefront_rms[i]),
             "strehl": finite(quality.strehl[i]),
             "passed": finite(quality.passed[i]),
+            "modulation": None
+            if modulation is None
+            else {
+                name: [finite(value) for value in row]
+                for name, row in zip(("tangential", "sagittal"), modulation[..., i], strict=True)
+            },
             "statuses": {
                 status.name.lower(): int((spots.status[:, i] == status).sum())
                 for status in RayStatus
@@ -190,6 +203,7 @@ def describe(system, rings: int, aim: str, quality: FieldQuality) -> dict:
         "first_order": {name: finite(value) for name, value in first_order(system)._asdict().items()},
         "rays": {"pattern": "rings", "count": rings, "aim": aim},
         "quadrature": {"rings": quality.count, "change": finite(quality.change)},
+        "modulation_frequencies": frequencies,
         "fields": fields,
         "versions": versions(),
         "definitions": DEFINITIONS,

@@ -495,21 +495,26 @@ class ZernikePhase(Phase):
 
 @dataclass(frozen=True)
 class IdealLens(Phase):
-    """A thin lens without aberrations for distant objects, at all wavelengths: a first-order model of a real lens.
+    """A thin lens without aberrations at one pair of conjugates and all wavelengths: a model of a real lens.
 
     Parameters
     ----------
     focal_length : float or array
         Positive if the lens converges.
+    vergence : float or array
+        One over the distance from the object to the lens, negative for a virtual object behind it; 0 for a distant
+        one. Where it is 0, an optical system takes that of its own object, as first-order optics has it at the lens.
 
     Notes
     -----
-    Rays of slopes (p, q) in front go through (f·p, f·q) in the rear focal plane. The optical path makes all rays of a
-    parallel bundle arrive there in phase. Those of a near point have spherical aberration: h⁴/(4f³) to lowest order for
-    a ray of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
+    Rays of slopes (p, q) in front go through (f·p, f·q) in the rear focal plane, so that each point is imaged to a
+    point. The optical path makes all rays of a point in the object plane arrive at its image in phase. Of a point in
+    another plane it has spherical aberration: that of a lens for distant objects is h⁴/(4f³) to lowest order for a ray
+    of height h from the front focal point. A mirror reverses the direction along z. The lens is flat, in air.
     """
 
     focal_length: Any = 1.0
+    vergence: Any = 0.0
 
     def powers(self, wavelength) -> tuple:
         """Return 1/f twice."""
@@ -524,7 +529,11 @@ class IdealLens(Phase):
         a, b = p - x / f, q - y / f
         length = (1 + a * a + b * b) ** 0.5
         forward = -side if reflects else side
-        # From the lens to the focus of the bundle, along this ray and along the one through the centre.
-        whole, chief = f * length, f * (1 + p * p + q * q) ** 0.5
-        path = n2 * (chief - whole) - n1 * (x * u + y * v)
+        # Slopes of the ray of the same point through the centre; distances s and s' of object and image along both
+        # rays, whose differences s(√A − √B) are s(A − B)/(√A + √B), finite for s = ∞ too.
+        near, far, square = self.vergence, 1 / f - self.vergence, x * x + y * y
+        pc, qc = p - x * near, q - y * near
+        chief = (1 + pc * pc + qc * qc) ** 0.5
+        before = (near * square - 2 * (x * p + y * q)) / (chief + (1 + p * p + q * q) ** 0.5)
+        path = n1 * before + n2 * (2 * (x * pc + y * qc) - far * square) / (chief + length)
         return (a / length, b / length, forward / length), w != 0, path

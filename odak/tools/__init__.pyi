@@ -62,6 +62,7 @@ from .transformation import tilt_towards as tilt_towards
 from .variables import copy_dict_with_keys as copy_dict_with_keys
 from .variables import create_group_tensor as create_group_tensor
 from .variables import validate_positive_parameter as validate_positive_parameter
+from .zernike import fringe_to_nm as fringe_to_nm
 from .zernike import noll_to_nm as noll_to_nm
 from .zernike import osa_to_nm as osa_to_nm
 from .zernike import zernike_norm as zernike_norm

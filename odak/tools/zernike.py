@@ -1,4 +1,4 @@
-"""Zernike polynomials on the unit disc, their norms, and the single indices of Noll and OSA."""
+"""Zernike polynomials on the unit disc, their norms, and their single indices: Noll, OSA, fringe."""
 
 import math
 
@@ -173,3 +173,35 @@ def osa_to_nm(j: int) -> tuple[int, int]:
     j = _validate.integer("j", j)
     n = (math.isqrt(8 * j + 1) - 1) // 2
     return n, 2 * j - n * (n + 2)
+
+
+def fringe_to_nm(j: int) -> tuple[int, int]:
+    """Return (n, m) of the fringe index j = 1, 2, … 37 (1 piston, 2 and 3 tilts, 4 defocus, 5 and 6 astigmatism).
+
+    Parameters
+    ----------
+    j : int
+        Index of the University of Arizona, 1 to 37: by n + |m|, then by falling |m|, cosines first. The 37th is the
+        spherical term n = 12, out of order.
+
+    Returns
+    -------
+    tuple of int
+        Radial order n and azimuthal frequency m (Wyant and Creath, Applied Optics and Optical Engineering XI (1992),
+        table 3). The polynomials of this set have no norm factor: they are 1 at the rim.
+
+    Examples
+    --------
+    >>> from odak.tools import fringe_to_nm
+    >>> [fringe_to_nm(j) for j in (1, 2, 4, 7, 9, 16, 37)]
+    [(0, 0), (1, 1), (2, 0), (3, 1), (4, 0), (6, 0), (12, 0)]
+    """
+    j = _validate.integer("j", j, minimum=1)
+    if j > 37:
+        raise ValueError(f"j must be an index of the fringe set, 1 to 37, got {j}")
+    if j == 37:
+        return 12, 0
+    half = math.isqrt(j - 1)
+    place = j - half * half - 1
+    m = half - place // 2
+    return 2 * half - m, -m if place % 2 else m

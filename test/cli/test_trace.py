@@ -45,6 +45,8 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
         assert all(f"<td>{scale * value:.6g}</td>" in page for value in found), key
     for field in report["fields"]:
         assert f"<td>{field['strehl']:.6g}</td>" in page
+        for way in ("tangential", "sagittal"):
+            assert all(f"<td>{value:.6g}</td>" in page for value in field["modulation"][way])
     assert report["quadrature"]["change"] < (0.03 if name == "double_gauss" else 1e-3)
     assert report["first_order"]["f_number"] == pytest.approx(
         {
@@ -68,7 +70,7 @@ def test_a_sample_is_traced_drawn_and_reported(name, tmp_path, capsys):
         "transfer",
         "through_focus",
         "wavefront",
-        *(["field", "image"] if several else []),
+        *(["field", "image", "performance", "pupil"] if several else []),
     )
     kinds = (*kinds, "footprint", "polarisation", "seidel")
     assert report["figures"] == [f"{kind}.png" for kind in kinds]

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import odak
-from odak.tools import noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
+from odak.tools import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
 # Born and Wolf 1999, table 9.1, as functions of x = ρ·cosθ and y = ρ·sinθ.
 KNOWN = {
@@ -69,6 +69,12 @@ def test_orthonormal_over_the_disc():
 
 def test_single_indices_follow_their_tables():
     assert [noll_to_nm(j) for j in range(1, 14)] == NOLL
+    # Wyant and Creath (1992), table 3: coma 7 and 8, spherical 9, trefoil 10 and 11, and so on.
+    fringe = [(0, 0), (1, 1), (1, -1), (2, 0), (2, 2), (2, -2), (3, 1), (3, -1), (4, 0), (3, 3), (3, -3), (4, 2)]
+    assert [fringe_to_nm(j) for j in range(1, 13)] == fringe and fringe_to_nm(25) == (8, 0)
+    pairs = [(n, m) for n in range(11) for m in range(-n, n + 1, 2) if n + abs(m) <= 10]
+    pairs.sort(key=lambda pair: (pair[0] + abs(pair[1]), -abs(pair[1]), pair[1] < 0))
+    assert [fringe_to_nm(j) for j in range(1, 38)] == [*pairs, (12, 0)]
     assert [osa_to_nm(j) for j in range(6)] == [(0, 0), (1, -1), (1, 1), (2, -2), (2, 0), (2, 2)]
 
 

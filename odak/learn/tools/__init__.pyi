@@ -10,6 +10,7 @@ from .function import compose_bspline_2d as compose_bspline_2d
 from .function import decompose_bspline_2d as decompose_bspline_2d
 from .function import decompose_wavelet_like as decompose_wavelet_like
 from .function import evaluate_3d_gaussians as evaluate_3d_gaussians
+from .function import fringe_to_nm as fringe_to_nm
 from .function import generate_bspline_basis_2d as generate_bspline_basis_2d
 from .function import noll_to_nm as noll_to_nm
 from .function import osa_to_nm as osa_to_nm

@@ -10,7 +10,7 @@ import torch
 from odak import _array, _validate
 from odak.learn._tensors import checked_device, checked_dtype, kind_of
 from odak.tools.transformation import apply_matrix, rotation_matrix
-from odak.tools.zernike import noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
+from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
 __all__ = [
     "SeparableBasis",
@@ -18,6 +18,7 @@ __all__ = [
     "decompose_bspline_2d",
     "decompose_wavelet_like",
     "evaluate_3d_gaussians",
+    "fringe_to_nm",
     "generate_bspline_basis_2d",
     "noll_to_nm",
     "osa_to_nm",

@@ -1,4 +1,5 @@
 from .analysis import Footprint as Footprint
+from .analysis import Incidence as Incidence
 from .analysis import QFit as QFit
 from .analysis import Spots as Spots
 from .analysis import Wavefront as Wavefront
@@ -8,8 +9,10 @@ from .analysis import distortion_grid as distortion_grid
 from .analysis import encircled_energy as encircled_energy
 from .analysis import field_curvature as field_curvature
 from .analysis import footprint as footprint
+from .analysis import incidence_angles as incidence_angles
 from .analysis import lateral_color as lateral_color
 from .analysis import path_fan as path_fan
+from .analysis import pupil_aberration as pupil_aberration
 from .analysis import q_fit as q_fit
 from .analysis import ray_fan as ray_fan
 from .analysis import rms_spot as rms_spot
@@ -35,7 +38,9 @@ from .drawing import footprint_figure as footprint_figure
 from .drawing import image_figure as image_figure
 from .drawing import layout_figure as layout_figure
 from .drawing import lens_report as lens_report
+from .drawing import performance_figure as performance_figure
 from .drawing import polarisation_figure as polarisation_figure
+from .drawing import pupil_figure as pupil_figure
 from .drawing import report_figures as report_figures
 from .drawing import seidel_figure as seidel_figure
 from .drawing import spots_figure as spots_figure
@@ -67,9 +72,11 @@ from .optimise import levenberg_marquardt as levenberg_marquardt
 from .optimise import sensitivity as sensitivity
 from .optimise import tolerance as tolerance
 from .paraxial import FirstOrder as FirstOrder
+from .paraxial import ParaxialRays as ParaxialRays
 from .paraxial import ThirdOrder as ThirdOrder
 from .paraxial import first_order as first_order
 from .paraxial import ghost_system as ghost_system
+from .paraxial import paraxial_rays as paraxial_rays
 from .paraxial import seidel_sums as seidel_sums
 from .polarisation import PolarizedRays as PolarizedRays
 from .polarisation import polarized_point_spread_function as polarized_point_spread_function
@@ -79,6 +86,7 @@ from .pupils import launch as launch
 from .pupils import pupil_quadrature as pupil_quadrature
 from .pupils import pupil_samples as pupil_samples
 from .pupils import trace_fields as trace_fields
+from .pupils import vignetting_factors as vignetting_factors
 from .surfaces import Coating as Coating
 from .surfaces import Prescription as Prescription
 from .surfaces import coordinate_break as coordinate_break
@@ -100,6 +108,7 @@ from .waves import FieldQuality as FieldQuality
 from .waves import Spread as Spread
 from .waves import airy_pattern as airy_pattern
 from .waves import exit_field as exit_field
+from .waves import field_modulation as field_modulation
 from .waves import field_quality as field_quality
 from .waves import huygens_point_spread_function as huygens_point_spread_function
 from .waves import modulation_at as modulation_at

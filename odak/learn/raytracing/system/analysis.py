@@ -1,7 +1,7 @@
 """Geometric and wavefront analysis: spots, ray fans, distortion, field curvature, optical path differences."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,24 +9,32 @@ import torch
 
 from odak import _validate
 from odak.learn.raytracing.system.paraxial import check_media, entrance_pupil, first_order, matrix, signed_indices
-from odak.learn.raytracing.system.pupils import field_points, launch, pupil_of, trace_fields, weights_of
+from odak.learn.raytracing.system.pupils import at_stop, field_points, launch, pupil_of, trace_fields, weights_of
+from odak.learn.raytracing.system.sequence import Passage, flat_arguments, plain_trace
 from odak.learn.raytracing.system.surfaces import (
     Prescription,
     checked_prescription,
     checked_system,
     checked_weights,
     is_break,
+    layout_of,
     reference_of,
     wavelength_shares,
     wavelengths_of,
 )
-from odak.learn.raytracing.system.tracing import in_surface_frame, trace
+from odak.learn.raytracing.system.tracing import in_surface_frame, spread_rays, trace
 from odak.raytracing.geometry import safe_sqrt
-from odak.tools.zernike import noll_to_nm, zernike_norm, zernike_polynomial
+from odak.tools.zernike import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm, zernike_polynomial
 
 REFERENCES = ("centroid", "chief")
 CENTRE = torch.zeros(1, 2, dtype=torch.float64)
 FAR = 1e8
+# Single indices of Zernike polynomials, and their first one.
+ORDERS: dict[str, tuple[Callable[[int], tuple[int, int]], int]] = {
+    "noll": (noll_to_nm, 1),
+    "osa": (osa_to_nm, 0),
+    "fringe": (fringe_to_nm, 1),
+}
 
 
 class Spots(NamedTuple):
@@ -428,6 +436,131 @@ def footprint(
     return Footprint(x, y, found.status)
 
 
+def pupil_aberration(
+    system: Any, axis: str = "y", count: int = 21, *, prescription: Prescription | None = None, fields: Any = None
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return how far from their paraxial places rays through the paraxial entrance pupil meet the stop.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    axis : str
+        "y" or "x", the diameter of the pupil.
+    count : int
+        Number of rays; odd.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+    fields : sequence or torch.Tensor, optional
+        Field points in place of the system's.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Pupil coordinates ``[count]``, −1 … 1, and distances along the axis in radii of the stop at the reference
+        wavelength, ``[..., F, count]``; NaN for rays that do not reach it. Where they are large, aim "real" changes the
+        results.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, pupil_aberration
+    >>> pupil, error = pupil_aberration(load_system("cooke_triplet"), count=5)
+    >>> float(error[0, 2].abs()) < 1e-12
+    True
+    """
+    axis = _validate.one_of("axis", axis, ("x", "y"))
+    if _validate.integer("count", count, minimum=3) % 2 == 0:
+        raise ValueError(f"count must be odd, got {count}")
+    given = checked_prescription(prescription)
+    numbers = (checked_system(system).prescription() if given is None else given).at(system.reference)
+    rays = launch(system, axis, count, prescription=numbers, fields=fields)
+    x, y, kept = at_stop(system, numbers, rays)
+    radius = entrance_pupil(system, prescription=numbers).stop_radius[..., None, None]
+    line = torch.linspace(-1, 1, count, dtype=torch.float64, device=x.device)
+    place = (x if axis == "x" else y)[..., 0, :, :] / radius
+    # Behind an intermediate image the stop is upside down.
+    turned = torch.sign((torch.where(kept[..., 0, :, :], place, 0.0) * line).sum(-1, keepdim=True)).detach()
+    return line, torch.where(kept[..., 0, :, :], turned * place - line, torch.nan)
+
+
+class Incidence(NamedTuple):
+    """Angles between rays and the normals of the surfaces, the image included.
+
+    Attributes
+    ----------
+    x, y : torch.Tensor
+        Where the rays meet each surface, in its own frame, ``[..., S, W, F, P]``; NaN for lost rays.
+    angle : torch.Tensor
+        Angle of incidence in degrees, ``[..., S, W, F, P]``.
+    places : tuple of int
+        Numbers of the surfaces: coordinate breaks are left out.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import Incidence, incidence_angles, load_system
+    >>> isinstance(incidence_angles(load_system("singlet"), count=3), Incidence)
+    True
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    angle: torch.Tensor
+    places: tuple[int, ...]
+
+
+def incidence_angles(
+    system: Any, pupil: Any = "y", count: int = 21, *, prescription: Prescription | None = None, **options: Any
+) -> Incidence:
+    """Return where rays meet each surface and at what angle of incidence.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    pupil : str or torch.Tensor
+        Pattern of :func:`pupil_samples`, or points ``[P, 2]`` in units of the pupil's radius.
+    count : int
+        Count of :func:`pupil_samples`.
+    prescription : Prescription, optional
+        Numbers in place of the system's own.
+    **options
+        Of :func:`launch` (`fields`, `aim`) and :func:`trace` (`vignetting`).
+
+    Returns
+    -------
+    Incidence
+        Differentiable; at a mirror and in a graded medium too.
+
+    Examples
+    --------
+    The last surface of a hemisphere is met along its normals by rays through its centre:
+
+    >>> from odak.learn.raytracing.system import incidence_angles, optical_system, surface
+    >>> rows = [surface(thickness=10.0, material=1.5), surface(-10.0, thickness=20.0)]
+    >>> lens = optical_system(rows, 0.2, "NA", object_distance=1e-9, fields=[0.0])
+    >>> bool(incidence_angles(lens, count=5).angle[1].max() < 1e-6)
+    True
+    """
+    checked_system(system), checked_prescription(prescription)
+    numbers = system.prescription() if prescription is None else prescription
+    vignetting = _validate.flag("vignetting", options.pop("vignetting", True))
+    rays = launch(system, pupil, count, prescription=prescription, **options)
+    layout = layout_of(system.surfaces, numbers, system.image, vignetting)
+    flat, shape = spread_rays(rays, numbers)
+    passages: list[Passage] = []
+    plain_trace(layout, *flat, *flat_arguments(layout, numbers.numbers(system.image))[0], record=passages.append)
+    passages = [item for item in passages if item.action not in ("break", "bend")]
+    held: list[list[torch.Tensor]] = [[], [], []]
+    for item in passages:
+        way, normal = (torch.stack(torch.broadcast_tensors(*v), -1) for v in (item.incoming, item.normal))
+        across = torch.linalg.cross(way, normal.expand_as(way)).square().sum(-1)
+        angle = torch.rad2deg(torch.atan2(safe_sqrt(across), (way * normal).sum(-1).abs()))
+        for values, value in zip(held, (*item.point[:2], angle), strict=True):
+            values.append(torch.where(item.status == 0, value, torch.nan).reshape(shape))
+    x, y, angle = (torch.stack(values, -4) for values in held)
+    return Incidence(x, y, angle, tuple(item.place for item in passages))
+
+
 def through_focus(system: Any, shifts: Any, pupil: Any = "rings", count: int = 6, **options: Any) -> torch.Tensor:
     """Return the root mean square size of the spots in planes before and behind the image plane.
 
@@ -675,7 +808,8 @@ class Wavefront(NamedTuple):
     ----------
     path : torch.Tensor
         Optical path to the reference sphere less that of the chief ray, in wavelengths, ``[..., W, F, P]``; NaN where
-        a ray is lost. Positive where the wave lags.
+        a ray is lost. Positive where the wave lags: where the path from the object to the reference sphere is longer
+        than that of the chief ray. Where a program states the path of the chief ray less that of a ray, signs differ.
     rms : torch.Tensor
         Its standard deviation over the area of the pupil where the rays have weights, over the rays where they have
         none, ``[..., W, F]``.
@@ -814,7 +948,7 @@ def _to_sphere(system, traced, prescription):
     return -along - side * rest / ((rest + radius * radius).sqrt() + radius)
 
 
-def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.Tensor]:
+def zernike_fit(found: Wavefront, terms: int = 15, order: str = "noll") -> tuple[torch.Tensor, torch.Tensor]:
     """Return the Zernike polynomials of a wavefront, by least squares over its rays.
 
     Parameters
@@ -822,13 +956,16 @@ def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.
     found : Wavefront
         From :func:`wavefront`.
     terms : int
-        Number of polynomials, in Noll's order from j = 1 (piston).
+        Number of polynomials from the first (piston).
+    order : str
+        Which: "noll", the standard polynomials of OpticStudio, and "osa", of the ANSI Z80.28 standard, each with a root
+        mean square of 1 over the disc; "fringe", at most 37, each 1 at the rim.
 
     Returns
     -------
     tuple of torch.Tensor
-        Coefficients ``[..., W, F, terms]`` in wavelengths, each polynomial having a root mean square of 1 over the
-        disc, and the root mean square of what they leave, ``[..., W, F]``.
+        Coefficients ``[..., W, F, terms]`` in wavelengths, and the root mean square of what the polynomials leave,
+        ``[..., W, F]``. Angles count from the x axis of the pupil towards y.
 
     Raises
     ------
@@ -849,10 +986,12 @@ def zernike_fit(found: Wavefront, terms: int = 15) -> tuple[torch.Tensor, torch.
     radius, angle = _polar(found.pupil)
     if radius.shape[-1] < terms:
         raise ValueError(f"terms must be at most the number of rays, {radius.shape[-1]}, got {terms}")
-    modes = [noll_to_nm(j) for j in range(1, terms + 1)]
-    return _fitted(
-        found, torch.stack([zernike_norm(*mode) * zernike_polynomial(*mode, radius, angle) for mode in modes], -1)
-    )
+    order = _validate.one_of("order", order, tuple(ORDERS))
+    index, first = ORDERS[order]
+    modes = [index(j) for j in range(first, first + terms)]
+    norms = [1.0 if order == "fringe" else zernike_norm(*mode) for mode in modes]
+    values = [norm * zernike_polynomial(*mode, radius, angle) for mode, norm in zip(modes, norms, strict=True)]
+    return _fitted(found, torch.stack(values, -1))
 
 
 class QFit(NamedTuple):

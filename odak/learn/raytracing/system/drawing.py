@@ -29,23 +29,34 @@ from odak.learn.raytracing.system.analysis import (
     encircled_energy,
     field_curvature,
     footprint,
+    incidence_angles,
     lateral_color,
     paraxial_points,
     path_fan,
+    pupil_aberration,
     ray_fan,
     spot_diagram,
     through_focus,
     wavefront,
 )
 from odak.learn.raytracing.system.optimise import Sensitivity, ToleranceResult
-from odak.learn.raytracing.system.paraxial import first_order, seidel_sums
+from odak.learn.raytracing.system.paraxial import first_order, paraxial_rays, seidel_sums
 from odak.learn.raytracing.system.polarisation import polarized_trace
-from odak.learn.raytracing.system.pupils import AIMS, launch, pupil_samples, trace_fields
+from odak.learn.raytracing.system.pupils import (
+    AIMS,
+    launch,
+    pupil_quadrature,
+    pupil_samples,
+    trace_fields,
+    vignetting_factors,
+)
 from odak.learn.raytracing.system.surfaces import checked_system, drawn_radii, is_break, is_glass
 from odak.learn.raytracing.system.system_files import system_to_dict
 from odak.learn.raytracing.system.tracing import curved_paths, ray_paths
 from odak.learn.raytracing.system.waves import (
+    LARGE,
     FieldQuality,
+    field_modulation,
     field_quality,
     modulation_transfer_function,
     point_spread_function,
@@ -550,10 +561,6 @@ def _picture(figure: Figure) -> Image.Image:
     return Image.open(stream).convert("RGB")
 
 
-# Wavefronts with a larger root mean square than this many waves have no diffraction image that is worth drawing.
-LARGE = 2.0
-
-
 def _panels(rows: int, columns: int, size: tuple[float, float], **options: Any) -> tuple[Figure, np.ndarray]:
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
@@ -804,6 +811,148 @@ def image_figure(system: Any, points: int = 11, aim: str = "paraxial") -> Figure
     return figure
 
 
+def modulation_frequencies(system: Any) -> list[float]:
+    """Return an eighth and a quarter of the limit of diffraction in cycles per unit of length, of one digit each."""
+    cutoff = 2 * image_aperture(system) / system.wavelengths[system.reference]
+    return [float(f"{share * cutoff:.1g}") for share in (0.125, 0.25)]
+
+
+@torch.no_grad()
+def performance_figure(system: Any, points: int = 11, frequencies: Any = None, aim: str = "paraxial") -> Figure:
+    """Return spots, wavefronts, modulation and vignetting over the field along y.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, with a field off the axis.
+    points : int
+        Number of field points.
+    frequencies : sequence of float, optional
+        Of the modulation in cycles per unit of length; an eighth and a quarter of the limit of diffraction by default.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three panels: root mean square of the spot (full) and of the wavefront at the reference wavelength (dashed,
+        right axis); modulation (full tangential, dashed sagittal), left out without a focus; vignetting factors VCX
+        and VCY.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, performance_figure
+    >>> [axes.get_ylabel() for axes in performance_figure(load_system("cooke_triplet"), 3).axes]
+    ['RMS spot (µm)', 'modulation', 'vignetting factor', 'RMS wavefront (λ)']
+    """
+    checked_system(system)
+    points, aim = _validate.integer("points", points, minimum=2), _validate.one_of("aim", aim, AIMS)
+    largest = max(math.hypot(*field) for field in system.fields)
+    if not largest:
+        raise ValueError("system must have a field off the axis")
+    heights = torch.linspace(0, largest, points, dtype=torch.float64)
+    fields = torch.stack([0 * heights, heights], -1)
+    focus = bool(image_aperture(system)) and not system.afocal
+    numbers = system.prescription().at(system.reference)
+    samples = pupil_quadrature(system, 16, fields=fields, aim=aim)
+    spots = spot_diagram(system, samples, fields=fields, aim=aim).rms
+    waves = wavefront(system, samples, fields=fields, aim=aim, prescription=numbers).rms[0]
+    figure, panels = _panels(1, 2 + focus, (3.6 * (2 + focus), 3.4))
+    first, last = panels[0, 0], panels[0, -1]
+    first.plot(heights, spots.cpu() * MICROMETRES[system.unit], color=color_of(0))
+    first.set_ylabel(f"RMS spot ({image_unit(system)})", color=color_of(0))
+    second = first.twinx()
+    second.plot(heights, waves.cpu(), color=color_of(2), ls="--")
+    second.set_ylabel("RMS wavefront (λ)", color=color_of(2))
+    if focus:
+        middle = panels[0, 1]
+        frequencies = modulation_frequencies(system) if frequencies is None else frequencies
+        found = field_modulation(system, frequencies, fields, aim=aim, samples=32).cpu()
+        for i, frequency in enumerate(torch.as_tensor(frequencies).tolist()):
+            label = f"{frequency * 1e3 / MICROMETRES[system.unit]:.3g} cycles/mm"
+            middle.plot(heights, found[0, i], color=color_of(i), label=label)
+            middle.plot(heights, found[1, i], color=color_of(i), ls="--")
+        middle.set(ylim=(0, 1), ylabel="modulation")
+        middle.legend(fontsize=8, frameon=False)
+    factors = vignetting_factors(system, fields, aim=aim).cpu()
+    for column, name, style in ((3, "VCY", "-"), (2, "VCX", "--")):
+        last.plot(heights, factors[:, column], style, color=INK, label=name)
+    last.set(ylabel="vignetting factor", ylim=(min(0.0, float(factors[:, 2:].nan_to_num().min())), 1))
+    last.legend(fontsize=8, frameon=False)
+    for axes in (first, second):
+        axes.set_ylim(0, None)
+    for axes in panels[0]:
+        axes.set_xlabel("field (°)" if system.at_infinity else f"object height ({unit_of(system)})", fontsize=9)
+    return figure
+
+
+@torch.no_grad()
+def pupil_figure(system: Any, place: int | None = None, aim: str = "paraxial") -> Figure:
+    """Return the y–ȳ diagram, the aberration of the pupil and the angles of incidence at a surface.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, with a field off the axis.
+    place : int, optional
+        Number of the surface; by default the one with the largest angle of incidence.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims for the angles of incidence.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Three panels: heights of the marginal over those of the chief ray at the surfaces, the image an open point;
+        deviations at the stop along y in percent of its radius; angles of incidence over the height on the surface.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, pupil_figure
+    >>> [axes.get_title() for axes in pupil_figure(load_system("cooke_triplet")).axes]
+    ['y–ȳ diagram', 'aberration of the pupil', 'incidence at surface 4']
+    """
+    checked_system(system)
+    aim = _validate.one_of("aim", aim, AIMS)
+    if not any(any(field) for field in system.fields):
+        raise ValueError("system must have a field off the axis")
+    figure, panels = _panels(1, 3, (10.8, 3.6))
+    first, second, third = panels[0]
+    rays = paraxial_rays(system)
+    shown = [i for i, item in enumerate(system.surfaces) if not is_break(item)]
+    chief, marginal = (value.cpu().numpy() for value in (rays.chief_height, rays.marginal_height))
+    first.plot(chief, marginal, color=color_of(0), lw=1)
+    first.plot(chief[shown], marginal[shown], ".", color=INK)
+    first.plot(chief[-1:], marginal[-1:], "o", mfc="white", color=INK)
+    for i in shown:
+        first.annotate(str(i), (chief[i], marginal[i]), (4, 3), textcoords="offset points", fontsize=7)
+    first.set(xlabel=f"chief ray ({unit_of(system)})", ylabel=f"marginal ray ({unit_of(system)})")
+    first.set_title("y–ȳ diagram", fontsize=9)
+    pupil, error = (value.cpu() for value in pupil_aberration(system))
+    numbers = system.prescription().at(system.reference)
+    found = incidence_angles(system, "y", 41, prescription=numbers, aim=aim)
+    if place is None:
+        own = [
+            k for k, i in enumerate(found.places) if i < len(system.surfaces) and system.surfaces[i].own_phase is None
+        ]
+        column = max(own or [0], key=lambda k: float(found.angle[k].nan_to_num().max()))
+    else:
+        place = _validate.place_in("place", place, len(system.surfaces))
+        if place not in found.places:
+            raise ValueError(f"place must be a surface, got the coordinate break {place}")
+        column = found.places.index(place)
+    for i in range(len(system.fields)):
+        second.plot(pupil, 100 * error[i], color=color_of(i), lw=1.2, label=field_label(system, i))
+        height, angle = (value[column, 0, i].cpu() for value in (found.y, found.angle))
+        third.plot(height, angle, color=color_of(i), lw=1.2)
+    second.axhline(0, color=FAINT, lw=0.6)
+    second.set(xlabel="pupil y", ylabel="deviation at the stop (%)")
+    second.set_title("aberration of the pupil", fontsize=9)
+    second.legend(fontsize=8, frameon=False, title="field", title_fontsize=8)
+    third.set(xlabel=f"y on the surface ({unit_of(system)})", ylabel="angle of incidence (°)", ylim=(0, None))
+    third.set_title(f"incidence at surface {found.places[column]}", fontsize=9)
+    return figure
+
+
 @torch.no_grad()
 def footprint_figure(system: Any, places: Any = None, aim: str = "paraxial") -> Figure:
     """Return where the rays of each field meet surfaces, at the reference wavelength, with the rims of the surfaces.
@@ -1051,6 +1200,10 @@ def report_figures(system: Any, aim: str = "paraxial", quality: FieldQuality | N
     if any(any(field) for field in system.fields):
         found["field"] = field_figure(system)
         found["image"] = image_figure(system, aim=aim)
+        found["performance"] = performance_figure(system, aim=aim)
+        with suppress(ValueError):
+            # Graded media between folds have no first order.
+            found["pupil"] = pupil_figure(system, aim=aim)
     found["footprint"] = footprint_figure(system, aim=aim)
     found["polarisation"] = polarisation_figure(system, aim=aim)
     with suppress(ValueError):
@@ -1102,6 +1255,8 @@ def lens_report(
         "wavefront": "Wavefront and diffraction image",
         "field": "Field curvature, distortion, lateral colour",
         "image": "Distortion grid, illumination, axial colour",
+        "performance": "Spot, wavefront, modulation and vignetting over the field",
+        "pupil": "y–ȳ diagram, aberration of the pupil, angles of incidence",
         "footprint": "Footprints",
         "polarisation": "Diattenuation and retardance",
         "seidel": "Seidel coefficients by surface",
@@ -1198,6 +1353,12 @@ def _numbers_of(system, aim: str, quality: FieldQuality) -> list[str]:
     parts += ["<h2>Fields</h2>", _table(head, rows)]
     stated = f"Means over the area of the pupil by Gaussian quadrature with {quality.count} rings"
     parts += [f"<p>{stated}; with half as many they differ by at most {quality.change:.1g}.</p>"]
+    if image_aperture(system) and not system.afocal:
+        frequencies = modulation_frequencies(system)
+        found = field_modulation(system, frequencies, aim=aim)
+        names = [f"{f * 1e3 / scale:.3g} cycles/mm {way}" for f in frequencies for way in ("T", "S")]
+        rows = [(field_label(system, i), *found[:, :, i].T.flatten()) for i in range(len(system.fields))]
+        parts += ["<h2>Modulation at the reference wavelength</h2>", _table(("field", *names), rows)]
     try:
         sums = seidel_sums(system)
     except ValueError:

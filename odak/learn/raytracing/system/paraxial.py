@@ -27,7 +27,8 @@ class FirstOrder(NamedTuple):
     Attributes
     ----------
     focal_length : torch.Tensor
-        1/power; positive if the system converges light.
+        1/power; positive if the system converges light, mirrors included. Programs that state f′ = n′·(1/power) with
+        n′ = −1 after an odd number of mirrors have a negative one for a concave mirror.
     back_focal_distance, front_focal_distance : torch.Tensor
         From the last vertex to the rear focal point, from the first vertex to the front one (negative in front).
     rear_principal_plane, front_principal_plane : torch.Tensor
@@ -164,6 +165,77 @@ def first_order(system: Any, wavelength: float | None = None, prescription: Pres
         working_f_number=1 / (2 * slope.abs()),
         numerical_aperture=numerical,
     )
+
+
+class ParaxialRays(NamedTuple):
+    """Marginal and chief ray of first-order optics; the axis S + 1 counts surfaces, the image last.
+
+    Attributes
+    ----------
+    marginal_height, chief_height : torch.Tensor
+        At the surfaces, ``[..., S + 1]``.
+    marginal_slope, chief_slope : torch.Tensor
+        In front of them, dy/dz.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import ParaxialRays, load_system, paraxial_rays
+    >>> isinstance(paraxial_rays(load_system("singlet")), ParaxialRays)
+    True
+    """
+
+    marginal_height: torch.Tensor
+    marginal_slope: torch.Tensor
+    chief_height: torch.Tensor
+    chief_slope: torch.Tensor
+
+
+def paraxial_rays(system: Any, field: Any = None, prescription: Prescription | None = None) -> ParaxialRays:
+    """Return the paraxial marginal and chief ray at the reference wavelength: the axes of a y–ȳ diagram.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    field : float, optional
+        Field angle in degrees, or object height for a near object; by default the largest of the system's.
+    prescription : Prescription, optional
+        Numbers in place of the system's own, a batch of systems perhaps.
+
+    Returns
+    -------
+    ParaxialRays
+        float64, differentiable. The chief ray vanishes at the stop, the marginal ray at the paraxial image.
+
+    Notes
+    -----
+    E. Delano, Appl. Opt. 2, 1251 (1963). n(ȳ′y − y′ȳ) is the same in all spaces.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, paraxial_rays
+    >>> lens = load_system("cooke_triplet")
+    >>> abs(float(paraxial_rays(lens).chief_height[lens.stop])) < 1e-9
+    True
+    """
+    checked_system(system), checked_prescription(prescription)
+    p = _at_one_wavelength(system, None, prescription)
+    check_media(system, p)
+    index, pupil = signed_indices(system, p), entrance_pupil(system, prescription=p)
+    size = max(math.hypot(*point) for point in system.fields) if field is None else _validate.constant("field", field)
+    if system.at_infinity:
+        slope = math.tan(math.radians(size)) + 0 * pupil.distance
+        starts = (pupil.radius, 0 * pupil.radius), (-pupil.distance * slope, slope)
+    else:
+        slope = -size * pupil.bend
+        starts = (system.object_distance * pupil.reach, pupil.reach), (size + system.object_distance * slope, slope)
+    found: list[list[torch.Tensor]] = [[], [], [], []]
+    for i in range(len(system.surfaces) + 1):
+        whole = matrix(p, index, 0, i, gap=True)
+        for k, (y, u) in enumerate(starts):
+            found[2 * k].append(whole.a * y + whole.b * index[..., 0] * u)
+            found[2 * k + 1].append((whole.c * y + whole.d * index[..., 0] * u) / index[..., i])
+    return ParaxialRays(*(torch.stack(torch.broadcast_tensors(*values), -1) for values in found))
 
 
 class EntrancePupil(NamedTuple):

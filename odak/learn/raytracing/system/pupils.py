@@ -1,7 +1,7 @@
 """Rays from field points through points of a pupil: pupil patterns, paraxial and real aiming."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -292,6 +292,67 @@ def launch(
     return rays if dtype == torch.float64 else Rays(*(value.to(dtype) for value in rays))
 
 
+@torch.no_grad()
+def vignetting_factors(system: Any, fields: Any = None, *, aim: str = "paraxial") -> torch.Tensor:
+    """Return the vignetting factors of field points, as the apertures of a system have them.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system, whose own factors have no effect.
+    fields : sequence or torch.Tensor, optional
+        Field points in place of the system's.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+
+    Returns
+    -------
+    torch.Tensor
+        (VDX, VDY, VCX, VCY) of each field, ``[F, 4]``: the pupil of radius 1 is (VDX, VDY) off the axis and as much
+        smaller as (1 − VCX, 1 − VCY), as :class:`optical_system` takes them. NaN where no ray passes along the y axis
+        of the pupil.
+
+    Notes
+    -----
+    The clear part of the y axis of the pupil at the reference wavelength gives VDY and VCY; the clear part of the line
+    through its middle along x gives the other two.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import load_system, vignetting_factors
+    >>> vignetting_factors(load_system("cooke_triplet"))[0].abs().max() < 1e-3
+    tensor(True)
+    """
+    numbers = checked_system(system).prescription().at(system.reference)
+    aim, device = _validate.one_of("aim", aim, AIMS), numbers.thickness.device
+    chosen = field_points(system, fields).to(device)[:, None]
+
+    def clear(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        rays = through_pupil(system, torch.stack(torch.broadcast_tensors(x, y), -1), chosen, numbers, aim)
+        return trace(system, rays, prescription=numbers).arrived[0]
+
+    def ends(clear_at: Callable) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the outermost clear places of a line, ``[F, 1]`` each."""
+        line = torch.linspace(-1, 1, 2 * STEPS + 1, dtype=torch.float64, device=device)
+        flags = clear_at(line.expand(len(chosen), -1))
+        found = []
+        for side in (1, -1):
+            first = (flags if side > 0 else flags.flip(-1)).to(torch.uint8).argmax(-1, keepdim=True)
+            low = line[first] if side > 0 else line.flip(0)[first]
+            beyond = (low - side / STEPS).clamp(-1, 1)
+            for _ in range(HALVINGS + 5):
+                middle = (low + beyond) / 2
+                good = clear_at(middle)
+                low, beyond = torch.where(good, middle, low), torch.where(good, beyond, middle)
+            found.append(torch.where(flags.any(-1, keepdim=True), low, torch.nan))
+        return found[0], found[1]
+
+    bottom, top = ends(lambda y: clear(torch.zeros_like(y), y))
+    middle = (top + bottom) / 2
+    left, right = ends(lambda x: clear(x, middle.nan_to_num()))
+    return torch.cat([(right + left) / 2, middle, 1 - (right - left) / 2, 1 - (top - bottom) / 2], -1)
+
+
 def pupil_factors(system, fields: torch.Tensor) -> torch.Tensor | None:
     """Return the vignetting factors ``[F, 4]`` of field points ``[F, 2]``, zeros of others than the system's own.
 
@@ -314,16 +375,21 @@ def pupil_factors(system, fields: torch.Tensor) -> torch.Tensor | None:
 
 
 def field_points(system, fields=None) -> torch.Tensor:
-    """Return field points ``[F, 2]`` in float64, the system's own by default."""
+    """Return field points ``[F, 2]`` of numbers y or pairs (x, y) in float64, the system's own by default."""
     if isinstance(fields, torch.Tensor):
+        fields = torch.stack([0 * fields, fields], -1) if fields.ndim == 1 else fields
         if fields.ndim != 2 or fields.shape[-1] != 2 or len(fields) == 0:
             raise ValueError(f"fields must be [F, 2], got {tuple(fields.shape)}")
         return _validate.real("fields", fields).double()
     if fields is not None and (isinstance(fields, str) or not isinstance(fields, Iterable)):
-        raise TypeError(f"fields must be a sequence of pairs (x, y), got {type(fields).__name__}")
-    pairs = [_validate.several("fields", point, 2) for point in (system.fields if fields is None else fields)]
+        raise TypeError(f"fields must be a sequence of numbers y or pairs (x, y), got {type(fields).__name__}")
+    points = [
+        point if isinstance(point, Iterable) else (0.0, point)
+        for point in (system.fields if fields is None else fields)
+    ]
+    pairs = [_validate.several("fields", point, 2) for point in points]
     if not pairs:
-        raise ValueError("fields must contain at least one pair (x, y), got an empty sequence")
+        raise ValueError("fields must contain at least one number y or pair (x, y), got an empty sequence")
     return torch.tensor(pairs, dtype=torch.float64)
 
 

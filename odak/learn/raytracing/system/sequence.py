@@ -395,6 +395,10 @@ class Passage(NamedTuple):
         Indices on both sides.
     length : torch.Tensor
         Distance from the surface before.
+    point : tuple of torch.Tensor
+        Where the rays meet the surface, in its own frame.
+    status : torch.Tensor
+        What befell the rays up to and at the surface.
     change : Frame or tuple, optional
         For a break, the change of the frame. For a "bend", the path through a graded medium: the frame of the axis in
         that of the medium, and rotations of the field ``[..., 3, 3]`` in the latter.
@@ -409,6 +413,8 @@ class Passage(NamedTuple):
     behind: Any = None
     length: Any = None
     change: Any = None
+    point: tuple = ()
+    status: Any = None
 
 
 def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None = None) -> State:
@@ -516,11 +522,12 @@ def plain_trace(layout: Layout, *tensors: torch.Tensor, record: Callable | None 
             status = _with_event(status, through, RayStatus.TOTAL_INTERNAL_REFLECTION)
             point, direction = _on_axis(status, -sign if action == "reflect" else sign, point, direction)
         if record is not None:
-            ways = [incoming, direction, direction if normal is None else normal]
+            normal = _on_axis(status, 1, point, found.normal)[1] if normal is None else normal
+            ways = [incoming, direction, normal]
             if place is not None:
                 ways = [place.leave(point, way)[1] for way in ways]
             length = torch.where(status == HIT, found.distance, 0.0)
-            record(Passage(i, action, ways[0], ways[1], ways[2], n1, n2, length))
+            record(Passage(i, action, ways[0], ways[1], ways[2], n1, n2, length, None, point, status))
         if place is not None:
             point, direction = place.leave(point, direction)
         if gradient is not None:

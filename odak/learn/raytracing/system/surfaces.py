@@ -1092,8 +1092,11 @@ class optical_system(torch.nn.Module):
             for name in ("curvature", "conic", "thickness")
         )
         index = self._indices(wavelengths)
+        waves = torch.tensor(wavelengths, dtype=torch.float64, device=index.device)
         shapes = tuple(None if item.own_shape is None else item.shape for item in items)
         phases, gradients = (tuple(getattr(item, name) for item in items) for name in ("phase", "gradient"))
+        if any(isinstance(phase, IdealLens) for phase in phases):
+            phases = self._at_conjugates(phases, thickness, index, waves)
         return Prescription(
             curvature,
             conic,
@@ -1104,9 +1107,33 @@ class optical_system(torch.nn.Module):
             _optional([item.tilt for item in items]),
             shapes if any(shapes) else None,
             phases if any(phases) else None,
-            torch.tensor(wavelengths, dtype=torch.float64, device=index.device),
+            waves,
             gradients if any(gradients) else None,
         )
+
+    def _at_conjugates(self, phases: tuple, thickness: torch.Tensor, index: torch.Tensor, waves: torch.Tensor) -> tuple:
+        """Return the phases, ideal lenses with the vergence at which a first-order ray from the object meets them."""
+        place, found = self.reference if len(waves) == len(self.wavelengths) else 0, list(phases)
+        one, sign = index[place, 0], 1
+        height, slope = (one, 0 * one) if self.at_infinity else (self.object_distance * one / one, one)
+        items: list[Any] = list(self.surfaces)
+        for i, item in enumerate(items):
+            behind = -sign if item.reflects else sign
+            before, after = sign * index[place, i], behind * index[place, i + 1]
+            power = (after - before) * item.shape.curvatures()[1]
+            phase = phases[i]
+            if isinstance(phase, IdealLens):
+                appended, given = self.afocal and i + 1 == len(phases), phase.vergence
+                # Not a lens in an image of the object, and not the one that stands for an image at infinity.
+                away = abs(height) > 1e-9 * abs(phase.focal_length * slope)
+                own = sign * slope / (before * torch.where(away, height, 1.0))
+                if not (appended or given.requires_grad):
+                    found[i] = replace(phase, vergence=torch.where((given == 0) & away, own, given))
+            if phase is not None:
+                power = power + phase.powers(waves[place])[1]
+            slope = slope - height * power
+            height, sign = height + thickness[i] / after * slope, behind
+        return tuple(found)
 
     def frames(self, prescription: Prescription | None = None, own: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the frames of the surfaces and of the image in that of the first vertex: global coordinates.

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 
 from odak import _validate
@@ -55,6 +54,8 @@ STEP = 3e-4
 CLOSE, MOST, ZOOMS = 0.25, 301, 6
 # Rings of the quadratures among which the first converged one is taken, and the change that is small enough.
 RING_COUNTS, SMALL = (8, 16, 32, 64), 1e-3
+# Root mean square of wavefronts in waves above which transfer functions are those of the rays.
+LARGE = 2.0
 
 
 class PlaneRays(NamedTuple):
@@ -411,7 +412,7 @@ def strehl_ratio(system: Any, pupil: Any = "gauss", count: int = 16, **options: 
     >>> sphere = surface(radius=-400.0, thickness=-199.99, material="mirror")
     >>> mirror = optical_system([sphere], aperture=20.0)
     >>> round(float(strehl_ratio(mirror)), 3), round(math.exp(-float((2 * math.pi * wavefront(mirror).rms) ** 2)), 3)
-    (0.985, 0.985)
+    (0.992, 0.992)
     """
     found = wavefront(system, pupil, count, **options)
     given = options.get("prescription")
@@ -1195,6 +1196,64 @@ def through_focus_modulation(
     return modulation_at(spread, frequency, axis).movedim(0, -1)
 
 
+@torch.no_grad()
+def field_modulation(
+    system: Any, frequencies: Any, fields: Any = None, *, aim: str = "paraxial", samples: int = 64
+) -> torch.Tensor:
+    """Return the modulation transfer at some frequencies over the field, at the reference wavelength.
+
+    Parameters
+    ----------
+    system : optical_system
+        The system.
+    frequencies : sequence of float
+        In cycles per unit of length, ``[n]``.
+    fields : sequence or torch.Tensor, optional
+        Field points in place of the system's.
+    aim : str
+        "paraxial" or "real", how :func:`launch` aims.
+    samples : int
+        Samples across the pupil.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[2, n, F]``: of gratings whose lines are along x (tangential for fields along y), and of the others. With
+        diffraction; of fields with more than two waves RMS of aberration that of the rays, which the samples would not
+        resolve.
+
+    Examples
+    --------
+    >>> from odak.learn.raytracing.system import field_modulation, load_system
+    >>> found = field_modulation(load_system("cooke_triplet"), [20.0, 50.0])
+    >>> tuple(found.shape), bool((found[:, 0] > found[:, 1]).all())
+    ((2, 2, 3), True)
+    """
+    given = torch.as_tensor(_validate.real("frequencies", frequencies), dtype=torch.float64)
+    if given.ndim != 1 or not len(given) or bool((given < 0).any()):
+        raise ValueError(f"frequencies must be a sequence of numbers of at least 0, got {tuple(given.shape)}")
+    frequencies, samples = given.tolist(), _validate.integer("samples", samples, minimum=8)
+    numbers = checked_system(system).prescription().at(system.reference)
+    options: dict[str, Any] = {"fields": fields, "aim": aim, "prescription": numbers}
+    points = pupil_quadrature(system, 16, fields=fields, aim=aim)
+    large = ~(wavefront(system, points, **options).rms[0] <= LARGE)
+    spots = spot_diagram(system, points, **options)
+    kept = torch.isfinite(spots.x[0])
+    weight = torch.where(kept, points.weights, 0.0)
+    weight = weight / weight.sum(-1, keepdim=True)
+    spread = None if bool(large.all()) else point_spread_function(system, samples, 2 * samples, **options)
+    found = []
+    for axis, value in (("y", spots.y[0]), ("x", spots.x[0])):
+        place = torch.where(kept, value, 0.0)
+        for frequency in frequencies:
+            wave = phasor_of_cycles(frequency * place, torch.complex128)
+            rays = (weight * wave).sum(-1).abs()
+            found.append(
+                rays if spread is None else torch.where(large, rays, modulation_at(spread, frequency, axis)[0])
+            )
+    return torch.stack(found).unflatten(0, (2, len(frequencies)))
+
+
 def relative_illumination(
     system: Any, count: int = 24, *, prescription: Prescription | None = None, **options: Any
 ) -> torch.Tensor:
@@ -1221,7 +1280,9 @@ def relative_illumination(
     -----
     The illuminance is the radiance times the area that the cone of rays covers in direction cosines (u, v) of image
     space (Rimmer, Proc. SPIE 655, 99 (1986)): the integral over the pupil of the Jacobian of (u, v), Gaussian along the
-    radius and in equal steps around, each ray's Jacobian being exact.
+    radius and in equal steps around, each ray's Jacobian being exact. The rays of a distant point stay parallel in a
+    system without power, such as a pinhole; there the same illuminance is the integral over the pupil of the solid
+    angle in front that each ray's neighbours bring to an area of the image.
 
     Examples
     --------
@@ -1231,11 +1292,7 @@ def relative_illumination(
     """
     checked_system(system), checked_prescription(prescription)
     count = _validate.integer("count", count, minimum=2)
-    nodes, weights = np.polynomial.legendre.leggauss(count)
-    radius = torch.as_tensor((nodes + 1) / 2).sqrt()
-    angle = torch.arange(4 * count, dtype=torch.float64) * (2 * math.pi / (4 * count))
-    points = torch.stack([radius[:, None] * angle.sin(), radius[:, None] * angle.cos()], -1).reshape(-1, 2)
-    weight = torch.as_tensor(weights).repeat_interleave(4 * count)
+    points, weight = pupil_quadrature(system, count, vignetting=False)
     own = {name: options.pop(name) for name in ("fields", "aim") if name in options}
 
     load_forward_rules()
@@ -1256,4 +1313,24 @@ def relative_illumination(
         area = torch.where(kept, ux * vy - uy * vx, 0.0).abs()
         return (area * weight).sum(-1)
 
-    return covered(own.get("fields")) / covered([(0.0, 0.0)])
+    def brought(fields):
+        places = field_points(system, fields).to(points.device)
+
+        def landed(angles):
+            rays = launch(system, points, prescription=prescription, aim=own.get("aim", "paraxial"), fields=angles)
+            found = trace(system, rays, prescription=prescription, **options)
+            return (rays.u, rays.v, found.x, found.y), found.arrived
+
+        changes, kept = [], None
+        for axis in (0, 1):
+            way = torch.zeros_like(places)
+            way[:, axis] = 1.0
+            _, change, kept = torch.func.jvp(landed, (places,), (way,), has_aux=True)
+            changes.append(change)
+        first, second = changes
+        sky, image = ((first[i] * second[i + 1] - first[i + 1] * second[i]).abs() for i in (0, 2))
+        return (torch.where(kept, sky / torch.where(kept, image, 1.0), 0.0) * weight).sum(-1)
+
+    aperture = first_order(system, prescription=prescription).numerical_aperture
+    light = brought if system.at_infinity and not bool((aperture > 0).any()) else covered
+    return light(own.get("fields")) / light([(0.0, 0.0)])

@@ -53,7 +53,7 @@ from odak.raytracing.surfaces import (
     ZernikeFreeform,
 )
 from odak.tools.paths import _text, replacing
-from odak.tools.zernike import noll_to_nm, zernike_norm
+from odak.tools.zernike import fringe_to_nm, noll_to_nm, zernike_norm
 
 MAXIMUM_SURFACES, MAXIMUM_TERMS = 1000, 500
 
@@ -568,15 +568,10 @@ def _irregular(number: int, curvature: float, conic: float, p: dict, reach: floa
 
 
 def _fringe_modes(count: int) -> list[tuple[int, int]]:
-    """Return the orders (n, m) of the fringe Zernike polynomials: by n + |m|, then by falling |m|, cosines first.
-
-    The last of 37 is that of n = 12 and m = 0, out of order.
-    """
-    pairs = [(n, m) for n in range(11) for m in range(-n, n + 1, 2) if n + abs(m) <= 10]
-    modes = [*sorted(pairs, key=lambda pair: (pair[0] + abs(pair[1]), -abs(pair[1]), pair[1] < 0)), (12, 0)]
-    if count > len(modes):
-        raise ValueError(f"XDAT must contain at most {len(modes)} fringe Zernike terms, got {count}")
-    return modes[:count]
+    """Return the orders (n, m) of the first fringe Zernike polynomials."""
+    if count > 37:
+        raise ValueError(f"XDAT must contain at most 37 fringe Zernike terms, got {count}")
+    return [fringe_to_nm(j) for j in range(1, count + 1)]
 
 
 def _zernike_terms(heights, modes, powers, radius: float) -> list[float]:

@@ -330,13 +330,34 @@ def test_an_ideal_lens_has_no_aberrations():
 
 
 def test_the_path_of_an_ideal_lens_from_its_focal_point():
-    """(2f² + h²)/√(f² + h²) − f at the height h, h⁴/(4f³) more than on the axis to lowest order."""
+    """Of a lens for distant objects (2f² + h²)/√(f² + h²) − f at the height h, h⁴/(4f³) more than on the axis."""
     f = 50.0
     lens = optical_system([surface(phase=IdealLens(f), thickness=30.0)], 0.2, "NA", object_distance=f)
     found = trace_fields(lens, "y", 5)
     h = found.y
+    # That of a system is one for its own object.
+    torch.testing.assert_close(found.path, torch.full_like(h, f + 30.0), atol=1e-11, rtol=0)
+    distant = lens.prescription()._replace(phases=(IdealLens(torch.tensor(f, dtype=F64), torch.zeros((), dtype=F64)),))
+    found = trace_fields(lens, "y", 5, prescription=distant)
     torch.testing.assert_close(found.path, (2 * f * f + h * h) / (f * f + h * h).sqrt() - f + 30.0, atol=1e-11, rtol=0)
     torch.testing.assert_close(found.path - 80.0, h**4 / (4 * f**3), atol=0, rtol=0.05)
+
+
+@pytest.mark.parametrize("second", [None, -30.0, 70.0])
+def test_ideal_lenses_are_stigmatic_at_the_conjugates_of_the_system(second):
+    """Between an object and its image all paths are equal, behind another lens and a mirror too."""
+    rows = [surface(phase=IdealLens(50.0), thickness=30.0)]
+    rows += [] if second is None else [surface(phase=IdealLens(second), thickness=10.0)]
+    for system in (
+        optical_system(rows, 20.0, object_distance=100.0, fields=[0.0, 20.0], wavelengths=500e-6),
+        optical_system([surface(-200.0, conic=-1.0, thickness=-60.0, material="mirror"), *rows[1:]], 20.0),
+    ):
+        system.surfaces[-1].thickness.fill_(float(first_order(system).image_distance))
+        assert float(wavefront(system).path.abs().max()) < 1e-6
+        assert float(rms_spot(system).max()) < 1e-10
+    # Lagrange's point: 2f to 2f, at a numerical aperture where a lens for distant objects has 0.1 waves.
+    system = optical_system([surface(phase=IdealLens(50.0), thickness=100.0)], 20.0, object_distance=100.0)
+    assert float(wavefront(system).rms) < 1e-9
 
 
 def test_a_ghost_is_two_reflections_traced_by_hand():

@@ -2,12 +2,34 @@
 
 import math
 
+import pytest
 import torch
 
 from odak.learn.raytracing.system import Wavefront, load_system, pupil_samples, q_fit, wavefront, zernike_fit
 from odak.raytracing import QbfsAsphere
+from odak.tools import fringe_to_nm, noll_to_nm, osa_to_nm, zernike_norm
 
 F64 = torch.float64
+
+
+def test_orders_of_zernike_polynomials_name_the_same_wavefront():
+    """The fringe coefficient of a mode is Noll's times its norm; OSA's only stands elsewhere."""
+    found = wavefront(load_system("cooke_triplet"))
+    (noll, left), (osa, same), (fringe, _) = (
+        zernike_fit(found, n, order) for n, order in ((36, "noll"), (36, "osa"), (37, "fringe"))
+    )
+    torch.testing.assert_close(left, same, rtol=1e-6, atol=1e-9)
+    place = {noll_to_nm(j): j - 1 for j in range(1, 37)}
+    for j in range(36):
+        torch.testing.assert_close(osa[..., j], noll[..., place[osa_to_nm(j)]], rtol=0, atol=1e-8)
+    # The modes that both sets have, where what the others leave is small: the polynomials are orthogonal.
+    for j in range(1, 17):
+        mode = fringe_to_nm(j)
+        expected = noll[..., place[mode]] * zernike_norm(*mode) if mode in place else None
+        if expected is not None:
+            torch.testing.assert_close(fringe[..., j - 1], expected, rtol=0, atol=2e-4)
+    with pytest.raises(ValueError, match="1 to 37"):
+        zernike_fit(found, 38, "fringe")
 
 
 def flat_wavefront(pupil, path):
