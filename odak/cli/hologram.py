@@ -14,13 +14,13 @@ from pathlib import Path
 import torch
 from tqdm import tqdm
 
+from odak._validate import UNITS
 from odak.cli import files, report
 from odak.cli.job import (
     COMPUTED_PHASES,
     LEARNING_RATE,
     NOISE,
     SOLVERS,
-    UNITS,
     VOLUME_METHODS,
     InputError,
     Job,

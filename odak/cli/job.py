@@ -1,15 +1,14 @@
 """Parameters of `odak hologram`: defaults, checks, units of length, and modulators known by name."""
 
-import difflib
 import math
 import os
-import re
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import NamedTuple
 
 from odak import _validate
+from odak._validate import did_you_mean, likely_length, parse_length
 from odak._warnings import ArgumentWarning, warn
 
 NOISE = {"slight": 0.3, "normal": 1.0}  # standard deviation in radians
@@ -36,7 +35,6 @@ MOST_PLANES = 1024
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
 LARGEST_PITCH = 1e-3
 LONGEST_WAVELENGTH = 2e-5
 # Points across the longer side of the picture below which a distance is taken for a mistake.
@@ -316,7 +314,7 @@ class Job:
         longest = max(n * pitch for n, pitch in zip(self.resolution, steps, strict=True))
         points = longest**2 / reach if reach > 0 else math.inf
         if points < max(FEWEST_POINTS, side / 32):
-            meant = _likely_length(self.distance, 1e-3, 1.0, "mm")
+            meant = likely_length(self.distance, 1e-3, 1.0, "mm")
             warn(
                 f"--distance {self.distance:g}: at {self.distance:g} metres this modulator resolves only {points:.2g} "
                 f"points across the picture; did you mean {meant}?",
@@ -359,12 +357,12 @@ def check_wavelength(name: str, value: float) -> None:
 def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float, finest: float = 0.0) -> bool:
     """Warn of a wavelength or a pixel pitch that was probably not intended, and return whether there was one."""
     if wavelength > LONGEST_WAVELENGTH:
-        meant = _likely_length(wavelength, 1e-7, LONGEST_WAVELENGTH, "nm")
+        meant = likely_length(wavelength, 1e-7, LONGEST_WAVELENGTH, "nm")
         warn(f"{name} {wavelength:g} is {wavelength:g} metres; did you mean {meant}?", ArgumentWarning)
         return True
     if pitch > LARGEST_PITCH or pitch < finest:
         why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
-        meant = _likely_length(pitch, 1e-6, 1e-4, "um")
+        meant = likely_length(pitch, 1e-6, 1e-4, "um")
         warn(f"{pitch_name} {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?", ArgumentWarning)
         return True
     return False
@@ -373,21 +371,6 @@ def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float,
 def option(name: str) -> str:
     """Return the command-line option of a parameter."""
     return "--" + name.replace("_", "-")
-
-
-def parse_length(text: str | float) -> float:
-    """Return a length in metres from a number, or from a number and a unit such as ``532nm``, ``8um`` or ``15cm``."""
-    if not isinstance(text, str):
-        return text
-    found = re.fullmatch(r"\s*([^a-zA-Zµμ]*(?:[eE][+-]?\d+)?|nan|inf)\s*([a-zµμ]*)\s*", text)
-    unit = (found[2] or "m").replace("µ", "u").replace("μ", "u") if found else ""
-    try:
-        value = float(found[1]) if found else math.nan
-    except ValueError:
-        unit = ""
-    if unit not in UNITS:
-        raise ValueError(f"{text!r} is not a length; write it as 8e-6 (metres), 8um, 532nm or 15cm")
-    return value * UNITS[unit] if unit != "m" else value
 
 
 def parse_pitch(text: str | float) -> float | tuple[float, float]:
@@ -408,22 +391,6 @@ def is_length(text: str) -> bool:
     except ValueError:
         return False
     return text.strip()[-1:].isalpha()
-
-
-def _likely_length(value: float, least: float, most: float, unit: str) -> str:
-    """Return a length that is likely to have been meant by a number that was taken for metres."""
-    for factor in (1e-3, 1e-6, 1e-9, 1e3, 1e6):
-        if least <= value * factor <= most:
-            return f"{value * factor / UNITS[unit]:g}{unit}"
-    return f"{float(f'{math.sqrt(least * most) / UNITS[unit]:.1g}'):g}{unit}"
-
-
-def did_you_mean(value: str, names: Iterable[str]) -> str:
-    """Return a question with the name nearest to a misspelt one, empty if none is near."""
-    names, value = list(names), value.casefold()
-    near = difflib.get_close_matches(value, names, n=1, cutoff=0.6)
-    near = near or [name for name in names if len(value) > 2 and name.casefold().startswith(value)]
-    return f" Did you mean {near[0]!r}?" if near else ""
 
 
 def find_preset(name: str) -> Modulator:

@@ -113,6 +113,7 @@ class Captures:
         return max(float(slope), 0.0), max(float(offset), 1 / 12)
 
 
+@_validate.takes_units("wavelength")
 def record_captures(
     modulator: Modulator,
     camera: Camera,

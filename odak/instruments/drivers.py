@@ -48,6 +48,7 @@ class ScreenModulator:
 
     bits = 8
 
+    @_validate.takes_units("pitch")
     def __init__(self, pitch: float, display: int = 0, shape: Sequence[int] | None = None, settling_time: float = 0.05):
         pygame = _imported("pygame", "pygame-ce")
         self._pygame = pygame
@@ -107,6 +108,7 @@ class VideoCamera:
     >>> camera = VideoCamera(0, pitch=3e-6)  # doctest: +SKIP
     """
 
+    @_validate.takes_units("pitch")
     def __init__(
         self,
         source: int | str = 0,
@@ -199,6 +201,7 @@ class FileModulator:
     ['pattern.txt', 'pattern_1.npy']
     """
 
+    @_validate.takes_units("pitch")
     def __init__(
         self,
         folder: str | os.PathLike,
@@ -270,6 +273,7 @@ class FileCamera:
     (2, 4, 6)
     """
 
+    @_validate.takes_units("pitch")
     def __init__(
         self,
         folder: str | os.PathLike,

@@ -52,6 +52,7 @@ class SpotFeedback:
     history: tuple[float, ...]
 
 
+@_validate.takes_units("wavelength", "distance", "radius")
 def equalise_spots(
     modulator: Modulator,
     camera: Camera,

@@ -171,6 +171,7 @@ class SimulatedTable:
     (2, 40, 48)
     """
 
+    @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
         self,
         seed: int,

@@ -46,6 +46,7 @@ def electricfield(
     return field if px.ndim else xp.reshape(field, (2, 1))
 
 
+@_validate.takes_units(degrees=("rotation",))
 def linearpolarizer(field: ArrayT, rotation: complex | Array = 0) -> ArrayT:
     """Return a field after an ideal linear polariser.
 
@@ -144,6 +145,7 @@ def cascade(*matrices: Array) -> Array:
     return result
 
 
+@_validate.takes_units(degrees=("angle",))
 def polarizer(angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of an ideal linear polariser.
 
@@ -175,6 +177,7 @@ def polarizer(angle: complex | Array = 0.0, *, xp: Any = None, device: Any = Non
     return diattenuator(1.0, 0.0, angle, xp=xp, device=device, dtype=dtype)
 
 
+@_validate.takes_units(degrees=("angle",))
 def diattenuator(
     first: complex | Array = 1.0,
     second: complex | Array = 0.0,
@@ -217,6 +220,12 @@ def diattenuator(
     return matrix_on_axes(xp, first, second, angle, dtype)
 
 
+@_validate.takes_units(
+    degrees=(
+        "retardance",
+        "angle",
+    )
+)
 def retarder(
     retardance: complex | Array, angle: complex | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None
 ) -> Array:
@@ -256,6 +265,7 @@ def retarder(
     return matrix_on_axes(xp, xp.conj(slow), slow, angle, dtype)
 
 
+@_validate.takes_units(degrees=("angle",))
 def quarter_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of a quarter-wave plate: :func:`retarder` of 90°.
 
@@ -287,6 +297,7 @@ def quarter_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: An
     return retarder(90.0, angle, xp=xp, device=device, dtype=dtype)
 
 
+@_validate.takes_units(degrees=("angle",))
 def half_wave_plate(angle: float | Array = 0.0, *, xp: Any = None, device: Any = None, dtype: Any = None) -> Array:
     """Return the Jones matrix of a half-wave plate: :func:`retarder` of 180°.
 

@@ -42,6 +42,7 @@ class StackResponse(NamedTuple):
     absorptance: Any
 
 
+@_validate.takes_units(degrees=("angle",))
 def thin_film_stack(
     wavelength: float | Array,
     indices: Sequence,

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from array_api_compat import torch as torch_namespace
 
+from odak import _validate
 from odak._array import Array, ArrayT
 from odak.learn._tensors import checked_device, tensors_of
 
@@ -108,11 +109,22 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     preset = dict(defaults or {})
     fixed = {"xp": torch_namespace} if "xp" in inspect.signature(core).parameters else {}
     converted = tuple(tensors)
+    # What becomes a tensor here, or does not reach the core's own door, has its unit taken off first.
+    units = {
+        name: take_off
+        for name, take_off in getattr(core, "__units__", {}).items()
+        if name in converted or through is not None
+    }
 
     def face(*args, **options):
         if len(args) > len(positional) or any(name not in named or name in positional[: len(args)] for name in options):
+            unknown = [name for name in options if name not in named]
+            if unknown:
+                nearest = _validate.did_you_mean(unknown[0], named)
+                raise TypeError(f"{face.__name__} has no argument {unknown[0]!r}.{nearest}")
             signature.bind(*args, **options)  # raises the error that Python gives for such a call
         options = {**preset, **dict(zip(positional, args, strict=False)), **options}
+        options.update({name: take_off(name, options[name]) for name, take_off in units.items() if name in options})
         if converted:
             given = {name: options[name] for name in converted if options.get(name) is not None}
             options.update(zip(given, tensors_of(**given), strict=True))
@@ -123,6 +135,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     face.__name__ = face.__qualname__ = name or core.__name__
     face.__module__ = sys._getframe(1).f_globals["__name__"]
     face.__signature__ = signature
+    face.__units__ = getattr(core, "__units__", {})
     face.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
     face.__annotations__["return"] = signature.return_annotation
     texts = _sections(describe) if isinstance(describe, str) else describe or {}

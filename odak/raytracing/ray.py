@@ -12,6 +12,7 @@ from odak.raytracing.geometry import safe_sqrt
 from odak.tools.transformation import rotation_matrix
 
 
+@_validate.takes_units(degrees=("abg",))
 def create_ray(x0y0z0: Array, abg: Array) -> Any:
     """Return the ray from a point with given angles to the three axes.
 

@@ -925,6 +925,7 @@ def _spline_weights(value, extent, count: int):
     return xp.astype(cell, xp.int64), weights, tuple(scale * slope for slope in slopes)
 
 
+@_validate.takes_units(degrees=("angles",))
 def intersect_w_sag(
     ray: Array,
     surface: Shape,

@@ -20,6 +20,7 @@ from odak.wave.sampling import plain_numbers, warn_of_beam, warn_of_factor, warn
 from odak.wave.transfer_functions import pitches
 
 
+@_validate.takes_units("dx", "wavelength", "waist", "distance", "offset")
 def gaussian_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -85,6 +86,7 @@ def gaussian_beam(
     )
 
 
+@_validate.takes_units("dx", "wavelength", "waist", "distance", "offset")
 def hermite_gaussian_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -201,6 +203,7 @@ def _hermite_beam(name, shape, dx, wavelength, waist, counts, distance, power, o
     return carrier * along_y[:, None] * along_x[None, :]
 
 
+@_validate.takes_units("dx", "wavelength", "waist", "distance", "offset")
 def laguerre_gaussian_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -282,6 +285,7 @@ def laguerre_gaussian_beam(
     return carrier * xp.astype(envelope, xp.complex128) * _array.phasor(phase, xp.complex128) * spiral
 
 
+@_validate.takes_units("dx", "wavelength", "waist", "offset", degrees=("angle",))
 def bessel_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -362,6 +366,7 @@ def bessel_beam(
     return xp.astype(field, xp.complex128) * _array.make_complex(*spiral_parts(cosine, sine, order))
 
 
+@_validate.takes_units("dx", "scale", "offset")
 def airy_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -447,6 +452,7 @@ def _warn_of_airy(shape, dx, offset, given):
         warn_of_factor("airy_beam", factor, (pitch, f"a scale of at least {1.005 * factor:.3g} times this"))
 
 
+@_validate.takes_units("dx", "waist", "offset")
 def flat_top_beam(
     shape: Sequence[int],
     dx: float | Sequence[float],

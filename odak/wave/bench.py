@@ -28,6 +28,7 @@ from odak.wave.windows import propagate_to_window
 _PADDED = (True, False, True)
 
 
+@_validate.takes_units("dx", "wavelength", "path_length")
 def propagate_abcd(
     field: Array,
     matrix: Any,
@@ -205,6 +206,7 @@ def _between_samples(field, like, axis: int):
     return fourier_sum(fourier_sum(field, 2 * step, 2 * n, -1, axis), step, 4 * n, +1, axis) / (2 * n)
 
 
+@_validate.takes_units("distance", "window_dx", "offset")
 @dataclass(frozen=True)
 class FreeSpace:
     """Free space, or a homogeneous medium, of a bench.
@@ -268,6 +270,7 @@ class FreeSpace:
         return [[1.0, self.distance / self.index], [0.0, 1.0]]
 
 
+@_validate.takes_units("focal", "offset")
 @dataclass(frozen=True)
 class ThinLens:
     """Thin lens of a bench.
@@ -333,6 +336,7 @@ def _warn_of_lens(lens, shape, pitch, wavelength, name="ThinLens") -> None:
         warn_beyond_nyquist(name, thin_lens, axes, numbers[4:], Weaker(0, 1, FOCAL))
 
 
+@_validate.takes_units("radius", "offset")
 @dataclass(frozen=True)
 class CircularAperture:
     """Round aperture of a bench; samples of its rim transmit the part that is open, so that it is differentiable.
@@ -381,6 +385,7 @@ class CircularAperture:
         return 2 * self.radius, 2 * self.radius
 
 
+@_validate.takes_units("height", "width", "offset")
 @dataclass(frozen=True)
 class RectangularAperture:
     """Rectangular aperture of a bench; samples of its edges transmit the part that is open.
@@ -473,6 +478,7 @@ class Mask:
         return field * value, pitch
 
 
+@_validate.takes_units("path_length")
 @dataclass(frozen=True)
 class FirstOrderSystem:
     """First-order system of a bench, given by its ray matrix, see :func:`propagate_abcd`.
@@ -584,6 +590,7 @@ class optical_bench:
     ((128, 128), 2e-06)
     """
 
+    @_validate.takes_units("wavelength")
     def __init__(self, elements: Iterable, wavelength: float | Array):
         if isinstance(elements, (str, bytes)) or not isinstance(elements, Iterable):
             raise TypeError(f"elements must be a sequence of elements, got {elements!r:.80}")
@@ -594,6 +601,7 @@ class optical_bench:
         wavelength = _validate.real("wavelength", wavelength, positive=True)
         self.wavelength = np.asarray(wavelength) if isinstance(wavelength, (list, tuple)) else wavelength
 
+    @_validate.takes_units("dx")
     def propagate(self, field: Array, dx: float | Sequence[float]) -> tuple:
         """Return the field behind the last element, and its pixel pitch.
 
@@ -609,6 +617,7 @@ class optical_bench:
             _warn_of_lens(lens, light.field.shape[-2:], light.pitch, self.wavelength, "the field behind the bench")
         return light.sampled(self.wavelength), light.pitch
 
+    @_validate.takes_units("dx")
     def planes(self, field: Array, dx: float | Sequence[float]) -> list[BenchPlane]:
         """Return the field in front of the first element and behind each element.
 
@@ -627,6 +636,7 @@ class optical_bench:
     def _light(self, field, dx):
         """Yield position, light and element in front of the first element and behind each."""
         field, position = _array.to_complex(_validate.image("field", field)), 0.0
+        _validate.lengths_together(self.wavelength, dx)
         check_geometry(None, 0.0, dx, self.wavelength, tuple(field.shape[:-2]))
         light = Light(field, dx)
         yield position, light, None

@@ -17,6 +17,7 @@ MEMORY = 1 << 26
 _COPIES = 8
 
 
+@_validate.takes_units("distance", "dx", "window_dx", "offset")
 def propagate_partially_coherent(
     field: Any,
     spectrum: Any,
@@ -188,6 +189,7 @@ def _source(source, field):
     return directions, weights
 
 
+@_validate.takes_units("wavelength", "width")
 def gaussian_spectrum(
     wavelength: float, width: float, count: int = 9, *, xp: Any = None, device: Any = None
 ) -> tuple[Array, Array]:

@@ -15,6 +15,7 @@ from odak.wave.sampling import FOCAL, Weaker, plain_numbers, sampled_axes, warn_
 from odak.wave.transfer_functions import pitches
 
 
+@_validate.takes_units("focal", "dx", "wavelength", "offset")
 def lens_phase(
     shape: Sequence[int],
     focal: float,
@@ -108,6 +109,7 @@ def _older_positions(count: int, pitch, xp, device=None):
     return xp.linspace(-0.5, 0.5, count, dtype=xp.float64, device=device) * width
 
 
+@_validate.takes_units("focal", "dx")
 def quadratic_phase_function(
     nx: int,
     ny: int,
@@ -191,6 +193,7 @@ def _warn_of_bend(name, shape, steps, half, distance, text, offset=(0, 0)):
         warn_beyond_nyquist(name, _bend, tuple(axes), numbers[4:], Weaker(1, 1, text))
 
 
+@_validate.takes_units("dx")
 def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequence[float], *, xp: Any = None) -> Array:
     """Return the phase factor exp(ik·r²/R) of a doubly converging beam (Engström et al., Opt. Express 15, 2007).
 
@@ -241,6 +244,7 @@ def double_convergence(nx: int, ny: int, k: float, r: float, dx: float | Sequenc
     return phasor(k * squared / r)
 
 
+@_validate.takes_units("dx", degrees=("angle",))
 def prism_phase_function(
     nx: int, ny: int, k: float, angle: float, dx: float | Sequence[float] = 0.001, axis: str = "x", *, xp: Any = None
 ) -> Array:
@@ -300,6 +304,7 @@ def prism_phase_function(
     return phasor(-k * sine * position)
 
 
+@_validate.takes_units("dx", degrees=("angle",))
 def prism_grating(
     nx: int,
     ny: int,
@@ -467,6 +472,7 @@ def _line_along(nx, ny, axis, xp):
     return xp.arange(ny, dtype=xp.float64)[None, :], (nx, ny)
 
 
+@_validate.takes_units("dx", "radius", "offset", "inner_radius")
 def circular_aperture(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -518,6 +524,7 @@ def circular_aperture(
     return share_in_disc(y, x, steps, radius) - inner * xp.astype(ring, xp.float64)
 
 
+@_validate.takes_units("dx", "size", "offset")
 def rectangular_aperture(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -615,6 +622,7 @@ def share_in_disc(y, x, steps, radius):
     return xp.where(low >= radius**2, xp.zeros_like(share), share)
 
 
+@_validate.takes_units("dx", "wavelength", "offset", degrees=("angle",))
 def axicon_phase(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -681,6 +689,7 @@ def _axicon(y, x, wavelength, angle, index):
     return -2 * math.pi / wavelength * (index - 1) * xp.tan(angle * (math.pi / 180)) * distance
 
 
+@_validate.takes_units("dx")
 def spiral_phase(
     shape: Sequence[int],
     charge: float | Array,
@@ -725,6 +734,7 @@ def spiral_phase(
     return charge * xp.atan2(y + 0 * x, x + 0 * y)
 
 
+@_validate.takes_units("focal", "dx", "wavelength", "offset", degrees=("angle",))
 def cylindrical_lens_phase(
     shape: Sequence[int],
     focal: float | Array,
@@ -788,6 +798,7 @@ def _cylinder(y, x, focal, wavelength, angle):
     return -math.pi * (x * xp.cos(angle) + y * xp.sin(angle)) ** 2 / (wavelength * focal)
 
 
+@_validate.takes_units("dx", "wavelength", "radius", "offset")
 def aspheric_lens_phase(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -867,6 +878,7 @@ def _asphere(y, x, wavelength, radius, index, conic, *powers):
     return xp.where(exists, phase, xp.full_like(phase, math.nan))
 
 
+@_validate.takes_units("focal", "dx", "wavelength", "offset")
 def metalens_phase(
     shape: Sequence[int],
     focal: float | Array,
@@ -930,6 +942,7 @@ def hyperbolic_lens(y, x, focal, wavelength):
     return -2 * math.pi / wavelength * xp.sign(focal) * path
 
 
+@_validate.takes_units("focal", "dx", "wavelength", "offset")
 def fresnel_zone_plate(
     shape: Sequence[int],
     focal: float,
@@ -1015,6 +1028,7 @@ _DAMMANN = {
 }
 
 
+@_validate.takes_units("period", "dx", "offset")
 def dammann_grating(
     shape: Sequence[int],
     period: float | Sequence[float],
@@ -1124,6 +1138,7 @@ def _radius(xp, y, x):
     return xp.where(centre, xp.zeros_like(squared), xp.sqrt(xp.where(centre, xp.ones_like(squared), squared))), centre
 
 
+@_validate.takes_units("dx")
 def zernike_phase(
     nx: int,
     ny: int,
@@ -1210,6 +1225,7 @@ def zernike_phase(
     return phase
 
 
+@_validate.takes_units("dx")
 def zernike_basis(
     nx: int,
     ny: int,

@@ -9,6 +9,7 @@ from odak import _array, _validate
 from odak._array import Array, ArrayT
 
 
+@_validate.takes_units("wavelength")
 def wavenumber(wavelength: float | Array) -> float | Array:
     """Return the wave number 2π/λ.
 
@@ -44,6 +45,7 @@ def _positive(name, value):
     return _array.namespace(value).astype(value, _array.real_dtype(value)) if half else value
 
 
+@_validate.takes_units("wavelength")
 def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
     """Return the angular frequency ω = 2πc/λ.
 
@@ -70,6 +72,7 @@ def rotationspeed(wavelength: Array, c: float | Array = 3 * 10**11) -> Array:
     return k * c
 
 
+@_validate.takes_units("wavelength")
 def rayleigh_resolution(diameter: float, focal: float | None = None, wavelength: float = 0.0005) -> float:
     """Return the Rayleigh criterion of a circular aperture: 1.22·λ/D radians, or times `focal` as a length.
 

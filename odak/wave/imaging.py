@@ -14,6 +14,7 @@ from odak.wave.transfer_functions import autocorrelation, pitches
 _AXES = (-2, -1)
 
 
+@_validate.takes_units("dx", "wavelength")
 def pupil_function(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -208,6 +209,7 @@ def point_spread_function(pupil: Array) -> Array:
 _METHOD = "Incoherent Angular Spectrum"
 
 
+@_validate.takes_units("distances", "dx", "wavelengths")
 def incoherent_focal_stack_rgbd(
     targets: Array,
     masks: Array,

@@ -23,6 +23,7 @@ _DECAYS = (0.9, 0.999)
 _NAMED = 5
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def hologram_in_chunks(
     target: Any,
     folder: str | os.PathLike,

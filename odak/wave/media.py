@@ -16,6 +16,7 @@ from odak.wave.transfer_functions import Grid, angular_spectrum, convolve, pitch
 METHODS = ("split-step", "wave propagation")
 
 
+@_validate.takes_units("dx", "dz", "wavelength")
 def propagate_through_medium(
     field: Array,
     index: Array | Iterable,
@@ -291,6 +292,7 @@ def _through_tensors(step: _Step, field, slices):
     return field
 
 
+@_validate.takes_units("dx", "wavelength")
 def scattered_field(
     incident: Array,
     index: Array,

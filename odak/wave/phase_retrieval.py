@@ -20,6 +20,7 @@ _WINDOW = (True, False, True)
 TARGET_TYPES = ("no constraint", "double constraint")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def gerchberg_saxton(
     field: np.ndarray,
     n_iterations: int,
@@ -186,6 +187,7 @@ def _starting_phase(target, initial_phase, seed):
     return _array.cast(initial_phase, target)
 
 
+@_validate.takes_units("distances", "dx", "wavelength")
 def gerchberg_saxton_3d(
     fields: np.ndarray,
     n_iterations: int,
@@ -284,6 +286,7 @@ def _double_constraint(coefficients):
     return update
 
 
+@_validate.takes_units("wavelength", "dx")
 def spot_hologram(
     points: Array,
     resolution: Sequence[int],

@@ -65,6 +65,7 @@ def apply_jones(matrix: Array, field: Array) -> Array:
     )
 
 
+@_validate.takes_units(degrees=("angle",))
 def phase_modulator(phase: Array, angle: float | Array = 0.0) -> Array:
     """Return the Jones matrices of a modulator that delays one linear polarisation, such as a liquid-crystal panel.
 
@@ -99,6 +100,7 @@ def phase_modulator(phase: Array, angle: float | Array = 0.0) -> Array:
     return matrix_on_axes(xp, along, xp.ones_like(along), angle, dtype)
 
 
+@_validate.takes_units("wavelength", "thickness", degrees=("angle",))
 def birefringent_plate(
     wavelength: float | Array,
     thickness: float | Array,
@@ -154,6 +156,12 @@ def birefringent_plate(
     return matrix_on_axes(xp, along, across, angle, xp.complex128 if double else xp.complex64)
 
 
+@_validate.takes_units(
+    degrees=(
+        "retardance",
+        "angle",
+    )
+)
 def q_plate(
     shape: Sequence[int],
     charge: float,
@@ -281,6 +289,7 @@ def filter_polarized(field: Array, transfer: Array) -> Array:
     return xp.astype(xp.fft.ifftn(filtered, axes=(-2, -1))[..., :rows, :columns], field.dtype, copy=False)
 
 
+@_validate.takes_units("dx", "wavelength")
 def thin_film_transfer(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -374,6 +383,7 @@ def thin_film_transfer(
     return xp.permute_dims(stack_matrix(xp, rows_of_matrix, xp.complex128), (2, 3, 0, 1))
 
 
+@_validate.takes_units("dx", "wavelength")
 def longitudinal_field(
     field: Array, dx: float | Sequence[float], wavelength: float | Array, index: float | Array = 1.0
 ) -> Array:
@@ -461,6 +471,7 @@ def _inverse_axial_frequency(xp, fy, fx, widths, limit):
     return xp.where(near, mean, 1 / xp.sqrt(xp.where(near, xp.ones_like(squared), squared))), across
 
 
+@_validate.takes_units("dx", "wavelength", "focal", "target_dx", "distance", "offset")
 def focus_polarized(
     field: Array,
     dx: float | Sequence[float],

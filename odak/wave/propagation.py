@@ -45,6 +45,7 @@ from odak.wave.transfer_functions import (
 REQUIRED: Any = None
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def propagate_beam(
     field: Array,
     k: float | Array | None = None,
@@ -259,6 +260,7 @@ def propagate_within_window(
     return convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, size))
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def angular_spectrum(
     field: Array,
     k: Array,
@@ -308,6 +310,7 @@ def angular_spectrum(
     )
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def band_limited_angular_spectrum(
     field: Array,
     k: Array,
@@ -357,6 +360,7 @@ def band_limited_angular_spectrum(
     )
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def incoherent_angular_spectrum(
     field: Array,
     k: Array,
@@ -406,6 +410,7 @@ def incoherent_angular_spectrum(
     )
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def transfer_function_fresnel(
     field: Array,
     k: Array,
@@ -455,6 +460,7 @@ def transfer_function_fresnel(
     )
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def impulse_response_fresnel(
     field: Array,
     k: Array,
@@ -558,6 +564,7 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
     )
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the angular spectrum on frequencies spread over the alias-free band alone.
 
@@ -598,6 +605,7 @@ def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: 
     return propagate_beam(field, k, distance, dx, wavelength, "Bandextended Angular Spectrum")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the angular spectrum with twice as many frequencies, confined to the alias-free band far away.
 
@@ -638,6 +646,7 @@ def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, 
     return propagate_beam(field, k, distance, dx, wavelength, "Adaptive Sampling Angular Spectrum")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral, as a linear convolution with its sampled kernel.
 
@@ -679,6 +688,7 @@ def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wave
     return propagate_beam(field, k, distance, dx, wavelength, "Rayleigh-Sommerfeld")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral as a direct double sum, formed in double precision.
 
@@ -736,6 +746,7 @@ def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, 
     return xp.astype(xp.reshape(result, (*result.shape[:-2], rows, columns)), _array.complex_dtype(field))
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Propagate to the far field: exp(ikz)/(iλz)·exp(ikr²/(2z))·F{u}·dx² (Goodman 2005, eq. 4-25).
 
@@ -771,6 +782,7 @@ def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: A
     return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
     """Return the field of which a :func:`fraunhofer` pattern is given.
 
@@ -804,6 +816,7 @@ def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavel
     return propagate_beam(field, k, distance, dx, wavelength, "Fraunhofer Inverse")
 
 
+@_validate.takes_units("distance", "dx", "wavelength")
 def fraunhofer_equal_size_adjust(
     field: Array, distance: float, dx: float | Sequence[float], wavelength: float
 ) -> Array:
@@ -887,6 +900,7 @@ def padding_flags(zero_padding) -> tuple[bool, bool, bool]:
     return pad, fine, crop
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_propagation_kernel(
     nu: int,
     nv: int,

@@ -17,6 +17,7 @@ _AXES = (-2, -1)
 _RIM, _LEAKED = 1.1, 5e-4
 
 
+@_validate.takes_units("dx", "wavelength", degrees=("angles",))
 def reference_wave(
     shape: Sequence[int],
     dx: float | Sequence[float],
@@ -139,6 +140,7 @@ def recorded_intensity(field: Array, reference: Array, phase_steps: Sequence[flo
     return xp.real(total) ** 2 + xp.imag(total) ** 2
 
 
+@_validate.takes_units("dx")
 def off_axis_field(
     hologram: Array, reference: Array, dx: float | Sequence[float], bandwidth: float | None = None
 ) -> Array:

@@ -100,6 +100,7 @@ class SamplingReport(Criteria):
         return asdict(self)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def sampling_report(
     shape: Sequence[int],
     dx: float | Sequence[float],

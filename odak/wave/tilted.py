@@ -39,6 +39,7 @@ from odak.wave.windows import GUARD, Rays, Window, carry_to_offset, column, make
 GRAZING = 0.035
 
 
+@_validate.takes_units("wavelength", "distance", "dx", "offset", degrees=("angles",))
 def propagate_to_tilted_plane(
     field: Array,
     wavelength: float | Array,

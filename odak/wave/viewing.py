@@ -16,6 +16,9 @@ _AXES = (-2, -1)
 ROTATION_RADIUS = 10.5e-3
 
 
+@_validate.takes_units(
+    "dx", "wavelength", "distance", "pupil_position", "pupil_diameter", "focus", degrees=("rotation",)
+)
 def eye_image(
     field: Array,
     dx: float | Sequence[float],

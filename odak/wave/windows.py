@@ -282,6 +282,7 @@ def roll_off(excess, width, guard: float):
     return normal_tail(deviations)
 
 
+@_validate.takes_units("wavelength", "distance", "dx", "window_dx", "offset")
 def propagate_to_window(
     field: Array,
     wavelength: float | Array,

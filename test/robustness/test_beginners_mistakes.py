@@ -1,10 +1,17 @@
 """Likely mistakes of first programs: each message names what was given, and what endangers a result warns."""
 
+import inspect
+import math
+import time
+import timeit
+import warnings
+
 import numpy as np
 import pytest
 import torch
 
 import odak
+from odak import _validate
 from odak.learn import perception, wave
 from odak.learn.tools import load_image, resize, save_image
 
@@ -69,3 +76,133 @@ def test_powers_are_named_with_spaces_underscores_or_hyphens():
         assert wave.propagator(resolution=[8, 8], method=method).method == "multi-color"
     with pytest.raises(ValueError, match="got 'mixed_color'"):
         wave.propagator(resolution=[8, 8], method="mixed_color")
+
+
+# Distance, pitch and wavelength of one propagation, and what was probably meant.
+IMPOSSIBLE = [
+    ((0.1, 8, 532e-9), "dx must .* did you mean 8um"),
+    ((0.1, 8e-6, 532), "wavelength must .* did you mean 532nm"),
+    ((532e-9, 8e-6, 0.1), "wavelength and distance exchanged"),
+    ((8e-6, 1e-3, 532e-9), "distance and dx exchanged"),
+    ((0.1, (8e-6, 8), 532e-9), "did you mean 8um"),
+]
+
+
+@pytest.mark.parametrize(("lengths", "message"), IMPOSSIBLE)
+def test_lengths_that_cannot_belong_together_are_refused(lengths, message):
+    for face, field in ((odak.wave, np.ones((4, 4))), (wave, torch.ones(4, 4))):
+        with pytest.raises(ValueError, match=message):
+            face.propagate_beam(field, None, *lengths)
+
+
+def test_pixels_of_eight_metres_are_refused_everywhere():
+    picture = torch.ones(8, 8)
+    for call in (
+        lambda: wave.stochastic_gradient_descent(picture, WAVELENGTH, 0.1, 8, n_iteration=1),
+        lambda: wave.gerchberg_saxton(picture, 1, 0.1, 8, WAVELENGTH),
+        lambda: wave.propagator(resolution=[8, 8], pixel_pitch=8.0),
+        lambda: odak.wave.lens_phase((8, 8), 0.1, 8, WAVELENGTH),
+        lambda: odak.wave.gaussian_beam((8, 8), 8, WAVELENGTH, 1e-3),
+        lambda: odak.wave.sampling_report((8, 8), 8, WAVELENGTH, 0.1),
+        lambda: odak.wave.optical_bench([odak.wave.FreeSpace(0.1)], WAVELENGTH).propagate(np.ones((8, 8)), 8),
+    ):
+        with pytest.raises(ValueError, match="did you mean 8um"):
+            call()
+
+
+@pytest.mark.parametrize(
+    "lengths",
+    # Light, light in a telescope, X-rays, terahertz, radio, sound in air, lengths in wavelengths, a near field.
+    [
+        (0.1, 8e-6, 5e-7),
+        (100.0, 0.01, 5e-7),
+        (1.0, 1e-6, 1e-10),
+        (0.1, 1e-4, 3e-4),
+        (1e3, 10.0, 300.0),
+        (5.0, 0.1, 0.34),
+        (100, 0.5, 1),
+        (2e-8, 2e-8, 5e-7),
+    ],
+)
+def test_other_waves_pass_without_a_word(lengths):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", odak.ArgumentWarning)
+        odak.wave.propagate_beam(np.ones((4, 4)), None, *lengths)
+
+
+class Quantity:
+    """A length as pint has it; with another name for its number, as astropy has it."""
+
+    def __init__(self, number, unit, name):
+        self.number, self.unit = number, unit
+        setattr(self, name, number)
+
+    def to(self, unit):
+        if unit != "m":
+            raise TypeError(f"not a length: {unit}")
+        name = "magnitude" if hasattr(self, "magnitude") else "value"
+        return Quantity(self.number * _validate.UNITS[self.unit], "m", name)
+
+
+def test_lengths_with_units_are_those_in_metres():
+    field = odak.wave.propagate_beam(np.ones((8, 8)), None, 1e-3, 8e-6, 532e-9)
+    quantities = Quantity(1, "mm", "magnitude"), Quantity(8, "um", "value"), Quantity(532, "nm", "magnitude")
+    for lengths in (("1mm", "8um", "532nm"), quantities, ("0.1 cm", ["8um", 8e-6], "0.532µm")):
+        np.testing.assert_allclose(odak.wave.propagate_beam(np.ones((8, 8)), None, *lengths), field, rtol=1e-9)
+        by_torch = wave.propagate_beam(torch.ones(8, 8, dtype=torch.complex128), None, *lengths)
+        np.testing.assert_allclose(by_torch.numpy(), field, rtol=1e-9)
+    optimised = [
+        wave.stochastic_gradient_descent(torch.ones(8, 8), *lengths, n_iteration=2, seed=0, progress=False)[0]
+        for lengths in ((532e-9, 1e-3, 8e-6), ("532nm", "1mm", "8um"))
+    ]
+    torch.testing.assert_close(*optimised)
+    bench = odak.wave.optical_bench([odak.wave.ThinLens("5cm"), odak.wave.FreeSpace("1mm")], wavelength="532nm")
+    same = odak.wave.optical_bench([odak.wave.ThinLens(0.05), odak.wave.FreeSpace(1e-3)], wavelength=532e-9)
+    light = np.ones((8, 8))
+    np.testing.assert_allclose(bench.propagate(light, "8um")[0], same.propagate(light, 8e-6)[0], rtol=1e-9)
+    display = wave.propagator(wavelengths=["639nm", "532nm", "473nm"], resolution=[8, 8], pixel_pitch="8um")
+    assert [float(value) for value in display.wavelengths] == pytest.approx([639e-9, 532e-9, 473e-9])
+    for wrong in ("15cc", "nonsense", Quantity(1, "parsec", "value")):
+        with pytest.raises(ValueError, match="distance must be a length"):
+            odak.wave.propagate_beam(np.ones((8, 8)), None, wrong, 8e-6, 532e-9)
+
+
+@pytest.mark.parametrize("package", [odak.wave, wave])
+def test_every_door_takes_units(package):
+    lengths = {"wavelength", "wavelengths", "distance", "distances", "dx", "pixel_pitch", "slm_pixel_pitch"}
+    missing = []
+    for name in package.__all__:
+        door = getattr(package, name)
+        if not callable(door) or name in ("BenchPlane", "SamplingReport"):  # results
+            continue
+        units = getattr(door.__init__ if inspect.isclass(door) else door, "__units__", {})
+        missing += [f"{name}({argument})" for argument in lengths & {*inspect.signature(door).parameters} - {*units}]
+    assert missing == []
+
+
+def test_the_check_of_lengths_is_quick_and_reads_no_gpu():
+    check = _validate.takes_units("distance", "dx", "wavelength")(lambda distance, dx, wavelength: distance)
+    far = torch.ones(1, device="meta")  # has no values to read
+    assert check(far, far, far) is far
+    for lengths in ((0.1, 8e-6, 532e-9), (0.1, (8e-6, 7e-6), 532e-9), (torch.tensor(0.1), 8e-6, torch.tensor(532e-9))):
+        took = min(timeit.repeat(lambda: check(*lengths), number=500, repeat=5, timer=time.process_time)) / 500  # noqa: B023
+        assert took < 20e-6
+
+
+@pytest.mark.parametrize("package", [odak.wave, wave])
+def test_a_misspelt_keyword_is_named(package):
+    with pytest.raises(TypeError, match=r"propagate_beam has no argument 'wavelenght'. Did you mean 'wavelength'?"):
+        package.propagate_beam(torch.ones(4, 4), distance=0.1, dx=8e-6, wavelenght=532e-9)
+    with pytest.raises(TypeError, match=r"has no argument 'learning_rat'. Did you mean 'learning_rate'?"):
+        wave.stochastic_gradient_descent(torch.ones(4, 4), 532e-9, 0.1, 8e-6, learning_rat=0.1)
+    with pytest.raises(TypeError, match=r"propagator has no argument 'pixel_pich'. Did you mean 'pixel_pitch'?"):
+        wave.propagator(pixel_pich=8e-6)
+
+
+def test_degrees_that_look_like_radians_are_pointed_out():
+    for package in (odak.jones, odak.learn.jones):
+        with pytest.warns(odak.ArgumentWarning, match="angle is in degrees: 0.785398 is 45 degrees in radians"):
+            package.polarizer(math.pi / 4)
+        package.polarizer(0.79)
+    with pytest.warns(odak.ArgumentWarning, match="angles is in degrees"):
+        odak.wave.reference_wave((8, 8), 8e-6, WAVELENGTH, (0.0, math.radians(1)))

@@ -129,6 +129,7 @@ class simulated_camera(torch.nn.Module):
     aberration: torch.Tensor
     illumination: torch.Tensor
 
+    @_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
     def __init__(
         self,
         wavelength: float,

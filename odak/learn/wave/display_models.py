@@ -142,6 +142,7 @@ class display_model(torch.nn.Module):
     _pixels: torch.Tensor
     _homography: torch.Tensor
 
+    @_validate.takes_units("pitch", "wavelength", "distance", "camera_pitch")
     def __init__(
         self,
         shape: Sequence[int],

@@ -49,6 +49,7 @@ q_plate = torch_face(polarized.q_plate)
 thin_film_transfer = torch_face(polarized.thin_film_transfer)
 
 
+@_validate.takes_units("focal", "dx")
 def quadratic_phase_function(
     nx: int,
     ny: int,

@@ -18,6 +18,7 @@ from odak.wave.viewing import eye_transfer, seen_through
 
 @takes_constants("wavelength", "distance", "pixel_pitch", "pupil_diameter", "focus", "learning_rate")
 @torch.inference_mode(False)
+@_validate.takes_units("wavelength", "distance", "pixel_pitch", "pupil_diameter", "focus", degrees=("rotation",))
 def eyebox_hologram(
     targets: torch.Tensor,
     wavelength: float,

@@ -137,6 +137,7 @@ def _is_count(value) -> bool:
 @accepts_older_form
 @takes_constants("wavelength", "distance", "pixel_pitch", "learning_rate")
 @torch.inference_mode(False)
+@_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
 def stochastic_gradient_descent(
     target: torch.Tensor,
     wavelength: float,
@@ -432,6 +433,7 @@ def _starting_phase(target, shape, initial_phase, seed) -> torch.Tensor:
 @accepts_descent_form
 @takes_constants("distance", "dx", "wavelength", "slm_range")
 @torch.no_grad()
+@_validate.takes_units("distance", "dx", "wavelength")
 def gerchberg_saxton(
     field: torch.Tensor,
     n_iterations: int,
@@ -522,6 +524,7 @@ def gerchberg_saxton(
 
 @takes_constants("wavelength", "distance", "dx")
 @torch.no_grad()
+@_validate.takes_units("wavelength", "distance", "dx")
 def point_wise(
     target: torch.Tensor,
     wavelength: float,
@@ -583,6 +586,7 @@ def point_wise(
     return convolve(target.sqrt().to(dtype), torch.fft.fft2(lens))
 
 
+@_validate.takes_units("depth_shift", "pixel_pitch", "wavelength")
 def shift_w_double_phase(
     phase: torch.Tensor,
     depth_shift: float,
@@ -659,6 +663,7 @@ def shift_w_double_phase(
 
 @takes_constants("wavelength", "distance", "pixel_pitch")
 @torch.no_grad()
+@_validate.takes_units("wavelength", "distance", "pixel_pitch", "iris_radius", "iris_focal_length")
 def double_phase_hologram(
     target: torch.Tensor,
     wavelength: float,

@@ -23,6 +23,7 @@ def _on_torch(*arguments, device, dtype):
     return propagation.get_propagation_kernel(*arguments, xp=torch_namespace, device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_propagation_kernel(
     nu: int,
     nv: int,
@@ -83,6 +84,7 @@ def get_propagation_kernel(
     return _on_torch(nu, nv, dx, wavelength, distance, propagation_type, scale, samples, device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_angular_spectrum_kernel(
     nu: int,
     nv: int,
@@ -129,6 +131,7 @@ def get_angular_spectrum_kernel(
     return _on_torch(nu, nv, dx, wavelength, distance, "Angular Spectrum", device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_band_limited_angular_spectrum_kernel(
     nu: int,
     nv: int,
@@ -175,6 +178,7 @@ def get_band_limited_angular_spectrum_kernel(
     return _on_torch(nu, nv, dx, wavelength, distance, "Bandlimited Angular Spectrum", device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_incoherent_angular_spectrum_kernel(
     nu: int,
     nv: int,
@@ -221,6 +225,7 @@ def get_incoherent_angular_spectrum_kernel(
     return _on_torch(nu, nv, dx, wavelength, distance, "Incoherent Angular Spectrum", device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_transfer_function_fresnel_kernel(
     nu: int,
     nv: int,
@@ -267,6 +272,7 @@ def get_transfer_function_fresnel_kernel(
     return _on_torch(nu, nv, dx, wavelength, distance, "Transfer Function Fresnel", device=device, dtype=dtype)
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_impulse_response_fresnel_kernel(
     nu: int,
     nv: int,
@@ -327,6 +333,7 @@ def get_impulse_response_fresnel_kernel(
     )
 
 
+@_validate.takes_units("dx", "wavelength", "distance")
 def get_seperable_impulse_response_fresnel_kernel(
     nu: int,
     nv: int,
@@ -391,6 +398,7 @@ def get_seperable_impulse_response_fresnel_kernel(
     return transfer_functions.separable_impulse_response(grid)
 
 
+@_validate.takes_units("wavelengths", "distances", "pixel_pitches")
 def get_light_kernels(
     wavelengths: Sequence[float],
     distances: Sequence[float],
@@ -489,6 +497,7 @@ def _parameters(wavelengths, distances, pitches, resolution, shape, device) -> t
     return parameters
 
 
+@_validate.takes_units("wavelength", "distance")
 def get_point_wise_impulse_response_fresnel_kernel(
     aperture_points: torch.Tensor,
     aperture_field: torch.Tensor,

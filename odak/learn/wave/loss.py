@@ -542,6 +542,7 @@ class multiplane_loss(FocalTargets):
     0.0
     """
 
+    @_validate.takes_units("distances", "wavelengths", "pixel_pitch")
     def __init__(
         self,
         target_image: torch.Tensor,
@@ -701,6 +702,7 @@ class perceptual_multiplane_loss(FocalTargets):
     (0.0, 0.0)
     """
 
+    @_validate.takes_units("distances", "wavelengths", "pixel_pitch")
     def __init__(
         self,
         target_image: torch.Tensor,

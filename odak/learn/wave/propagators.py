@@ -212,6 +212,17 @@ class propagator(display_volume):
     phase_scale: torch.Tensor
     channel_power: torch.Tensor
 
+    @_validate.takes_units(
+        "wavelengths",
+        "pixel_pitch",
+        "volume_depth",
+        "image_location_offset",
+        "back_and_forth_distance",
+        "distances",
+        "vaccination_scale",
+        "iris_radius",
+        "iris_focal_length",
+    )
     def __init__(
         self,
         resolution: Sequence[int] = (1920, 1080),

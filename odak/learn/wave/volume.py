@@ -683,6 +683,7 @@ class holographic_display(display_volume):
     torch.Size([1, 2, 1, 16, 24])
     """
 
+    @_validate.takes_units("wavelengths", "pixel_pitch", "volume_depth", "image_location_offset")
     def __init__(
         self,
         wavelengths: Sequence[float],

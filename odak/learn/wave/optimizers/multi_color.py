@@ -120,6 +120,7 @@ class multi_color_hologram_optimizer:
     _title = "multi-colour hologram"
     _workspace: Workspace | None = None
 
+    @_validate.takes_units("wavelengths")
     def __init__(
         self,
         wavelengths: Sequence[float],
@@ -637,6 +638,7 @@ class mixed_color_hologram_optimizer(multi_color_hologram_optimizer):
 
     _title = "mixed-colour hologram"
 
+    @_validate.takes_units("wavelengths")
     def __init__(
         self,
         wavelengths: Sequence[float],

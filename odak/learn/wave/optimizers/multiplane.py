@@ -92,6 +92,7 @@ class multiplane_hologram_optimizer:
     torch.Size([2, 32, 32])
     """
 
+    @_validate.takes_units("wavelength", "image_location", "slm_pixel_pitch", "zero_mode_distance")
     def __init__(
         self,
         wavelength: float,
