@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from numbers import Real
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import torch
 from tqdm import tqdm
@@ -34,6 +34,8 @@ from odak.wave.methods import check_has_kernel
 from odak.wave.propagation import propagate_within_window
 from odak.wave.transfer_functions import checked_pitch, convolve, pitches
 
+P = ParamSpec("P")
+R = TypeVar("R")
 STARTS = ("quadratic", "flat", "random", "double phase", "gs")
 # Of the Nyquist frequency, reached at the edges of the hologram.
 _QUADRATIC_SHARE = 0.25
@@ -41,7 +43,7 @@ _QUADRATIC_SHARE = 0.25
 _PROJECTIONS = 10
 
 
-def accepts_older_form(function: Callable) -> Callable:
+def accepts_older_form(function: Callable[P, R]) -> Callable[P, R]:
     """Let an optimizer be called as ``f(target, wavelength, distance, dx, resolution, propagation_type, count, …)``.
 
     The older form has a resolution at the fifth place, the keyword `dx` for `pixel_pitch`, `iteration_number` for
@@ -87,7 +89,7 @@ _RENAMED = {"pixel_pitch": "dx", "n_iteration": "n_iterations", "iteration_numbe
 _WITHOUT_EFFECT = ("loss_function", "learning_rate", "optimizer", "scale")
 
 
-def accepts_descent_form(function: Callable) -> Callable:
+def accepts_descent_form(function: Callable[P, R]) -> Callable[P, R]:
     """Let Gerchberg–Saxton be called with the arguments of `stochastic_gradient_descent`, present or older.
 
     The form is recognised by a wavelength at the second place, or the keyword `target`, which is then an intensity.
@@ -145,7 +147,7 @@ def stochastic_gradient_descent(
     pixel_pitch: float | Sequence[float],
     propagation_type: str = "Bandlimited Angular Spectrum",
     n_iteration: int = 100,
-    loss_function: Callable | None = None,
+    loss_function: Callable[..., Any] | None = None,
     learning_rate: float = 0.1,
     *,
     optimizer: str = "adam",
@@ -153,13 +155,13 @@ def stochastic_gradient_descent(
     seed: int | None = None,
     scale: bool = False,
     frames: int = 1,
-    slm: Callable | None = None,
+    slm: Callable[..., Any] | None = None,
     iris_radius: float | None = None,
     iris_focal_length: float | None = None,
-    camera: Callable | None = None,
+    camera: Callable[..., Any] | None = None,
     progress: bool = True,
-    callback: Callable | None = None,
-    checkpoint: str | os.PathLike | None = None,
+    callback: Callable[..., Any] | None = None,
+    checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: int = 50,
     pixel_fill: float | None = None,
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -445,7 +447,7 @@ def gerchberg_saxton(
     initial_phase: torch.Tensor | None = None,
     seed: int | torch.Generator | None = None,
     progress: bool = False,
-    callback: Callable | None = None,
+    callback: Callable[..., Any] | None = None,
     pixel_fill: float | None = None,
     *,
     accelerated: bool = False,
