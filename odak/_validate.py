@@ -37,7 +37,7 @@ _LEAST_PICTURE = 16
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "nm": 1e-9, "pm": 1e-12}
 # Wavelengths per pixel of no grid: light does not leave the pixels of the first, and that of the second is evanescent.
 # Between the second pair there are grids, of near fields and of telescopes, which are rare: a warning.
-_COARSEST, _FINEST = 5e6, 1e-3
+COARSEST, FINEST = 5e6, 1e-3
 _COARSE, _FINE = 1e5, 1e-2
 # A pixel of so many Fresnel zones casts its own shadow: the distance was meant to be the pitch.
 _FRESNEL_ZONES = 1e5
@@ -600,13 +600,13 @@ def _doubt(names: tuple[str, str, str], wave, pitch, distance) -> str | None:
                 f"{wave_name} must be of light on this grid, got {longest:g} m for pixels of {finest:g} m and "
                 f"{distance_name} of {furthest:g} m: were {wave_name} and {distance_name} exchanged?"
             )
-    if finest < _FINEST * longest:
+    if finest < FINEST * longest:
         meant = likely_length(longest, 1e-7, 2e-5, "nm")
         raise ValueError(
             f"{wave_name} must be of light on this grid, got {longest:g} m for pixels of {finest:g} m, whose field "
             f"would be evanescent: did you mean {meant}?"
         )
-    if coarsest > _COARSEST * shortest:
+    if coarsest > COARSEST * shortest:
         meant = likely_length(coarsest, 1e-6, 1e-3, "um")
         raise ValueError(
             f"{pitch_name} must be of a grid for this light, got {coarsest:g} m for a wavelength of {shortest:g} m: "

@@ -355,7 +355,10 @@ def check_wavelength(name: str, value: float) -> None:
 
 
 def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float, finest: float = 0.0) -> bool:
-    """Warn of a wavelength or a pixel pitch that was probably not intended, and return whether there was one."""
+    """Warn of a wavelength or a pixel pitch that was probably not intended, and return whether there was one.
+
+    Pixels that no propagation takes raise InputError.
+    """
     if wavelength > LONGEST_WAVELENGTH:
         meant = likely_length(wavelength, 1e-7, LONGEST_WAVELENGTH, "nm")
         warn(f"{name} {wavelength:g} is {wavelength:g} metres; did you mean {meant}?", ArgumentWarning)
@@ -363,7 +366,10 @@ def warn_of_samples(name: str, wavelength: float, pitch_name: str, pitch: float,
     if pitch > LARGEST_PITCH or pitch < finest:
         why = "larger than the pixels of any modulator" if pitch > LARGEST_PITCH else "below half a wavelength"
         meant = likely_length(pitch, 1e-6, 1e-4, "um")
-        warn(f"{pitch_name} {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?", ArgumentWarning)
+        message = f"{pitch_name} {pitch:g} is {pitch:g} metres, {why}; did you mean {meant}?"
+        if pitch > _validate.COARSEST * wavelength:
+            raise InputError(message)
+        warn(message, ArgumentWarning)
         return True
     return False
 

@@ -434,8 +434,8 @@ def test_units_and_short_options(grey_file, tmp_path):
     ("options", "question"),
     [
         (
-            ["--pixel-pitch", "8"],
-            "--pixel-pitch 8 is 8 metres, larger than the pixels of any modulator; did you mean 8um?",
+            ["--pixel-pitch", "0.002"],
+            "--pixel-pitch 0.002 is 0.002 metres, larger than the pixels of any modulator; did you mean 2um?",
         ),
         (["--pixel-pitch", "8e-9"], "below half a wavelength; did you mean 8um?"),
         (["--distance", "150"], "resolves only 7.4e-06 points across the picture; did you mean 150mm?"),
@@ -448,6 +448,11 @@ def test_improbable_lengths_are_warned_of(options, question, grey_file, tmp_path
     assert question.replace("7.4e-06", "0.0074") in said.stderr
     (line,) = [line for line in said.stderr.splitlines() if "metres" in line and "warning" in line]
     assert line.startswith("odak: warning: --") and line[15:] in read_report(tmp_path)["warnings"]
+
+
+def test_pixels_of_eight_metres_are_refused(grey_file, tmp_path):
+    said = run(grey_file, "-o", tmp_path, *SMALL, "--pixel-pitch", "8", expect=2)
+    assert "--pixel-pitch 8 is 8 metres, larger than the pixels of any modulator; did you mean 8um?" in said.stderr
 
 
 def test_the_last_loss_stays_visible(grey_file, tmp_path):
