@@ -256,6 +256,7 @@ def _between_regions(pixels: int, parts: int) -> np.ndarray:
     return make_interp_spline(np.arange(parts), np.eye(parts), k=min(parts - 1, 3))(places)
 
 
+@_validate.takes_units("wavelength", "distance")
 def calibrate_table(
     modulator: Modulator,
     camera: Camera,
@@ -406,6 +407,7 @@ def calibrate_table(
     return Calibration(*found, registration, regional, uncertainty)
 
 
+@_validate.takes_units("wavelength", "distance")
 def measure_phase_response(
     modulator: Modulator,
     camera: Camera,
@@ -614,6 +616,7 @@ def warn_of_short_range(phases: np.ndarray) -> None:
         )
 
 
+@_validate.takes_units("wavelength", "distance")
 def measure_regional_response(
     modulator: Modulator,
     camera: Camera,
@@ -792,6 +795,7 @@ class _Transposed:
         self.modulator.show(levels.T)
 
 
+@_validate.takes_units("wavelength", "distance")
 def register_camera(
     modulator: Modulator,
     camera: Camera,
@@ -993,6 +997,7 @@ def _second_moments(frame: np.ndarray) -> np.ndarray:
     return np.array([[(light * a * b).sum() for a in (u, v)] for b in (u, v)]) / total
 
 
+@_validate.takes_units("wavelength", "distance")
 def measure_wavefront(
     modulator: Modulator,
     camera: Camera,
@@ -1221,6 +1226,7 @@ def _lit(modulator: Modulator, frame: np.ndarray, spots: np.ndarray, places: np.
     return amplitude / amplitude.max()
 
 
+@_validate.takes_units("wavelength", "distance")
 def measure_distance(
     modulator: Modulator,
     camera: Camera,
@@ -1487,6 +1493,7 @@ def distance_with_uncertainty(
     return found, math.hypot(2 * math.sqrt(toward @ covariance @ toward), FOCUS) * depth * found**2
 
 
+@_validate.takes_units("wavelength", "distance")
 def measure_illumination(
     modulator: Modulator,
     camera: Camera,
