@@ -7,6 +7,7 @@ from .color import change_primaries as change_primaries
 from .color import ciede2000 as ciede2000
 from .color import color_map as color_map
 from .color import delta_e as delta_e
+from .color import delta_e_itp as delta_e_itp
 from .color import hsv_to_rgb as hsv_to_rgb
 from .color import ictcp_to_rgb as ictcp_to_rgb
 from .color import lab_to_srgb as lab_to_srgb
@@ -27,11 +28,13 @@ from .color import rgb_to_linear_rgb as rgb_to_linear_rgb
 from .color import rgb_to_xyz_matrix as rgb_to_xyz_matrix
 from .color import srgb_to_lab as srgb_to_lab
 from .color import tone_map as tone_map
+from .color import xyy_to_xyz as xyy_to_xyz
 from .color import xyz_to_lab as xyz_to_lab
 from .color import xyz_to_linear_rgb as xyz_to_linear_rgb
 from .color import xyz_to_lms as xyz_to_lms
 from .color import xyz_to_luv as xyz_to_luv
 from .color import xyz_to_oklab as xyz_to_oklab
+from .color import xyz_to_xyy as xyz_to_xyy
 from .color import ycrcb_2_rgb as ycrcb_2_rgb
 from .color_vision_deficiency import CVDLoss as CVDLoss
 from .color_vision_deficiency import color_information_loss as color_information_loss

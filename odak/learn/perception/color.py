@@ -8,6 +8,7 @@ in the precision and on the device of the input.
 import functools
 import math
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import torch
@@ -21,12 +22,21 @@ from odak.learn.perception.hdr import pq_decode, pq_encode
 BT709_PRIMARIES = ((0.640, 0.330), (0.300, 0.600), (0.150, 0.060))
 BT2020_PRIMARIES = ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
 P3_PRIMARIES = ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060))
-PRIMARIES = {"BT.709": BT709_PRIMARIES, "BT.2020": BT2020_PRIMARIES, "Display P3": P3_PRIMARIES}
 
 # The coordinates of D65 are published with several roundings. The first two are those of earlier releases.
 XYZ_WHITE = (0.950456, 1.0, 1.088754)
 LAB_WHITE = (0.31271 / 0.32902, 1.0, (1 - 0.31271 - 0.32902) / 0.32902)
 IEC_WHITE = (0.3127 / 0.3290, 1.0, (1 - 0.3127 - 0.3290) / 0.3290)
+PRIMARIES = {
+    "BT.709": BT709_PRIMARIES,
+    "BT.2020": BT2020_PRIMARIES,
+    "Display P3": P3_PRIMARIES,
+    "DCI-P3": P3_PRIMARIES,
+    "Adobe RGB": ((0.640, 0.330), (0.210, 0.710), (0.150, 0.060)),
+    "ACEScg": ((0.713, 0.293), (0.165, 0.830), (0.128, 0.044)),
+}
+# Chromaticities of whites, that of D65 for the other primaries.
+_D65, _WHITES = (0.3127, 0.3290), {"DCI-P3": (0.314, 0.351), "ACEScg": (0.32168, 0.33767)}
 
 
 @functools.lru_cache(maxsize=64)
@@ -70,17 +80,45 @@ def rgb_to_xyz_matrix(
     return torch.from_numpy(_rgb_to_xyz_rows(*_checked_space(primaries, white)).copy())
 
 
-def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = "BT.2020") -> torch.Tensor:
-    """Return linear RGB of one set of primaries as linear RGB of another; both have the white D65.
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def _decoded_in_float32(function: Callable[P, R]) -> Callable[P, R]:
+    """Return the function, which computes pictures of half precision in float32 and returns them in their own."""
+
+    @functools.wraps(function)
+    def careful(*args: Any, **options: Any) -> Any:
+        pictures = [value for value in (*args, *options.values()) if isinstance(value, torch.Tensor)]
+        if not pictures or pictures[0].dtype not in (torch.float16, torch.bfloat16):
+            return function(*args, **options)
+        args = tuple(in_float32(value) if isinstance(value, torch.Tensor) else value for value in args)
+        options = {k: in_float32(v) if isinstance(v, torch.Tensor) else v for k, v in options.items()}
+        return function(*args, **options).to(pictures[0].dtype)  # type: ignore[attr-defined]
+
+    return careful
+
+
+@_decoded_in_float32
+def change_primaries(
+    image: torch.Tensor,
+    source: str | Sequence = "BT.709",
+    target: str | Sequence = "BT.2020",
+    cones: str = "Bradford",
+) -> torch.Tensor:
+    """Return linear RGB of one set of primaries as linear RGB of another; the white of one becomes that of the other.
 
     Parameters
     ----------
     image : torch.Tensor
         Linear RGB ``[..., 3, H, W]``.
-    source : {"BT.709", "BT.2020", "Display P3"}
-        Primaries of the picture.
-    target : {"BT.709", "BT.2020", "Display P3"}
+    source : {"BT.709", "BT.2020", "Display P3", "DCI-P3", "Adobe RGB", "ACEScg"} or sequence
+        Primaries of the picture: a name, or the chromaticities (x, y) of red, green and blue, and of the white if that
+        is not D65.
+    target : {"BT.709", "BT.2020", "Display P3", "DCI-P3", "Adobe RGB", "ACEScg"} or sequence
         Primaries of the result.
+    cones : {"Bradford", "CAT16", "Hunt-Pointer-Estevez"}
+        Responses that adapt where the whites differ, see :func:`adapt_chromatically`.
 
     Returns
     -------
@@ -91,11 +129,12 @@ def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = 
     Raises
     ------
     ValueError, TypeError
-        If the picture has other axes, or the primaries are not known.
+        If the picture has other axes, or the primaries or the cones are not known.
 
     Notes
     -----
-    ITU-R BT.2087-0 gives the matrix from BT.709 to BT.2020.
+    ITU-R BT.2087-0 gives the matrix from BT.709 to BT.2020. DCI-P3: SMPTE RP 431-2:2011; Adobe RGB (1998), version
+    2005-05; ACEScg: SMPTE ST 2065-1:2021 and S-2014-004.
 
     Examples
     --------
@@ -107,11 +146,107 @@ def change_primaries(image: torch.Tensor, source: str = "BT.709", target: str = 
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [1.0, 1.0, 1.0]
     """
-    source, target = (
-        _validate.one_of(name, value, PRIMARIES) for name, value in (("source", source), ("target", target))
+    matrix = np.array(CONES[_validate.one_of("cones", cones, CONES)])
+    (to_xyz, white), (to_target, target_white) = (
+        _space(name, value) for name, value in (("source", source), ("target", target))
     )
-    to_xyz, to_target = (_rgb_to_xyz_rows(PRIMARIES[space], IEC_WHITE) for space in (source, target))
+    if white != target_white:
+        gains = (matrix @ np.array(target_white)) / (matrix @ np.array(white))
+        to_xyz = np.linalg.solve(matrix, gains[:, None] * matrix) @ to_xyz
     return mix(rows(np.linalg.solve(to_target, to_xyz)), as_pictures("image", image))
+
+
+def _space(name, space):
+    """Return the matrix from linear RGB to XYZ of a space, and the XYZ of its white."""
+    if isinstance(space, str):
+        space = _validate.one_of(name, space, PRIMARIES)
+        pairs = (*PRIMARIES[space], _WHITES.get(space, _D65))
+    else:
+        (space,) = _validate.constants(**{name: space})
+        pairs = tuple(tuple(_validate.numbers(_validate.real(name, pair))) for pair in _validate.several(name, space))
+        pairs = pairs if len(pairs) == 4 else (*pairs, _D65)
+        if len(pairs) != 4 or any(len(pair) != 2 or pair[1] <= 0 for pair in pairs):
+            raise ValueError(f"{name} must be a name, or three or four pairs (x, y) with y > 0, got {space!r}")
+    *primaries, (x, y) = pairs
+    white = (x / y, 1.0, (1 - x - y) / y)
+    return _rgb_to_xyz_rows(tuple(primaries), white), white
+
+
+@_decoded_in_float32
+def xyz_to_xyy(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
+    """Return chromaticity and luminance x, y, Y of CIE XYZ.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        XYZ ``[..., 3, H, W]``.
+    white : sequence of float
+        XYZ whose chromaticity black takes, for it has none; D65 by default.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, H, W]``, four axes for three: X/(X + Y + Z), Y/(X + Y + Z) and Y.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats, or the white is not three positive numbers.
+
+    Notes
+    -----
+    CIE 015:2018, section 7.3.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import xyz_to_xyy
+    >>> result = xyz_to_xyy(torch.tensor([0.9505, 1.0, 1.089]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.3127, 0.329, 1.0]
+    """
+    white = _white(white)
+    x, y, z = as_pictures("image", image).unbind(-3)
+    total = x + y + z
+    none = total == 0
+    divisor, sum_white = torch.where(none, 1.0, total), white.sum()
+    shares = (
+        torch.where(none, level / sum_white, value / divisor) for level, value in zip(white, (x, y), strict=False)
+    )
+    return torch.stack([*shares, y], -3)
+
+
+@_decoded_in_float32
+def xyy_to_xyz(image: torch.Tensor) -> torch.Tensor:
+    """Return CIE XYZ of x, y, Y: the inverse of :func:`xyz_to_xyy`.
+
+    Parameters
+    ----------
+    image : torch.Tensor
+        x, y and Y ``[..., 3, H, W]``.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 3, H, W]``, four axes for three; 0 where y is 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If the image does not hold three channels of real floats.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import xyy_to_xyz
+    >>> result = xyy_to_xyz(torch.tensor([0.3127, 0.329, 1.0]).reshape(1, 3, 1, 1))
+    >>> [round(value, 4) for value in result.flatten().tolist()]
+    [0.9505, 1.0, 1.0891]
+    """
+    x, y, level = as_pictures("image", image).unbind(-3)
+    none = y == 0
+    scale = torch.where(none, 0.0, level / torch.where(none, 1.0, y))
+    return torch.stack([x * scale, torch.where(none, 0.0, level), (1 - x - y) * scale], -3)
 
 
 def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
@@ -123,16 +258,16 @@ def rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
 def mix(matrix, image: torch.Tensor, *, offset: tuple[float, ...] | None = None) -> torch.Tensor:
     """Return the matrix (a tensor, or :func:`rows` of an array) times the channels of pictures, in their precision.
 
-    An offset is added to each channel.
+    An offset is added to each channel. Half precision is mixed in float32 and rounded once.
     """
-    flat = image.flatten(-2)
+    flat = in_float32(image.flatten(-2))
     if isinstance(matrix, torch.Tensor):
-        mixed = matrix.to(image) @ flat
+        mixed = matrix.to(flat) @ flat
     else:
-        mixed = constant(matrix, image.dtype, image.device) @ flat
+        mixed = constant(matrix, flat.dtype, flat.device) @ flat
     if offset is not None:
-        mixed = mixed.add_(constant(offset, image.dtype, image.device)[:, None])
-    return mixed.unflatten(-1, image.shape[-2:])
+        mixed = mixed.add_(constant(offset, flat.dtype, flat.device)[:, None])
+    return mixed.to(image.dtype).unflatten(-1, image.shape[-2:])
 
 
 def constant(entries: tuple, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
@@ -462,6 +597,7 @@ def hsv_to_rgb(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([value - lost * (1 - ramp.clamp(0, 1)) for ramp in ramps], -3)
 
 
+@_decoded_in_float32
 def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     """Return CIE 1976 L*a*b* of sRGB.
 
@@ -500,6 +636,7 @@ def srgb_to_lab(image: torch.Tensor) -> torch.Tensor:
     return by_pixels(_to_lab, _single("image", image), _to_lab_gradient)
 
 
+@_decoded_in_float32
 def lab_to_srgb(image: torch.Tensor) -> torch.Tensor:
     """Return sRGB of CIE 1976 L*a*b*: the inverse of :func:`srgb_to_lab`.
 
@@ -782,6 +919,44 @@ def delta_e(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     return root((first - second).square().sum(-3, keepdim=True))
 
 
+def delta_e_itp(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
+    """Return the colour difference ΔE_ITP of pictures of high dynamic range and wide gamut.
+
+    Parameters
+    ----------
+    first : torch.Tensor
+        ICtCp ``[..., 3, H, W]``, as :func:`rgb_to_ictcp` gives it.
+    second : torch.Tensor
+        ICtCp ``[..., 3, H, W]``; its leading axes broadcast against those of `first`.
+
+    Returns
+    -------
+    torch.Tensor
+        ``[..., 1, H, W]``, four axes for three; 1 is just noticeable where the eye is most sensitive. The gradient
+        between equal colours is 0.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If a picture does not hold three channels of real floats, or the shapes do not fit together.
+
+    Notes
+    -----
+    ITU-R BT.2124-0: 720·√(ΔI² + (ΔC_T/2)² + ΔC_P²).
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.perception import delta_e_itp
+    >>> first, second = torch.tensor([[0.5, 0.0, 0.0], [0.5, 0.02, 0.0]]).reshape(2, 1, 3, 1, 1)
+    >>> round(delta_e_itp(first, second).item(), 4)
+    7.2
+    """
+    first, second = (in_float32(value) for value in _pair(first, second))
+    weights = constant(((1.0,), (0.5,), (1.0,)), first.dtype, first.device)[..., None]
+    return 720 * root(((first - second) * weights).square().sum(-3, keepdim=True))
+
+
 def ciede2000(first: torch.Tensor, second: torch.Tensor) -> torch.Tensor:
     """Return the CIEDE2000 colour difference with k_L = k_C = k_H = 1.
 
@@ -912,6 +1087,7 @@ _DARKEST = 1 / (255 * 12.92)
 _BISECTIONS = 40
 
 
+@_decoded_in_float32
 def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE 1976 L*a*b* of CIE XYZ.
 
@@ -949,6 +1125,7 @@ def xyz_to_lab(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return torch.stack([116 * y - 16, 500 * (x - y), 200 * (y - z)], -3)
 
 
+@_decoded_in_float32
 def lab_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE XYZ of CIE 1976 L*a*b*: the inverse of :func:`xyz_to_lab`.
 
@@ -986,6 +1163,7 @@ def lab_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return relative * _column(_white(white), relative)
 
 
+@_decoded_in_float32
 def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE 1976 L*u*v* of CIE XYZ.
 
@@ -1031,6 +1209,7 @@ def xyz_to_luv(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch
     return torch.stack([level, *(torch.where(none, 0.0, 13 * level * part) for part in (u, v))], -3)
 
 
+@_decoded_in_float32
 def luv_to_xyz(image: torch.Tensor, white: Sequence[float] = IEC_WHITE) -> torch.Tensor:
     """Return CIE XYZ of CIE 1976 L*u*v*: the inverse of :func:`xyz_to_luv`.
 
@@ -1192,6 +1371,7 @@ def adapt_chromatically(
     return mix(rows(np.linalg.solve(matrix, gains[:, None] * matrix)), image)
 
 
+@_decoded_in_float32
 def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     """Return Oklab of CIE XYZ with the white D65.
 
@@ -1229,6 +1409,7 @@ def xyz_to_oklab(image: torch.Tensor) -> torch.Tensor:
     return mix(rows(_OKLAB), _signed_cube_root(mix(rows(_OKLAB_CONES), as_pictures("image", image))))
 
 
+@_decoded_in_float32
 def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     """Return CIE XYZ with the white D65 of Oklab: the inverse of :func:`xyz_to_oklab`.
 
@@ -1258,6 +1439,7 @@ def oklab_to_xyz(image: torch.Tensor) -> torch.Tensor:
     return mix(_inverse(rows(_OKLAB_CONES)), mix(_inverse(rows(_OKLAB)), as_pictures("image", image)) ** 3)
 
 
+@_decoded_in_float32
 def oklab_to_oklch(image: torch.Tensor) -> torch.Tensor:
     """Return lightness, chroma and hue in radians of Oklab (or of any space of a lightness and two opponents).
 
@@ -1291,6 +1473,7 @@ def oklab_to_oklch(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([level, chroma, torch.remainder(torch.atan2(blue, red), 2 * torch.pi)], -3)
 
 
+@_decoded_in_float32
 def oklch_to_oklab(image: torch.Tensor) -> torch.Tensor:
     """Return Oklab of lightness, chroma and hue: the inverse of :func:`oklab_to_oklch`.
 
@@ -1321,6 +1504,7 @@ def oklch_to_oklab(image: torch.Tensor) -> torch.Tensor:
     return torch.stack([level, chroma * torch.cos(hue), chroma * torch.sin(hue)], -3)
 
 
+@_decoded_in_float32
 def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     """Return ICtCp of linear BT.2020 RGB, with the PQ curve.
 
@@ -1357,6 +1541,7 @@ def rgb_to_ictcp(luminance: torch.Tensor) -> torch.Tensor:
     return mix(rows(_ICTCP), pq_encode(mix(rows(_ICTCP_CONES), as_pictures("luminance", luminance))))
 
 
+@_decoded_in_float32
 def ictcp_to_rgb(image: torch.Tensor) -> torch.Tensor:
     """Return linear BT.2020 RGB in cd/m² of ICtCp: the inverse of :func:`rgb_to_ictcp`.
 

@@ -11,6 +11,23 @@ D65, D50 = (0.950455927052, 1.0, 1.08905775076), (0.96429567643, 1.0, 0.82510460
 COLOUR = (0.20654008, 0.12197225, 0.05136952)
 
 
+# Of linear BT.709 (0.6, 0.2, 0.1), with matrices derived from the chromaticities.
+ADOBE = ((0.64, 0.33), (0.21, 0.71), (0.15, 0.06))
+WIDE = [
+    ("DCI-P3", "Bradford", (0.547181783704151, 0.21345134376335156, 0.11548971429941372)),
+    ("DCI-P3", "CAT16", (0.5492811537531507, 0.21394243718537004, 0.11395818576464593)),
+    ("Adobe RGB", "Bradford", (0.4860502427422499, 0.2, 0.10411619484501186)),
+    (ADOBE, "Bradford", (0.4860502427422499, 0.2, 0.10411619484501186)),
+    ("ACEScg", "Bradford", (0.4405010158190043, 0.2267322491405252, 0.12126477373492697)),
+    ("ACEScg", "CAT16", (0.43856614223224344, 0.22550580189280292, 0.1206245076037538)),
+    (
+        ((0.713, 0.293), (0.165, 0.83), (0.128, 0.044), (0.32168, 0.33767)),
+        "Bradford",
+        (0.4405010158190043, 0.2267322491405252, 0.12126477373492697),
+    ),
+]
+
+
 def pixel(values):
     return torch.tensor(values, dtype=torch.float64).reshape(1, 3, 1, 1)
 
@@ -32,6 +49,11 @@ def noise(*shape, low=0.02, high=1.0):
         ),
         (p.xyz_to_oklab, COLOUR, (0.516340191406, 0.154694999017, 0.062895787289)),
         (p.rgb_to_ictcp, (456.20519, 30.81071, 40.91952), (0.546773236905, -0.004498820391, 0.323127158414)),
+        (p.xyz_to_xyy, COLOUR, (0.5436955727155692, 0.321079435619259, 0.12197225)),
+        *(
+            (lambda v, to=to, how=how: p.change_primaries(v, "BT.709", to, how), (0.6, 0.2, 0.1), values)
+            for to, how, values in WIDE
+        ),
     ],
 )
 def test_values_of_colour_science(function, colour, expected):
@@ -45,6 +67,7 @@ PAIRS = [
     (p.xyz_to_lms, p.lms_to_xyz),
     (lambda v: p.xyz_to_lms(v, "CAT16"), lambda v: p.lms_to_xyz(v, "CAT16")),
     (p.xyz_to_oklab, p.oklab_to_xyz),
+    (p.xyz_to_xyy, p.xyy_to_xyz),
     (lambda v: p.oklab_to_oklch(v - 0.5), lambda v: p.oklch_to_oklab(v) + 0.5),
     (lambda v: p.rgb_to_ictcp(1000 * v), lambda v: p.ictcp_to_rgb(v) / 1000),
 ]
@@ -132,6 +155,8 @@ def test_tone_mapping(method):
     ("call", "message"),
     [
         (lambda v: p.xyz_to_lab(v, (1, 1)), "white must be three numbers"),
+        (lambda v: p.change_primaries(v, ADOBE[:2]), r"source must be a name, or three or four pairs \(x, y\)"),
+        (lambda v: p.change_primaries(v, target="P4"), "target must be one of"),
         (lambda v: p.map_to_gamut(v[:, :2]), r"image must be pictures \[..., 3, H, W\]"),
         (lambda v: p.adapt_chromatically(v, D65, (0, 1, 1)), "target_white must be positive"),
     ],
@@ -139,6 +164,42 @@ def test_tone_mapping(method):
 def test_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call(noise(1, 3, 2, 2))
+
+
+def test_difference_of_colours_in_ictcp():
+    pair = (0.4885468072, -0.04739350675, 0.07475401302), (0.4899203231, -0.04567508203, 0.07361341775)
+    first, second = (pixel(values).requires_grad_() for values in pair)
+    assert p.delta_e_itp(first, second).item() == pytest.approx(1.4265722824575673, rel=1e-11)
+    assert torch.autograd.gradcheck(p.delta_e_itp, (first, second))
+    (gradient,) = torch.autograd.grad(p.delta_e_itp(first, first.detach()), first)
+    assert not gradient.any()
+
+
+def test_black_has_the_chromaticity_of_the_white():
+    black = torch.zeros(1, 3, 1, 1, dtype=torch.float64, requires_grad=True)
+    found = p.xyz_to_xyy(black)
+    assert found.flatten().tolist() == pytest.approx([0.3127, 0.3290, 0])
+    found.sum().backward()
+    assert black.grad.isfinite().all()
+    assert not p.xyy_to_xyz(pixel((0.3, 0.0, 0.5))).any()
+
+
+@pytest.mark.parametrize(
+    ("there", "back"),
+    [
+        (p.xyz_to_lab, p.lab_to_xyz),
+        (p.xyz_to_luv, p.luv_to_xyz),
+        (p.xyz_to_lms, p.lms_to_xyz),
+        (p.xyz_to_oklab, p.oklab_to_xyz),
+        (p.xyz_to_xyy, p.xyy_to_xyz),
+        (p.rgb_to_ictcp, p.ictcp_to_rgb),
+        (p.srgb_to_lab, p.lab_to_srgb),
+    ],
+)
+def test_half_precision_rounds_once(there, back):
+    colours = noise(1, 3, 16, 16).bfloat16()
+    for function, values in ((there, colours), (back, there(colours))):
+        assert torch.equal(function(values), function(values.float()).bfloat16())
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
