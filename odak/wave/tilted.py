@@ -132,7 +132,7 @@ def propagate_to_tilted_plane(
     window = make_window(field, window_shape, window_dx, dx, offset, guard)
     key = _key(field, request, window, angles, source_angles)
     build = functools.partial(_tilted_path, field, request, window, angles, source_angles)
-    path = kernels.get(key, functools.partial(build, kept=True)) if key else build()
+    path = kernels.on(_array.device_of(field)).get(key, functools.partial(build, kept=True)) if key else build()
     if path.least < GRAZING:
         warn(
             f"angles {angles!r} tilt the plane by more than 88 degrees: waves along it are cut off, and the field "
@@ -296,7 +296,7 @@ def _fits(transfer, steps: int) -> bool:
     double = _array.is_double(transfer)
     largest = math.prod(transfer.shape) * steps * (12 * 12 if double else 7 * 8)
     on_cpu = "cpu" in str(_array.device_of(transfer)).lower()
-    return on_cpu and largest < 3 * kernels.maximum_bytes // 4
+    return on_cpu and largest < 3 * kernels.on("cpu").maximum_bytes // 4
 
 
 @dataclass(frozen=True)

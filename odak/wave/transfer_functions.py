@@ -15,6 +15,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -332,11 +333,18 @@ def autocorrelation(transfer):
     return xp.fft.fftn(make_complex(intensity, xp.zeros_like(intensity)), axes=(-2, -1))
 
 
-DEFAULT_BYTES = 1 << 30
+# Kernels that were used once take up to the first number of bytes. Those that were used again take a tenth of the free
+# memory, from the first to the second number.
+ONCE_BYTES, MOST_BYTES = 1 << 27, 1 << 30
+# So many kernels that were dropped are known as used before when they are built again.
+_REMEMBERED = 1024
 
 
 class KernelCache:
-    """Least-recently-used store, bounded in bytes and safe between threads.
+    """Store of one device, bounded in bytes and safe between threads, which drops the least recently used kernel.
+
+    Those that were used once go before all that were used again: a scan over a thousand distances neither fills the
+    memory nor displaces the kernels of an optimisation.
 
     Parameters
     ----------
@@ -344,37 +352,60 @@ class KernelCache:
         Bound on the bytes held. A kernel larger than this is built on each call and never held.
     """
 
-    def __init__(self, maximum_bytes: int = DEFAULT_BYTES):
-        self._entries: OrderedDict[Hashable, object] = OrderedDict()
+    def __init__(self, maximum_bytes: int):
+        self._once: OrderedDict[Hashable, object] = OrderedDict()
+        self._again: OrderedDict[Hashable, object] = OrderedDict()
+        self._dropped: OrderedDict[Hashable, None] = OrderedDict()
         self._lock = threading.RLock()
         self.maximum_bytes = maximum_bytes
-        self.bytes = 0
+        self.bytes = self._once_bytes = 0
 
     def get(self, key: Hashable, build: Callable):
         """Return the entry of `key`, calling `build` for it when it is not held."""
         with self._lock:
-            if key in self._entries:
-                self._entries.move_to_end(key)
-                return self._entries[key]
+            if key in self._once:
+                self._again[key] = self._once.pop(key)
+                self._once_bytes -= _bytes_of(self._again[key])
+            if key in self._again:
+                self._again.move_to_end(key)
+                return self._again[key]
         kernel = build()
         size = _bytes_of(kernel)
         with self._lock:
-            if key not in self._entries and size <= self.maximum_bytes:
-                self._entries[key] = kernel
+            if size <= self.maximum_bytes and key not in self._again and key not in self._once:
                 self.bytes += size
+                if key in self._dropped:
+                    del self._dropped[key]
+                    self._again[key] = kernel
+                else:
+                    self._once[key] = kernel
+                    self._once_bytes += size
                 self._shrink()
         return kernel
 
     def _shrink(self):
+        while self._once and (
+            self.bytes > self.maximum_bytes or (self._once_bytes > ONCE_BYTES and len(self._once) > 1)
+        ):
+            self._once_bytes -= self._drop(self._once)
         while self.bytes > self.maximum_bytes:
-            self.bytes -= _bytes_of(self._entries.popitem(last=False)[1])
+            self._drop(self._again)
 
-    def _after_fork(self):
-        # Another thread may have held the lock: it does not exist in this process and would never release it.
+    def _drop(self, entries) -> int:
+        key, kernel = entries.popitem(last=False)
+        self._dropped[key] = None
+        if len(self._dropped) > _REMEMBERED:
+            self._dropped.popitem(last=False)
+        size = _bytes_of(kernel)
+        self.bytes -= size
+        return size
+
+    def after_fork(self):
+        """Replace the lock: a thread that held it does not exist in this process and would never release it."""
         self._lock = threading.RLock()
 
     def resize(self, maximum_bytes: int):
-        """Set the bound and drop the least recently used entries above it."""
+        """Set the bound and drop the entries above it."""
         with self._lock:
             self.maximum_bytes = maximum_bytes
             self._shrink()
@@ -382,11 +413,73 @@ class KernelCache:
     def clear(self):
         """Drop every entry."""
         with self._lock:
-            self._entries.clear()
-            self.bytes = 0
+            for entries in (self._once, self._again, self._dropped):
+                entries.clear()
+            self.bytes = self._once_bytes = 0
 
     def __len__(self) -> int:
-        return len(self._entries)
+        return len(self._once) + len(self._again)
+
+
+class KernelCaches:
+    """The stores of all devices, each with its own bound."""
+
+    def __init__(self):
+        self._caches: dict[str, KernelCache] = {}
+        self.maximum_bytes: int | None = None
+
+    def on(self, device) -> KernelCache:
+        """Return the store of a device."""
+        name = str(device)
+        if name not in self._caches:
+            bound = _default_bound(name) if self.maximum_bytes is None else self.maximum_bytes
+            self._caches.setdefault(name, KernelCache(bound))
+        return self._caches[name]
+
+    def resize(self, maximum_bytes: int | None):
+        """Set the bound of every store, now and later; None is the default."""
+        self.maximum_bytes = maximum_bytes
+        for name, cache in list(self._caches.items()):
+            cache.resize(_default_bound(name) if maximum_bytes is None else maximum_bytes)
+
+    def clear(self):
+        """Drop every entry."""
+        for cache in list(self._caches.values()):
+            cache.clear()
+
+    def after_fork(self):
+        """Make the stores usable in a forked process."""
+        for cache in self._caches.values():
+            cache.after_fork()
+
+    bytes = property(lambda self: sum(cache.bytes for cache in self._caches.values()))
+
+    def __len__(self) -> int:
+        return sum(map(len, self._caches.values()))
+
+
+def _default_bound(device: str) -> int:
+    """Return a tenth of the free memory of a device, from the least to the greatest bound."""
+    return min(max(_free_bytes(device) // 10, ONCE_BYTES), MOST_BYTES)
+
+
+def _free_bytes(device: str) -> int:
+    """Return the free memory of a device, 0 if it is not known."""
+    if device.startswith("cuda"):
+        import torch
+
+        return torch.cuda.mem_get_info(device)[0]
+    try:
+        with open("/proc/meminfo", encoding="ascii") as stream:
+            free = next(int(line.split()[1]) << 10 for line in stream if line.startswith("MemAvailable:"))
+    except (OSError, StopIteration):
+        return 0
+    try:
+        # What a container may still take.
+        most, taken = (Path(f"/sys/fs/cgroup/memory.{name}").read_text() for name in ("max", "current"))
+        return min(free, int(most) - int(taken))
+    except (OSError, ValueError):
+        return free
 
 
 def _bytes_of(kernel) -> int:
@@ -396,9 +489,9 @@ def _bytes_of(kernel) -> int:
     return math.prod(kernel.shape) * (16 if "128" in str(kernel.dtype) else 8)
 
 
-kernels = KernelCache()
+kernels = KernelCaches()
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=kernels._after_fork)
+    os.register_at_fork(after_in_child=kernels.after_fork)
 
 
 def clear_kernel_cache() -> None:
@@ -419,13 +512,18 @@ def clear_kernel_cache() -> None:
     kernels.clear()
 
 
-def set_kernel_cache_size(maximum_bytes: int) -> None:
-    """Bound the memory of the cache of transfer functions; 0 switches it off.
+def set_kernel_cache_size(maximum_bytes: int | None) -> None:
+    """Bound the memory of the store of transfer functions; 0 switches it off.
+
+    Transfer functions of geometries that were used once take at most 128 MiB, or the place of one if that is larger.
+    Those of geometries that were used again take at most a tenth of the memory that is free when the first one is
+    stored, but not less than 128 MiB and not more than 1 GiB. The least recently used is dropped first. Each GPU has a
+    store of its own, with bounds that follow from its memory.
 
     Parameters
     ----------
-    maximum_bytes : int
-        Largest sum of kernel sizes to hold, in bytes. The default is 1 GiB.
+    maximum_bytes : int or None
+        Largest sum of kernel sizes to hold on each device, in bytes. None sets the default again.
 
     Raises
     ------
@@ -444,7 +542,7 @@ def set_kernel_cache_size(maximum_bytes: int) -> None:
     ...     print("not a size")
     not a size
     """
-    kernels.resize(_validate.integer("maximum_bytes", maximum_bytes))
+    kernels.resize(None if maximum_bytes is None else _validate.integer("maximum_bytes", maximum_bytes))
 
 
 @dataclass(frozen=True)
@@ -502,7 +600,7 @@ class Request:
             with outside_inference(xp):
                 return build(self.grid(shape, xp, device, dtype))
 
-        return kernels.get(key, fresh)
+        return kernels.on(device).get(key, fresh)
 
     def kernel_for(self, field, build: Callable, shape: tuple[int, int]):
         """Return the transfer function in the field's library, device and precision."""

@@ -207,8 +207,9 @@ def test_a_fork_while_the_kernels_are_being_looked_up():
     """The child of a process whose other thread held the lock of the kernels does not wait for it for ever."""
     from odak.wave.transfer_functions import kernels
 
-    held = kernels._lock
+    cache = kernels.on("cpu")
+    held = cache._lock
     with held:
-        kernels._after_fork()
-        assert kernels._lock is not held
-        assert kernels.get("anything", lambda: torch.zeros(1)).shape == (1,)
+        kernels.after_fork()
+        assert cache._lock is not held
+        assert cache.get("anything", lambda: torch.zeros(1)).shape == (1,)

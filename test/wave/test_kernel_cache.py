@@ -1,9 +1,12 @@
+import sys
 import threading
 
 import numpy as np
 import pytest
+import torch
 
 import odak
+from odak.wave import transfer_functions
 from odak.wave.transfer_functions import KernelCache, kernels
 
 
@@ -14,9 +17,9 @@ def propagate(distance=1e-3, dtype=np.complex64, n=16):
 def test_a_geometry_builds_its_kernel_once():
     propagate()
     assert len(kernels) == 1
-    held = next(iter(kernels._entries.values()))
+    held = next(iter(kernels.on("cpu")._once.values()))
     propagate()
-    assert next(iter(kernels._entries.values())) is held
+    assert next(iter(kernels.on("cpu")._again.values())) is held
     propagate(2e-3)
     propagate(dtype=np.complex128)
     assert len(kernels) == 3
@@ -60,16 +63,77 @@ def test_the_bound_holds_and_the_oldest_goes_first():
         cache.get(name, lambda: np.zeros(8))
     cache.get("a", lambda: pytest.fail("a was held"))
     cache.get("d", lambda: np.zeros(8))
-    assert set(cache._entries) == {"a", "c", "d"}
+    assert {*cache._once, *cache._again} == {"a", "c", "d"}
     assert cache.bytes == 192
     cache.get("large", lambda: np.zeros(100))
-    assert "large" not in cache._entries
+    assert len(cache) == 3
     cache.resize(64)
-    assert set(cache._entries) == {"d"}
+    # It was used twice, the others once.
+    assert {*cache._once, *cache._again} == {"a"} and cache.bytes == 64
+
+
+def test_what_is_used_once_takes_little_and_displaces_nothing(monkeypatch):
+    monkeypatch.setattr(transfer_functions, "ONCE_BYTES", 64 * 10)
+    cache, built = KernelCache(maximum_bytes=64 * 100), []
+
+    def get(name, count=8):
+        return cache.get(name, lambda: built.append(name) or np.zeros(count))
+
+    # Used in turns, more than the room for what is used once: half of them are built twice, and none again.
+    for _ in range(5):
+        for name in range(20):
+            get(name)
+    assert len(built) == 30 and set(built) == set(range(20)) and cache.bytes == 64 * 20
+    for name in range(1000, 2000):
+        get(name)
+    assert cache.bytes == 64 * 30 and set(cache._again) == set(range(20))
+    # One that is larger than that room is held until the next, and the bound of all holds.
+    get("large", 8 * 50), get("large", 8 * 50)
+    assert built.count("large") == 1 and cache.bytes <= 64 * 100
+    get("larger", 8 * 60), get("larger", 8 * 60), get("larger", 8 * 60)
+    # Too large beside what is used again: built twice, then the least recently used make room.
+    assert built.count("larger") == 2 and "larger" in cache._again and 0 not in cache._again
+    assert cache.bytes <= 64 * 100
+
+
+def test_a_thousand_distances_take_at_most_their_room(monkeypatch):
+    monkeypatch.setattr(transfer_functions, "ONCE_BYTES", 2**17)
+    odak.wave.clear_kernel_cache()
+    for index in range(200):
+        propagate(1e-3 + index * 1e-6)
+    assert 2**16 < kernels.bytes <= 2**17
+    odak.wave.clear_kernel_cache()
+
+
+@pytest.mark.parametrize(("free", "bound"), [(0, 2**27), (2**32, 2**32 // 10), (2**40, 2**30)])
+def test_the_bound_is_a_tenth_of_the_free_memory(free, bound, monkeypatch):
+    monkeypatch.setattr(transfer_functions, "_free_bytes", lambda device: free)
+    caches = transfer_functions.KernelCaches()
+    assert caches.on("cpu").maximum_bytes == caches.on("cuda:0").maximum_bytes == bound
+    assert caches.on("cpu") is not caches.on("cuda:0")
+    caches.resize(5)
+    assert caches.on("cpu").maximum_bytes == caches.on("cuda:1").maximum_bytes == 5
+    caches.resize(None)
+    assert caches.on("cpu").maximum_bytes == bound
+
+
+def test_free_memory_is_known_on_linux():
+    if not sys.platform.startswith("linux"):
+        pytest.skip("read from /proc")
+    psutil = pytest.importorskip("psutil")
+    assert 0 < transfer_functions._free_bytes("cpu") <= psutil.virtual_memory().total
+
+
+@pytest.mark.cuda
+def test_the_bound_on_a_gpu_follows_from_its_memory():
+    free = torch.cuda.mem_get_info("cuda")[0]
+    field = torch.ones(16, 16, dtype=torch.complex64, device="cuda")
+    odak.learn.wave.propagate_beam(field, None, 1e-3, 8e-6, 532e-9)
+    cache = kernels.on(field.device)
+    assert len(cache) == 1 and cache.maximum_bytes == min(max(free // 10, 2**27), 2**30)
 
 
 def test_size_is_set_and_checked():
-    maximum = kernels.maximum_bytes
     try:
         odak.wave.set_kernel_cache_size(0)
         propagate()
@@ -77,7 +141,7 @@ def test_size_is_set_and_checked():
         with pytest.raises(ValueError, match="maximum_bytes"):
             odak.wave.set_kernel_cache_size(-1)
     finally:
-        odak.wave.set_kernel_cache_size(maximum)
+        odak.wave.set_kernel_cache_size(None)
 
 
 def test_threads_share_one_cache():
