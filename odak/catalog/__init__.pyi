@@ -1,5 +1,6 @@
 from .materials import Material as Material
 from .materials import abbe_number as abbe_number
+from .materials import air_index as air_index
 from .materials import glass_makers as glass_makers
 from .materials import internal_transmittance as internal_transmittance
 from .materials import load_materials as load_materials

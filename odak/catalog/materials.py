@@ -52,6 +52,14 @@ class Material:
         Published Abbe number (n_d − 1)/(n_F − n_C).
     extinction : pair of tuple of float, optional
         Wavelengths in micrometres, and extinction coefficients κ at them.
+    thermal : tuple of float, optional
+        Schott's constants D₀, D₁, D₂, E₀, E₁ and λ_TK (micrometres) of dn/dT.
+    expansion : float, optional
+        Coefficient of linear expansion per kelvin.
+    measured_at : float
+        Temperature in degrees Celsius to which the coefficients of the index belong.
+    environment : pair of float, optional
+        Temperature in degrees Celsius and pressure of air in pascal at which the material is used; see :meth:`at`.
 
     Examples
     --------
@@ -70,6 +78,20 @@ class Material:
     nd: float | None = None
     vd: float | None = None
     extinction: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    thermal: tuple[float, ...] | None = None
+    expansion: float | None = None
+    measured_at: float = 20.0
+    environment: tuple[Any, Any] | None = None
+
+    def at(self, temperature: Any, pressure: Any = 101325.0) -> "Material":
+        """Return the material at a temperature in degrees Celsius, in air of a pressure in pascal.
+
+        Parameters
+        ----------
+        temperature, pressure : float or array
+            A number, or one of a graph.
+        """
+        return replace(self, environment=(temperature, pressure))
 
     def index(self, wavelength: Any) -> Any:
         """Return the index as published at `wavelength` micrometres (an array in double precision or a number)."""
@@ -388,11 +410,13 @@ def read_agf(path) -> list[Material]:
     numbers: list[float] = []
     limits: list[float] = []
     passed: list[list[float]] = []
+    heat: dict[str, list[float]] = {}
 
     def finish() -> None:
         if not head:
             return
         made = _from_agf(path, head, numbers, limits, passed)
+        made = made if made is None else replace(made, **_heat_of(heat))
         found.append(made) if made is not None else unknown.append(head[0])
 
     for line, text in enumerate(_catalogue_text(path).splitlines(), start=1):
@@ -401,12 +425,14 @@ def read_agf(path) -> list[Material]:
             continue
         if words[0] == "NM":
             finish()
-            head, numbers, limits, passed = words[1:], [], [], []
+            head, numbers, limits, passed, heat = words[1:], [], [], [], {}
         try:
             if words[0] == "CD":
                 numbers = [float(word) for word in words[1:]]
             elif words[0] == "LD":
                 limits = [float(word) for word in words[1:3]]
+            elif words[0] in ("TD", "ED"):
+                heat[words[0]] = [0.0 if word in ("-", "_") else float(word) for word in words[1:]]
             elif words[0] == "IT" and len(words) > 3:
                 passed.append([float(word) for word in words[1:4]])
         except ValueError as error:
@@ -416,6 +442,18 @@ def read_agf(path) -> list[Material]:
         raise ValueError(f"{path.name} contains no glass whose dispersion formula is known")
     if unknown:
         warn(f"{path.name}: skipped {', '.join(unknown[:8])}, whose dispersion formula is not known", ArgumentWarning)
+    return found
+
+
+def _heat_of(lines: dict[str, list[float]]) -> dict[str, Any]:
+    """Return fields of a material from the lines TD (dn/dT, temperature) and ED (expansion in 10⁻⁶/K) of a glass."""
+    constants, expansion = lines.get("TD", []), lines.get("ED", [])
+    found: dict[str, Any] = {}
+    if len(constants) >= 6 and any(constants[:5]):
+        found["thermal"] = tuple(constants[:6])
+        found["measured_at"] = constants[6] if len(constants) > 6 else 20.0
+    if expansion and expansion[0]:
+        found["expansion"] = expansion[0] * 1e-6
     return found
 
 
@@ -545,12 +583,109 @@ def _tabulated(lines: list[str]) -> tuple | None:
 MICROMETRES = {"m": 1e6, "mm": 1e3, "um": 1.0, "µm": 1.0, "nm": 1e-3}
 _DATA = Path(__file__).parent / "data" / "materials.json"
 _GLASSES = Path(__file__).parent / "data" / "glasses.json"
+_THERMAL = Path(__file__).parent / "data" / "thermal.json"
 _ABSORPTION = Path(__file__).parent / "data" / "absorption.json"
 _found: dict[str, Material] = {}
 
 
+def air_index(
+    wavelength: float | Array,
+    temperature: Any = 15.0,
+    pressure: Any = 101325.0,
+    humidity: Any = 0.0,
+    carbon_dioxide: float = 450.0,
+    unit: str = "m",
+) -> float | Array:
+    """Return the refractive index of air of any temperature, pressure and humidity.
+
+    Parameters
+    ----------
+    wavelength : float or array
+        Vacuum wavelength.
+    temperature : float or array
+        In degrees Celsius.
+    pressure : float or array
+        In pascal; 0 is vacuum.
+    humidity : float or array
+        Relative humidity, 0 to 1.
+    carbon_dioxide : float
+        Parts per million by volume.
+    unit : str
+        Of the wavelength: "m", "mm", "um" or "nm".
+
+    Returns
+    -------
+    float or array
+        Index, differentiable.
+
+    Raises
+    ------
+    ValueError
+        If a number is out of range.
+
+    Notes
+    -----
+    P. E. Ciddor, Appl. Opt. 35, 1566 (1996), valid from 0.3 to 1.69 µm, −40 to 100 °C, 80 to 120 kPa, with the density
+    of moist air by the equation of the BIPM (R. S. Davis, Metrologia 29, 67 (1992)).
+
+    Examples
+    --------
+    Ciddor's table for dry air of 20 °C and 100 kPa at 633 nm, 10⁸(n − 1) = 26824.4:
+
+    >>> from odak.catalog import air_index
+    >>> round(1e8 * (air_index(633e-9, 20.0, 100e3) - 1), 1)
+    26824.4
+    """
+    scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
+    carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
+    for key, value, low in (
+        ("temperature", temperature, -273.15),
+        ("pressure", pressure, 0),
+        ("humidity", humidity, 0),
+    ):
+        if not _array.is_array(value):
+            _validate.constant(key, value, least=low)
+    if isinstance(wavelength, (list, tuple)):
+        wavelength = _validate.array("wavelength", wavelength)
+    wide = _in_double(wavelength) * scale
+    found = _ciddor(wide, temperature, pressure, humidity, carbon_dioxide)
+    return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
+
+
+def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 450.0):
+    """Return the index of air at wavelengths in micrometres."""
+    s = 1 / wide**2
+    dry = 1e-8 * (5792105 / (238.0185 - s) + 167917 / (57.362 - s)) * (1 + 5.34e-7 * (carbon_dioxide - 450))
+    moist = 1.022e-8 * (295.235 + 2.6422 * s - 0.032380 * s**2 + 0.004028 * s**3)
+    kelvin = temperature + 273.15
+    # Pressure of saturated vapour, and its share by the enhancement factor.
+    exponent = 1.2378847e-5 * kelvin**2 - 1.9121316e-2 * kelvin + 33.93711047 - 6.3431645e3 / kelvin
+    saturated = _array.namespace(exponent).exp(exponent) if _array.is_array(exponent) else math.exp(exponent)
+    vapour = humidity * (1.00062 + 3.14e-8 * pressure + 5.6e-7 * temperature**2) * saturated
+    bare = not _array.is_array(pressure) and pressure == 0
+    share = 0.0 * vapour if bare else vapour / pressure
+    mass = 0.0289635 + 1.2011e-8 * (carbon_dioxide - 400)
+    air = pressure * mass * (1 - share) / (_compressibility(kelvin, pressure, share) * kelvin)
+    water = pressure * 0.018015 * share / (_compressibility(kelvin, pressure, share) * kelvin)
+    air_there = 101325 * mass / (_compressibility(288.15, 101325.0, 0.0) * 288.15)
+    water_there = 1333 * 0.018015 / (_compressibility(293.15, 1333.0, 1.0) * 293.15)
+    return 1 + air / air_there * dry + water / water_there * moist
+
+
+def _compressibility(kelvin, pressure, share):
+    t, ratio = kelvin - 273.15, pressure / kelvin
+    first = 1.58123e-6 - 2.9331e-8 * t + 1.1043e-10 * t**2 + (5.707e-6 - 2.051e-8 * t) * share
+    return 1 - ratio * (first + (1.9898e-4 - 2.376e-6 * t) * share**2) + ratio**2 * (1.83e-11 - 0.765e-8 * share**2)
+
+
 def refractive_index(
-    name: Any, wavelength: float | Array, unit: str = "m", medium: str | None = None, extrapolate: bool = False
+    name: Any,
+    wavelength: float | Array,
+    unit: str = "m",
+    medium: str | None = None,
+    extrapolate: bool = False,
+    temperature: Any = None,
+    pressure: Any = None,
 ) -> float | Array:
     """Return the refractive index of a material.
 
@@ -567,16 +702,27 @@ def refractive_index(
         water and air itself in vacuum. "air" makes air exactly 1, which is what a lens in air needs.
     extrapolate : bool
         Take wavelengths outside the material's range of validity.
+    temperature : float or array, optional
+        In degrees Celsius; by default that of the published index. "air" as `medium` is then air of this temperature.
+    pressure : float or array, optional
+        Of the air, in pascal; 101325 by default.
 
     Returns
     -------
     float or array
-        Of the shape, library and precision of `wavelength` (computed in float64); differentiable in torch.
+        Of the shape, library and precision of `wavelength` (computed in float64); differentiable in torch, in
+        temperature and pressure too.
 
     Raises
     ------
     ValueError
         If the material is unknown (the message names the nearest known ones), or a wavelength is out of range.
+
+    Notes
+    -----
+    At another temperature the index in vacuum changes by (n² − 1)/(2n)·[D₀ΔT + D₁ΔT² + D₂ΔT³ + (E₀ΔT + E₁ΔT²)/(λ² −
+    λ_TK²)] (Schott, Technical Information 19); air is that of :func:`air_index`. A material without these constants
+    keeps its index in vacuum.
 
     Examples
     --------
@@ -595,10 +741,48 @@ def refractive_index(
     wide = _in_double(wavelength) * scale
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
-    if medium not in (None, found.relative_to):
+    if temperature is not None or pressure is not None or found.environment is not None:
+        own = found.environment or (found.measured_at, 101325.0)
+        here = own[0] if temperature is None else temperature, own[1] if pressure is None else pressure
+        index = _in_environment(found, index, wide, medium or found.relative_to, *here)
+    elif medium not in (None, found.relative_to):
         air = material("air").index(wide)
         index = index * air if medium == "vacuum" else index / air
     return _array.cast(index, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else index
+
+
+def _in_environment(found: Material, index, wide, medium: str, temperature, pressure):
+    """Return an index at a temperature and a pressure, relative to air of both or to vacuum."""
+    air = _ciddor(wide, temperature, pressure)
+    if found.formula == "gas" and _key(found.name) == "air":
+        return air if medium == "vacuum" else air / air
+    constants, _, start = thermal_of(found)
+    absolute = index * _ciddor(wide, start, 101325.0) if found.relative_to == "air" else index
+    if constants is not None:
+        d0, d1, d2, e0, e1, pole = constants
+        change = temperature - start
+        rate = change * (d0 + change * (d1 + change * d2)) + change * (e0 + change * e1) / (wide**2 - pole**2)
+        absolute = absolute + (index**2 - 1) / (2 * index) * rate
+    return absolute if medium == "vacuum" else absolute / air
+
+
+def thermal_of(found: Material) -> tuple[tuple[float, ...] | None, float | None, float]:
+    """Return Schott's constants of dn/dT and the expansion, None where unknown, and the temperature of the index."""
+    if found.thermal is not None or found.expansion is not None:
+        return found.thermal, found.expansion, found.measured_at
+    built_in = "refractiveindex.info database" in found.source or "schott" in found.source.casefold()
+    maker, _, bare = found.name.rpartition(":")
+    held = _thermal_data()
+    for one in ([maker] if maker else held) if built_in else ():
+        entry = held.get(one, {}).get(_key(bare))
+        if entry is not None:
+            return None if entry[0] is None else tuple(entry[0]), entry[1], entry[2]
+    return None, None, found.measured_at
+
+
+@cache
+def _thermal_data() -> dict:
+    return json.loads(_THERMAL.read_text(encoding="utf-8"))["makers"]
 
 
 def internal_transmittance(

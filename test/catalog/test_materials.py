@@ -378,3 +378,45 @@ def test_glass_catalogues_and_entries_are_read(tmp_path, monkeypatch):
     entry.write_text("DATA:\n  - type: tabulated n\n")
     with pytest.raises(ValueError, match="must contain formula 1, 2, 3 or 5"):
         materials.read_entry(entry)
+
+
+def test_air_is_that_of_ciddors_tables():
+    """P. E. Ciddor, Appl. Opt. 35, 1566 (1996), table 1: dry air at 633 nm, 10⁸(n − 1)."""
+    for temperature, pressure, value in (
+        (20, 80e3, 21458.0),
+        (20, 100e3, 26824.4),
+        (20, 120e3, 32191.6),
+        (10, 100e3, 27774.7),
+        (30, 100e3, 25937.2),
+    ):
+        assert 1e8 * (catalog.air_index(633e-9, temperature, pressure) - 1) == pytest.approx(value, abs=0.06)
+    assert catalog.air_index(633e-9, 20.0, 0.0) == 1.0
+    # Vapour is lighter than air: one hundredth of a part per million for each percent of humidity at 20 °C.
+    dry, moist = (catalog.air_index(633, 20.0, humidity=h, unit="nm") for h in (0.0, 1.0))
+    assert 0.8e-6 < dry - moist < 1.0e-6
+    wave, warm = (torch.tensor(v, dtype=torch.float64, requires_grad=True) for v in (0.55, 20.0))
+    assert torch.autograd.gradcheck(lambda w, t: 1e4 * (catalog.air_index(w, t, 9e4, 0.5, unit="um") - 1), (wave, warm))
+
+
+@pytest.mark.parametrize(
+    ("line", "relative", "absolute"),
+    [(1.06, (2.4, 2.4, 2.5), (0.3, 1.1, 1.5)), (0.546074, (2.9, 3.0, 3.1), (0.8, 1.6, 2.1))],
+)
+def test_dn_dt_is_that_of_schotts_data_sheet(line, relative, absolute):
+    """N-BK7, Δn/ΔT in 10⁻⁶/K from −40 to −20, 20 to 40 and 60 to 80 °C."""
+    for medium, stated in (("air", relative), ("vacuum", absolute)):
+        for low, value in zip((-40, 20, 60), stated, strict=True):
+            cold, warm = (catalog.refractive_index("N-BK7", line, "um", medium, temperature=t) for t in (low, low + 20))
+            assert (warm - cold) / 20e-6 == pytest.approx(value, abs=0.06)
+
+
+def test_dn_dt_and_expansion_of_glass_catalogues(tmp_path):
+    glass = "NM MINE 2 0 1.5168 64.17\nED 7.1 8.3 2.51 -0.0009 0\n"
+    glass += "CD 1.03961212 0.00600069867 0.231792344 0.0200179144 1.01046945 103.560653\n"
+    glass += "TD 1.86E-6 1.31E-8 -1.37E-11 4.34E-7 6.27E-10 0.17 20\nLD 0.31 2.5\n"
+    (tmp_path / "own.agf").write_text("CC own\n" + glass)
+    (found,) = materials.read_agf(tmp_path / "own.agf")
+    assert (found.expansion, found.measured_at, len(found.thermal)) == (pytest.approx(7.1e-6), 20.0, 6)
+    hot = [catalog.refractive_index(name, 0.6, "um", "air", temperature=80.0) for name in (found, "N-BK7")]
+    assert hot[0] == hot[1] == catalog.refractive_index(found.at(80.0), 0.6, "um", "air")
+    assert hot[0] > catalog.refractive_index(found, 0.6, "um")

@@ -19,7 +19,7 @@ REASONS = {
         raytracing/system/system_files: *
         raytracing/system/codev: *
         raytracing/system/zemax: *
-        raytracing/system/zooms: configurations
+        raytracing/system/zooms: settings
         tools/file: *
         tools/function: __array__
         tools/models: fit
@@ -35,12 +35,13 @@ REASONS = {
         perception/metameric: _metamer
         perception/quality: _require_positive
         raytracing/system/design: __init__ _now
+        raytracing/system/environment: _expand
         raytracing/system/image_simulation: _chief _response point_spread_map
         raytracing/system/optimise: _deviated
         raytracing/system/paraxial: _check_forward _near_reach ghost_system medium passed seidel_sums
         raytracing/system/polarisation: _jones_vector
         raytracing/system/pupils: _far
-        raytracing/system/surfaces: _any _fields _image _optional is_off_axis number_or_infinity vary
+        raytracing/system/surfaces: _any _fields _image _optional checked_settings is_off_axis number_or_infinity vary
         raytracing/system/waves: _derivatives _exit_pupil _length _sign exit_field
         raytracing/mesh: _checked_faces _checked_vertices components
         tools/matrix: quantize slice_rgbd_targets

@@ -48,6 +48,7 @@ from .drawing import through_focus_figure as through_focus_figure
 from .drawing import tolerance_figure as tolerance_figure
 from .drawing import transfer_figure as transfer_figure
 from .drawing import wavefront_figure as wavefront_figure
+from .environment import in_environment as in_environment
 from .eye import AccommodationResponse as AccommodationResponse
 from .eye import RetinalField as RetinalField
 from .eye import accommodation_response as accommodation_response

@@ -126,17 +126,17 @@ class configurations(torch.nn.Module):
 
     def _view(self, place: int, fields: bool) -> optical_system:
         """Return one configuration; with the fields of its image heights if `fields`."""
-        found = _copied(self.system)
+        found = shared_copy(self.system)
         surfaces: list[Any] = list(self.system.surfaces)
         changed: dict[int, Any] = {}
 
         def item(i: int) -> Any:
             if i not in changed:
-                changed[i] = surfaces[i] = _copied(surfaces[i])
+                changed[i] = surfaces[i] = shared_copy(surfaces[i])
             return changed[i]
 
         for (name, i), key in self._numbers.items():
-            _put(item(i), name, getattr(self, key)[place])
+            replaced(item(i), name, getattr(self, key)[place])
         later: tuple[str, tuple] | None = None
         for name, i, values in self._others:
             value = values[place]
@@ -224,7 +224,7 @@ class configurations(torch.nn.Module):
 _NUMBERS = ("thickness", "curvature", "conic", "index")
 
 
-def _copied(module):
+def shared_copy(module):
     """Return a module that shares its parts with another until they are replaced."""
     found = copy.copy(module)
     for name in ("_parameters", "_buffers", "_modules"):
@@ -232,7 +232,7 @@ def _copied(module):
     return found
 
 
-def _put(item, name: str, value: torch.Tensor) -> None:
+def replaced(item, name: str, value: torch.Tensor) -> None:
     """Replace a number of a surface by a tensor of any graph."""
     held = ("curvature_value", "radius_value") if name == "curvature" else (name,)
     for old in held:

@@ -1,0 +1,111 @@
+"""Systems at other temperatures and in vacuum, against closed forms; gradients by the temperature."""
+
+import pytest
+import torch
+
+from odak import AccuracyWarning
+from odak.catalog import material, refractive_index
+from odak.catalog.materials import thermal_of
+from odak.learn.raytracing.system import (
+    coordinate_break,
+    first_order,
+    in_environment,
+    load_system,
+    optical_system,
+    surface,
+)
+from odak.raytracing import Toroid
+
+
+def singlet(**last):
+    return optical_system([surface(100.0, thickness=0.001, material="N-BK7"), surface(-100.0, **last)], 10.0)
+
+
+def thermal_coefficient(glass, change=1.0):
+    """Return α − dn/dT/(n − 1) of a thin lens in air."""
+    low, high = (refractive_index(glass, 587.5618e-9, medium="air", temperature=t) for t in (20.0, 20.0 + change))
+    return 7.1e-6 - (high - low) / change / (low - 1)
+
+
+def test_the_focal_length_of_a_thin_lens_changes_as_its_coefficient_says():
+    lens = singlet()
+    cold, warm = (float(first_order(in_environment(lens, t)).focal_length) for t in (20.0, 30.0))
+    assert cold == pytest.approx(float(first_order(lens).focal_length), rel=1e-12)
+    assert (warm / cold - 1) / 10 == pytest.approx(thermal_coefficient("N-BK7", 10.0), rel=1e-4)
+
+
+def test_a_mount_of_the_coefficient_of_the_lens_keeps_the_image_in_place():
+    """Passive athermalisation: the mount grows as the focal length does."""
+    lens = singlet()
+    behind = float(first_order(lens).image_distance)
+    for mount, moves in ((thermal_coefficient("N-BK7", 40.0), False), (23.6e-6, True)):
+        warm = in_environment(singlet(thickness=behind), 60.0, mount=mount)
+        defocus = float(first_order(warm).image_distance - warm.surfaces[-1].thickness)
+        expected = behind * (thermal_coefficient("N-BK7", 40.0) - mount) * 40
+        assert defocus == pytest.approx(expected, abs=2e-5)
+        assert (abs(defocus) > 0.05) == moves
+
+
+def test_a_telescope_of_one_material_only_grows():
+    mirrors = [surface(-200.0, thickness=-70.0, material="mirror", semi_diameter=20.0)]
+    mirrors += [surface(-80.0, thickness=90.0, material="mirror", semi_diameter=8.0)]
+    telescope = optical_system(mirrors, 40.0)
+    warm = in_environment(telescope, 70.0, mount=23.6e-6, mirror=23.6e-6)
+    scale = 1 + 23.6e-6 * 50
+    first, second = first_order(telescope), first_order(warm)
+    assert float(second.focal_length / first.focal_length) == pytest.approx(scale, rel=1e-12)
+    assert [float(item.thickness) for item in warm.surfaces] == pytest.approx([-70 * scale, 90 * scale], rel=1e-7)
+
+
+def test_a_lens_in_vacuum_has_the_index_in_vacuum():
+    lens = load_system("singlet")
+    empty = in_environment(lens, 20.0, 0.0)
+    glass = lens.surfaces[0].material
+    index = empty.prescription().index[:, 1]
+    wanted = [refractive_index(glass, w, "mm", "vacuum", temperature=20.0) for w in lens.wavelengths]
+    assert index.tolist() == pytest.approx(wanted, rel=1e-15)
+    assert bool((index > lens.prescription().index[:, 1] + 2e-4).all())
+
+
+def test_coefficients_and_gaps_grow_with_the_lens():
+    front = surface(50.0, coefficients=[0.0, 1e-6], thickness=4.0, material="N-BK7", semi_diameter=10.0)
+    back = surface(-50.0, thickness=3.0, semi_diameter=10.0)
+    third = surface(-80.0, thickness=2.0, material="N-SF6", semi_diameter=10.0)
+    lens = optical_system([front, back, third, surface(thickness=50.0)], 10.0)
+    warm = in_environment(lens, 120.0, mount=20e-6)
+    glass, other = 1 + 7.1e-4, 1 + thermal_of(material("N-SF6"))[1] * 100
+    assert float(warm.surfaces[0].coefficients[1]) == pytest.approx(1e-6 / glass**3, rel=1e-12)
+    assert float(warm.surfaces[0].radius) == pytest.approx(50 * glass, rel=1e-12)
+    assert float(warm.surfaces[0].thickness) == pytest.approx(4 * glass, rel=1e-12)
+    assert float(warm.surfaces[2].radius) == pytest.approx(-80 * other)
+
+    def rim(item):
+        place = torch.tensor([item.semi_diameter], dtype=torch.float64)
+        return float(item.shape.sag(0 * place, place).height)
+
+    edges = [
+        float(system.surfaces[1].thickness) + rim(system.surfaces[2]) - rim(system.surfaces[1])
+        for system in (lens, warm)
+    ]
+    assert edges[1] == pytest.approx(edges[0] * (1 + 20e-4), rel=1e-10)
+
+
+def test_the_focal_length_has_a_gradient_by_temperature_and_curvature():
+    lens = singlet()
+    bend = lens.vary(curvature=0)[0]
+
+    def focal(temperature):
+        return first_order(in_environment(lens, temperature, 9e4)).focal_length
+
+    warm = torch.tensor(35.0, dtype=torch.float64, requires_grad=True)
+    slope, by_bend = torch.autograd.grad(focal(warm), [warm, bend])
+    assert float(slope) == pytest.approx((focal(35.5) - focal(34.5)).item(), rel=1e-4)
+    assert float(by_bend) != 0
+
+
+def test_what_is_not_known_is_said():
+    lens = optical_system([surface(50.0, thickness=3.0, material="PMMA"), surface(-50.0)], 5.0)
+    with pytest.warns(AccuracyWarning, match="expansion or dn/dT of PMMA is not known"):
+        in_environment(lens, 40.0)
+    with pytest.raises(ValueError, match=r"surfaces\[0\] is a Toroid"):
+        in_environment(optical_system([surface(shape=Toroid(0.01, 0.02)), coordinate_break()], 5.0), 40.0)
