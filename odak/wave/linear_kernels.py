@@ -39,12 +39,15 @@ class LinearGrid(Grid):
         Relative error of a propagated field of flat spectrum. A stop is sampled on a fixed grid, without this bound.
     stored : dtype, optional
         Complex dtype of what :meth:`evaluate` returns; that of the grid, in which it is computed, by default.
+    halves : tuple of bool
+        Along rows and columns: the result is the field half a sample beyond each sample of the window.
     """
 
     cutoff: Any = None
     pixel_fill: Any = None
     tolerance: float = TOLERANCE
     stored: Any = None
+    halves: tuple[bool, bool] = (False, False)
 
     def evaluate(self, kernel):
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
@@ -71,15 +74,21 @@ class LinearGrid(Grid):
             if self.pixel_fill is not None:
                 for frequency, pitch in ((part, self.pitch[0]), (fx, self.pitch[1])):
                     spectrum = spectrum * xp.astype(_pixel_spectrum(frequency * pitch, self.pixel_fill), spectrum.dtype)
-            lags = _response(spectrum * weight_x, counts[1], -1, columns)
+            lags = _response(spectrum * weight_x, counts[1], -1, columns, self.halves[1])
             # The weights of the sum to follow are applied here: their product is of these lags alone.
             return lags * weight_y[..., start:stop, :]
 
         lines = _joined([first_sum(start) for start in range(0, fy.shape[-2], step)], -2)
-        lines = _in_slabs(lambda part: _response(part, counts[0], -2, rows), lines, -1)
-        lines = _in_slabs(lambda part: _spectrum(part, columns, -1), lines, -2)
+        lines = _in_slabs(lambda part: _response(part, counts[0], -2, rows, self.halves[0]), lines, -1)
+        lines = _in_slabs(lambda part: _spectrum(part, columns, -1, self.halves[1]), lines, -2)
         stored = self.dtype if self.stored is None else self.stored
-        return self.unfold(_in_slabs(lambda part: xp.astype(_spectrum(part, rows, -2), stored, copy=False), lines, -1))
+        return self.unfold(
+            _in_slabs(lambda part: xp.astype(_spectrum(part, rows, -2, self.halves[0]), stored, copy=False), lines, -1)
+        )
+
+    def _indices_of(self, axis: int):
+        n = self.shape[axis]
+        return self.xp.arange(n, device=self.device) if self.halves[axis] else self._mirror(n)
 
     def _rules(self) -> tuple[Rule, Rule]:
         """Return the rules along rows and columns."""
@@ -148,17 +157,33 @@ def checked_pixel_fill(pixel_fill: float) -> float:
     return fill
 
 
-def _response(half, count: int, axis: int, lags: int):
-    """Return the first lags of the inverse transform of an even spectrum of `count` samples, given by its half."""
+def _response(half, count: int, axis: int, lags: int, between: bool = False):
+    """Return the first lags of the inverse transform of an even spectrum of `count` samples, given by its half.
+
+    The lags are 0, 1, …, or ½, 1½, … with `between`.
+    """
     xp = _array.namespace(half)
     indices = xp.arange(count, device=_array.device_of(half))
     whole = xp.take(half, xp.minimum(indices, count - indices), axis=axis)
+    if between:
+        angles = xp.astype(xp.where(2 * indices > count, indices - count, indices), xp.float64) * (math.pi / count)
+        # The highest frequency is one with its negative: their sum is zero half-way between the samples.
+        turned = xp.where(2 * indices == count, xp.zeros_like(angles), xp.cos(angles)) + 1j * xp.where(
+            2 * indices == count, xp.zeros_like(angles), xp.sin(angles)
+        )
+        whole = whole * xp.astype(xp.reshape(turned, (-1, 1) if axis == -2 else (1, -1)), whole.dtype)
     return _first(xp.fft.ifft(whole, axis=axis), lags, axis)
 
 
-def _spectrum(lags, count: int, axis: int):
-    """Return the non-negative half of the transform of an even response of lags below `count`, on 2·count samples."""
+def _spectrum(lags, count: int, axis: int, between: bool = False):
+    """Return the non-negative half of the transform of an even response of lags below `count`, on 2·count samples.
+
+    With `between`, of lags ½, 1½, …, the transform is not even, and is returned as a whole.
+    """
     xp = _array.namespace(lags)
+    if between:
+        after = xp.flip(_first(lags, count - 1, axis), axis=axis)
+        return xp.fft.fft(xp.concat([lags, xp.zeros_like(_first(lags, 1, axis)), after], axis=axis), axis=axis)
     after = _first(xp.flip(lags, axis=axis), count - 1, axis)
     whole = xp.concat([lags, xp.zeros_like(_first(lags, 1, axis)), after], axis=axis)
     return _first(xp.fft.fft(whole, axis=axis), count + 1, axis)
@@ -199,12 +224,15 @@ class linear_kernel:
         frequency. Fields are point samples by default.
     tolerance : float
         Relative error of a propagated field of flat spectrum.
+    halves : tuple of bool
+        Along rows and columns: the field half a sample beyond each sample of the window.
     """
 
     transfer: Callable
     cutoff: float | None = None
     pixel_fill: float | None = None
     tolerance: float = TOLERANCE
+    halves: tuple[bool, bool] = (False, False)
 
     def __call__(self, grid: Grid):
         """Return the transfer function on a padded grid, that of each geometry of a batch by a rule of its own."""
@@ -226,4 +254,5 @@ class linear_kernel:
     def _build(self, grid: Grid, stored):
         own: dict[str, Any] = {field.name: getattr(grid, field.name) for field in fields(Grid)}
         own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
+        own["halves"] = self.halves
         return self.transfer(LinearGrid(**own))

@@ -112,11 +112,14 @@ class Grid:
 
     def unfold(self, quarter):
         """Return the whole kernel in FFT order from its quarter of non-negative indices."""
-        rows, columns = (self._mirror(n) for n in self.shape)
+        rows, columns = (self._indices_of(axis) for axis in (0, 1))
         if not _by_columns(quarter):
             return self.xp.take(self.xp.take(quarter, rows, axis=-2), columns, axis=-1)
         half = quarter.mT.index_select(-2, columns)
         return half.index_select(-1, rows).mT
+
+    def _indices_of(self, axis: int):
+        return self._mirror(self.shape[axis])
 
     def _mirror(self, n: int):
         indices = self.xp.arange(n, device=self.device)

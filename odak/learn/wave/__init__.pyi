@@ -64,6 +64,17 @@ from .display_models import display_camera as display_camera
 from .display_models import display_hologram as display_hologram
 from .display_models import display_model as display_model
 from .display_models import fit_display as fit_display
+from .displays import AlternatingProjections as AlternatingProjections
+from .displays import Descent as Descent
+from .displays import Display as Display
+from .displays import DisplayedHologram as DisplayedHologram
+from .displays import DoublePhase as DoublePhase
+from .displays import Iris as Iris
+from .displays import Modulator as Modulator
+from .displays import Network as Network
+from .displays import Problem as Problem
+from .displays import Run as Run
+from .displays import optimise as optimise
 from .elements import airy_beam as airy_beam
 from .elements import aspheric_lens_phase as aspheric_lens_phase
 from .elements import axicon_phase as axicon_phase

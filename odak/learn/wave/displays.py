@@ -1,0 +1,970 @@
+"""Holographic displays as objects, and one function that computes holograms for them.
+
+A :class:`Display` is a modulator of real pixels, its light sources, and the planes that images are on; :func:`optimise`
+computes the patterns that show a target on it, by one of several solvers, and returns them with their images and a
+quality that another computation has judged.
+"""
+
+import base64
+import io
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import torch
+
+from odak import _array, _validate
+from odak._warnings import AccuracyWarning, warn
+from odak.learn._tensors import floating
+from odak.learn.wave.convolution import convolve
+from odak.learn.wave.fields import exposure, intensity, unit_phasor
+from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
+from odak.learn.wave.propagation import propagate_beam
+from odak.learn.wave.slm import TURN, even_levels
+from odak.learn.wave.training import Options, constant, cosine, fingerprint, minimise
+from odak.wave import phase_retrieval
+from odak.wave.linear_kernels import checked_pixel_fill, linear_kernel
+from odak.wave.sampling import sampling_report
+from odak.wave.transfer_functions import (
+    Request,
+    angular_spectrum,
+    checked_pitch,
+    divided_pitch,
+    pitches,
+    plane_wave_transfer,
+)
+
+# Diffraction orders along each axis that are computed without an iris: the zeroth and its neighbours.
+_ORDERS = 3
+# Pixels on either side that a mean over the area of a pixel is computed from; see _taps.
+_REACH = 4
+
+
+@dataclass(frozen=True)
+class Iris:
+    """A round stop in the focal plane of a lens, which limits the frequencies that reach an image.
+
+    Use it for a 4f relay whose iris you know. Frequencies up to ``radius / (wavelength · focal_length)`` pass.
+
+    Parameters
+    ----------
+    radius : float
+        Radius in metres.
+    focal_length : float
+        Focal length of the lens in front of it in metres.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Iris
+    >>> round(Iris(2e-3, 0.2).cutoff(532e-9))
+    18797
+    """
+
+    radius: float
+    focal_length: float
+
+    def __post_init__(self):
+        _validate.real("radius", self.radius, positive=True)
+        _validate.real("focal_length", self.focal_length, positive=True)
+
+    def cutoff(self, wavelength: float) -> float:
+        """Return the highest frequency that passes at a wavelength, in cycles per metre."""
+        return self.radius / (wavelength * self.focal_length)
+
+
+@dataclass(frozen=True)
+class Modulator:
+    """A phase-only spatial light modulator: its pixels, levels and response.
+
+    Use it to tell a :class:`Display` which panel you have. Of real panels only the inner part of each pixel, a square
+    of the share `fill`, modulates light, and this is the default; ``fill=1`` is a panel without gaps.
+
+    Parameters
+    ----------
+    resolution : sequence of int
+        Rows and columns.
+    pitch : float or sequence of float
+        Distance of neighbouring pixels in metres, one number or a pair (rows, columns).
+    bits : int, optional
+        Bits of a pixel, 2^bits levels spread evenly over 2π; None for a phase without levels.
+    fill : float
+        Share of the area of a pixel that emits.
+    response : callable, optional
+        ``response(phase)`` returns the field of a phase pattern, such as
+        :class:`odak.learn.wave.spatial_light_modulator`; an ideal one by default. Its own fill factor must be 1.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Modulator
+    >>> Modulator((1080, 1920), 8e-6).fill
+    0.9
+    """
+
+    resolution: Sequence[int]
+    pitch: float | Sequence[float]
+    bits: int | None = 8
+    fill: float = 0.9
+    response: Callable | None = None
+
+    def __post_init__(self):
+        object.__setattr__(self, "resolution", _validate.size("resolution", self.resolution))
+        checked_pitch("pitch", self.pitch)
+        if self.bits is not None and not 1 <= _validate.integer("bits", self.bits) <= 16:
+            raise ValueError(f"bits must be 1 to 16 or None, got {self.bits}")
+        checked_pixel_fill(self.fill)
+        _validate.function_or_none("response", self.response)
+        if float(getattr(self.response, "fill_factor", 1.0)) != 1 or getattr(self.response, "samples_per_pixel", 1) > 1:
+            raise ValueError("response must have a fill factor of 1 and one sample per pixel; give fill here instead")
+
+    def light(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the field of phases ``[..., rows, columns]`` in radians, at the pixels."""
+        return unit_phasor(phases) if self.response is None else self.response(phases)
+
+    def shown(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the nearest phases that the levels of the panel can show, 0 … 2π."""
+        if self.bits is None:
+            return torch.remainder(phases, TURN)
+        return even_levels(phases, 2**self.bits) * (TURN / 2**self.bits)
+
+
+class Display(torch.nn.Module):
+    """A holographic display: a modulator, its light sources, and the planes that images are on.
+
+    Use it where you want to know what an eye or a camera sees of phase patterns: :meth:`forward` returns the means of
+    the intensity over the areas of pixels, with the spectrum of pixels of finite size. Patterns for it are computed
+    by :func:`optimise`. For fields at points, learned powers of the sources or a relay, use
+    :class:`odak.learn.wave.propagator`.
+
+    Parameters
+    ----------
+    modulator : Modulator
+        The panel.
+    wavelengths : float or sequence of float
+        Wavelengths of the C light sources in metres.
+    distances : float or sequence of float
+        Distances of the D planes from the panel, or from its image by a relay, in metres.
+    frames : int, optional
+        Patterns F that are shown one after another, faster than an eye tells apart; one for each source by default.
+    powers : torch.Tensor, optional
+        Power of each source in each frame, ``[F, C]``; by default frame f is lit by source f mod C alone.
+    profile : torch.Tensor, optional
+        Amplitude of the light on the modulator, ``[rows, columns]`` or ``[C, rows, columns]``; one by default.
+    iris : Iris or str, optional
+        "order", a square stop that passes one diffraction order, |f| ≤ 1/(2·pitch); a round :class:`Iris`; or None for
+        no stop, where nine orders are computed: 36 transforms of an image instead of four.
+    medium : float
+        Refractive index between the modulator and the planes.
+
+    Attributes
+    ----------
+    samples : int
+        Points along each axis of a pixel at which the intensity is computed, from which its mean follows.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument is outside its range, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator
+    >>> display = Display(Modulator((32, 48), 8e-6), [639e-9, 515e-9, 473e-9], [2e-3, 3e-3])
+    >>> display(torch.zeros(3, 32, 48)).shape
+    torch.Size([2, 3, 32, 48])
+    >>> display
+    Display: 32 × 48 pixels of 8 µm (fill 0.9, 8 bits), 639, 515, 473 nm, 3 frames, planes at 2, 3 mm, one order
+    """
+
+    powers: torch.Tensor
+    profile: torch.Tensor | None
+
+    def __init__(
+        self,
+        modulator: Modulator,
+        wavelengths: float | Sequence[float],
+        distances: float | Sequence[float],
+        frames: int | None = None,
+        powers: torch.Tensor | None = None,
+        profile: torch.Tensor | None = None,
+        iris: Iris | str | None = "order",
+        medium: float = 1.0,
+    ):
+        super().__init__()
+        if not isinstance(modulator, Modulator):
+            raise TypeError(f"modulator must be an odak.learn.wave.Modulator, got {type(modulator).__name__}")
+        self.modulator = modulator
+        self.wavelengths = _numbers("wavelengths", wavelengths, positive=True)
+        self.distances = _numbers("distances", distances)
+        self.medium = _validate.constant("medium", medium, positive=True)
+        if iris is not None and iris != "order" and not isinstance(iris, Iris):
+            raise ValueError(f"iris must be 'order', an Iris or None, got {iris!r:.80}")
+        self.iris = iris
+        colours = len(self.wavelengths)
+        self.frames = colours if frames is None else _validate.integer("frames", frames, minimum=1)
+        if powers is None:
+            powers = torch.eye(colours).repeat(-(-self.frames // colours), 1)[: self.frames]
+        powers = floating("powers", powers).detach()
+        if tuple(powers.shape) != (self.frames, colours) or bool((powers < 0).any()):
+            raise ValueError(
+                f"powers must be [frames, wavelengths] = [{self.frames}, {colours}] of at least 0, "
+                f"got {list(powers.shape)}"
+            )
+        if not bool((powers.sum(0) > 0).all()):
+            raise ValueError(
+                f"powers must light each wavelength in a frame, got {powers.sum(0).tolist()} over all {self.frames} "
+                "frames; give more frames, or powers"
+            )
+        self.register_buffer("powers", powers)
+        if profile is not None:
+            profile = _validate.image("profile", floating("profile", profile)).detach()
+            if profile.shape[-2:] != torch.Size(modulator.resolution) or profile.ndim > 3:
+                raise ValueError(
+                    f"profile must be [rows, columns] = {list(modulator.resolution)} or [{colours}, rows, columns], "
+                    f"got {list(profile.shape)}"
+                )
+            profile = profile.expand(colours, *modulator.resolution)
+        self.register_buffer("profile", profile)
+        self.samples = 2 * self._orders()
+        self._kept: dict[Any, torch.Tensor] = {}
+
+    def extra_repr(self) -> str:
+        """Return the numbers of the display in a line."""
+        panel = self.modulator
+        pitch = " × ".join(f"{1e6 * p:.4g}" for p in sorted({float(p) for p in pitches(panel.pitch)}))
+        levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
+        stop = {"order": "one order", None: "no iris"}.get(self.iris) if not isinstance(self.iris, Iris) else self.iris  # type: ignore[arg-type]
+        return (
+            f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
+            f"{', '.join(f'{1e9 * w:.4g}' for w in self.wavelengths)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
+            f"plane{'s' * (len(self.distances) > 1)} at {', '.join(f'{1e3 * d:.4g}' for d in self.distances)} mm, {stop}"
+        )
+
+    def __repr__(self) -> str:
+        return f"Display: {self.extra_repr()}"
+
+    @property
+    def shape(self) -> tuple[int, int, int, int]:
+        """Planes, colours, rows and columns of the images."""
+        return (len(self.distances), len(self.wavelengths), *self.modulator.resolution)  # type: ignore[return-value]
+
+    def _apply(self, function, recurse: bool = True):
+        self._kept = {}
+        return super()._apply(function, recurse)
+
+    def _orders(self) -> int:
+        """Return how many diffraction orders along each axis are computed."""
+        if self.iris == "order":
+            return 1
+        if self.iris is None:
+            return _ORDERS
+        widest = max(self.iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
+        return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
+
+    def _kernels(self, colour: int, dtype: torch.dtype) -> torch.Tensor:
+        """Return the transfer functions to all points of a pixel on all planes, ``[planes·samples², 2m, 2n]``."""
+        key = colour, dtype
+        if key not in self._kept:
+            with torch.no_grad(), torch.inference_mode(False):
+                self._kept[key] = torch.cat([self._of_plane(colour, plane, dtype) for plane in range(self.shape[0])])
+        return self._kept[key]
+
+    def _of_plane(self, colour, plane, dtype):
+        wavelength, panel, orders = self.wavelengths[colour] / self.medium, self.modulator, self._orders()
+        cutoff = self.iris.cutoff(self.wavelengths[colour]) if isinstance(self.iris, Iris) else None
+        xp = _array.namespace(torch.empty(0))
+
+        def grid(samples):
+            shape = tuple(2 * n * samples for n in panel.resolution)
+            pitch = divided_pitch(panel.pitch, samples)
+            return Request(pitch, wavelength, self.distances[plane]).grid(shape, xp, self.powers.device, dtype)
+
+        if orders == 1:
+            quarters = itertools.product((False, True), repeat=2)
+            shifted = [linear_kernel(angular_spectrum, cutoff, panel.fill, halves=h)(grid(1)) for h in quarters]
+        else:
+            # The response at all points of the pixels of the image. Each point takes its own lags, every so many of
+            # them, and with them the repetitions of the spectrum.
+            pair, count = _pitch_pair(panel.pitch), self.samples
+            transfer = _PixelTransfer(
+                (math.sqrt(panel.fill) * pair[0], math.sqrt(panel.fill) * pair[1]),
+                (orders / (2 * pair[0]), orders / (2 * pair[1])),
+            )
+            kernel = linear_kernel(transfer, math.inf if cutoff is None else cutoff)(grid(count))
+            response = torch.fft.ifft2(kernel) * count**2
+            points = itertools.product(range(count), repeat=2)
+            shifted = [torch.fft.fft2(response[down::count, across::count]) for down, across in points]
+        # Column by column, which is the order that the propagation reads them in.
+        return torch.stack([kernel.mT for kernel in shifted]).mT
+
+    def fields(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return the fields at the middles of the pixels, of unit power of the sources.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame.
+
+        Returns
+        -------
+        torch.Tensor
+            Complex ``[F, D, C, rows, columns]``.
+        """
+        light = self._light(phases)
+        middles = [self._kernels(c, light.dtype)[:: self.samples**2] for c in range(self.shape[1])]
+        return torch.stack([convolve(self._lit(light, c)[:, None], k) for c, k in enumerate(middles)], 2)
+
+    def forward(self, phases: torch.Tensor) -> torch.Tensor:
+        """Return what is seen: for each plane and colour the mean over time, and over the area of each pixel.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians, or ``[rows, columns]`` for a single frame; differentiable.
+
+        Returns
+        -------
+        torch.Tensor
+            Real ``[D, C, rows, columns]``, in units of the light on the modulator.
+        """
+        light = self._light(phases)
+        return torch.stack([self._image(light, colour) for colour in range(self.shape[1])], 1)
+
+    def _light(self, phases):
+        phases = floating("phases", phases)
+        shape = (self.frames, *self.modulator.resolution)
+        if tuple(phases.shape) != shape and not (self.frames == 1 and tuple(phases.shape) == shape[1:]):
+            raise ValueError(f"phases must be [frames, rows, columns] = {list(shape)}, got {list(phases.shape)}")
+        return self.modulator.light(phases.reshape(shape).to(self.powers.device))
+
+    def _lit(self, light, colour):
+        return light if self.profile is None else light * self.profile[colour].to(light.dtype)
+
+    def _image(self, light, colour):
+        power = self.powers[:, colour]
+        frames = [f for f in range(self.frames) if self._shares()[f][colour]]
+        light = self._lit(light if len(frames) == self.frames else light[frames], colour)[:, None]
+        # One kernel for each plane and point of a pixel takes one transform back, but a single forward one.
+        shown = convolve(light, self._kernels(colour, light.dtype))
+        amplitudes = (power[frames] / power.sum()).sqrt()[:, None].to(shown.real.dtype)
+        points = exposure(shown[:, :, None], amplitudes)[:, 0]
+        return _over_areas(points.unflatten(0, (-1, self.samples, self.samples)))
+
+    def _shares(self) -> list[list[float]]:
+        if "shares" not in self._kept:
+            self._kept["shares"] = self.powers.tolist()  # type: ignore[assignment]
+        return self._kept["shares"]  # type: ignore[return-value]
+
+    def frames_alone(self, solver: str) -> list[tuple[int, int, int]]:
+        """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each.
+
+        Parameters
+        ----------
+        solver : str
+            What cannot do otherwise, for the message of the error.
+
+        Raises
+        ------
+        ValueError
+            If a frame shows more than one image.
+        """
+        lit = [[c for c, power in enumerate(row) if power] for row in self._shares()]
+        if len(self.distances) > 1 or any(len(colours) != 1 for colours in lit):
+            raise ValueError(
+                f"{solver} shows one colour on one plane in each frame; this display has {len(self.distances)} planes and "
+                f"up to {max(map(len, lit))} colours in a frame: use the solver 'lbfgs'"
+            )
+        return [(frame, 0, colours[0]) for frame, colours in enumerate(lit)]
+
+    @torch.no_grad()
+    def judge(self, phases: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the images of patterns by another computation than :meth:`forward`, and those at points.
+
+        Each pixel is a comb of samples, propagated by the method that :func:`odak.wave.sampling_report` recommends on a
+        grid of twice the size that :meth:`forward` takes, and its spectrum that of a square; the mean over the area of
+        a pixel is a product of spectra. It shares neither transfer functions nor weights with :meth:`forward`.
+
+        Parameters
+        ----------
+        phases : torch.Tensor
+            Phases ``[F, rows, columns]`` in radians.
+
+        Returns
+        -------
+        tuple of torch.Tensor
+            Means over the areas of pixels, and intensities at their middles, ``[D, C, rows, columns]`` each.
+        """
+        light = self._light(phases)
+        images = torch.stack([torch.zeros(self.shape, device=light.device, dtype=light.real.dtype)] * 2)
+        for c, wavelength in enumerate(self.wavelengths):
+            power = self.powers[:, c] / self.powers[:, c].sum()
+            for d, distance in enumerate(self.distances):
+                for f in torch.nonzero(power)[:, 0].tolist():
+                    shown = self._propagated(self._lit(light[f : f + 1], c)[0], wavelength, distance)
+                    images[0, d, c] += power[f] * mean_over_areas(shown, self.modulator.resolution, self._orders())
+                    images[1, d, c] += power[f] * _middles(intensity(shown), self.modulator.resolution, self._orders())
+        return images[0], images[1]
+
+    def _propagated(self, light, wavelength, distance):
+        """Return a field on a grid of twice its extent, with several samples per pixel where there are more orders."""
+        orders, sizes = self._orders(), self.modulator.resolution
+        comb = light.new_zeros([2 * n * orders for n in sizes])
+        # The middle of the panel, its pixel n // 2, lies on the middle of the finer grid.
+        first = [n * orders - n // 2 * orders for n in sizes]
+        comb[tuple(slice(a, a + n * orders, orders) for a, n in zip(first, sizes, strict=True))] = light
+        pitch = divided_pitch(self.modulator.pitch, orders)
+        down, across = (
+            torch.fft.fftfreq(n, d, device=light.device) for n, d in zip(comb.shape, _pitch_pair(pitch), strict=True)
+        )
+        width = [math.sqrt(self.modulator.fill) * p for p in _pitch_pair(self.modulator.pitch)]
+        passed = torch.sinc(width[0] * down)[:, None] * torch.sinc(width[1] * across) * orders**2
+        if isinstance(self.iris, Iris):
+            passed = passed * (down[:, None] ** 2 + across**2 <= self.iris.cutoff(wavelength) ** 2)
+        lit = torch.fft.ifft2(torch.fft.fft2(comb) * passed)
+        inside = wavelength / self.medium
+        with_padding = sampling_report(tuple(comb.shape), pitch, inside, distance, zero_padding=True)
+        return propagate_beam(
+            lit, None, distance, pitch, inside, with_padding.recommended, zero_padding=[True, False, True]
+        )
+
+
+@dataclass(frozen=True)
+class _PixelTransfer:
+    """Transfer function of free space for square pixels of some width, in a band that a square stop passes."""
+
+    width: tuple[float, float]
+    band: tuple[float, float]
+
+    def __call__(self, grid):
+        def kernel(fy, fx):
+            spectrum = plane_wave_transfer(grid, fy, fx)
+            for frequency, width, limit in zip((fy, fx), self.width, self.band, strict=True):
+                passed = torch.sinc(width * frequency) * (0.5 * (frequency < limit) + 0.5 * (frequency <= limit))
+                spectrum = spectrum * passed.to(spectrum.dtype)
+            return spectrum
+
+        return grid.evaluate(kernel)
+
+
+def _numbers(name, values, positive=False) -> tuple[float, ...]:
+    given = [values] if np.ndim(values) == 0 else values
+    return tuple(float(value) for value in _validate.several(name, given, positive=positive))
+
+
+def _pitch_pair(pitch) -> tuple[float, float]:
+    rows, columns = (float(_validate.numbers(p)[0]) for p in pitches(pitch))
+    return rows, columns
+
+
+def _taps(samples: int) -> torch.Tensor:
+    """Return the weights of the mean over a pixel of an intensity that is known at some points of each pixel.
+
+    The intensity has frequencies up to samples/2 cycles per pixel, at which its spectrum, an autocorrelation, falls to
+    zero. The weights are those whose spectrum is nearest to sin(πf)/(πf), by least squares with the square of that fall.
+    """
+    reach = _REACH * samples
+    cycles = np.linspace(0, samples / 2, 64 * samples)
+    lags = np.arange(reach + 1)
+    columns = np.cos(2 * np.pi * cycles[:, None] * lags / samples) * np.where(lags == 0, 1, 2)
+    weight = (1 - cycles / (samples / 2))[:, None] ** 2 + 1e-4
+    half = np.linalg.lstsq(columns * weight, np.sinc(cycles)[:, None] * weight, rcond=None)[0][:, 0]
+    whole = np.concatenate([half[:0:-1], half])
+    return torch.from_numpy(whole / whole.sum())
+
+
+def _over_areas(points: torch.Tensor) -> torch.Tensor:
+    """Return the means over pixels of intensities at their points ``[planes, samples, samples, rows, columns]``."""
+    planes, samples, _, rows, columns = points.shape
+    finer = points.permute(0, 3, 1, 4, 2).reshape(planes, 1, rows * samples, columns * samples)
+    taps, reach = _taps(samples).to(points), _REACH * samples
+    padded = torch.nn.functional.pad(finer, (reach, reach, reach, reach), mode="replicate")
+    across = torch.nn.functional.conv2d(padded, taps[None, None, None], stride=(1, samples))
+    return torch.nn.functional.conv2d(across, taps[None, None, :, None], stride=(samples, 1))[:, 0]
+
+
+def _middles(image: torch.Tensor, shape: Sequence[int], orders: int) -> torch.Tensor:
+    first = [n * orders - n // 2 * orders for n in shape]
+    return image[tuple(slice(a, a + n * orders, orders) for a, n in zip(first, shape, strict=True))]
+
+
+def mean_over_areas(shown: torch.Tensor, shape: Sequence[int], orders: int = 1) -> torch.Tensor:
+    """Return the mean intensity over the area of each pixel of a window in the middle of a field.
+
+    The intensity has twice the band of the field, so that it is sampled twice as finely; its mean over squares is a
+    product of spectra: exact, but for what the grid wraps around.
+
+    Parameters
+    ----------
+    shown : torch.Tensor
+        Band-limited field ``[rows, columns]`` with `orders` samples per pixel along each axis.
+    shape : sequence of int
+        Rows and columns of pixels of the window.
+    orders : int
+        Samples per pixel.
+    """
+    wide = [2 * n for n in shown.shape]
+    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(shown)))
+    finer = spectrum.new_zeros(wide)
+    first = [(large - n) // 2 for large, n in zip(wide, shown.shape, strict=True)]
+    last = [a + n for a, n in zip(first, shown.shape, strict=True)]
+    finer[first[0] : last[0], first[1] : last[1]] = spectrum
+    # The highest frequency is one with its negative, and half of it belongs to each.
+    finer[last[0]] = finer[first[0]] = finer[first[0]] / 2
+    finer[:, last[1]] = finer[:, first[1]] = finer[:, first[1]] / 2
+    light = intensity(torch.fft.ifft2(torch.fft.ifftshift(finer))) * 16
+    # In the order of the transform: sample 0 is the optical axis, a pixel is 2·orders samples.
+    down, across = (torch.sinc(2 * orders * torch.fft.fftfreq(n, device=shown.device)) for n in wide)
+    mean = torch.fft.fftshift(torch.fft.ifft2(torch.fft.fft2(light) * (down[:, None] * across)).real)
+    return _middles(mean[::2, ::2], shape, orders)
+
+
+@dataclass(frozen=True)
+class Run(Options):
+    """How a computation runs: how long, what it shows, and where its state is kept.
+
+    Parameters
+    ----------
+    progress : bool
+        Show a progress bar.
+    callback : callable, optional
+        ``callback(iteration, loss)`` after each iteration, the loss being a tensor; returning True stops.
+    checkpoint : path, optional
+        File to keep the state in (``.pt``). If it is there, the run goes on from it, to the same result bit for bit.
+    checkpoint_every : int
+        Iterations between two writings of that file.
+    iterations : int
+        Number of iterations.
+    seed : int
+        Makes what is drawn at random reproducible.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Run
+    >>> Run(iterations=20, progress=False).iterations
+    20
+    """
+
+    iterations: int = 60
+    seed: int = 0
+
+    def __post_init__(self):
+        super().__post_init__()
+        _validate.integer("iterations", self.iterations, minimum=1)
+        _validate.integer("seed", self.seed)
+
+
+@dataclass(frozen=True)
+class Problem:
+    """What a solver is given: a display, the images to show, how they are compared, and the phases to begin with.
+
+    Attributes
+    ----------
+    display : Display
+        The display.
+    target : torch.Tensor
+        Intensities ``[D, C, rows, columns]``.
+    loss : callable
+        ``loss(image, target)``.
+    start : torch.Tensor
+        Phases ``[F, rows, columns]`` in radians.
+    run : Run
+        How long, with what progress and seed.
+    """
+
+    display: Display
+    target: torch.Tensor
+    loss: Callable
+    start: torch.Tensor
+    run: Run
+
+    def scaled(self, images: torch.Tensor) -> torch.Tensor:
+        """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
+        return images * _brightness(images.detach(), self.target)
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Gradient descent over the phases, by L-BFGS or Adam: the solver to begin with.
+
+    Use L-BFGS unless the loss changes from one iteration to the next, as with random numbers in it or a camera.
+
+    Parameters
+    ----------
+    method : {"lbfgs", "adam"}
+        The method; see :func:`odak.learn.wave.stochastic_gradient_descent`.
+    learning_rate : float
+        Step of Adam in radians, which falls to a half along a cosine.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import Descent
+    >>> Descent("adam").learning_rate
+    0.1
+    """
+
+    method: str = "lbfgs"
+    learning_rate: float = 0.1
+
+    def solve(self, problem: Problem) -> torch.Tensor:
+        """Return the phases of a problem, ``[F, rows, columns]``."""
+        phases, run = problem.start.clone().requires_grad_(), problem.run
+
+        def gradient(iteration):
+            loss = problem.loss(problem.scaled(problem.display(phases)), problem.target)
+            loss.backward()
+            return loss.detach()
+
+        about: dict[str, Any] = {"solver": repr(self), "display": repr(problem.display)}
+        if run.checkpoint is not None:
+            about["target"] = fingerprint(problem.target, problem.start)
+        rate = cosine(self.learning_rate, self.learning_rate / 2, run.iterations)
+        rate = constant(self.learning_rate) if self.method == "lbfgs" else rate
+        minimise({"phase": phases}, gradient, run.iterations, rate, run, solver=self.method, about=about)
+        return phases.detach()
+
+    def __post_init__(self):
+        _validate.one_of("method", self.method, ("lbfgs", "adam"))
+        _validate.real("learning_rate", self.learning_rate, positive=True)
+
+
+@dataclass(frozen=True)
+class AlternatingProjections:
+    """Gerchberg–Saxton, accelerated: an image on one plane in few iterations, without a gradient.
+
+    Use it where a hologram has to be there within seconds; :class:`Descent` comes closer to the target.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import AlternatingProjections
+    >>> AlternatingProjections()
+    AlternatingProjections()
+    """
+
+    def solve(self, problem: Problem) -> torch.Tensor:
+        """Return the phases of a problem, ``[F, rows, columns]``."""
+        display = problem.display
+        phases = problem.start.clone()
+        for frame, plane, colour in display.frames_alone("alternating projections"):
+            hologram = phase_retrieval.retrieve(
+                problem.target[plane, colour].sqrt() + 0j,
+                range(problem.run.iterations),
+                display.distances[plane],
+                display.modulator.pitch,
+                display.wavelengths[colour] / display.medium,
+                TURN,
+                "Angular Spectrum",
+                phases[frame],
+                problem.run.seed,
+                fill=display.modulator.fill,
+                accelerated=True,
+            )[0]
+            phases[frame] = hologram.angle()
+        return phases
+
+
+@dataclass(frozen=True)
+class DoublePhase:
+    """The double-phase encoding of the image, propagated back with a flat phase: smooth, and at once.
+
+    Use it where images must be free of speckle and the display has an iris of about half an order along each axis;
+    without one, the orders of its checkerboard lie over the image.
+
+    Examples
+    --------
+    >>> from odak.learn.wave import DoublePhase
+    >>> DoublePhase()
+    DoublePhase()
+    """
+
+    def solve(self, problem: Problem) -> torch.Tensor:
+        """Return the phases of a problem, ``[F, rows, columns]``."""
+        display, phases = problem.display, problem.start.clone()
+        quarter = 0.25 / max(_pitch_pair(display.modulator.pitch))
+        passes = [
+            w
+            for w in display.wavelengths
+            if not isinstance(display.iris, Iris) or display.iris.cutoff(w) > 1.5 * quarter
+        ]
+        if passes:
+            warn(
+                "double phase needs an iris that passes frequencies up to about 1/(4·pitch), or the orders of its "
+                f"checkerboard lie over the image; this display has {display.iris!r}",
+                AccuracyWarning,
+            )
+        for frame, plane, colour in display.frames_alone("double phase"):
+            there: Any = propagate_beam(
+                problem.target[plane, colour].sqrt() + 0j,
+                None,
+                -display.distances[plane],
+                display.modulator.pitch,
+                display.wavelengths[colour] / display.medium,
+                "auto",
+                zero_padding=[True, False, True],
+            )
+            phases[frame] = encode_double_phase(there)
+        return phases
+
+
+@dataclass(frozen=True)
+class Network:
+    """A network that computes the hologram at once, such as :class:`odak.learn.models.hologram_network`.
+
+    Parameters
+    ----------
+    model : callable
+        ``model(target, wavelength, pitch, distance)`` returns the phase of an image ``[rows, columns]``.
+
+    Examples
+    --------
+    >>> from odak.learn.models import hologram_network
+    >>> from odak.learn.wave import Network
+    >>> solver = Network(hologram_network(pretrained=True))
+    """
+
+    model: Callable
+
+    @torch.no_grad()
+    def solve(self, problem: Problem) -> torch.Tensor:
+        """Return the phases of a problem, ``[F, rows, columns]``."""
+        display, phases = problem.display, problem.start.clone()
+        for frame, plane, colour in display.frames_alone("a network"):
+            wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
+            phases[frame] = self.model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
+        return phases
+
+
+SOLVERS: dict[str, Callable] = {
+    "lbfgs": Descent,
+    "adam": lambda: Descent("adam"),
+    "gerchberg-saxton": AlternatingProjections,
+    "double phase": DoublePhase,
+}
+
+
+@dataclass(frozen=True)
+class DisplayedHologram:
+    """Patterns for a display, what is seen of them, and how good it is.
+
+    Attributes
+    ----------
+    display : Display
+        The display they are for.
+    target : torch.Tensor
+        What was to be seen, ``[D, C, rows, columns]``.
+    phases : torch.Tensor
+        Phases in radians as the panel shows them, by its levels, ``[F, rows, columns]``.
+    images : torch.Tensor
+        Means over the areas of pixels, at the brightness closest to the target, ``[D, C, rows, columns]``, by
+        :meth:`Display.judge`.
+    brightness : torch.Tensor
+        Factor of each colour by which images are brighter than the light on the panel, ``[C]``.
+    psnr : torch.Tensor
+        Peak signal-to-noise ratio of the images in decibels, ``[D, C]``.
+    psnr_at_points : torch.Tensor
+        The same of the intensities at the middles of pixels, which no sensor sees.
+    losses : tuple of float
+        Loss after each iteration.
+    """
+
+    display: Display
+    target: torch.Tensor
+    phases: torch.Tensor
+    images: torch.Tensor
+    brightness: torch.Tensor
+    psnr: torch.Tensor
+    psnr_at_points: torch.Tensor
+    losses: tuple[float, ...] = field(default=(), repr=False)
+
+    def levels(self) -> torch.Tensor:
+        """Return the levels to send to the panel, int32 ``[F, rows, columns]``."""
+        bits = 8 if self.display.modulator.bits is None else self.display.modulator.bits
+        return even_levels(self.phases, 2**bits).to(torch.int32)
+
+    def table(self) -> list[dict]:
+        """Return one row of numbers for each plane and colour: lengths in metres, ratios in decibels."""
+        return [
+            {
+                "distance": distance,
+                "wavelength": wavelength,
+                "psnr_db": float(self.psnr[d, c]),
+                "psnr_at_points_db": float(self.psnr_at_points[d, c]),
+                "brightness": float(self.brightness[c]),
+            }
+            for d, distance in enumerate(self.display.distances)
+            for c, wavelength in enumerate(self.display.wavelengths)
+        ]
+
+    def __repr__(self) -> str:
+        worst, best = (f"{float(v):.1f}" for v in (self.psnr.min(), self.psnr.max()))
+        span = worst if worst == best else f"{worst} to {best}"
+        return f"DisplayedHologram: {span} dB over the areas of pixels, {self.display.extra_repr()}"
+
+    def _repr_html_(self) -> str:
+        rows = "".join(
+            f"<tr><td>{1e3 * r['distance']:.4g} mm</td><td>{1e9 * r['wavelength']:.4g} nm</td>"
+            f"<td>{r['psnr_db']:.1f} dB</td><td>{r['psnr_at_points_db']:.1f} dB</td></tr>"
+            for r in self.table()
+        )
+        pictures = "".join(
+            f'<figure style="display:inline-block;margin:4px"><img style="max-width:320px" alt="{name}" '
+            f'src="data:image/png;base64,{_png(values)}"><figcaption>{name}</figcaption></figure>'
+            for name, values in (
+                ("target", _picture(self.target[0])),
+                ("image", _picture(self.images[0])),
+                ("pattern", self.phases[0] / TURN),
+            )
+        )
+        head = "<tr><th>plane</th><th>wavelength</th><th>PSNR over areas</th><th>at points</th></tr>"
+        return f"<div><p>{self.display.extra_repr()}</p>{pictures}<table>{head}{rows}</table></div>"
+
+
+def _picture(planes: torch.Tensor) -> torch.Tensor:
+    """Return a grey or colour picture ``[rows, columns]`` or ``[rows, columns, 3]`` of images ``[C, rows, columns]``."""
+    values = planes.clamp(0, 1) ** (1 / 2.2)
+    return values.movedim(0, -1) if len(values) == 3 else values.mean(0)
+
+
+def _png(values: torch.Tensor) -> str:
+    from PIL import Image
+
+    image = Image.fromarray((values.detach().cpu().clamp(0, 1) * 255).round().to(torch.uint8).numpy())
+    image.thumbnail((640, 640))
+    memory = io.BytesIO()
+    image.save(memory, "png")
+    return base64.b64encode(memory.getvalue()).decode()
+
+
+def optimise(
+    display: Display,
+    target: torch.Tensor,
+    loss: Callable | None = None,
+    solver: Any = "lbfgs",
+    start: str | torch.Tensor = "gs",
+    run: Run | None = None,
+) -> DisplayedHologram:
+    """Return the patterns that show a target on a display, with their images and quality.
+
+    Use it for a picture on one plane, for several planes, colours and frames alike. What is optimised is what is
+    stated: means over the areas of pixels. For learned powers of the sources and eyeboxes, use
+    :class:`odak.learn.wave.multi_color_hologram_optimizer` and :func:`odak.learn.wave.eyebox_hologram`.
+
+    Parameters
+    ----------
+    display : Display
+        The display.
+    target : torch.Tensor
+        Intensities 0 … 1, ``[rows, columns]`` for one plane and colour, ``[C, rows, columns]`` for one plane, or
+        ``[D, C, rows, columns]``. Its brightness is free: the sources of each colour are dimmed to it.
+    loss : callable, optional
+        ``loss(images, target)``, both ``[D, C, rows, columns]``; the mean squared error by default.
+    solver : str or object
+        "lbfgs", "adam", "gerchberg-saxton" or "double phase", or an object with a method
+        ``solve(problem) -> phases``, such as :class:`Descent` or :class:`Network`.
+    start : str or torch.Tensor
+        "gs", "quadratic", "flat", "random" or "double phase", see
+        :func:`odak.learn.wave.stochastic_gradient_descent`, or phases ``[F, rows, columns]`` in radians.
+    run : Run, optional
+        Iterations, progress, callback, checkpoint and seed.
+
+    Returns
+    -------
+    DisplayedHologram
+        Patterns, images and quality. It shows itself in a notebook.
+
+    Raises
+    ------
+    ValueError, TypeError
+        If an argument does not fit the display, naming it.
+
+    Examples
+    --------
+    >>> import torch
+    >>> from odak.learn.wave import Display, Modulator, Run, optimise
+    >>> target = torch.zeros(48, 64)
+    >>> target[12:36, 16:48] = 1.0
+    >>> display = Display(Modulator((48, 64), 8e-6), 532e-9, 2e-3)
+    >>> hologram = optimise(display, target, run=Run(iterations=20, progress=False))
+    >>> hologram.phases.shape, bool(hologram.psnr > 20)
+    (torch.Size([1, 48, 64]), True)
+    """
+    if not isinstance(display, Display):
+        raise TypeError(f"display must be an odak.learn.wave.Display, got {type(display).__name__}")
+    run = Run() if run is None else run
+    if not isinstance(run, Run):
+        raise TypeError(f"run must be an odak.learn.wave.Run, got {type(run).__name__}")
+    target = _checked_target(display, target)
+    if isinstance(solver, str):
+        solver = SOLVERS[_validate.one_of("solver", solver, tuple(SOLVERS))]()
+    if not callable(getattr(solver, "solve", None)):
+        raise TypeError(f"solver must have a method solve(problem), got {type(solver).__name__}")
+    loss = torch.nn.functional.mse_loss if loss is None else _validate.function_or_none("loss", loss)
+    losses: list[torch.Tensor] = []
+
+    def record(iteration, value):
+        losses.append(value)
+        return run.callback is not None and run.callback(iteration, value)
+
+    problem = Problem(display, target, loss, _start(display, target, start, run), replace(run, callback=record))
+    phases = display.modulator.shown(solver.solve(problem))
+    areas, points = display.judge(phases)
+    brightness = _brightness(areas, target)
+    images = areas * brightness
+
+    def ratio(shown):
+        return -10 * torch.log10((shown - target).square().mean((-2, -1)).clamp_min(1e-30))
+
+    at_points = ratio(points * _brightness(points, target))
+    history = tuple(torch.stack(losses).tolist()) if losses else ()
+    return DisplayedHologram(display, target, phases, images, brightness[:, 0, 0], ratio(images), at_points, history)
+
+
+def _brightness(images, target):
+    """Return the factor of each colour, over all its planes, at which images are closest to a target, ``[C, 1, 1]``."""
+    whole = [values.transpose(0, 1).flatten(1)[:, None] for values in (images, target)]
+    return best_scale(*whole)
+
+
+def _checked_target(display, target):
+    target = floating("target", target).detach()
+    planes, colours, rows, columns = display.shape
+    accepted = {(planes, colours, rows, columns)}
+    accepted |= {(colours, rows, columns)} if planes == 1 else set()
+    accepted |= {(rows, columns)} if planes == colours == 1 else set()
+    if tuple(target.shape) not in accepted:
+        raise ValueError(
+            f"target must be [planes, colours, rows, columns] = {list(display.shape)}, got {list(target.shape)}"
+        )
+    if not bool(target.isfinite().all()) or bool((target < 0).any()):
+        raise ValueError("target must be finite intensities of at least 0, got NaN, infinite or negative values")
+    if float(target.max()) > 2:
+        raise ValueError(f"target must be intensities of 0 … 1, got up to {float(target.max()):.4g}: divide by 255?")
+    return target.reshape(display.shape).to(display.powers.device)
+
+
+def _start(display, target, start, run) -> torch.Tensor:
+    """Return the phases to start from: by name those of each frame's brightest colour, for its middle plane."""
+    shape = (display.frames, *display.modulator.resolution)
+    if not isinstance(start, str):
+        phases = floating("start", start).detach().to(target)
+        if tuple(phases.shape) != shape and not (display.frames == 1 and tuple(phases.shape) == shape[1:]):
+            raise ValueError(f"start must be {list(shape)} or one of {', '.join(STARTS)}, got {list(phases.shape)}")
+        return phases.reshape(shape)
+    name = _validate.one_of("start", start, STARTS)
+    plane, phases = display.shape[0] // 2, torch.empty(shape, dtype=target.dtype, device=target.device)
+    brightest = display.powers.argmax(1).tolist()
+    for colour in sorted(set(brightest)):
+        frames = [frame for frame, lit in enumerate(brightest) if lit == colour]
+        wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
+        phases[frames] = starting_phase(
+            name,
+            target[plane, colour],
+            wavelength,
+            distance,
+            display.modulator.pitch,
+            seed=run.seed,
+            frames=len(frames),
+        ).reshape(len(frames), *shape[1:])
+    return phases
