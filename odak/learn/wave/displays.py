@@ -18,7 +18,7 @@ import torch
 
 from odak import _array, _validate
 from odak._warnings import AccuracyWarning, warn
-from odak.learn._tensors import floating
+from odak.learn._tensors import floating, trainable
 from odak.learn.wave.convolution import convolve
 from odak.learn.wave.fields import exposure, intensity, unit_phasor
 from odak.learn.wave.holograms import STARTS, best_scale, encode_double_phase, starting_phase
@@ -236,11 +236,11 @@ class Display(torch.nn.Module):
         panel = self.modulator
         pitch = " × ".join(f"{1e6 * p:.4g}" for p in sorted({float(p) for p in pitches(panel.pitch)}))
         levels = "no levels" if panel.bits is None else f"{panel.bits} bits"
-        stop = {"order": "one order", None: "no iris"}.get(self.iris) if not isinstance(self.iris, Iris) else self.iris  # type: ignore[arg-type]
+        stop = repr(self.iris) if isinstance(self.iris, Iris) else "no iris" if self.iris is None else "one order"
         return (
             f"{' × '.join(map(str, panel.resolution))} pixels of {pitch} µm (fill {panel.fill:g}, {levels}), "
-            f"{', '.join(f'{1e9 * w:.4g}' for w in self.wavelengths)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
-            f"plane{'s' * (len(self.distances) > 1)} at {', '.join(f'{1e3 * d:.4g}' for d in self.distances)} mm, {stop}"
+            f"{_listed(self.wavelengths, 1e9)} nm, {self.frames} frame{'s' * (self.frames > 1)}, "
+            f"plane{'s' * (len(self.distances) > 1)} at {_listed(self.distances, 1e3)} mm, {stop}"
         )
 
     def __repr__(self) -> str:
@@ -257,10 +257,8 @@ class Display(torch.nn.Module):
 
     def _orders(self) -> int:
         """Return how many diffraction orders along each axis are computed."""
-        if self.iris == "order":
-            return 1
-        if self.iris is None:
-            return _ORDERS
+        if not isinstance(self.iris, Iris):
+            return _ORDERS if self.iris is None else 1
         widest = max(self.iris.cutoff(w) for w in self.wavelengths) * max(_pitch_pair(self.modulator.pitch))
         return min(_ORDERS, max(1, math.ceil(2 * widest - 1e-9)))
 
@@ -358,27 +356,6 @@ class Display(torch.nn.Module):
             self._kept["shares"] = self.powers.tolist()  # type: ignore[assignment]
         return self._kept["shares"]  # type: ignore[return-value]
 
-    def frames_alone(self, solver: str) -> list[tuple[int, int, int]]:
-        """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each.
-
-        Parameters
-        ----------
-        solver : str
-            What cannot do otherwise, for the message of the error.
-
-        Raises
-        ------
-        ValueError
-            If a frame shows more than one image.
-        """
-        lit = [[c for c, power in enumerate(row) if power] for row in self._shares()]
-        if len(self.distances) > 1 or any(len(colours) != 1 for colours in lit):
-            raise ValueError(
-                f"{solver} shows one colour on one plane in each frame; this display has {len(self.distances)} planes and "
-                f"up to {max(map(len, lit))} colours in a frame: use the solver 'lbfgs'"
-            )
-        return [(frame, 0, colours[0]) for frame, colours in enumerate(lit)]
-
     @torch.no_grad()
     def judge(self, phases: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the images of patterns by another computation than :meth:`forward`, and those at points.
@@ -451,7 +428,14 @@ class _PixelTransfer:
 
 def _numbers(name, values, positive=False) -> tuple[float, ...]:
     given = [values] if np.ndim(values) == 0 else values
-    return tuple(float(value) for value in _validate.several(name, given, positive=positive))
+    checked = tuple(float(value) for value in _validate.several(name, given, positive=positive))
+    if not checked:
+        raise ValueError(f"{name} must contain at least one number, got none")
+    return checked
+
+
+def _listed(lengths: Sequence[float], scale: float) -> str:
+    return ", ".join(f"{length * scale:.4g}" for length in lengths)
 
 
 def _pitch_pair(pitch) -> tuple[float, float]:
@@ -463,7 +447,7 @@ def _taps(samples: int) -> torch.Tensor:
     """Return the weights of the mean over a pixel of an intensity that is known at some points of each pixel.
 
     The intensity has frequencies up to samples/2 cycles per pixel, at which its spectrum, an autocorrelation, falls to
-    zero. The weights are those whose spectrum is nearest to sin(πf)/(πf), by least squares with the square of that fall.
+    zero. The spectrum of the weights is the nearest one to sin(πf)/(πf), by least squares with the square of that fall.
     """
     reach = _REACH * samples
     cycles = np.linspace(0, samples / 2, 64 * samples)
@@ -630,6 +614,17 @@ class Descent:
         _validate.real("learning_rate", self.learning_rate, positive=True)
 
 
+def _frames_alone(display: Display, solver: str) -> list[tuple[int, int, int]]:
+    """Return frame, plane and colour for each frame, for solvers whose frames show one colour on one plane each."""
+    lit = [[c for c, power in enumerate(row) if power] for row in display.powers.tolist()]
+    if len(display.distances) > 1 or any(len(colours) != 1 for colours in lit):
+        raise ValueError(
+            f"{solver} shows one colour on one plane in each frame; this display has {len(display.distances)} planes "
+            f"and up to {max(map(len, lit))} colours in a frame: use the solver 'lbfgs'"
+        )
+    return [(frame, 0, colours[0]) for frame, colours in enumerate(lit)]
+
+
 @dataclass(frozen=True)
 class AlternatingProjections:
     """Gerchberg–Saxton, accelerated: an image on one plane in few iterations, without a gradient.
@@ -647,7 +642,7 @@ class AlternatingProjections:
         """Return the phases of a problem, ``[F, rows, columns]``."""
         display = problem.display
         phases = problem.start.clone()
-        for frame, plane, colour in display.frames_alone("alternating projections"):
+        for frame, plane, colour in _frames_alone(display, "alternating projections"):
             hologram = phase_retrieval.retrieve(
                 problem.target[plane, colour].sqrt() + 0j,
                 range(problem.run.iterations),
@@ -694,7 +689,7 @@ class DoublePhase:
                 f"checkerboard lie over the image; this display has {display.iris!r}",
                 AccuracyWarning,
             )
-        for frame, plane, colour in display.frames_alone("double phase"):
+        for frame, plane, colour in _frames_alone(display, "double phase"):
             there: Any = propagate_beam(
                 problem.target[plane, colour].sqrt() + 0j,
                 None,
@@ -730,7 +725,7 @@ class Network:
     def solve(self, problem: Problem) -> torch.Tensor:
         """Return the phases of a problem, ``[F, rows, columns]``."""
         display, phases = problem.display, problem.start.clone()
-        for frame, plane, colour in display.frames_alone("a network"):
+        for frame, plane, colour in _frames_alone(display, "a network"):
             wavelength, distance = display.wavelengths[colour] / display.medium, display.distances[plane]
             phases[frame] = self.model(problem.target[plane, colour], wavelength, display.modulator.pitch, distance)
         return phases
@@ -822,7 +817,7 @@ class DisplayedHologram:
 
 
 def _picture(planes: torch.Tensor) -> torch.Tensor:
-    """Return a grey or colour picture ``[rows, columns]`` or ``[rows, columns, 3]`` of images ``[C, rows, columns]``."""
+    """Return a picture, ``[rows, columns]`` or in colour ``[rows, columns, 3]``, of images ``[C, rows, columns]``."""
     values = planes.clamp(0, 1) ** (1 / 2.2)
     return values.movedim(0, -1) if len(values) == 3 else values.mean(0)
 
@@ -928,7 +923,8 @@ def _brightness(images, target):
 
 
 def _checked_target(display, target):
-    target = floating("target", target).detach()
+    target = trainable(floating("target", target).detach())
+    target = target if target.dtype == torch.float64 else target.float()
     planes, colours, rows, columns = display.shape
     accepted = {(planes, colours, rows, columns)}
     accepted |= {(colours, rows, columns)} if planes == 1 else set()
@@ -948,7 +944,7 @@ def _start(display, target, start, run) -> torch.Tensor:
     """Return the phases to start from: by name those of each frame's brightest colour, for its middle plane."""
     shape = (display.frames, *display.modulator.resolution)
     if not isinstance(start, str):
-        phases = floating("start", start).detach().to(target)
+        phases = trainable(floating("start", start).detach().to(target))
         if tuple(phases.shape) != shape and not (display.frames == 1 and tuple(phases.shape) == shape[1:]):
             raise ValueError(f"start must be {list(shape)} or one of {', '.join(STARTS)}, got {list(phases.shape)}")
         return phases.reshape(shape)

@@ -296,6 +296,10 @@ BY_CALL = {
         "window_shape": [8, 8],
         "window_dx": 8e-6,
     },
+    "odak.learn.wave.Display.fields": {"phases": tensor(32, 48)},
+    "odak.learn.wave.Display.forward": {"phases": tensor(32, 48)},
+    "odak.learn.wave.Display.judge": {"phases": tensor(32, 48)},
+    "odak.learn.wave.optimise": {"target": tensor(48, 64)},
     "odak.learn.wave.propagator": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.propagator.init_distances": {"distances": tensor(1) * 1e-3},
     "odak.learn.wave.eyebox_hologram": {
@@ -324,6 +328,8 @@ NOT_CALLED = {
     "odak.learn.wave.STEFunction*": "torch calls its methods; users call StraightThroughEstimator, or its apply",
 }
 ALLOWED = {
+    ("odak.learn.wave.optimise", "target", "in double precision"): "iterations amplify rounding",
+    ("odak.learn.wave.optimise", "target", "in half precision"): "iterations amplify rounding",
     ("odak.learn.wave.aspheric_lens_phase", "radius", "a negative number"): "a surface that diverges",
     ("odak.learn.wave.spiral_phase", "charge", "half a step"): "a fractional charge, which has a step",
     ("odak.learn.wave.q_plate", "charge", "half a step"): "a q-plate's charge is a multiple of 1/2",

@@ -1,0 +1,220 @@
+"""Displays of real pixels against plain sums over frequencies, and holograms that are optimised for them."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from odak.learn.models import hologram_network
+from odak.learn.wave import (
+    Descent,
+    Display,
+    Iris,
+    Modulator,
+    Network,
+    Run,
+    optimise,
+    spatial_light_modulator,
+    stochastic_gradient_descent,
+)
+
+PITCH, WAVELENGTH = 8e-6, 532e-9
+QUIET = Run(iterations=25, progress=False)
+
+
+@pytest.fixture
+def phases(random):
+    return torch.from_numpy(random.uniform(0, 2 * np.pi, (1, 24, 20)))
+
+
+@pytest.fixture
+def disc():
+    rows, columns = torch.meshgrid(torch.arange(40) - 20, torch.arange(48) - 24, indexing="ij")
+    return 0.1 + 0.9 * ((rows**2 + columns**2) < 120).float()
+
+
+def field_at(phases, distance, shift, fill, orders, cutoff=None, pitch=PITCH, wide=12):
+    """Return the field of square pixels at points displaced by shares of a pixel: a sum over frequencies, in NumPy."""
+    shape = [n * wide for n in phases.shape]
+    grid = np.zeros(shape, complex)
+    window = tuple(slice(m // 2 - n // 2, m // 2 - n // 2 + n) for m, n in zip(shape, phases.shape, strict=True))
+    grid[window] = np.exp(1j * phases)
+    spectrum = np.tile(np.fft.fft2(grid), (orders, orders))
+    fy, fx = (np.fft.fftfreq(m * orders, pitch / orders) for m in shape)
+    fy, fx = np.meshgrid(fy, fx, indexing="ij")
+    side = math.sqrt(fill) * pitch
+    transfer = np.exp(2j * np.pi * distance * np.sqrt(WAVELENGTH**-2 - fy**2 - fx**2 + 0j))
+    transfer *= np.sinc(side * fy) * np.sinc(side * fx) * np.exp(2j * np.pi * pitch * (fy * shift[0] + fx * shift[1]))
+    if cutoff is not None:
+        transfer *= np.hypot(fy, fx) <= cutoff
+    field = np.fft.ifft2(spectrum * transfer) * orders**2
+    return field[::orders, ::orders][window]
+
+
+def means_over_pixels(phases, distance, fill, orders, count, wide):
+    """Return the mean over pixels of the intensity, by the middle points of `count`² parts of each."""
+    points = (np.arange(count) + 0.5) / count - 0.5
+    lights = [np.abs(field_at(phases, distance, (y, x), fill, orders, wide=wide)) ** 2 for y in points for x in points]
+    return np.mean(lights, 0)
+
+
+@pytest.mark.parametrize("distance", [1e-3, 8e-3])
+def test_fields_are_sums_over_frequencies(phases, distance):
+    display = Display(Modulator((24, 20), PITCH, fill=0.8), WAVELENGTH, distance)
+    found = display.fields(phases)[0, 0, 0].numpy()
+    expected = field_at(phases[0].numpy(), distance, (0, 0), 0.8, 1, wide=30)
+    assert np.linalg.norm(found - expected) < 3e-3 * np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("orders", [1, 3])
+def test_images_are_means_over_pixels(phases, orders):
+    phases = phases[:, :16, :14]
+    display = Display(Modulator((16, 14), PITCH, fill=0.8), WAVELENGTH, 5e-4, iris="order" if orders == 1 else None)
+    expected = means_over_pixels(phases[0].numpy(), 5e-4, 0.8, orders, 8, 6)
+    inside = (slice(3, -3), slice(3, -3))
+    areas, points = (image[0, 0].numpy() for image in display.judge(phases))
+    assert np.abs(areas - expected)[inside].max() < 0.02 * expected.max()
+    assert np.abs(display(phases)[0, 0].numpy() - expected)[inside].max() < 0.03 * expected.max()
+    middles = np.abs(field_at(phases[0].numpy(), 5e-4, (0, 0), 0.8, orders)) ** 2
+    assert np.linalg.norm(points - middles) < 0.01 * np.linalg.norm(middles)
+
+
+def test_an_iris_cuts_the_spectrum(phases):
+    iris = Iris(1e-3, 0.1)
+    display = Display(Modulator((24, 20), PITCH, fill=1.0), WAVELENGTH, 2e-3, iris=iris)
+    expected = field_at(phases[0].numpy(), 2e-3, (0, 0), 1.0, 1, iris.cutoff(WAVELENGTH), wide=40)
+    found = display.fields(phases)[0, 0, 0].numpy()
+    assert np.linalg.norm(found - expected) < 0.03 * np.linalg.norm(expected)
+
+
+def test_deflected_light_has_the_envelope_of_a_pixel():
+    ramp = (2 * torch.pi * 0.375 * torch.arange(64)).expand(1, 32, 64).double()
+    display = Display(Modulator((32, 64), PITCH, bits=None, fill=1.0), WAVELENGTH, 1e-4)
+    inside = display(ramp)[0, 0, 12:20, 28:36].mean()
+    assert abs(inside - np.sinc(0.375) ** 2) < 0.01
+
+
+def test_frames_and_colours_are_averaged_by_their_powers(random):
+    phases = torch.from_numpy(random.uniform(0, 6, (2, 16, 16)))
+    panel, lengths = Modulator((16, 16), PITCH), [639e-9, 515e-9]
+    powers = torch.tensor([[1.0, 2.0], [3.0, 0.0]])
+    both = Display(panel, lengths, 1e-3, frames=2, powers=powers)(phases)
+    first, second = (Display(panel, 639e-9, 1e-3)(phase)[0, 0] for phase in phases)
+    torch.testing.assert_close(both[0, 0], (first + 3 * second) / 4)
+    torch.testing.assert_close(both[0, 1], Display(panel, 515e-9, 1e-3)(phases[0])[0, 0])
+
+
+def test_medium_and_profile():
+    phases = torch.rand(1, 16, 16, dtype=torch.float64)
+    panel = Modulator((16, 16), PITCH)
+    in_water = Display(panel, WAVELENGTH, 1e-3, medium=1.33, profile=torch.full((16, 16), 0.5, dtype=torch.float64))
+    in_air = Display(panel, WAVELENGTH / 1.33, 1e-3)
+    torch.testing.assert_close(in_water(phases), in_air(phases) / 4)
+
+
+def test_gradients():
+    display = Display(
+        Modulator((4, 4), PITCH, response=spatial_light_modulator(bits=None)), [639e-9, 515e-9], [1e-3, 2e-3]
+    )
+    phases = torch.rand(2, 4, 4, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(display, (phases,))
+
+
+def test_what_is_optimised_is_what_is_stated(disc):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    found = optimise(display, disc, run=QUIET)
+    plain, _ = stochastic_gradient_descent(disc, WAVELENGTH, 2e-3, PITCH, n_iteration=50, scale=True, progress=False)
+    seen = [
+        means_over_pixels(phase.numpy().astype(float), 2e-3, 0.9, 1, 3, 10) for phase in (found.phases[0], plain.angle())
+    ]
+    wanted = disc.numpy()
+    errors = [((i * (i * wanted).sum() / (i * i).sum() - wanted) ** 2).mean() for i in seen]
+    assert abs(-10 * math.log10(errors[0]) - float(found.psnr)) < 0.3
+    assert errors[0] < errors[1] / 4
+    assert len(found.losses) == 25 and found.losses[-1] < found.losses[0] / 4
+
+
+def test_colours_planes_and_frames(disc):
+    display = Display(Modulator(disc.shape, PITCH), [639e-9, 515e-9], [2e-3, 3e-3], frames=4)
+    target = torch.stack([torch.stack([disc, disc.flip(1)]), torch.stack([disc.roll(5, 0), disc.roll(-6, 1)])])
+    found = optimise(display, target, start="quadratic", run=QUIET)
+    assert found.images.shape == (2, 2, 40, 48) and found.levels().max() <= 255
+    assert [row["wavelength"] for row in found.table()] == [639e-9, 515e-9] * 2
+    worse = optimise(display, target, start="quadratic", run=Run(iterations=1, progress=False))
+    assert bool((found.psnr > worse.psnr + 2).all())
+
+
+@pytest.mark.parametrize("solver", ["adam", "gerchberg-saxton", Network(hologram_network(pretrained=True))])
+def test_other_solvers_are_better_than_their_start(disc, solver):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    found = optimise(display, disc, solver=solver, start="flat", run=QUIET)
+    flat, _ = display.judge(torch.zeros(1, *disc.shape))
+    scaled = flat * (flat * disc).sum() / flat.square().sum()
+    assert found.psnr > -10 * torch.log10((scaled - disc).square().mean()) + 3
+
+
+def test_double_phase_needs_its_iris(disc):
+    with pytest.warns(UserWarning, match="double phase needs an iris"):
+        wide = optimise(Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3), disc, solver="double phase", run=QUIET)
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3, iris=Iris(1.7e-3, 0.1))
+    assert optimise(display, disc, solver="double phase", run=QUIET).psnr > wide.psnr + 3
+    with pytest.raises(ValueError, match="double phase shows one colour on one plane"):
+        optimise(
+            Display(Modulator(disc.shape, PITCH), WAVELENGTH, [2e-3, 3e-3], iris=Iris(1.7e-3, 0.1)),
+            disc.expand(2, 1, -1, -1),
+            solver="double phase",
+        )
+
+
+def test_a_solver_is_one_class(disc):
+    class Flat:
+        def solve(self, problem):
+            return torch.zeros_like(problem.start)
+
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    assert not optimise(display, disc, solver=Flat()).phases.any()
+
+
+def test_a_run_is_continued_bit_for_bit(disc, tmp_path):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    whole = optimise(display, disc, solver=Descent("adam"), run=Run(iterations=6, progress=False))
+    options = {"iterations": 6, "progress": False, "checkpoint": tmp_path / "run.pt"}
+    stop = Run(callback=lambda iteration, loss: iteration == 2, **options)
+    optimise(display, disc, solver=Descent("adam"), run=stop)
+    assert torch.equal(optimise(display, disc, solver=Descent("adam"), run=Run(**options)).phases, whole.phases)
+
+
+def test_a_result_shows_itself(disc):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    found = optimise(display, disc, run=Run(iterations=2, progress=False))
+    page = found._repr_html_()
+    assert page.count("data:image/png;base64,") == 3 and f"{float(found.psnr):.1f} dB" in page
+    assert "532 nm" in repr(display) and "dB" in repr(found)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"target": torch.full((40, 48), 200.0)}, "divide by 255"),
+        ({"target": torch.zeros(3, 40, 48)}, "target must be"),
+        ({"solver": "magic"}, "solver must be"),
+        ({"start": torch.zeros(2, 2)}, "start must be"),
+    ],
+)
+def test_what_does_not_fit_is_named(disc, arguments, message):
+    display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
+    with pytest.raises((ValueError, TypeError), match=message):
+        optimise(display, **{"target": disc, **arguments})
+
+
+def test_displays_that_cannot_be_are_named():
+    panel = Modulator((16, 16), PITCH)
+    with pytest.raises(ValueError, match="powers must light each wavelength"):
+        Display(panel, [639e-9, 515e-9], 1e-3, frames=1)
+    with pytest.raises(ValueError, match="iris must be"):
+        Display(panel, WAVELENGTH, 1e-3, iris="round")
+    with pytest.raises(ValueError, match="fill"):
+        Modulator((16, 16), PITCH, fill=1.2)
+    with pytest.raises(ValueError, match="response must have a fill factor of 1"):
+        Modulator((16, 16), PITCH, response=spatial_light_modulator(fill_factor=0.9))
