@@ -17,6 +17,7 @@ SLOW = {
     "guides/distributed_computing.md",
     "guides/foveated_holograms.md",
     "guides/from_slm_to_hologram.md",
+    "guides/displays.md",
     "guides/hologram_network.md",
     "guides/large_fields.md",
     "guides/learned_models.md",

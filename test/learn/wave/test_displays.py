@@ -125,9 +125,8 @@ def test_what_is_optimised_is_what_is_stated(disc):
     display = Display(Modulator(disc.shape, PITCH), WAVELENGTH, 2e-3)
     found = optimise(display, disc, run=QUIET)
     plain, _ = stochastic_gradient_descent(disc, WAVELENGTH, 2e-3, PITCH, n_iteration=50, scale=True, progress=False)
-    seen = [
-        means_over_pixels(phase.numpy().astype(float), 2e-3, 0.9, 1, 3, 10) for phase in (found.phases[0], plain.angle())
-    ]
+    patterns = [phase.numpy().astype(float) for phase in (found.phases[0], plain.angle())]
+    seen = [means_over_pixels(pattern, 2e-3, 0.9, 1, 3, 10) for pattern in patterns]
     wanted = disc.numpy()
     errors = [((i * (i * wanted).sum() / (i * i).sum() - wanted) ** 2).mean() for i in seen]
     assert abs(-10 * math.log10(errors[0]) - float(found.psnr)) < 0.3
