@@ -36,6 +36,8 @@ PRISM = np.array(
     ]
 )
 WHITE = (255, 255, 255)
+# An attribute of the user's own for trimesh, until it is named as glTF does.
+_COLOR = "_COLOR"
 
 
 class PLY_object:
@@ -230,7 +232,10 @@ class PLY_object:
             stream.write(("\n".join(lines) + "\n").encode())
 
     def save_glTF(self, savefn: str | os.PathLike = "out.glb", unit: str = "mm") -> None:
-        """Write a binary glTF file by the package trimesh: normals, and a double-sided matt material for each colour.
+        """Write a binary glTF file by the package trimesh, with normals, colours and double-sided matt materials.
+
+        There is one mesh for each colour. The colours are attributes of the vertices, ``COLOR_0``: linear red, green,
+        blue and an opacity of 1, in float32. They multiply the colour of the material, which is white.
 
         Parameters
         ----------
@@ -258,25 +263,27 @@ class PLY_object:
         places = np.stack([vertices[axis] for axis in "xyz"], axis=-1).astype(np.float64) * scale
         shades = np.stack([faces[name] for name in ("red", "green", "blue")], axis=-1)
         smooth = np.concatenate(self._smooth)
-        parts, linear = trimesh.Scene(), {}
+        parts = trimesh.Scene()
         kinds = np.unique(np.column_stack([shades, smooth]), axis=0).tolist()
         for *shade, curved in kinds:
             chosen = faces["vertex_indices"][(shades == shade).all(-1) & (smooth == curved)]
             name = "#{:02x}{:02x}{:02x}".format(*shade)
-            linear[name] = [*linear_light(np.array(shade) / 255).tolist(), 1.0]
             mesh = trimesh.Trimesh(*_with_normals(places, chosen, curved), process=False)  # type: ignore[misc]
+            light = np.append(linear_light(np.array(shade) / 255), 1.0).astype(np.float32)
+            # Trimesh would write colours in 8 bits, of which the dark linear ones need more.
+            mesh.vertex_attributes[_COLOR] = np.tile(light, (len(mesh.vertices), 1))
             mesh.visual = trimesh.visual.TextureVisuals(material=PBRMaterial(name=name))
             parts.add_geometry(mesh)
 
-        def set_materials(tree):
+        def finish(tree):
             for material in tree["materials"]:
-                surface = {"baseColorFactor": linear[material["name"]], "metallicFactor": 0.0, "roughnessFactor": 1.0}
+                surface = {"baseColorFactor": [1.0] * 4, "metallicFactor": 0.0, "roughnessFactor": 1.0}
                 material |= {"doubleSided": True, "pbrMetallicRoughness": surface}
+            for part in (part for mesh in tree["meshes"] for part in mesh["primitives"]):
+                part["attributes"]["COLOR_0"] = part["attributes"].pop(_COLOR)
 
         with replacing(path) as stream:
-            content: Any = trimesh.exchange.gltf.export_glb(
-                parts, include_normals=True, tree_postprocessor=set_materials
-            )
+            content: Any = trimesh.exchange.gltf.export_glb(parts, include_normals=True, tree_postprocessor=finish)
             stream.write(content)
 
     def _draw_prisms(self, starts, ends, k, color, perpendicular) -> None:

@@ -147,7 +147,7 @@ def test_obj_is_read_back_with_its_colours(tmp_path):
 
 
 def parts_of(path):
-    """Return, for each primitive of a binary glTF file, its material, triangles and the normals at their corners."""
+    """Return, for each primitive of a binary glTF file, material, triangles, normals and colours at their corners."""
     content = path.read_bytes()
     assert content[:4] == b"glTF" and struct.unpack_from("<I", content, 8) == (len(content),)
     (length,) = struct.unpack_from("<I", content, 12)
@@ -156,7 +156,7 @@ def parts_of(path):
     def numbers(index):
         accessor = tree["accessors"][index]
         start = tree["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
-        width = {"SCALAR": 1, "VEC3": 3}[accessor["type"]]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
         kind = {5126: "<f4", 5125: "<u4", 5123: "<u2"}[accessor["componentType"]]
         return np.frombuffer(data, kind, accessor["count"] * width, start).reshape(-1, width)
 
@@ -164,7 +164,8 @@ def parts_of(path):
         for part in mesh["primitives"]:
             faces = numbers(part["indices"]).reshape(-1, 3)
             normals = numbers(part["attributes"]["NORMAL"])[faces]
-            yield tree["materials"][part["material"]], numbers(part["attributes"]["POSITION"])[faces], normals
+            places, light = (numbers(part["attributes"][name])[faces] for name in ("POSITION", "COLOR_0"))
+            yield tree["materials"][part["material"]], places, normals, light
 
 
 def test_gltf_has_linear_colours_normals_and_two_sides(tmp_path):
@@ -175,11 +176,14 @@ def test_gltf_has_linear_colours_normals_and_two_sides(tmp_path):
     mesh.draw_surface(x, y, z, color=[255, 0, 128])
     mesh.save_glTF(tmp_path / "mesh.glb", unit="mm")
     found, corners = {}, []
-    for material, triangles, normals in parts_of(tmp_path / "mesh.glb"):
+    for material, triangles, normals, light in parts_of(tmp_path / "mesh.glb"):
         assert material["doubleSided"] is True
         surface_of = material["pbrMetallicRoughness"]
         assert surface_of["metallicFactor"] == 0.0 and surface_of["roughnessFactor"] == 1.0
-        found[len(triangles)] = surface_of["baseColorFactor"], triangles, normals
+        # What is drawn is the product of both.
+        assert surface_of["baseColorFactor"] == [1, 1, 1, 1] and light.dtype == np.float32
+        (color,) = np.unique(light.reshape(-1, 4), axis=0)
+        found[len(triangles)] = color, triangles, normals
         corners.append(triangles)
     # IEC 61966-2-1: 128 is 0.2158605, 3 is 0.0009106, 102 is 0.1328683.
     assert found[12][0] == pytest.approx([1, 0, 0.2158605, 1], rel=1e-5)
@@ -199,6 +203,23 @@ def test_gltf_has_linear_colours_normals_and_two_sides(tmp_path):
     exact /= np.linalg.norm(exact, axis=-1, keepdims=True)
     inside = np.abs(triangles[..., :2]).max(-1) < 0.9e-3
     assert np.abs(normals - exact)[inside].max() < 2e-3
+
+
+def test_colours_of_gltf_are_read_back_by_trimesh(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    mesh, shades = PLY_object(), [[255, 0, 128], [3, 102, 255], [10, 10, 10]]
+    mesh.draw_a_ray([0.0, 0.0, 0.0], [0.0, 3.0, 50.0], k=2.0, color=shades[0])
+    mesh.draw_triangles(np.eye(3) * 7, color=shades[1])
+    mesh.draw_surface(*surface(), color=shades[2])
+    mesh.save_glTF(tmp_path / "mesh.glb")
+    found = [
+        np.unique(part.visual.vertex_attributes["color"], axis=0)
+        for part in trimesh.load(tmp_path / "mesh.glb").geometry.values()
+    ]
+    # Coded again by the inverse of IEC 61966-2-1, they are the colours that were given.
+    linear = np.concatenate(found)[:, :3]
+    coded = 255 * np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
+    assert np.array(sorted(coded.tolist())) == pytest.approx(np.array(sorted(shades)), abs=1e-3)
 
 
 def test_what_cannot_be_saved_or_drawn(tmp_path, monkeypatch):
