@@ -638,18 +638,23 @@ def air_index(
     """
     scale = MICROMETRES[_validate.one_of("unit", unit, MICROMETRES)]
     carbon_dioxide = _validate.constant("carbon_dioxide", carbon_dioxide, least=0)
-    for key, value, low in (
-        ("temperature", temperature, -273.15),
-        ("pressure", pressure, 0),
-        ("humidity", humidity, 0),
-    ):
-        if not _array.is_array(value):
-            _validate.constant(key, value, least=low)
+    _check_weather(temperature, pressure, humidity)
     if isinstance(wavelength, (list, tuple)):
         wavelength = _validate.array("wavelength", wavelength)
     wide = _in_double(wavelength) * scale
+    _check_range(material("air"), wide, True)
     found = _ciddor(wide, temperature, pressure, humidity, carbon_dioxide)
     return _array.cast(found, wavelength, _array.real_dtype(wavelength)) if _array.is_array(wavelength) else found
+
+
+def _check_weather(temperature, pressure, humidity=None) -> None:
+    """Refuse what is no temperature in degrees Celsius, pressure in pascal or humidity; None is left out."""
+    least = {"temperature": (temperature, -273.15), "pressure": (pressure, 0), "humidity": (humidity, 0)}
+    for key, (value, low) in least.items():
+        if value is not None:
+            _validate.real(key, value)
+        if value is not None and not _array.is_array(value) and value < low:
+            raise ValueError(f"{key} must be at least {low}, got {value!r}")
 
 
 def _ciddor(wide, temperature, pressure, humidity=0.0, carbon_dioxide: float = 450.0):
@@ -741,6 +746,7 @@ def refractive_index(
     wide = _in_double(wavelength) * scale
     _check_range(found, wide, extrapolate)
     index = found.index(wide)
+    _check_weather(temperature, pressure)
     if temperature is not None or pressure is not None or found.environment is not None:
         own = found.environment or (found.measured_at, 101325.0)
         here = own[0] if temperature is None else temperature, own[1] if pressure is None else pressure

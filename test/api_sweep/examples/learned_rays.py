@@ -9,6 +9,7 @@ from odak.learn.raytracing import Conic, define_circle, define_cylinder, sphere_
 from odak.learn.raytracing.system import (
     Perturbation,
     Variable,
+    first_order,
     huygens_point_spread_function,
     launch,
     optical_system,
@@ -20,6 +21,7 @@ from odak.learn.raytracing.system import (
     surface,
     system_to_dict,
     wavefront,
+    write_seq,
     write_zmx,
 )
 from odak.raytracing.gradients import RadialGradient
@@ -196,6 +198,13 @@ BY_CALL = {
     },
     f"{HERE}.system.load_system": {"path": Build(lambda folder: _saved(folder, save_system, "lens.json"))},
     f"{HERE}.system.read_zmx": {"path": Build(lambda folder: _saved(folder, write_zmx, "lens.zmx"))},
+    f"{HERE}.system.read_seq": {"path": Build(lambda folder: _saved(folder, write_seq, "lens.seq"))},
+    f"{HERE}.system.write_seq": {"path": Build(lambda folder: folder / "lens.seq")},
+    f"{HERE}.system.configurations": {"settings": [("thickness", -1, [97.0, 96.0])]},
+    f"{HERE}.system.configurations.vary": {"name": "thickness", "place": -1},
+    f"{HERE}.system.configurations.view": {"place": 0},
+    f"{HERE}.system.configurations.each": {"function": first_order},
+    f"{HERE}.system.in_environment": {"temperature": 30.0, "pressure": 9e4},
     f"{HERE}.system.save_system": {"path": Build(lambda folder: folder / "lens.json")},
     f"{HERE}.system.write_zmx": {"path": Build(lambda folder: folder / "lens.zmx")},
     f"{HERE}.system.spot_diagram": {"reference": "centroid"},

@@ -19,7 +19,7 @@ def in_environment(
     *,
     mount: float = 0.0,
     mirror: float = 0.0,
-    reference: float = 20.0,
+    nominal: float = 20.0,
 ) -> optical_system:
     """Return a system at a temperature and a pressure, every number of it expanded.
 
@@ -29,7 +29,7 @@ def in_environment(
     Parameters
     ----------
     system : optical_system
-        The system, whose numbers hold at `reference`.
+        The system, whose numbers hold at `nominal`.
     temperature : float or torch.Tensor
         In degrees Celsius.
     pressure : float or torch.Tensor
@@ -39,7 +39,7 @@ def in_environment(
         aluminium 6061.
     mirror : float
         Coefficient of expansion of mirrors, per kelvin.
-    reference : float
+    nominal : float
         Temperature at which lengths are given, in degrees Celsius.
 
     Returns
@@ -75,9 +75,11 @@ def in_environment(
     1.7
     """
     checked_system(system)
-    for name, value in (("mount", mount), ("mirror", mirror), ("reference", reference)):
+    for name, value in (("mount", mount), ("mirror", mirror), ("nominal", nominal)):
         _validate.constant(name, value)
-    change = torch.as_tensor(temperature, dtype=torch.float64) - reference
+    temperature = _validate.number("temperature", temperature, least=-273.15)
+    pressure = _validate.number("pressure", pressure, least=0)
+    change = torch.as_tensor(temperature, dtype=torch.float64).reshape(()) - nominal
     found = shared_copy(system)
     items: list[Any] = list(system.surfaces)
     rates: list[Any] = []

@@ -103,7 +103,7 @@ class configurations(torch.nn.Module):
         key = self._numbers.get((name, place))
         if key is None:
             held = ", ".join(f"{kind} of surface {i}" for kind, i in self._numbers) or "none"
-            raise ValueError(f"{name} of surface {place} is not among the settings, which have {held}")
+            raise ValueError(f"place must be that of a setting of the {name}, got {place}; the settings have {held}")
         if key in self._buffers:
             value: Any = self._buffers.pop(key)
             self.register_parameter(key, torch.nn.Parameter(value.clone()))
@@ -218,6 +218,7 @@ class configurations(torch.nn.Module):
         >>> tuple(focus.each(rms_spot).shape)
         (2, 3)
         """
+        _validate.function("function", function)
         return _stacked([function(self.view(i), *arguments, **options) for i in range(self.count)])
 
 
