@@ -407,6 +407,36 @@ def check_white(name: str, brightest: float, white: float, remedy: str) -> None:
         warn(f"{name} reaches {brightest:g} where {white:g} is white: {remedy}", ArgumentWarning)
 
 
+def check_values(name: str, values, remedy: str | None = None, *, refuse: bool = True) -> None:
+    """Name NaN and infinite values of a picture, a field or a pattern, and, with a remedy, values of 0 … 255.
+
+    Values that torch.func hides are not looked at. A GPU is waited for: once for an optimisation or a report.
+
+    Parameters
+    ----------
+    name : str
+        Name of the argument.
+    values : array
+        What came; of complex values, the modulus counts.
+    remedy : str, optional
+        What to do about values of 0 … 255, with which the warning ends.
+    refuse : bool
+        Raise ValueError for what is not finite; a warning otherwise.
+    """
+    if is_torch(values):
+        if values.is_meta or not (values.is_cuda or is_readable(values)):
+            return
+        values = values.detach()
+    largest = float(namespace(values).max(abs(values)))
+    if not math.isfinite(largest):
+        message = f"{name} must be finite, got NaN or infinite values"
+        if refuse:
+            raise ValueError(message)
+        warn(message, ArgumentWarning)
+    elif remedy is not None:
+        check_white(name, largest, 1, remedy)
+
+
 def place_in(name: str, value, count: int) -> int:
     """Return the place of one of `count` things, 0 to count − 1, of a place or of one counted from the end."""
     if isinstance(value, bool) or not isinstance(value, Integral):

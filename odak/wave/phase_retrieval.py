@@ -17,6 +17,7 @@ from odak.wave.sampling import warn_of_factor
 from odak.wave.transfer_functions import pitches
 
 _WINDOW = (True, False, True)
+_AMPLITUDES = "give amplitudes of 0 … 1 (8-bit values divided by 255)"
 TARGET_TYPES = ("no constraint", "double constraint")
 
 
@@ -99,14 +100,28 @@ def gerchberg_saxton(
 
 
 def retrieve(
-    field, turns, distance, dx, wavelength, slm_range, propagation_type, initial_phase, seed, *, fill=None, **options
+    field,
+    turns,
+    distance,
+    dx,
+    wavelength,
+    slm_range,
+    propagation_type,
+    initial_phase,
+    seed,
+    *,
+    fill=None,
+    checked=False,
+    **options,
 ):
     """Return hologram and reconstruction after one iteration for each item of `turns`, for NumPy and PyTorch.
 
     `options` are `callback` and `accelerated`: `callback(turn, phase)` is called after each iteration, and ends them by
-    returning True.
+    returning True. A field that is `checked` is not looked at again.
     """
     field = _validate.planes("field", field)
+    if not checked:
+        _validate.check_values("field", field, _AMPLITUDES)
     options |= {"initial_phase": initial_phase, "seed": seed, "fill": fill}
     hologram = _alternate([(field, distance)], turns, dx, wavelength, slm_range, propagation_type, **options)
     # On the padded grid of the iterations light may wrap around; the image that is returned is free of it.
@@ -184,6 +199,7 @@ def _starting_phase(target, initial_phase, seed):
         raise ValueError(
             f"initial_phase must have the field's shape (each of fields), {shape}, got {tuple(initial_phase.shape)}"
         )
+    _validate.check_values("initial_phase", initial_phase)
     return _array.cast(initial_phase, target)
 
 
@@ -269,6 +285,7 @@ def gerchberg_saxton_3d(
     if _validate.one_of("target_type", target_type, TARGET_TYPES) == "double constraint":
         update = _double_constraint(coefficients)
     count = _validate.integer("n_iterations", n_iterations, minimum=1)
+    _validate.check_values("fields", fields, _AMPLITUDES)
     planes = [(fields[index, ...], distance) for index, distance in enumerate(distances)]
     options = {"initial_phase": initial_phase, "seed": seed, "update": update, "fill": pixel_fill}
     return _alternate(planes, range(count), dx, wavelength, slm_range, propagation_type, **options)

@@ -186,6 +186,7 @@ def _checked_field(field, shape) -> np.ndarray:
         raise ValueError(f"field must be [..., {shape[0]}, {shape[1]}] as given by shape, got {tuple(field.shape)}")
     if not _array.is_readable(field):
         raise ValueError("field must be readable here: its spectrum decides")
+    _validate.check_values("field", field)
     return np.asarray(field.detach().cpu().numpy() if _array.is_torch(field) else field)
 
 

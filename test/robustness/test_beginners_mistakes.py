@@ -206,3 +206,40 @@ def test_degrees_that_look_like_radians_are_pointed_out():
         package.polarizer(0.79)
     with pytest.warns(odak.ArgumentWarning, match="angles is in degrees"):
         odak.wave.reference_wave((8, 8), 8e-6, WAVELENGTH, (0.0, math.radians(1)))
+
+
+@pytest.mark.filterwarnings("ignore::odak.SamplingWarning")
+def test_pictures_of_8_bits_are_named_once():
+    levels = torch.rand(8, 8, generator=torch.Generator().manual_seed(0)) * 255
+    place = (WAVELENGTH, DISTANCE, PITCH)
+    for call in (
+        lambda: wave.stochastic_gradient_descent(levels, *place, n_iteration=2, scale=True, initial_phase="gs"),
+        lambda: wave.gerchberg_saxton(levels, 2, DISTANCE, PITCH, WAVELENGTH),
+        lambda: odak.wave.gerchberg_saxton(levels.numpy(), 2, DISTANCE, PITCH, WAVELENGTH),
+        lambda: odak.wave.gerchberg_saxton_3d(levels.numpy()[None], 2, [DISTANCE], PITCH, WAVELENGTH),
+        lambda: odak.learn.tools.psnr(levels, levels / 255),
+        lambda: perception.rgb_2_ycrcb(levels.expand(3, 8, 8)),
+    ):
+        with pytest.warns(odak.ArgumentWarning, match="where 1 is white") as caught:
+            call()
+        assert len(caught) == 1
+    odak.learn.tools.psnr(levels, levels + 1, peak_value=255)
+
+
+@pytest.mark.parametrize("spoilt", [math.nan, math.inf])
+def test_values_that_are_not_finite_are_named(spoilt):
+    picture = torch.full((8, 8), 0.5)
+    picture[2, 3] = spoilt
+    place = (DISTANCE, PITCH, WAVELENGTH)
+    for name, call in (
+        ("field", lambda: wave.gerchberg_saxton(picture, 1, *place)),
+        ("field", lambda: odak.wave.gerchberg_saxton(picture.numpy(), 1, *place)),
+        ("initial_phase", lambda: wave.gerchberg_saxton(torch.ones(8, 8), 1, *place, initial_phase=picture)),
+        ("fields", lambda: odak.wave.gerchberg_saxton_3d(picture.numpy()[None], 1, [DISTANCE], PITCH, WAVELENGTH)),
+        ("field", lambda: odak.wave.sampling_report((8, 8), PITCH, WAVELENGTH, DISTANCE, field=picture.numpy())),
+        ("target", lambda: wave.stochastic_gradient_descent(picture, WAVELENGTH, DISTANCE, PITCH)),
+    ):
+        with pytest.raises(ValueError, match=f"^{name} must be finite"):
+            call()
+    with pytest.warns(odak.ArgumentWarning, match="image must be finite"):
+        perception.rgb_2_ycrcb(picture.expand(3, 8, 8))

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from odak import _validate
+from odak import _array, _validate
 from odak._torch_private import is_plain_on_cpu
 from odak.learn._tensors import as_pictures, in_float32, in_float64, in_own_precision, kind_of
 from odak.learn.perception.hdr import pq_decode, pq_encode
@@ -340,7 +340,10 @@ def rgb_2_ycrcb(image: torch.Tensor) -> torch.Tensor:
     >>> [round(value, 4) for value in result.flatten().tolist()]
     [0.5, 0.5, 0.5]
     """
-    return mix(_RGB_TO_YCRCB, as_pictures("image", image), offset=_CHROMA_OFFSET)
+    pictures = as_pictures("image", image)
+    if _array.is_readable(pictures) and pictures.numel():
+        _validate.check_values("image", pictures, "divide by 255, the chroma of greys is 0.5", refuse=False)
+    return mix(_RGB_TO_YCRCB, pictures, offset=_CHROMA_OFFSET)
 
 
 def ycrcb_2_rgb(image: torch.Tensor) -> torch.Tensor:

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import torch
 
-from odak import _validate
+from odak import _array, _validate
 from odak.learn._tensors import floating, kind_of
 
 
@@ -345,6 +345,10 @@ def psnr(
     _validate.real("peak_value", peak_value, positive=True)
     reduction = _validate.one_of("reduction", reduction, ("pooled", "mean", "none"))
     image, ground_truth = (value if value.is_floating_point() else value.float() for value in (image, ground_truth))
+    for name, picture in (("image", image), ("ground_truth", ground_truth)):
+        if _array.is_readable(picture) and picture.numel():
+            remedy = "divide by 255, or give peak_value=255" if peak_value == 1 else None
+            _validate.check_values(name, picture, remedy, refuse=False)
     squared = (image - ground_truth).square()
     error = squared.mean() if reduction == "pooled" else squared.flatten(max(squared.ndim - 3, 0)).mean(-1)
     equal = error == 0

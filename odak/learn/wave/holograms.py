@@ -270,8 +270,8 @@ def stochastic_gradient_descent(
         _validate.function_or_none(name, function)
     if seed is not None:
         _validate.integer("seed", seed)
-    if not scale and loss_function is None and slm is None:
-        check_brightness("target", target, 1, "scale=True")
+    conserved = not scale and loss_function is None and slm is None
+    check_brightness("target", target, 1 if conserved else math.inf, "scale=True")
     options = Options(progress, callback, checkpoint, checkpoint_every)
     check_has_kernel(propagation_type)
     optimizer = _validate.one_of("optimizer", optimizer, SOLVERS)
@@ -413,6 +413,7 @@ def starting_phase(
             hologram = phase_retrieval.retrieve(
                 *(amplitude, range(_PROJECTIONS), distance, dx, wavelength, 2 * math.pi, propagation_type, phase, seed),
                 accelerated=True,
+                checked=True,
             )[0]
             phase = hologram.angle()
     return phase if frames == 1 else phase + 0.5 * drawn(torch.randn)

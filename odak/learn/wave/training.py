@@ -260,7 +260,8 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
     targets : torch.Tensor
         Intensities ``[..., rows, columns]``.
     reachable : float or torch.Tensor
-        Mean intensity of the light on the modulator, that of its frames added up; fits ``[...]``.
+        Mean intensity of the light on the modulator, that of its frames added up; fits ``[...]``. Infinite where the
+        scale of the targets is free: those of 0 … 255 are still named.
     remedy : str
         What else may be done, after "or".
     """
@@ -275,6 +276,8 @@ def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.
             + (f", or {remedy}" if remedy else ""),
             ArgumentWarning,
         )
+    else:
+        _validate.check_values(name, targets, "give intensities of 0 … 1 (8-bit values divided by 255)")
 
 
 def fingerprint(*tensors: torch.Tensor) -> str:

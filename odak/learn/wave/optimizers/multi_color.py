@@ -1,5 +1,6 @@
 """Optimizer of phase patterns shown in sequence, each lit by several colours, for images on several planes."""
 
+import math
 import os
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -183,6 +184,8 @@ class multi_color_hologram_optimizer:
             learned = self.channel_power.requires_grad
             reachable = self.number_of_frames if learned else self.channel_power.square().sum(0)
             check_brightness("targets", self.targets * self._peak, reachable)
+        else:
+            check_brightness("targets", self.targets, math.inf)
         self.init_phase()
         if initial_phase is not None:
             self._start_from(initial_phase)
