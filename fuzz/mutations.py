@@ -285,7 +285,7 @@ def in_hdf5(data: bytes, chance: random.Random) -> bytes:
         with h5py.File(io.BytesIO(data), "r") as store:
             if sum(store[name].nbytes for name in store) > 1 << 20:
                 return data
-            values = {name: store[name][()] for name in store}
+            values = {name: store[name][()] for name in store if store[name].dtype.kind in "iuf"}
             # Over a broken heap of texts of variable length HDF5 loops for ever.
             kinds = {name: store.attrs.get_id(name).dtype.kind for name in store.attrs}
             header = {name: store.attrs[name] for name, kind in kinds.items() if kind in "iufS"}

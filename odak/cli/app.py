@@ -238,6 +238,34 @@ FillFactor = Annotated[
         show_default="pixels are points, and images are sampled at points",
     ),
 ]
+CalibrationFile = Annotated[
+    str | None,
+    typer.Option(
+        "--calibration",
+        metavar="FILE",
+        help="Results of `odak calibrate` (calibration.h5): pixel pitch, resolution, bits, wavelength and, unless it "
+        "is given, distance are taken from it; levels are those of the measured phase response, the aberration is "
+        "corrected, and the image is computed with the measured illumination, for which the method sgd optimises.",
+    ),
+]
+Lut = Annotated[
+    str | None,
+    typer.Option(
+        "--lut",
+        metavar="FILE",
+        help="Text file of the phase in radians that each level shows at the wavelength: a line for each of the 2^bits "
+        "levels, with the phase, or level and phase.",
+        show_default="phases spread evenly over 2 pi",
+    ),
+]
+SlmRange = Annotated[
+    float | None,
+    typer.Option(
+        metavar="RADIANS",
+        help="Phase range of the modulator at the wavelength, over which its 2^bits levels are spread evenly.",
+        show_default="2 pi",
+    ),
+]
 Device = Annotated[str, typer.Option(help="auto (the GPU if there is one), cpu, cuda, cuda:1, ...")]
 Quiet = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show no progress and no summary; warnings and errors still go to stderr.")
@@ -407,6 +435,21 @@ NominalWidth = Annotated[
 ]
 NoiseSeed = Annotated[int, typer.Option(help="Seed of the noise.")]
 
+# --- Optical tables
+ModulatorName = Annotated[str, typer.Option(metavar="NAME", help="Driver of the modulator.")]
+CameraName = Annotated[str, typer.Option(metavar="NAME", help="Driver of the camera.")]
+InstrumentOptions = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="INSTRUMENT.NAME=VALUE",
+        help="Option of a driver, such as camera.source=0 or simulated.shape=[96,96]; may be repeated.",
+    ),
+]
+TableWavelength = Annotated[str, typer.Option(metavar="LENGTH", help="Vacuum wavelength.")]
+TableDistance = Annotated[str, typer.Option(metavar="LENGTH", help="Distance from the modulator to the camera.")]
+TableSeed = Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the simulated table.")]
+TableFaults = Annotated[str, typer.Option(metavar="some|all", help="Faults of the simulated table.")]
+
 # --- Lenses
 Glasses = Annotated[
     list[Path] | None,
@@ -518,6 +561,9 @@ def hologram(
     bits: Bits = Job.bits,
     fill_factor: FillFactor = Job.fill_factor,
     preset: Preset = Job.preset,
+    calibration: CalibrationFile = Job.calibration,
+    lut: Lut = Job.lut,
+    slm_range: SlmRange = Job.slm_range,
     device: Device = Job.device,
     quiet: Quiet = Job.quiet,
     again: Again = False,
@@ -545,6 +591,12 @@ def hologram(
             modulator = find_preset(preset)
             values["preset"] = preset.casefold()
             values |= {name: getattr(modulator, name) for name in {"pixel_pitch", "resolution", "bits"} - given}
+        if calibration is not None:
+            from odak.cli.files import calibrated
+
+            values |= calibrated(calibration, values, given)
+        if lut is not None:
+            values["lut"] = str(Path(lut).expanduser().absolute())
         if tiles:
             if len(images) > 1 or watch or (spread["cluster"] or "local") != "local":
                 raise InputError("--tiles takes one IMAGE and no --watch, and --cluster must be local or left out")
@@ -880,31 +932,26 @@ def simulate(
     "distance, illumination, regions, or all (phase to illumination).\n\n"
     "Instruments are named by the entry points of their drivers (screen, video, file-modulator, file-camera and those "
     "of installed packages); without names, a simulated table is calibrated, whose faults a seed draws. Writes "
-    "calibration.npz, which each step takes as known and adds to, STEP.png and report.json."
+    "calibration.h5 (HDF5 with units and uncertainties), which each step takes as known and adds to, STEP.png and "
+    "report.json."
 )
 def calibrate(
     step: Annotated[str, typer.Argument(metavar="STEP", help="What to measure.")],
     output: Output = Path("calibration"),
-    modulator: Annotated[str, typer.Option(metavar="NAME", help="Driver of the modulator.")] = "simulated",
-    camera: Annotated[str, typer.Option(metavar="NAME", help="Driver of the camera.")] = "simulated",
+    modulator: ModulatorName = "simulated",
+    camera: CameraName = "simulated",
     polariser: Annotated[str | None, typer.Option(metavar="NAME", help="Driver of the polariser's mount.")] = None,
-    option: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="INSTRUMENT.NAME=VALUE",
-            help="Option of a driver, such as camera.source=0 or simulated.shape=[96,96]; may be repeated.",
-        ),
-    ] = None,
-    wavelength: Annotated[str, typer.Option(metavar="LENGTH", help="Vacuum wavelength.")] = "532nm",
-    distance: Annotated[
-        str, typer.Option(metavar="LENGTH", help="Distance from the modulator to the camera.")
-    ] = "20mm",
-    seed: Annotated[int, typer.Option(metavar="NUMBER", help="Seed of the simulated table.")] = 0,
-    faults: Annotated[str, typer.Option(metavar="some|all", help="Faults of the simulated table.")] = "some",
+    option: InstrumentOptions = None,
+    wavelength: TableWavelength = "532nm",
+    distance: TableDistance = "20mm",
+    seed: TableSeed = 0,
+    faults: TableFaults = "some",
     results: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help="File that holds the calibration results, .npz or .h5.", show_default="in the folder"
+            metavar="FILE",
+            help="HDF5 file of the results (.h5); a .npz file of earlier versions is read.",
+            show_default="calibration.h5 in the folder",
         ),
     ] = None,
     quiet: Quiet = False,
@@ -913,21 +960,10 @@ def calibrate(
     """Calibrate a table; see :mod:`odak.cli.calibrate`."""
     with _messages():
         from odak.cli import calibrate as calibrating
-        from odak.cli.job import parse_length
 
-        if faults not in ("some", "all"):
-            raise InputError(f"--faults must be some or all, got {faults!r}")
-        lengths = {}
-        for name, text in (("wavelength", wavelength), ("distance", distance)):
-            try:
-                lengths[name] = parse_length(text)
-            except ValueError as error:
-                raise InputError(f"--{name}: {error}") from None
-            largest = 1e-3 if name == "wavelength" else 10.0
-            if not 0 < lengths[name] <= largest:
-                raise InputError(f"--{name} must be above 0 and at most {largest:g} metres, with a unit; got {text!r}")
+        lengths = _lengths_of_table(wavelength, distance)
         names = {"modulator": modulator, "camera": camera, "polariser": polariser}
-        twin = {**lengths, **calibrating.faults_of(step, faults)}
+        twin = {**lengths, **calibrating.faults_of(step, _checked_faults(faults))}
         table = calibrating.open_table(names, option or (), seed, twin)
         report = calibrating.run(step, table, output, **lengths, results=results, notices=_notices(again, quiet))
     if not quiet:
@@ -935,6 +971,76 @@ def calibrate(
             text = f"{value:.6g}" if isinstance(value, float) else str(value)
             typer.echo(f"{name}: {text} {report['units'][name]}")
         typer.echo(f"{report['figure']}, report.json in {output}; results in {report['results']}")
+
+
+def _checked_faults(faults: str) -> str:
+    if faults not in ("some", "all"):
+        raise InputError(f"--faults must be some or all, got {faults!r}")
+    return faults
+
+
+def _lengths_of_table(wavelength: str, distance: str) -> dict[str, float]:
+    """Return the wavelength and the distance of a table in metres; InputError for what is out of range."""
+    lengths = {}
+    for name, text, largest in (("wavelength", wavelength, 1e-3), ("distance", distance, 10.0)):
+        try:
+            lengths[name] = parse_length(text)
+        except ValueError as error:
+            raise InputError(f"--{name}: {error}") from None
+        if not 0 < lengths[name] <= largest:
+            raise InputError(f"--{name} must be above 0 and at most {largest:g} metres, with a unit; got {text!r}")
+    return lengths
+
+
+@app.command(
+    help="Show a pattern on the modulator, and capture what it forms on the camera.\n\n"
+    "Instruments are those of `odak calibrate`; without names, the simulated table of the seed. Writes "
+    "capture_NAME.png (the capture beside its prediction by the calibration, and their difference), captures.h5 and "
+    "report.json."
+)
+def capture(
+    pattern: Annotated[
+        Path, typer.Argument(metavar="PATTERN", help="Grey picture of the levels, or folder of `odak hologram`.")
+    ],
+    output: Output = Path("capture"),
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Results of `odak calibrate`, which the prediction takes its values from.",
+            show_default="nominal values",
+        ),
+    ] = None,
+    captures: Annotated[int, typer.Option(metavar="COUNT", help="Number of captures of each pattern.", min=1)] = 4,
+    modulator: ModulatorName = "simulated",
+    camera: CameraName = "simulated",
+    option: InstrumentOptions = None,
+    wavelength: TableWavelength = "532nm",
+    distance: TableDistance = "20mm",
+    seed: TableSeed = 0,
+    faults: TableFaults = "some",
+    quiet: Quiet = False,
+    again: Again = False,
+) -> None:
+    """Capture patterns; see :mod:`odak.cli.capture`."""
+    with _messages():
+        from odak.cli import calibrate as calibrating
+        from odak.cli import capture as capturing
+
+        lengths = _lengths_of_table(wavelength, distance)
+        twin = {**lengths, **calibrating.faults_of("capture", _checked_faults(faults))}
+        table = calibrating.open_table({"modulator": modulator, "camera": camera}, option or (), seed, twin)
+        there = (pattern, table, output, lengths["wavelength"], lengths["distance"])
+        notices = _notices(again, quiet)
+        report = capturing.run(*there, calibration=calibration, captures=captures, notices=notices)
+    if not quiet:
+        for result in report["patterns"]:
+            noise = "" if result["noise_share"] is None else f", of which noise {result['noise_share']:.1%}"
+            typer.echo(
+                f"{result['figure']}: correlation with the prediction {result['correlation']:.4f}, error "
+                f"{result['relative_error']:.1%}{noise}"
+            )
+        typer.echo(f"{report['captures']}, report.json in {output}")
 
 
 @app.command(

@@ -1,6 +1,7 @@
 """Calibration of an optical table for `odak calibrate`: instruments by name, steps, results, pictures and a report."""
 
 import dataclasses
+import importlib.util
 import inspect
 import json
 from collections.abc import Callable, Sequence
@@ -30,7 +31,7 @@ from odak.instruments.protocols import checked_camera
 from odak.instruments.simulated import REALISTIC
 from odak.tools.paths import replacing
 
-SIMULATED = "simulated"
+SIMULATED, RESULTS = "simulated", "calibration"
 DEFINITIONS = {
     "lengths": "In metres; phases in radians; times in seconds; angles in degrees.",
     "uncertainty": "Of a result: one of twenty errors exceeds it; of one step, as if others were exact.",
@@ -149,8 +150,8 @@ def run(
     wavelength, distance : float
         Of the light, and from the modulator to the camera, in metres.
     results : Path, optional
-        File of the results (``.npz`` or ``.h5``), ``calibration.npz`` in the folder by default. What it holds is taken
-        as known.
+        HDF5 file of the results, ``calibration.h5`` in the folder by default. What it holds is taken as known; where it
+        does not exist, a file of the same name that ends in ``.npz``, as earlier versions wrote, is read instead.
     notices : Notices
         What to do about the picture of an earlier run of the step.
 
@@ -171,24 +172,18 @@ def run(
     except (TypeError, ValueError) as error:
         raise InputError(f"the camera cannot be used: {error}") from None
     folder = writable_folder(output)
-    path = folder / "calibration.npz" if results is None else Path(results).expanduser()
+    path = folder / f"{RESULTS}.h5" if results is None else Path(results).expanduser()
     if path.suffix.lower() not in (".npz", ".h5", ".hdf5"):
-        raise InputError(f"--results must end in .npz or .h5, got {str(path)!r}")
+        raise InputError(f"--results must end in .h5, or in .npz for results of earlier versions, got {str(path)!r}")
+    earlier, path = path.with_suffix(".npz"), path.with_suffix(".h5") if path.suffix.lower() == ".npz" else path
+    if importlib.util.find_spec("h5py") is None:
+        # Before anything is measured.
+        raise InputError("results are HDF5 files, which need h5py: pip install odak[instruments]")
     # Steps add to the results: nobody else may write between reading and writing.
     claim(folder)
     claim(writable_folder(path.parent, "--results"), "--results")
-    known = Calibration.nominal(table.modulator, table.camera, wavelength, distance)
-    if path.exists():
-        try:
-            known = instruments.load_calibration(path)
-        except (ImportError, ValueError) as error:
-            raise InputError(f"--results: {error}") from None
-        if known.amplitude.shape != tuple(table.modulator.shape) or known.wavelength != wavelength:
-            raise InputError(
-                f"--results {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
-                f"at {wavelength:g} m, got {list(known.amplitude.shape)} at {known.wavelength:g} m"
-            )
-    # Steps add to the results, which are replaced by a second run of the same step.
+    known = known_table(table, path if path.exists() or not earlier.exists() else earlier, wavelength, distance)
+    # What a second run of the same step replaces.
     announce(folder, [f"{step}.png"], notices)
     with collected_warnings() as texts:
         try:
@@ -212,6 +207,39 @@ def run(
     }
     write_json(folder / REPORT, report)
     return report
+
+
+def known_table(table: Table, path: Path, wavelength: float, distance: float, option: str = "--results") -> Calibration:
+    """Return the calibration in a file, and the nominal properties of a table where there is no such file.
+
+    Parameters
+    ----------
+    table : Table
+        The instruments.
+    path : Path
+        File of the results.
+    wavelength, distance : float
+        Of the light, and from the modulator to the camera, in metres.
+    option : str
+        Name of the file in messages.
+
+    Raises
+    ------
+    InputError
+        If it cannot be read, or belongs to another modulator or wavelength.
+    """
+    if not path.exists():
+        return Calibration.nominal(table.modulator, table.camera, wavelength, distance)
+    try:
+        known = instruments.load_calibration(path)
+    except (ImportError, ValueError) as error:
+        raise InputError(f"{option}: {error}") from None
+    if known.amplitude.shape != tuple(table.modulator.shape) or known.wavelength != wavelength:
+        raise InputError(
+            f"{option} {str(path)!r} belongs to another setup: it must have {list(table.modulator.shape)} pixels "
+            f"at {wavelength:g} m, got {list(known.amplitude.shape)} at {known.wavelength:g} m"
+        )
+    return known
 
 
 def _joined(

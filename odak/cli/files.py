@@ -15,7 +15,7 @@ import re
 import socket
 import sys
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
@@ -27,8 +27,11 @@ from odak.tools import check_directory
 from odak.tools.paths import replacing
 
 if TYPE_CHECKING:
+    import numpy
     import torch
     from PIL import Image
+
+    from odak.instruments import Calibration
 
 REPORT, FINGERPRINT, DIGESTS = "report.json", "fingerprint", "sha256"
 LOCK = ".odak.lock"
@@ -283,8 +286,13 @@ def digest_of(path: Path) -> str:
 
 
 def sources(job: Job) -> list[Path]:
-    """Return the file of the picture, and that of its depth map if there is one."""
-    return [image_path(job.image), *([] if job.depth_map is None else [depth_map_path(job.depth_map)])]
+    """Return the file of the picture, and those of its depth map and of the modulator's response if there are any."""
+    known = [Path(os.path.expanduser(name)) for name in (job.calibration, job.lut) if name is not None]
+    return [
+        image_path(job.image),
+        *([] if job.depth_map is None else [depth_map_path(job.depth_map)]),
+        *(path for path in known if path.is_file()),
+    ]
 
 
 def read_report(path: Path) -> dict:
@@ -366,6 +374,165 @@ def write_report(folder: Path, report: dict, mark: str, names: Iterable[str]) ->
     return report
 
 
+class Response(NamedTuple):
+    """What a modulator does to light at each level, where it is known.
+
+    Attributes
+    ----------
+    phases : numpy.ndarray
+        Phase of each level in radians ``[levels]``, or of the levels of regions ``[region rows, region columns,
+        levels]``.
+    wavefront : numpy.ndarray or float
+        Aberration at each pixel in radians.
+    amplitude : numpy.ndarray, optional
+        Amplitude of the illumination at each pixel, its mean square being 1; None for even light.
+    """
+
+    phases: "numpy.ndarray"
+    wavefront: "numpy.ndarray | float" = 0.0
+    amplitude: "numpy.ndarray | None" = None
+
+    def light(self, like: "torch.Tensor") -> "torch.Tensor | float":
+        """Return the amplitude as a tensor on the device of another, in its precision; 1.0 for even light."""
+        import torch
+
+        kind = like.real.dtype
+        return 1.0 if self.amplitude is None else torch.as_tensor(self.amplitude, dtype=kind, device=like.device)
+
+
+@functools.lru_cache(maxsize=4)
+def _response(calibration: str | None, lut: str | None, slm_range: float | None, bits: int) -> Response | None:
+    import numpy as np
+
+    if calibration is not None:
+        found = read_calibration(calibration)
+        amplitude = found.amplitude / math.sqrt(float(np.mean(found.amplitude**2)))
+        return Response(found.response, found.wavefront, amplitude)
+    if slm_range is not None:
+        return Response(np.arange(1 << bits) * (slm_range / (1 << bits)))
+    return None if lut is None else Response(read_lut(lut, bits))
+
+
+def response_of(job: Job) -> Response | None:
+    """Return the response of the modulator of a job by --calibration, --lut or --slm-range; None for the ideal one."""
+    return _response(job.calibration, job.lut, job.slm_range, job.bits)
+
+
+def read_lut(path: str, bits: int) -> "numpy.ndarray":
+    """Return the phases of all levels that a text file lists.
+
+    Parameters
+    ----------
+    path : str
+        Text: in each line the phase of a level in radians, in the order of the levels; or level and phase, separated
+        by a comma, a semicolon or white space. Lines that begin with # are left out.
+    bits : int
+        Bits per pixel: there must be 2^bits levels.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or does not hold a finite phase for each level; the message names the line.
+    """
+    import numpy as np
+
+    file = Path(os.path.expanduser(path))
+    try:
+        if file.stat().st_size > _LONGEST_LUT:
+            raise InputError(f"--lut {str(file)!r} is larger than {_LONGEST_LUT} bytes")
+        lines = file.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        raise InputError(f"--lut {str(file)!r} cannot be read: {error}") from None
+    count = 1 << bits
+    phases = np.full(count, np.nan)
+    texts = [(number, line.strip()) for number, line in enumerate(lines, 1)]
+    for level, (number, line) in enumerate((number, line) for number, line in texts if line and line[0] != "#"):
+        words = line.replace(",", " ").replace(";", " ").split()
+        try:
+            place = int(words[0]) if len(words) == 2 else level
+            phase = float(words[-1])
+        except ValueError:
+            words = []
+        if (
+            len(words) not in (1, 2)
+            or not math.isfinite(phase)
+            or not 0 <= place < count
+            or phases[place] == phases[place]
+        ):
+            raise InputError(
+                f"--lut {str(file)!r}, line {number} must be the phase in radians of one level of 0 to {count - 1}, or "
+                f"level and phase, each level once; got {line[:60]!r}"
+            )
+        phases[place] = phase
+    if np.isnan(phases).any():
+        missing = int(np.isnan(phases).argmax())
+        raise InputError(
+            f"--lut {str(file)!r} must have {count} levels for --bits {bits}, but level {missing} is missing"
+        )
+    return phases
+
+
+def read_calibration(path: str) -> "Calibration":
+    """Return the calibration in a file; InputError if it cannot be read."""
+    from odak.instruments import load_calibration
+
+    try:
+        return load_calibration(Path(os.path.expanduser(path)))
+    except (ImportError, OSError, ValueError) as error:
+        raise InputError(f"--calibration: {error}") from None
+
+
+def calibrated(path: str, values: Mapping[str, Any], given: Collection[str]) -> dict[str, Any]:
+    """Return the parameters of a job that a calibration determines.
+
+    Parameters
+    ----------
+    path : str
+        File of the calibration.
+    values : mapping
+        Parameters of the job by name.
+    given : collection of str
+        Those of the command line, which must agree with the calibration; the distance may differ.
+
+    Raises
+    ------
+    InputError
+        If the file cannot be read, or an option contradicts it.
+    """
+    found = read_calibration(path)
+    bits = (found.phases.size - 1).bit_length()
+    known = {
+        "wavelengths": (found.wavelength,),
+        "pixel_pitch": found.pitch,
+        "resolution": found.amplitude.shape,
+        "bits": bits,
+        "distance": found.distance,
+    }
+    if found.phases.size != 1 << bits:
+        raise InputError(f"--calibration {path!r} has {found.phases.size} levels, which is no power of two")
+    names = {"wavelengths": "wavelength"}
+    for name, value in known.items():
+        option = names.get(name, name)
+        same = values[name] == value or (name in ("wavelengths", "pixel_pitch") and _close(values[name], value))
+        if option in given and name != "distance" and not same:
+            raise InputError(
+                f"--{option.replace('_', '-')} must be that of --calibration, {value!r}, got {values[name]!r}"
+            )
+    if "preset" in given:
+        raise InputError("--preset has no effect with --calibration, which states the modulator")
+    kept = {"distance": values["distance"]} if "distance" in given else {}
+    return {**known, **kept, "calibration": str(Path(os.path.expanduser(path)).absolute())}
+
+
+def _close(one: Any, other: Any) -> bool:
+    """Return whether two lengths, or tuples of lengths, are the same to a millionth."""
+    pairs = [value if isinstance(value, tuple) else (value,) for value in (one, other)]
+    return len(pairs[0]) == len(pairs[1]) and all(math.isclose(a, b, rel_tol=1e-6) for a, b in zip(*pairs, strict=True))
+
+
+_LONGEST_LUT = 1 << 24
+
+
 def file_depth(bits: int) -> int:
     """Return the bit depth of the file for a pattern of so many bits: 8 or 16."""
     return 8 if bits <= 8 else 16
@@ -379,8 +546,10 @@ def stored_bits(path: Path | str) -> int:
         return 16 if image.mode.startswith("I") else 8
 
 
-def quantise(hologram: "torch.Tensor", bits: int) -> "torch.Tensor":
+def quantise(hologram: "torch.Tensor", bits: int, response: Response | None = None) -> "torch.Tensor":
     """Return the levels of a hologram's phase, each level covering 2π/2^bits radians upwards of it.
+
+    Where the response of the modulator is known, they are those whose phases are nearest after the aberration.
 
     Parameters
     ----------
@@ -388,12 +557,21 @@ def quantise(hologram: "torch.Tensor", bits: int) -> "torch.Tensor":
         Complex ``[rows, columns]``.
     bits : int
         Bits per pixel.
+    response : Response, optional
+        That of the modulator; phases spread evenly over 2π by default.
 
     Returns
     -------
     torch.Tensor
         int32, 0 … 2^bits − 1.
     """
+    if response is not None:
+        import torch
+
+        from odak.instruments.calibration import nearest_levels
+
+        phase = hologram.detach().cpu().to(torch.complex128).angle().numpy() - response.wavefront
+        return torch.from_numpy(nearest_levels(phase, response.phases).astype("int32"))
     from odak.learn.wave import produce_phase_only_slm_pattern
 
     return produce_phase_only_slm_pattern(hologram, 2 * math.pi, bits=bits, default_range=2 * math.pi)[1]
@@ -426,7 +604,7 @@ def save_pattern(path: Path, levels: "torch.Tensor", bits: int) -> None:
         raise OSError(str(error)) from error
 
 
-def load_pattern(path: Path, bits: int) -> "torch.Tensor":
+def load_pattern(path: Path, bits: int, response: Response | None = None) -> "torch.Tensor":
     """Return the phase of a saved pattern.
 
     Parameters
@@ -435,18 +613,27 @@ def load_pattern(path: Path, bits: int) -> "torch.Tensor":
         File written by :func:`save_pattern`.
     bits : int
         Bits per pixel that it was written with.
+    response : Response, optional
+        That of the modulator; phases spread evenly over 2π by default.
 
     Returns
     -------
     torch.Tensor
-        float64 ``[rows, columns]`` in radians, 0 ≤ phase < 2π.
+        float64 ``[rows, columns]`` in radians, 0 ≤ phase < 2π; with a response the phase that it gives, which includes
+        the aberration.
     """
     import torch
 
     from odak.learn.tools import load_image
 
     white = 2 ** file_depth(bits) - 1
-    return phase_of(torch.round(load_image(str(path), normalizeby=None).double() * white), bits)
+    grey = torch.round(load_image(str(path), normalizeby=None).double() * white)
+    if response is None:
+        return phase_of(grey, bits)
+    from odak.instruments.calibration import phases_of_levels
+
+    levels = (grey.long() >> (file_depth(bits) - bits)).numpy()
+    return torch.from_numpy(phases_of_levels(levels, response.phases) + response.wavefront)
 
 
 def phase_of(grey: Any, bits: int) -> Any:

@@ -68,6 +68,8 @@ def run(job: Job, notices: files.Notices = files.SILENT) -> dict:
         start = time.perf_counter()
         job.warn_of_doubtful_lengths()
         check_propagation_type(job.propagation_type)
+        # Read, and refused if need be, before anything is computed.
+        files.response_of(job)
         device = report.find_device(job.device)
         target = load_target(job)
         if job.method == "network":
@@ -185,9 +187,19 @@ def _verification(job: Job, target: Target) -> dict:
     return {
         "propagation_type": [verification_type(job, wavelength) for wavelength in target.wavelengths],
         "grating": "its phase was subtracted from the pattern read back" if job.grating else None,
+        "modulator": _described(job),
         "aperture": filtered if job.method == "double-phase" else None,
         "pixel": {"fill_factor": job.fill_factor, "model": points if job.fill_factor is None else squares},
     }
+
+
+def _described(job: Job) -> str:
+    """Return in words what the modulator is taken to do to light."""
+    if job.calibration is not None:
+        return f"phases, aberration and illumination (mean square 1) of {job.calibration}"
+    if job.lut is not None:
+        return f"phases of {job.lut}"
+    return f"phases spread evenly over {'2 pi' if job.slm_range is None else f'{job.slm_range:g}'} rad"
 
 
 def verification_type(job: Job, wavelength: float) -> str:
@@ -223,14 +235,16 @@ def _channel(job: Job, target: Target, channel: int, paths: list[Path], device: 
     """Return one channel's part of the report, with its brightness-matched image and its phases as tensors."""
     intensity, wavelength = target.intensity[channel].to(device), target.wavelengths[channel]
     ideal, seconds, loss = _hologram(job, intensity, wavelength)
-    ideal = ideal.reshape(-1, *job.resolution)
+    ideal, response = ideal.reshape(-1, *job.resolution), files.response_of(job)
+    light = 1.0 if response is None else response.light(ideal)
     method = verification_type(job, wavelength)
     grating = grating_phase(job.resolution, device) if job.grating else 0.0
     modulated = ideal * wave.generate_complex_field(1.0, grating).to(ideal) if job.grating else ideal
     for path, pattern in zip(paths, modulated, strict=True):
-        files.save_pattern(path, files.quantise(pattern, job.bits), job.bits)
-    phases = torch.stack([files.load_pattern(path, job.bits) for path in paths])
-    saved = wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
+        files.save_pattern(path, files.quantise(pattern, job.bits, response), job.bits)
+    phases = torch.stack([files.load_pattern(path, job.bits, response) for path in paths])
+    saved = light * wave.generate_complex_field(1.0, phases.to(device) - grating).to(ideal.dtype)
+    ideal = light * wave.generate_complex_field(1.0, wave.calculate_phase(ideal)).to(ideal.dtype)
     unquantised, image = (
         _intensity_at(job, field, wavelength, job.distance, method).mean(0) for field in (ideal, saved)
     )
@@ -407,10 +421,20 @@ def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Cal
         scale=job.scale,
         frames=job.frames or 1,
         pixel_fill=job.fill_factor,
+        slm=_modulator(job, intensity),
         progress=False,
         callback=callback,
     )
     return hologram
+
+
+def _modulator(job: Job, like: torch.Tensor) -> Callable | None:
+    """Return the function that takes a phase to the modulator's field in the measured light; None in even light."""
+    response = files.response_of(job)
+    if response is None or response.amplitude is None:
+        return None
+    light = response.light(like)
+    return lambda phase: wave.generate_complex_field(light, phase)
 
 
 def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> torch.Tensor:
@@ -565,10 +589,11 @@ def _compute_volume(job: Job, target: Target, folder: Path, names: list[str], de
     else:
         ideal, seconds, loss = _optimise(job, target, volume, device)
     grating = grating_phase(job.resolution, device) if job.grating else torch.zeros(1, device=device)
+    response = files.response_of(job)
     for name, phase in zip(names, ideal.phases, strict=True):
         modulated = wave.generate_complex_field(1.0, phase.double() + grating)
-        files.save_pattern(folder / name, files.quantise(modulated, job.bits), job.bits)
-    stored = torch.stack([files.load_pattern(folder / name, job.bits) for name in names])
+        files.save_pattern(folder / name, files.quantise(modulated, job.bits, response), job.bits)
+    stored = torch.stack([files.load_pattern(folder / name, job.bits, response) for name in names])
     saved = Frames(stored.to(device) - grating, ideal.powers)
     images = _reconstruct_volume(job, target, volume, saved)
     before = _reconstruct_volume(job, target, volume, ideal)
@@ -670,7 +695,9 @@ def _reconstruct_volume(
 
     Plane by plane with the method that its distance asks for, and not with the display of the optimizer.
     """
-    fields = wave.generate_complex_field(1.0, frames.phases).to(torch.complex64)
+    response = files.response_of(job)
+    light = 1.0 if response is None else response.light(frames.phases)
+    fields = wave.generate_complex_field(light, frames.phases).to(torch.complex64)
     images = []
     for distance in volume.distances:
         for wavelength, power in zip(target.wavelengths, frames.powers.mT, strict=True):

@@ -35,7 +35,7 @@ MOST_PLANES = 1024
 SMALLEST_SIDE = 16
 SHIPPED_IMAGES = {"chart": "chart.png", "photo": "photo.png", "scene": "scene.png"}
 SHIPPED_DEPTH_MAPS = {"scene": "scene_depth.png"}
-LARGEST_PITCH = 1e-3
+LARGEST_PITCH, LARGEST_RANGE = 1e-3, 100.0
 LONGEST_WAVELENGTH = 2e-5
 # Points across the longer side of the picture below which a distance is taken for a mistake.
 FEWEST_POINTS = 16
@@ -128,6 +128,12 @@ class Job:
         Name of the modulator that pitch, resolution and bits were taken from, one of `PRESETS`.
     tiles : bool
         Read, compute and evaluate in chunks stored on disk, for pictures larger than memory.
+    calibration : str, optional
+        File of a calibration, whose response, aberration and illumination are used.
+    lut : str, optional
+        Text file of the phase of each level in radians.
+    slm_range : float, optional
+        Phase in radians over which the levels are spread evenly.
     """
 
     image: str = "photo"
@@ -156,6 +162,9 @@ class Job:
     quiet: bool = False
     preset: str | None = None
     tiles: bool = False
+    calibration: str | None = None
+    lut: str | None = None
+    slm_range: float | None = None
 
     def __post_init__(self) -> None:
         """Check every parameter; the messages name the option of the command line."""
@@ -184,6 +193,20 @@ class Job:
         if not 1 <= self.bits <= 16:
             raise InputError(f"--bits must be from 1 to 16, got {self.bits}")
         self._check_wavelengths()
+        self._check_response()
+
+    def _check_response(self) -> None:
+        """Check the options that state the modulator's response, which is that at one wavelength."""
+        names = ("calibration", "lut", "slm_range")
+        chosen = [option(name) for name in names if getattr(self, name) is not None]
+        if len(chosen) > 1:
+            raise InputError(f"{' and '.join(chosen)} all state the modulator's response: give one of them")
+        if chosen and self.tiles:
+            raise InputError(f"{chosen[0]} cannot be used with --tiles")
+        if chosen and len(self.wavelengths) != 1:
+            raise InputError(f"{chosen[0]} states the response at one wavelength: give --wavelength once")
+        if self.slm_range is not None and not 0 < self.slm_range <= LARGEST_RANGE:
+            raise InputError(f"--slm-range must be above 0 and at most {LARGEST_RANGE} radians, got {self.slm_range}")
 
     def _set(self, name: str, value) -> None:
         object.__setattr__(self, name, value)

@@ -19,7 +19,7 @@ import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from odak._warnings import OdakWarning
-from odak.cli.files import file_depth
+from odak.cli.files import file_depth, response_of
 from odak.cli.job import InputError, Job
 from odak.cli.target import Target
 
@@ -28,8 +28,8 @@ DEFINITIONS = {
     "target": "The picture's stored values, 0 to 1, taken as intensity; resized (bicubic) to the largest size that "
     "fits the resolution with its aspect ratio kept, black around it.",
     "reconstruction": "Intensity I = |u|^2 of the light that the saved pattern, quantised and read back from its file, "
-    "sends to the distance: unit amplitude on the modulator, padded to twice its size, propagated by the method in "
-    "verification.propagation_type.",
+    "sends to the distance: unit amplitude on the modulator (see verification.modulator), padded to twice its size, "
+    "propagated by the method in verification.propagation_type.",
     "scale": "s = <I, T>/<I, I> over the picture's window, per channel: the brightness at which I is closest to T. "
     "With the methods multiplane and multi-color: brightness times the sum of the squares of source_amplitudes.",
     "brightness": "Methods multiplane and multi-color: the one factor of the intensities of all colours, as the "
@@ -157,7 +157,9 @@ def parameters_of(job: Job, target: Target, names: list[str], device: torch.devi
             "files": names,
             "bits": job.bits,
             "file_depth": file_depth(job.bits),
-            "phase_radians": f"grey * 2 * pi / {2 ** file_depth(job.bits)}",
+            "phase_radians": f"grey * 2 * pi / {2 ** file_depth(job.bits)}"
+            if response_of(job) is None
+            else f"of level grey / {2 ** (file_depth(job.bits) - job.bits)}, see verification.modulator",
             "grating": "pi on every second column from the first, included in the file" if job.grating else None,
         },
         "device": device_name(device),

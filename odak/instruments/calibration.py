@@ -245,6 +245,28 @@ def _regional_levels(phase: np.ndarray, tables: np.ndarray) -> np.ndarray:
     return found
 
 
+def phases_of_levels(levels: np.ndarray, phases: np.ndarray) -> np.ndarray:
+    """Return the phases in radians that levels ``[rows, columns]`` show: the inverse of :func:`nearest_levels`.
+
+    Parameters
+    ----------
+    levels : numpy.ndarray
+        Integers ``[rows, columns]``.
+    phases : numpy.ndarray
+        Phase of each level in radians ``[levels]``, or of the levels of regions ``[region rows, region columns,
+        levels]``.
+    """
+    if phases.ndim == 1:
+        return phases[levels]
+    down, across = (_between_regions(n, parts) for n, parts in zip(levels.shape, phases.shape[:2], strict=True))
+    return np.stack(
+        [
+            np.take_along_axis(across @ np.tensordot(shares, phases, axes=1), row[:, None], axis=1)[:, 0]
+            for shares, row in zip(down, levels, strict=True)
+        ]
+    )
+
+
 def _between_regions(pixels: int, parts: int) -> np.ndarray:
     """Return the weights ``[pixels, parts]`` of values in the middles of regions along an axis, for a cubic spline.
 
@@ -2072,6 +2094,27 @@ def _read_around(camera: Camera, place: np.ndarray, reach: int) -> None:
         int(np.clip(p - reach, 0, n - 2 * reach - 1)) for p, n in zip(place, camera.shape[::-1], strict=True)
     )
     camera.region = (row, column, 2 * reach + 1, 2 * reach + 1)
+
+
+def predicted_capture(calibration: Calibration, levels: np.ndarray) -> np.ndarray:
+    """Return the intensity at the middles of the camera's pixels that a pattern of levels gives by a calibration.
+
+    Parameters
+    ----------
+    calibration : Calibration
+        Response, aberration, illumination, distance and registration.
+    levels : numpy.ndarray
+        Integers ``[rows, columns]``.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``[camera rows, camera columns]`` in arbitrary units, without noise and stray light.
+    """
+    panel = _Part(calibration.amplitude.shape, calibration.pitch)
+    phase = phases_of_levels(np.asarray(levels, dtype=np.int64), calibration.response) + calibration.wavefront
+    there = (calibration.wavelength, calibration.distance, calibration.registration)
+    return _ideal_capture(panel, phase, calibration.amplitude, *there)
 
 
 def _ideal_capture(modulator, phase, amplitude, wavelength, distance, registration) -> np.ndarray:

@@ -221,6 +221,9 @@ def test_report_holds_every_parameter_and_version(grey_file, tmp_path):
         "quiet": True,
         "preset": None,
         "tiles": False,
+        "calibration": None,
+        "lut": None,
+        "slm_range": None,
     }
     assert report["versions"]["torch"] == torch.__version__
     assert {"odak", "numpy", "python"} <= set(report["versions"])
