@@ -34,6 +34,7 @@ from .elements import rectangular_aperture as rectangular_aperture
 from .elements import spiral_phase as spiral_phase
 from .elements import zernike_basis as zernike_basis
 from .elements import zernike_phase as zernike_phase
+from .fields import PowerLoss as PowerLoss
 from .fields import add_phase as add_phase
 from .fields import add_random_phase as add_random_phase
 from .fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range
@@ -45,6 +46,7 @@ from .fields import decompose_double_phase as decompose_double_phase
 from .fields import electric_field_per_plane_wave as electric_field_per_plane_wave
 from .fields import generate_complex_field as generate_complex_field
 from .fields import normalize_phase as normalize_phase
+from .fields import power_budget as power_budget
 from .fields import produce_phase_only_slm_pattern as produce_phase_only_slm_pattern
 from .fields import propagate_field as propagate_field
 from .fields import propagate_plane_waves as propagate_plane_waves

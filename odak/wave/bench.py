@@ -9,7 +9,9 @@ import numpy as np
 
 from odak import _array, _validate
 from odak._array import Array, phasor_of_cycles
+from odak._warnings import SamplingWarning, warn
 from odak.wave.elements import share_in_disc, share_in_strip, thin_lens
+from odak.wave.fields import budgets, note_loss, power_of
 from odak.wave.fourier import centred, fourier_sum
 from odak.wave.methods import check_has_kernel, find_method
 from odak.wave.propagation import propagate_beam
@@ -95,7 +97,7 @@ def propagate_abcd(
     >>> field.shape, round(pitch * 1e6, 6)
     ((64, 64), 4.0)
     """
-    field = _array.to_complex(_validate.image("field", field))
+    field = given_field = _array.to_complex(_validate.image("field", field))
     _validate.real("path_length", path_length)
     check_geometry(None, path_length, dx, wavelength, tuple(field.shape[:-2]))
     for name, given in (("dx", dx), ("output_dx", output_dx)):
@@ -118,6 +120,9 @@ def propagate_abcd(
     if _array.is_array(path_length) or path_length != 0:
         cycles = fraction_of_cycles(_array.cast(path_length, like), wave)
         field = field * phasor_of_cycles(cycles, field.dtype)
+    if budgets():
+        (dy, dx), (down, across) = (_array.cast(p, like) for p in pitches(dx)), found
+        note_loss("propagate_abcd", given_field, field, ratio=down * across / (dy * dx))
     plain = [float(p) if not _array.is_traced(p) else p for p in found]
     same = not any(_array.is_traced(p) for p in plain) and plain[0] == plain[1]
     return field, plain[0] if same else tuple(plain)
@@ -259,7 +264,9 @@ class FreeSpace:
         if self.window_shape is None and self.window_dx is None and on_axis:
             _check_keeps_pitch(self.propagation_type)
             name = self.propagation_type
-            return propagate_beam(field, None, self.distance, pitch, wavelength, name, zero_padding=_PADDED), pitch
+            result = propagate_beam(field, None, self.distance, pitch, wavelength, name, zero_padding=_PADDED)
+            _warn_of_lost(self.distance, field, result)
+            return result, pitch
         window = propagate_to_window(
             field, wavelength, self.distance, pitch, self.window_shape, self.window_dx, self.offset
         )
@@ -268,6 +275,23 @@ class FreeSpace:
     def matrix(self) -> Any:
         """Return the ray matrix."""
         return [[1.0, self.distance / self.index], [0.0, 1.0]]
+
+
+def _warn_of_lost(distance, field, result) -> None:
+    """Warn where a space keeps less than 99 % of the power on the grid of the field.
+
+    Not of tensors that require a gradient, which are optimised, nor of those on a GPU, which are not read.
+    """
+    if _array.is_traced(field) or _array.is_traced(result) or _array.is_chunked(field):
+        return
+    before, after = float(power_of(field)), float(power_of(result))
+    if after < 0.99 * before:
+        length = f"{_validate.numbers(distance)[0]:.4g} m" if _array.is_readable(distance) else ""
+        warn(
+            f"FreeSpace keeps {after / before:.2g} of the power on the grid of the field over {length}; a larger field "
+            "or a window (window_shape, window_dx) would hold more, and power_budget says where the rest went",
+            SamplingWarning,
+        )
 
 
 @_validate.takes_units("focal", "offset")
@@ -328,6 +352,13 @@ class ThinLens:
         return [[1.0, 0.0], [-1 / self.focal, 1.0]]
 
 
+def _through(name: str, field, transmission):
+    """Return a field behind a transmission."""
+    result = field * transmission
+    note_loss(name, field, result, "aperture")
+    return result
+
+
 def _warn_of_lens(lens, shape, pitch, wavelength, name="ThinLens") -> None:
     """Warn of a lens that is undersampled on a grid."""
     numbers = plain_numbers(*pitches(pitch), *lens.offset, lens.focal, wavelength)
@@ -378,7 +409,7 @@ class CircularAperture:
         y, x = _positions(field, pitch, self.offset)
         radius, (dy, dx) = _per_field(self.radius, y), (_array.cast(value, y) for value in pitches(pitch))
         share = share_in_disc(y, x, (dy, dx), radius)
-        return field * xp.astype(share, field.dtype), pitch
+        return _through("CircularAperture", field, xp.astype(share, field.dtype)), pitch
 
     def extent(self) -> tuple:
         """Return height and width in metres."""
@@ -427,12 +458,14 @@ class RectangularAperture:
             Wavelength in vacuum in metres.
         """
         xp = _array.namespace(field)
+        result = field
         for place, size, step in zip(
             _positions(field, pitch, self.offset), (self.height, self.width), pitches(pitch), strict=True
         ):
             size, step = _per_field(size, place), _array.cast(step, place)
-            field = field * xp.astype(share_in_strip(place, step, size), field.dtype)
-        return field, pitch
+            result = result * xp.astype(share_in_strip(place, step, size), field.dtype)
+        note_loss("RectangularAperture", field, result, "aperture")
+        return result, pitch
 
     def extent(self) -> tuple:
         """Return height and width in metres."""
@@ -475,7 +508,7 @@ class Mask:
         value = self.transmission() if callable(self.transmission) else self.transmission
         value = _array.cast(_validate.image("transmission", value), field)
         _validate.fitting(field=field, transmission=value)
-        return field * value, pitch
+        return _through("Mask", field, value), pitch
 
 
 @_validate.takes_units("path_length")

@@ -1,7 +1,8 @@
 """Amplitude, phase and intensity of fields, fields of point sources, and patterns for phase-only modulators."""
 
+import contextvars
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -490,6 +491,138 @@ def produce_phase_only_slm_pattern(
         save_image(filename, array, cmin=0, cmax=levels - 1, color_depth=8 if bits <= 8 else 16)
     field = generate_complex_field(amplitude, pattern * (default_range / levels))
     return field, xp.astype(pattern, xp.int32)
+
+
+class PowerLoss(NamedTuple):
+    """Shares of the power that a step of a propagation lost, of what it was given.
+
+    Attributes
+    ----------
+    step : str
+        What the light passed.
+    band : float or array
+        Beyond the frequencies that the method or the distance lets through.
+    aperture : float or array
+        Blocked by an aperture or absorbed by a mask.
+    window : float or array
+        Beside the window that the step returns.
+
+    Examples
+    --------
+    >>> from odak.wave import PowerLoss
+    >>> PowerLoss("lens", aperture=0.25, window=0.05).kept
+    0.7
+    """
+
+    step: str
+    band: Any = 0.0
+    aperture: Any = 0.0
+    window: Any = 0.0
+
+    @property
+    def kept(self) -> float:
+        """Return the share that is left."""
+        return 1 - float(self.band) - float(self.aperture) - float(self.window)
+
+
+class power_budget:
+    """Context that notes which share of its power light loses at each step: by band, by aperture and by window.
+
+    All propagations, windows, first-order systems and elements of benches that are called within the context take
+    part, one behind the other as in :class:`optical_bench`. Sums over all fields of a batch are compared. Tensors on a
+    GPU are read when a share is asked for, not before.
+
+    Attributes
+    ----------
+    steps : list of PowerLoss
+        The steps in their order.
+
+    Examples
+    --------
+    A slit that a plane wave fills half, and its light 5 cm behind on the grid of the slit:
+
+    >>> import numpy as np
+    >>> from odak.wave import FreeSpace, RectangularAperture, optical_bench, power_budget
+    >>> bench = optical_bench([RectangularAperture(8e-4, 2e-4), FreeSpace(5e-3)], 532e-9)
+    >>> with power_budget() as budget:
+    ...     field, pitch = bench.propagate(np.ones((100, 50), complex), 8e-6)
+    >>> round(budget.aperture, 3), round(budget.kept + budget.aperture + budget.band + budget.window, 9)
+    (0.5, 1.0)
+    """
+
+    def __init__(self):
+        self.steps: list[PowerLoss] = []
+        self._token: Any = None
+
+    def __enter__(self):
+        self._token = _BUDGETS.set((*_BUDGETS.get(), self))
+        return self
+
+    def __exit__(self, *error):
+        _BUDGETS.reset(self._token)
+
+    def __str__(self) -> str:
+        rows = [(one.step, one.band, one.aperture, one.window, one.kept) for one in self.steps]
+        rows.append(("all", self.band, self.aperture, self.window, self.kept))
+        lines = [f"{'':29}{'band':>9}{'aperture':>9}{'window':>9}{'kept':>9}"]
+        lines += [
+            f"{name:29}" + "".join(f"{round(float(share), 6) + 0.0:9.2%}" for share in shares) for name, *shares in rows
+        ]
+        return "\n".join(lines)
+
+    @property
+    def kept(self) -> float:
+        """Return the share of the power of the first step that is left behind the last."""
+        return math.prod(one.kept for one in self.steps)
+
+    @property
+    def band(self) -> float:
+        """Return the share lost beyond the frequencies that propagations let through."""
+        return self._lost("band")
+
+    @property
+    def aperture(self) -> float:
+        """Return the share lost at apertures and masks."""
+        return self._lost("aperture")
+
+    @property
+    def window(self) -> float:
+        """Return the share lost beside windows."""
+        return self._lost("window")
+
+    def _lost(self, kind: str) -> float:
+        left, lost = 1.0, 0.0
+        for one in self.steps:
+            lost, left = lost + left * float(getattr(one, kind)), left * one.kept
+        return lost
+
+
+_BUDGETS: contextvars.ContextVar = contextvars.ContextVar("budgets", default=())
+
+
+def budgets() -> tuple:
+    """Return the budgets that are open."""
+    return _BUDGETS.get()
+
+
+def note_loss(step: str, before, after, kind: str = "window", ratio: Any = 1.0, **more) -> None:
+    """Add a step to the open budgets: fields before and after it, and how much larger a sample's area is behind.
+
+    `more` are shares of other kinds, which do not count for `kind`.
+    """
+    if _BUDGETS.get():
+        given = power_of(before)
+        lost = 1 - power_of(after) / given * ratio - sum(more.values())
+        for budget in _BUDGETS.get():
+            budget.steps.append(PowerLoss(step, **{kind: lost}, **more))
+
+
+def power_of(field):
+    """Return Σ|u|² of a field, without its derivatives, on its device."""
+    if _array.is_torch(field):
+        field = field.detach()
+        return (field.real**2 + field.imag**2).sum() if field.is_complex() else (field**2).sum()
+    return _array.namespace(field).sum(abs(field) ** 2)
 
 
 def decompose_double_phase(tensor: Array) -> tuple:

@@ -41,6 +41,8 @@ class LinearGrid(Grid):
         Complex dtype of what :meth:`evaluate` returns; that of the grid, in which it is computed, by default.
     halves : tuple of bool
         Along rows and columns: the result is the field half a sample beyond each sample of the window.
+    axes : tuple of int
+        Axes along which light spreads; along another one, of one sample, it is the same everywhere.
     """
 
     cutoff: Any = None
@@ -48,6 +50,7 @@ class LinearGrid(Grid):
     tolerance: float = TOLERANCE
     stored: Any = None
     halves: tuple[bool, bool] = (False, False)
+    axes: tuple = (-2, -1)
 
     def evaluate(self, kernel):
         """Return the transfer function whose circular convolution on this grid is the linear one on the window."""
@@ -97,9 +100,16 @@ class LinearGrid(Grid):
         known = [_array.numbers_behind(value) for value in lengths]
         numbers = [values[0] for values in known if values is not None]
         if self.cutoff is not None or len(numbers) < len(known):
-            return plain_rule(sizes[0]), plain_rule(sizes[1])
-        rows, columns, wavelength, distance = numbers
-        axes = axes_of(sizes, (rows, columns), wavelength, distance)
+            rows, columns = (
+                plain_rule(n) if axis in self.axes else Rule(1) for n, axis in zip(sizes, (-2, -1), strict=True)
+            )
+            return rows, columns
+        dy, dx, wavelength, distance = numbers
+        axes = axes_of(sizes, (dy, dx), wavelength, distance)
+        if len(self.axes) == 1:
+            # Of the other axis there is the frequency zero alone.
+            rule = rule_for(replace(axes[self.axes[0]], transverse=0.0), self.tolerance)
+            return (rule, Rule(1)) if self.axes == (-2,) else (Rule(1), rule)
         return rule_for(axes[0], self.tolerance), rule_for(axes[1], self.tolerance)
 
     def _weights(self, rule: Rule, axis: int):
@@ -226,6 +236,8 @@ class linear_kernel:
         Relative error of a propagated field of flat spectrum.
     halves : tuple of bool
         Along rows and columns: the field half a sample beyond each sample of the window.
+    axes : tuple of int
+        Axes along which light spreads: both, or one of fields of a single row or column.
     """
 
     transfer: Callable
@@ -233,6 +245,7 @@ class linear_kernel:
     pixel_fill: float | None = None
     tolerance: float = TOLERANCE
     halves: tuple[bool, bool] = (False, False)
+    axes: tuple = (-2, -1)
 
     def __call__(self, grid: Grid):
         """Return the transfer function on a padded grid, that of each geometry of a batch by a rule of its own."""
@@ -255,4 +268,5 @@ class linear_kernel:
         own: dict[str, Any] = {field.name: getattr(grid, field.name) for field in fields(Grid)}
         own |= {"cutoff": self.cutoff, "pixel_fill": self.pixel_fill, "tolerance": self.tolerance, "stored": stored}
         own["halves"] = self.halves
+        own["axes"] = self.axes
         return self.transfer(LinearGrid(**own))

@@ -16,6 +16,7 @@ from odak import _array, _validate
 from odak._array import Array
 from odak._warnings import SamplingWarning, warn
 from odak.tools.matrix import crop_center, zero_pad
+from odak.wave.fields import budgets, note_loss, power_of
 from odak.wave.linear_kernels import TOLERANCE
 from odak.wave.methods import (
     METHODS,
@@ -59,6 +60,7 @@ def propagate_beam(
     scale: int = 1,
     samples: Sequence[int] = (1, 1, 1, 1),
     tolerance: float = TOLERANCE,
+    axes: int | Sequence[int] = (-2, -1),
 ) -> Array:
     """Propagate a field, by the method named or by the one whose error is at most 1e-4.
 
@@ -100,6 +102,11 @@ def propagate_beam(
     tolerance : float
         Relative error of "auto" and "Linear Angular Spectrum", of the norm of the propagated field. Where no method
         stays below it, the spectrum of the field decides, and a SamplingWarning gives the error predicted for it.
+    axes : int or sequence of int
+        Axes along which the light varies. A field of one column with ``axes=-2``, or of one row with ``axes=-1``, is
+        one-dimensional light: cylindrical waves, the same everywhere along the other axis. It is propagated without
+        wrap-around, by the kernel of any method that has one. By default a single column is a line of points, whose
+        light spreads in both directions.
 
     Returns
     -------
@@ -125,6 +132,13 @@ def propagate_beam(
     if missing:
         raise TypeError(f"propagate_beam needs distance, dx and wavelength; missing: {', '.join(missing)}")
     # Kernels are looked up and warnings issued: no graph of torch.compile can hold that.
+    if axes != (-2, -1) and axes != [-2, -1]:
+        others = (kernel is None, type(aperture) in (int, float) and aperture == 1, scale == 1)
+        if not all(others):
+            raise ValueError("axes of one-dimensional light go without kernel, aperture and scale")
+        return _array.outside_graphs(
+            _propagate_line, field, k, distance, dx, wavelength, propagation_type, tolerance, axes
+        )
     return _array.outside_graphs(
         _propagate,
         field,
@@ -151,12 +165,78 @@ def _propagate(
         warn(message, SamplingWarning)
     if error > tolerance:
         method = _method_for_field(field, method, request, error)
+    if budgets():
+        _note(field, method, request, (pad, crop))
     if pad and not request.window:
         field = zero_pad(field)
     result = method.apply(field, request)
     if fine and not method.sets_own_pitch:
         result = upsample(_array.to_complex(result))
-    return crop_center(result) if crop and not request.window else result
+    result = crop_center(result) if crop and not request.window else result
+    if 1 in result.shape[-2:] and math.prod(result.shape[-2:]) > 1 and not (fine or method.sets_own_pitch):
+        _warn_of_line(field, result)
+    return result
+
+
+def _warn_of_line(field, result) -> None:
+    """Warn where the light of a line of points leaves it."""
+    if _array.is_traced(field) or _array.is_traced(result) or _array.is_chunked(field):
+        return
+    kept, axis = float(power_of(result)) / max(float(power_of(field)), 1e-300), -1 if result.shape[-2] == 1 else -2
+    if kept < 0.99:
+        warn(
+            f"a field of one {'row' if axis == -1 else 'column'} is a line of points, whose light spreads aside: "
+            f"{kept:.2g} of its power is left on the line; axes={axis} propagates light that is the same everywhere "
+            "along the other axis",
+            SamplingWarning,
+        )
+
+
+def _note(field, method: Method, request: Request, padding) -> None:
+    """Add the losses of a propagation to the open budgets, by its method on a grid that nothing leaves."""
+    if method.of_intensities or method.takes_kernel or request.scale != 1:
+        return
+    (pad, crop), shares = padding, {}
+    if method.name in _UNITARY:
+        wide = zero_pad(field) if pad else field
+        open_request = replace(request, window=False, aperture=1.0)
+        whole = method.apply(wide, open_request)
+        shares["band"] = 1 - power_of(whole) / power_of(field)
+        if _array.is_array(request.aperture) or request.aperture != 1:
+            through = method.apply(wide, replace(request, window=False))
+            shares["aperture"] = 1 - shares["band"] - power_of(through) / power_of(field)
+            whole = through
+        result = crop_center(whole) if pad and crop else whole
+        note_loss(method.name, field, result, **shares)
+    elif not method.sets_own_pitch:
+        result = method.apply(zero_pad(field) if pad and not request.window else field, request)
+        note_loss(method.name, field, crop_center(result) if pad and crop and not request.window else result)
+
+
+# Methods whose kernel on the grid of the field only turns phases, or takes frequencies away.
+_UNITARY = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Transfer Function Fresnel")
+
+
+def _propagate_line(field, k, distance, dx, wavelength, propagation_type, tolerance, axes):
+    """Propagate light that varies along one axis, by linear convolution."""
+    field = _array.to_complex(_validate.image("field", field))
+    axes = tuple(axes) if isinstance(axes, (tuple, list)) else (axes,)
+    if axes not in ((-2,), (-1,)):
+        raise ValueError(f"axes must be -2 (one column), -1 (one row) or (-2, -1), got {axes!r}")
+    if field.shape[-3 - axes[0]] != 1:
+        lines = "column" if axes == (-2,) else "row"
+        raise ValueError(f"field must have one {lines} for axes={axes[0]}, got the shape {tuple(field.shape)}")
+    check_geometry(k, distance, dx, wavelength, tuple(field.shape[:-2]))
+    method = find_method(propagation_type)
+    name = "Angular Spectrum" if method is None or method.name == "Linear Angular Spectrum" else method.name
+    if name not in WITH_TRANSFER_FUNCTION:
+        raise ValueError(f"propagation_type must have a transfer function for one-dimensional light, got {name!r}")
+    tolerance = _validate.constant("tolerance", tolerance, positive=True)
+    build = replace(linear_kernel_of(name), axes=axes, tolerance=tolerance)
+    rows, columns = field.shape[-2:]
+    result = convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, (2 * rows, 2 * columns)))
+    note_loss(f"{name} of a line", field, result)
+    return result
 
 
 def _method_for_field(field, method: Method, request: Request, error: float) -> Method:
@@ -257,7 +337,9 @@ def propagate_within_window(
         return propagate_beam(field, None, distance, dx, wavelength, name, zero_padding=padded)
     build = linear_kernel_of(name, cutoff, pixel_fill)
     size = (2 * shape[0], 2 * shape[1])
-    return convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, size))
+    result = convolve(field, Request(dx, wavelength, distance).kernel_for(field, build, size))
+    note_loss(name, field, result)
+    return result
 
 
 @_validate.takes_units("distance", "dx", "wavelength")

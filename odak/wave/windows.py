@@ -15,6 +15,7 @@ import scipy.fft
 from odak import _array, _validate
 from odak._array import Array, phasor_of_cycles
 from odak._warnings import SamplingWarning, warn
+from odak.wave.fields import budgets, note_loss
 from odak.wave.fourier import Line, from_line, to_line
 from odak.wave.transfer_functions import Grid, Request, check_geometry, normal_tail, pitches, plane_wave_transfer
 
@@ -370,7 +371,16 @@ def propagate_to_window(
     build = _Transfer(window)
     kept = window.is_plain()
     kernel = request.transfer_function(build, shape, xp, device, field.dtype) if kept else build(grid)
-    return to_window(spectrum * kernel, lines, window, grid)
+    result = to_window(spectrum * kernel, lines, window, grid)
+    if budgets():
+        note_loss("propagate_to_window", field, result, ratio=_areas(window.pitch(grid)) / _areas(grid.pitch))
+    return result
+
+
+def _areas(pitch):
+    """Return the area of a sample; the mean where fields have their own."""
+    area = pitch[0] * pitch[1]
+    return area.mean() if _array.is_array(area) and area.ndim else area
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from odak.wave import (
     RectangularAperture,
     ThinLens,
     optical_bench,
+    power_budget,
     propagate_abcd,
     propagate_beam,
 )
@@ -355,3 +356,49 @@ def test_light_too_steep_to_go_on_is_named():
         optical_bench([lens, FreeSpace(2e-3), FreeSpace(1e-3)], WAVELENGTH).propagate(light, 8e-6)
     with pytest.warns(odak.SamplingWarning, match="the field behind the bench is .* beyond Nyquist"):
         optical_bench([lens], WAVELENGTH).propagate(light, 8e-6)
+
+
+def test_a_budget_states_where_power_is_lost(random):
+    """Against the same field on a grid that nothing leaves, and the area of the aperture."""
+    n, dx, z = 64, 8e-6, 0.02
+    field = np.exp(2j * np.pi * random.random((n, n)))
+    opened = RectangularAperture(20 * dx, 32 * dx, (dx / 2, dx / 2)).apply(field, dx, WAVELENGTH)[0]
+    wide = propagate_beam(np.pad(opened, n // 2), None, z, dx, WAVELENGTH, "BLAS")
+    bench = optical_bench([RectangularAperture(20 * dx, 32 * dx, (dx / 2, dx / 2)), FreeSpace(z)], WAVELENGTH)
+    powers = [(np.abs(u) ** 2).sum() for u in (field, opened, wide, wide[n // 2 : -n // 2, n // 2 : -n // 2])]
+    lost = -np.diff(powers) / powers[0]
+    for light in (field, torch.as_tensor(field)):
+        with power_budget() as budget:
+            bench.propagate(light, dx)
+        assert [budget.aperture, budget.band, budget.window] == pytest.approx(lost, rel=1e-9)
+        assert lost.min() > 0.02
+        assert budget.kept == pytest.approx(powers[-1] / powers[0], rel=1e-9)
+        assert [one.step for one in budget.steps] == ["RectangularAperture", "Bandlimited Angular Spectrum"]
+        assert "all" in str(budget).splitlines()[-1]
+    bench.propagate(field, dx)
+    assert len(budget.steps) == 2
+
+
+def test_windows_and_systems_state_what_they_hold():
+    beam = odak.wave.gaussian_beam((128, 128), 8e-6, WAVELENGTH, 1e-4)
+    with power_budget() as budget:
+        odak.wave.propagate_to_window(beam, WAVELENGTH, 1e-4, 8e-6, (256, 128), 4e-6, offset=(0.0, 2.58e-4))
+    assert budget.kept == pytest.approx(0.5, abs=1e-3)  # the window begins at the axis
+    with power_budget() as budget:
+        propagate_abcd(beam, space(0.1) @ lens(0.1), 8e-6, WAVELENGTH)
+        propagate_abcd(beam, space(0.1) @ lens(0.1), 8e-6, WAVELENGTH, output_shape=(128, 1))
+    assert budget.steps[0].window == pytest.approx(0, abs=1e-6)
+    # One column, λf/(N·dx) wide, of the waist λf/(πw), by its midpoint.
+    strip, waist = WAVELENGTH * 0.1 / (128 * 8e-6), WAVELENGTH * 0.1 / (np.pi * 1e-4)
+    assert budget.steps[1].kept == pytest.approx((2 / np.pi) ** 0.5 * strip / waist, rel=1e-6)
+
+
+@pytest.mark.parametrize(("elements", "kept"), [([FreeSpace(0.02, "auto")] * 2, "0.1"), ([FreeSpace(1e-4)], None)])
+def test_spaces_that_lose_light_warn(elements, kept, random):
+    field = np.exp(2j * np.pi * random.random((64, 64)))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        optical_bench(elements, WAVELENGTH).propagate(field, 8e-6)
+        optical_bench(elements, WAVELENGTH).propagate(torch.as_tensor(field).requires_grad_(), 8e-6)
+    texts = [str(one.message) for one in caught if "FreeSpace keeps" in str(one.message)]
+    assert len(texts) == (len(elements) if kept else 0)

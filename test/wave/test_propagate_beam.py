@@ -470,3 +470,30 @@ def test_lengths_that_are_missing_are_named(face):
     field = torch.ones(4, 4) if face is torch_wave else np.ones((4, 4))
     with pytest.raises(TypeError, match="missing: dx, wavelength"):
         face.propagate_beam(field, distance=1e-3)
+
+
+@pytest.mark.parametrize("axis", [-2, -1])
+@pytest.mark.parametrize("distance", [1e-3, -0.05])
+def test_fields_of_one_line_are_cylindrical_waves(axis, distance, random):
+    """Against the angular spectrum of one dimension on a grid that nothing leaves; both faces."""
+    n, dx, wavelength = 300, 2e-6, 532e-9
+    line = np.exp(2j * np.pi * random.random(n)) * np.exp(-(((np.arange(n) - 150) / 60) ** 2))
+    frequency = np.fft.fftfreq(1 << 16, dx)
+    transfer = np.exp(2j * np.pi * distance * np.sqrt(1 / wavelength**2 - frequency**2))
+    expected = np.fft.ifft(np.fft.fft(line, 1 << 16) * transfer)[:n]
+    field = np.expand_dims(line, -3 - axis)
+    found = odak.wave.propagate_beam(field, distance=distance, dx=dx, wavelength=wavelength, axes=axis)
+    assert found.shape == field.shape
+    assert np.linalg.norm(found.ravel() - expected) < 1e-4 * np.linalg.norm(expected)
+    tensor = odak.learn.wave.propagate_beam(torch.as_tensor(field), None, distance, dx, wavelength, axes=(axis,))
+    np.testing.assert_allclose(tensor, found, atol=1e-12)
+
+
+def test_light_that_leaves_a_line_of_points_is_named():
+    column = np.ones((200, 1), complex)
+    with pytest.warns(odak.SamplingWarning, match="0.00.* of its power is left on the line; axes=-2"):
+        odak.wave.propagate_beam(column, None, 1e-3, 1e-6, 532e-9, "auto", zero_padding=(True, False, True))
+    with pytest.raises(ValueError, match="must have one row for axes=-1"):
+        odak.wave.propagate_beam(column, None, 1e-3, 1e-6, 532e-9, axes=-1)
+    with pytest.raises(ValueError, match="axes must be -2"):
+        odak.wave.propagate_beam(column, None, 1e-3, 1e-6, 532e-9, axes=0)

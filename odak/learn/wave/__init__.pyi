@@ -7,6 +7,7 @@ from odak.wave.bench import RectangularAperture as RectangularAperture
 from odak.wave.bench import ThinLens as ThinLens
 from odak.wave.bench import optical_bench as optical_bench
 from odak.wave.bench import propagate_abcd as propagate_abcd
+from odak.wave.fields import PowerLoss as PowerLoss
 from odak.wave.fields import add_phase as add_phase
 from odak.wave.fields import add_random_phase as add_random_phase
 from odak.wave.fields import adjust_phase_only_slm_range as adjust_phase_only_slm_range
@@ -16,6 +17,7 @@ from odak.wave.fields import calculate_phase as calculate_phase
 from odak.wave.fields import compose_double_phase as compose_double_phase
 from odak.wave.fields import decompose_double_phase as decompose_double_phase
 from odak.wave.fields import electric_field_per_plane_wave as electric_field_per_plane_wave
+from odak.wave.fields import power_budget as power_budget
 from odak.wave.fields import propagate_field as propagate_field
 from odak.wave.fields import propagate_plane_waves as propagate_plane_waves
 from odak.wave.fields import rayleigh_resolution as rayleigh_resolution
