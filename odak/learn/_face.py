@@ -136,6 +136,7 @@ def torch_face(core, *, tensors=(), defaults=None, through=None, describe=None, 
     face.__module__ = sys._getframe(1).f_globals["__name__"]
     face.__signature__ = signature
     face.__wrapped__ = core  # so that the source is found
+    face.__is_face__ = True
     face.__units__ = getattr(core, "__units__", {})
     face.__annotations__ = {name: p.annotation for name, p in signature.parameters.items()}
     face.__annotations__["return"] = signature.return_annotation

@@ -1232,7 +1232,7 @@ def zernike_basis(
     modes: Iterable,
     radius: float | Array | None = None,
     dx: float | Array = 1.0,
-    offset: Any = (0.0, 0.0),
+    offset: Sequence[float] = (0.0, 0.0),
     *,
     xp: Any = None,
     device: Any = None,

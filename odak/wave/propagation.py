@@ -345,10 +345,10 @@ def propagate_within_window(
 @_validate.takes_units("distance", "dx", "wavelength")
 def angular_spectrum(
     field: Array,
-    k: Array,
-    distance: Array,
-    dx: Array,
-    wavelength: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
     zero_padding: bool = False,
     aperture: float | Array = 1.0,
 ) -> Array:
@@ -395,10 +395,10 @@ def angular_spectrum(
 @_validate.takes_units("distance", "dx", "wavelength")
 def band_limited_angular_spectrum(
     field: Array,
-    k: Array,
-    distance: Array,
-    dx: Array,
-    wavelength: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
     zero_padding: bool = False,
     aperture: float | Array = 1.0,
 ) -> Array:
@@ -445,10 +445,10 @@ def band_limited_angular_spectrum(
 @_validate.takes_units("distance", "dx", "wavelength")
 def incoherent_angular_spectrum(
     field: Array,
-    k: Array,
-    distance: Array,
-    dx: Array,
-    wavelength: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
     zero_padding: bool = False,
     aperture: float | Array = 1.0,
 ) -> Array:
@@ -495,10 +495,10 @@ def incoherent_angular_spectrum(
 @_validate.takes_units("distance", "dx", "wavelength")
 def transfer_function_fresnel(
     field: Array,
-    k: Array,
-    distance: Array,
-    dx: Array,
-    wavelength: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
     zero_padding: bool = False,
     aperture: float | Array = 1.0,
 ) -> Array:
@@ -545,14 +545,14 @@ def transfer_function_fresnel(
 @_validate.takes_units("distance", "dx", "wavelength")
 def impulse_response_fresnel(
     field: Array,
-    k: Array,
-    distance: Array,
-    dx: Array,
-    wavelength: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
     zero_padding: bool = False,
     aperture: float | Array = 1.0,
     scale: int = 1,
-    samples: Any = (1, 1, 1, 1),
+    samples: Sequence[int] = (1, 1, 1, 1),
 ) -> Array:
     """Propagate by the sampled Fresnel impulse response (Voelz 2011, eq. 4.21).
 
@@ -647,7 +647,13 @@ def custom(field: Array, kernel: Array | None, zero_padding: bool = False, apert
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def band_extended_angular_spectrum(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Propagate by the angular spectrum on frequencies spread over the alias-free band alone.
 
     Parameters
@@ -688,7 +694,13 @@ def band_extended_angular_spectrum(field: Array, k: Array, distance: Array, dx: 
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def adaptive_sampling_angular_spectrum(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Propagate by the angular spectrum with twice as many frequencies, confined to the alias-free band far away.
 
     Parameters
@@ -729,7 +741,13 @@ def adaptive_sampling_angular_spectrum(field: Array, k: Array, distance: Array, 
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def rayleigh_sommerfeld(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral, as a linear convolution with its sampled kernel.
 
     Parameters
@@ -771,7 +789,13 @@ def rayleigh_sommerfeld(field: Array, k: Array, distance: Array, dx: Array, wave
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def rayleigh_sommerfeld_sum(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Propagate by the first Rayleigh–Sommerfeld integral as a direct double sum, formed in double precision.
 
     Parameters
@@ -829,7 +853,13 @@ def rayleigh_sommerfeld_sum(field: Array, k: Array, distance: Array, dx: Array, 
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def fraunhofer(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Propagate to the far field: exp(ikz)/(iλz)·exp(ikr²/(2z))·F{u}·dx² (Goodman 2005, eq. 4-25).
 
     Parameters
@@ -865,7 +895,13 @@ def fraunhofer(field: Array, k: Array, distance: Array, dx: Array, wavelength: A
 
 
 @_validate.takes_units("distance", "dx", "wavelength")
-def fraunhofer_inverse(field: Array, k: Array, distance: Array, dx: Array, wavelength: Array) -> Array:
+def fraunhofer_inverse(
+    field: Array,
+    k: float | Array | None,
+    distance: float | Array,
+    dx: float | Sequence[float] | Array,
+    wavelength: float | Array,
+) -> Array:
     """Return the field of which a :func:`fraunhofer` pattern is given.
 
     Parameters

@@ -2,15 +2,19 @@
 
 import inspect
 import pickle
+import typing
 
 import numpy as np
 import pytest
 import torch
+from documentation import script
 
+import odak
 from odak import _array
 from odak._array import Array
 from odak.learn import jones, tools
 from odak.learn._face import torch_face
+from odak.learn.wave import holograms
 
 
 def scaled(field: Array, factor: float | Array = 2.0, *, xp=None, device=None, dtype=None) -> np.ndarray | Array:
@@ -133,3 +137,24 @@ def test_sections_of_a_docstring_replace_those_of_the_core():
         "factor : float\n    Half of what it was.\ndevice :" in text.__doc__ and "field : torch.Tensor" in text.__doc__
     )
     assert "Returns\n-------\ntorch.Tensor\n    Less.\n" in text.__doc__ and text.__doc__.endswith(">>> 1 + 1\n2\n")
+
+
+def test_type_checkers_are_told_the_signatures_at_run_time():
+    stubs = script("make_face_stubs", "scripts")
+    written = stubs.STUB.read_text(encoding="utf-8")
+    assert written == stubs.stub_text(), "run scripts/make_face_stubs.py"
+    assert "xp:" not in written
+    assert len(stubs.faces()) == written.count("\ndef ")
+
+
+def test_the_source_of_a_face_is_found():
+    assert "def propagate_beam(" in inspect.getsource(odak.learn.wave.propagate_beam)
+    assert inspect.getsource(odak.learn.wave.stochastic_gradient_descent).startswith("@accepts_older_form")
+
+
+@pytest.mark.parametrize("decorator", [holograms.accepts_older_form, holograms.accepts_descent_form])
+def test_checkers_see_the_signature_under_older_forms(decorator):
+    hints = typing.get_type_hints(decorator)
+    parameters, _ = typing.get_args(hints["function"])
+    assert isinstance(parameters, typing.ParamSpec)
+    assert hints["function"] == hints["return"]

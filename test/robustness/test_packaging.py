@@ -88,3 +88,15 @@ def test_versions_and_licences_agree():
     assert PROJECT["license"] == "MPL-2.0"
     assert re.search(r"^license: \"?MPL-2.0\"?$", citation, re.MULTILINE)
     assert (ROOT / "LICENSE.txt").read_text(encoding="utf-8").startswith("Mozilla Public License Version 2.0")
+
+
+def test_an_editable_installation_is_a_path_that_checkers_follow():
+    """An import hook, which setuptools writes for other layouts, hides the package from editors and type checkers."""
+    editable = pytest.importorskip("setuptools.command.editable_wheel")
+    distribution = pytest.importorskip("setuptools").Distribution({"src_root": str(ROOT)})
+    distribution.packages = ["odak", "odak.wave", "odak.learn", "odak.learn.wave"]
+    command = editable.editable_wheel(distribution)
+    command.project_dir, command.mode = str(ROOT), None
+    for layout, strategy in ((PYPROJECT["tool"]["setuptools"]["package-dir"], "_StaticPth"), ({}, "_TopLevelFinder")):
+        command.package_dir = distribution.package_dir = layout
+        assert type(command._select_strategy("odak", "tag", ROOT / "build")).__name__ == strategy

@@ -1,5 +1,7 @@
 """Jones and Mueller calculus of tensors, by the formulas of :mod:`odak.jones`."""
 
+from typing import TYPE_CHECKING
+
 from odak.jones import calculus
 from odak.jones.calculus import (
     PolarizationEllipse,
@@ -15,6 +17,18 @@ from odak.jones.calculus import (
     stokes_ellipse,
 )
 from odak.learn._face import torch_face
+
+if TYPE_CHECKING:
+    from odak.learn._faces import circular_polarizer as circular_polarizer
+    from odak.learn._faces import depolarizer as depolarizer
+    from odak.learn._faces import diattenuator as diattenuator
+    from odak.learn._faces import electricfield as electricfield
+    from odak.learn._faces import half_wave_plate as half_wave_plate
+    from odak.learn._faces import mirror as mirror
+    from odak.learn._faces import polarizer as polarizer
+    from odak.learn._faces import quarter_wave_plate as quarter_wave_plate
+    from odak.learn._faces import retarder as retarder
+    from odak.learn._faces import rotator as rotator
 
 __all__ = [
     "PolarizationEllipse",
@@ -40,13 +54,14 @@ __all__ = [
     "stokes_ellipse",
 ]
 
-circular_polarizer = torch_face(calculus.circular_polarizer)
-depolarizer = torch_face(calculus.depolarizer)
-diattenuator = torch_face(calculus.diattenuator)
-electricfield = torch_face(calculus.electricfield)
-half_wave_plate = torch_face(calculus.half_wave_plate)
-mirror = torch_face(calculus.mirror)
-polarizer = torch_face(calculus.polarizer)
-quarter_wave_plate = torch_face(calculus.quarter_wave_plate)
-retarder = torch_face(calculus.retarder)
-rotator = torch_face(calculus.rotator)
+if not TYPE_CHECKING:
+    circular_polarizer = torch_face(calculus.circular_polarizer)
+    depolarizer = torch_face(calculus.depolarizer)
+    diattenuator = torch_face(calculus.diattenuator)
+    electricfield = torch_face(calculus.electricfield)
+    half_wave_plate = torch_face(calculus.half_wave_plate)
+    mirror = torch_face(calculus.mirror)
+    polarizer = torch_face(calculus.polarizer)
+    quarter_wave_plate = torch_face(calculus.quarter_wave_plate)
+    retarder = torch_face(calculus.retarder)
+    rotator = torch_face(calculus.rotator)

@@ -1,7 +1,7 @@
 """Rays at surfaces: differentiable intersections, normals, reflection, refraction and detectors that count rays."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -13,6 +13,18 @@ from odak.learn.raytracing.primitives import batched, define_plane
 from odak.raytracing import arguments, intersections
 from odak.raytracing import boundary as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
+
+if TYPE_CHECKING:
+    from odak.learn._faces import fresnel_coefficients as fresnel_coefficients
+    from odak.learn._faces import get_cylinder_normal as get_cylinder_normal
+    from odak.learn._faces import get_sphere_normal_torch as get_sphere_normal_torch
+    from odak.learn._faces import get_triangle_normal as get_triangle_normal
+    from odak.learn._faces import intersect_w_circle as intersect_w_circle
+    from odak.learn._faces import intersect_w_cylinder as intersect_w_cylinder
+    from odak.learn._faces import intersect_w_surface as intersect_w_surface
+    from odak.learn._faces import intersect_w_triangle as intersect_w_triangle
+    from odak.learn._faces import reflect as reflect
+    from odak.learn._faces import refract as refract
 
 __all__ = [
     "detector",
@@ -69,10 +81,11 @@ def _picked(rays, normals, distance, hit) -> tuple[torch.Tensor, torch.Tensor, t
     return rays, normals, distance, hit
 
 
-fresnel_coefficients = torch_face(
-    core.fresnel_coefficients,
-    tensors=("ray", "normal"),
-    describe="""
+if not TYPE_CHECKING:
+    fresnel_coefficients = torch_face(
+        core.fresnel_coefficients,
+        tensors=("ray", "normal"),
+        describe="""
     Examples
     --------
     At normal incidence glass reflects ((n − 1)/(n + 1))²:
@@ -83,12 +96,12 @@ fresnel_coefficients = torch_face(
     >>> round(fresnel_coefficients(ray, ray, 1.0, 1.5).reflectance_s.item(), 4)
     0.04
     """,
-)
-get_cylinder_normal = torch_face(
-    core.get_cylinder_normal,
-    tensors=("point", "cylinder"),
-    through=batched(2),
-    describe="""
+    )
+    get_cylinder_normal = torch_face(
+        core.get_cylinder_normal,
+        tensors=("point", "cylinder"),
+        through=batched(2),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -101,13 +114,13 @@ get_cylinder_normal = torch_face(
     >>> get_cylinder_normal(torch.tensor([0.0, 2, 3]), define_cylinder(torch.zeros(3), 2.0)).tolist()
     [[[0.0, 0.0, 3.0], [0.0, 1.0, 0.0]]]
     """,
-)
-get_sphere_normal_torch = torch_face(
-    core.get_sphere_normal,
-    name="get_sphere_normal_torch",
-    tensors=("point", "sphere"),
-    through=batched(2),
-    describe="""
+    )
+    get_sphere_normal_torch = torch_face(
+        core.get_sphere_normal,
+        name="get_sphere_normal_torch",
+        tensors=("point", "sphere"),
+        through=batched(2),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -120,11 +133,11 @@ get_sphere_normal_torch = torch_face(
     >>> get_sphere_normal_torch(torch.tensor([0.0, 0, 3]), torch.tensor([0.0, 0, 1, 2]))[0, 1].tolist()
     [0.0, 0.0, -1.0]
     """,
-)
-get_triangle_normal = torch_face(
-    core.get_triangle_normal,
-    tensors=("triangle", "triangle_center"),
-    describe="""
+    )
+    get_triangle_normal = torch_face(
+        core.get_triangle_normal,
+        tensors=("triangle", "triangle_center"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -132,12 +145,12 @@ get_triangle_normal = torch_face(
     >>> get_triangle_normal(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 3, 0]])).tolist()
     [[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
     """,
-)
-reflect = torch_face(
-    core.reflect,
-    tensors=("input_ray", "normal"),
-    through=lambda _, input_ray, normal: core.reflected_rays(input_ray, normal),
-    describe="""
+    )
+    reflect = torch_face(
+        core.reflect,
+        tensors=("input_ray", "normal"),
+        through=lambda _, input_ray, normal: core.reflected_rays(input_ray, normal),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -151,14 +164,14 @@ reflect = torch_face(
     >>> reflect(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal)[0, 1]
     tensor([ 0.0000,  0.6000, -0.8000])
     """,
-)
-refract = torch_face(
-    core.refract,
-    tensors=("vector", "normvector", "n1", "n2"),
-    through=lambda _, vector, normvector, n1, n2, error=0.01: core.refracted_rays(
-        vector, normvector, n1.reshape(-1), n2.reshape(-1)
-    ),
-    describe="""
+    )
+    refract = torch_face(
+        core.refract,
+        tensors=("vector", "normvector", "n1", "n2"),
+        through=lambda _, vector, normvector, n1, n2, error=0.01: core.refracted_rays(
+            vector, normvector, n1.reshape(-1), n2.reshape(-1)
+        ),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -173,12 +186,12 @@ refract = torch_face(
     >>> refract(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), normal, 1.0, 1.5)[0, 1]
     tensor([0.0000, 0.4000, 0.9165])
     """,
-)
-intersect_w_surface = torch_face(
-    core.intersect_w_surface,
-    tensors=("ray", "points"),
-    through=_plane,
-    describe="""
+    )
+    intersect_w_surface = torch_face(
+        core.intersect_w_surface,
+        tensors=("ray", "points"),
+        through=_plane,
+        describe="""
     Parameters
     ----------
     points : torch.Tensor
@@ -198,12 +211,12 @@ intersect_w_surface = torch_face(
     >>> intersect_w_surface(ray, define_plane(torch.tensor([0.0, 0.0, 10.0])))[1]
     tensor([[-12.5000]])
     """,
-)
-intersect_w_circle = torch_face(
-    core.intersect_w_circle,
-    tensors=("ray",),
-    through=_circle,
-    describe="""
+    )
+    intersect_w_circle = torch_face(
+        core.intersect_w_circle,
+        tensors=("ray",),
+        through=_circle,
+        describe="""
     Returns
     -------
     tuple of torch.Tensor
@@ -220,12 +233,12 @@ intersect_w_circle = torch_face(
     >>> intersect_w_circle(rays, circle)[1].flatten().tolist()
     [5.0, 0.0]
     """,
-)
-intersect_w_triangle = torch_face(
-    core.intersect_w_triangle,
-    tensors=("ray", "triangle"),
-    through=_triangle,
-    describe="""
+    )
+    intersect_w_triangle = torch_face(
+        core.intersect_w_triangle,
+        tensors=("ray", "triangle"),
+        through=_triangle,
+        describe="""
     Intersect rays with one triangle, ahead of the starts or behind them.
 
     Parameters
@@ -252,12 +265,12 @@ intersect_w_triangle = torch_face(
     >>> distances.flatten().tolist(), hits.tolist()
     ([5.0, 5.0], [[True, False]])
     """,
-)
-intersect_w_cylinder = torch_face(
-    core.intersect_w_cylinder,
-    tensors=("ray", "cylinder"),
-    through=lambda _, ray, cylinder: _picked(*core.cylinder_hits(ray, cylinder)),
-    describe="""
+    )
+    intersect_w_cylinder = torch_face(
+        core.intersect_w_cylinder,
+        tensors=("ray", "cylinder"),
+        through=lambda _, ray, cylinder: _picked(*core.cylinder_hits(ray, cylinder)),
+        describe="""
     Returns
     -------
     tuple of torch.Tensor
@@ -273,7 +286,7 @@ intersect_w_cylinder = torch_face(
     >>> intersect_w_cylinder(ray, define_cylinder(torch.zeros(3), 2.0))[2]
     tensor([18.])
     """,
-)
+    )
 
 
 def intersect_w_sphere(

@@ -1,7 +1,7 @@
 """Planes, triangles, circles and spheres as tensors, and the test whether points lie on triangles."""
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -12,6 +12,16 @@ from odak.raytracing import arguments
 from odak.raytracing import primitives as core
 from odak.raytracing.intersections import within
 from odak.tools.transformation import apply_matrix, rotation_matrix
+
+if TYPE_CHECKING:
+    from odak.learn._faces import bring_plane_to_origin as bring_plane_to_origin
+    from odak.learn._faces import center_of_triangle as center_of_triangle
+    from odak.learn._faces import cylinder_function as cylinder_function
+    from odak.learn._faces import define_circle as define_circle
+    from odak.learn._faces import define_cylinder as define_cylinder
+    from odak.learn._faces import define_plane as define_plane
+    from odak.learn._faces import define_sphere as define_sphere
+    from odak.learn._faces import sphere_function as sphere_function
 
 __all__ = [
     "bring_plane_to_origin",
@@ -46,12 +56,13 @@ def _unit_sphere(core, center=None, radius=None):
     return arguments.batch(core(_ORIGIN if center is None else center, 1.0 if radius is None else radius), 1)
 
 
-bring_plane_to_origin = torch_face(
-    core.bring_plane_to_origin,
-    tensors=("point", "center", "angles"),
-    defaults={"plane": None},
-    through=batched(1),
-    describe="""
+if not TYPE_CHECKING:
+    bring_plane_to_origin = torch_face(
+        core.bring_plane_to_origin,
+        tensors=("point", "center", "angles"),
+        defaults={"plane": None},
+        through=batched(1),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -64,11 +75,11 @@ bring_plane_to_origin = torch_face(
     >>> bring_plane_to_origin(torch.tensor([2.0, 1.0, 1.0]), center=torch.tensor([1.0, 1.0, 1.0])).tolist()
     [[1.0, 0.0, 0.0]]
     """,
-)
-center_of_triangle = torch_face(
-    core.center_of_triangle,
-    tensors=("triangle",),
-    describe="""
+    )
+    center_of_triangle = torch_face(
+        core.center_of_triangle,
+        tensors=("triangle",),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -76,11 +87,11 @@ center_of_triangle = torch_face(
     >>> center_of_triangle(torch.tensor([[0.0, 0, 0], [3, 0, 0], [0, 6, 0]])).tolist()
     [[1.0, 2.0, 0.0]]
     """,
-)
-cylinder_function = torch_face(
-    core.cylinder_function,
-    tensors=("point", "cylinder"),
-    describe="""
+    )
+    cylinder_function = torch_face(
+        core.cylinder_function,
+        tensors=("point", "cylinder"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -88,12 +99,12 @@ cylinder_function = torch_face(
     >>> cylinder_function(torch.tensor([[0.0, 0, 9], [3, 0, 9]]), define_cylinder(torch.zeros(3), 2.0)).tolist()
     [-4.0, 5.0]
     """,
-)
-define_circle = torch_face(
-    core.define_circle,
-    tensors=("center", "radius", "angles"),
-    through=lambda core, center, radius, angles: core(center, arguments.vector("radius", radius, 1), angles),
-    describe="""
+    )
+    define_circle = torch_face(
+        core.define_circle,
+        tensors=("center", "radius", "angles"),
+        through=lambda core, center, radius, angles: core(center, arguments.vector("radius", radius, 1), angles),
+        describe="""
     Return a circle as [plane ``[3, 3]``, centre ``[3]``, radius ``[1]``].
 
     Examples
@@ -104,12 +115,12 @@ define_circle = torch_face(
     >>> plane[:, 2].tolist(), radius.tolist()
     ([5.0, 5.0, 5.0], [2.0])
     """,
-)
-define_cylinder = torch_face(
-    core.define_cylinder,
-    tensors=("center", "radius", "rotation"),
-    through=batched(1),
-    describe="""
+    )
+    define_cylinder = torch_face(
+        core.define_cylinder,
+        tensors=("center", "radius", "rotation"),
+        through=batched(1),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -122,11 +133,11 @@ define_cylinder = torch_face(
     >>> define_cylinder(torch.tensor([0.0, 0.0, 4.0]), 2.0)
     tensor([[0., 0., 4., 2., 0., 0., 5.]])
     """,
-)
-define_plane = torch_face(
-    core.define_plane,
-    tensors=("point", "angles"),
-    describe="""
+    )
+    define_plane = torch_face(
+        core.define_plane,
+        tensors=("point", "angles"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -134,13 +145,13 @@ define_plane = torch_face(
     >>> define_plane(torch.tensor([0.0, 0.0, 5.0]))[:, 2].tolist()
     [5.0, 5.0, 5.0]
     """,
-)
-define_sphere = torch_face(
-    core.define_sphere,
-    tensors=("center", "radius"),
-    defaults={"center": None, "radius": None},
-    through=_unit_sphere,
-    describe="""
+    )
+    define_sphere = torch_face(
+        core.define_sphere,
+        tensors=("center", "radius"),
+        defaults={"center": None, "radius": None},
+        through=_unit_sphere,
+        describe="""
     Parameters
     ----------
     center : torch.Tensor, optional
@@ -160,11 +171,11 @@ define_sphere = torch_face(
     >>> define_sphere(torch.tensor([0.0, 0.0, 5.0]), torch.tensor([3.0]))
     tensor([[0., 0., 5., 3.]])
     """,
-)
-sphere_function = torch_face(
-    core.sphere_function,
-    tensors=("point", "sphere"),
-    describe="""
+    )
+    sphere_function = torch_face(
+        core.sphere_function,
+        tensors=("point", "sphere"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -172,7 +183,7 @@ sphere_function = torch_face(
     >>> sphere_function(torch.tensor([[0.0, 0, 0], [3, 0, 0]]), torch.tensor([0.0, 0, 0, 2])).tolist()
     [-4.0, 5.0]
     """,
-)
+    )
 
 
 def define_plane_mesh(

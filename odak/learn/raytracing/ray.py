@@ -1,7 +1,7 @@
 """Rays as tensors ``[m, 2, 3]``: start and direction cosines."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -12,6 +12,16 @@ from odak.learn.raytracing.primitives import batched
 from odak.raytracing import arguments
 from odak.raytracing import ray as core
 from odak.tools.transformation import apply_matrix, rotation_matrix
+
+if TYPE_CHECKING:
+    from odak.learn._faces import calculate_intersection_of_two_rays as calculate_intersection_of_two_rays
+    from odak.learn._faces import create_ray_from_all_pairs as create_ray_from_all_pairs
+    from odak.learn._faces import create_ray_from_angles as create_ray_from_angles
+    from odak.learn._faces import create_ray_from_two_points as create_ray_from_two_points
+    from odak.learn._faces import find_nearest_points as find_nearest_points
+    from odak.learn._faces import get_points_along_a_ray_segment as get_points_along_a_ray_segment
+    from odak.learn._faces import propagate_a_ray as propagate_a_ray
+    from odak.learn._faces import propagate_ray as propagate_ray
 
 __all__ = [
     "calculate_intersection_of_two_rays",
@@ -28,11 +38,12 @@ __all__ = [
 ]
 
 
-calculate_intersection_of_two_rays = torch_face(
-    core.calculate_intersection_of_two_rays,
-    tensors=("ray0", "ray1"),
-    through=batched(1),
-    describe="""
+if not TYPE_CHECKING:
+    calculate_intersection_of_two_rays = torch_face(
+        core.calculate_intersection_of_two_rays,
+        tensors=("ray0", "ray1"),
+        through=batched(1),
+        describe="""
     Returns
     -------
     tuple of torch.Tensor
@@ -48,11 +59,11 @@ calculate_intersection_of_two_rays = torch_face(
     >>> calculate_intersection_of_two_rays(ray0, ray1)[1]
     tensor([[3., 7.]])
     """,
-)
-create_ray_from_all_pairs = torch_face(
-    core.create_ray_from_all_pairs,
-    tensors=("x0y0z0", "x1y1z1"),
-    describe="""
+    )
+    create_ray_from_all_pairs = torch_face(
+        core.create_ray_from_all_pairs,
+        tensors=("x0y0z0", "x1y1z1"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -60,12 +71,12 @@ create_ray_from_all_pairs = torch_face(
     >>> tuple(create_ray_from_all_pairs(torch.zeros(2, 3), torch.ones(3, 3)).shape)
     (6, 2, 3)
     """,
-)
-create_ray_from_angles = torch_face(
-    core.create_ray_from_angles,
-    tensors=("point", "angles"),
-    through=batched(2),
-    describe="""
+    )
+    create_ray_from_angles = torch_face(
+        core.create_ray_from_angles,
+        tensors=("point", "angles"),
+        through=batched(2),
+        describe="""
     Parameters
     ----------
     angles : torch.Tensor
@@ -86,12 +97,12 @@ create_ray_from_angles = torch_face(
     >>> [round(abs(value), 6) for value in ray[0, 1].tolist()]
     [1.0, 0.0, 0.0]
     """,
-)
-create_ray_from_two_points = torch_face(
-    core.create_ray_from_two_points,
-    tensors=("x0y0z0", "x1y1z1"),
-    through=batched(2),
-    describe="""
+    )
+    create_ray_from_two_points = torch_face(
+        core.create_ray_from_two_points,
+        tensors=("x0y0z0", "x1y1z1"),
+        through=batched(2),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -105,12 +116,12 @@ create_ray_from_two_points = torch_face(
     tensor([[[0.0000, 0.0000, 0.0000],
              [0.0000, 0.6000, 0.8000]]])
     """,
-)
-find_nearest_points = torch_face(
-    core.find_nearest_points,
-    tensors=("ray0", "ray1"),
-    through=batched(1),
-    describe="""
+    )
+    find_nearest_points = torch_face(
+        core.find_nearest_points,
+        tensors=("ray0", "ray1"),
+        through=batched(1),
+        describe="""
     Returns
     -------
     tuple of torch.Tensor
@@ -125,11 +136,11 @@ find_nearest_points = torch_face(
     >>> [point.tolist() for point in find_nearest_points(ray0, ray1)]
     [[[0.0, 0.0, 0.0]], [[0.0, 0.0, 5.0]]]
     """,
-)
-get_points_along_a_ray_segment = torch_face(
-    core.get_points_along_a_ray_segment,
-    tensors=("ray", "distances"),
-    describe="""
+    )
+    get_points_along_a_ray_segment = torch_face(
+        core.get_points_along_a_ray_segment,
+        tensors=("ray", "distances"),
+        describe="""
     Examples
     --------
     >>> import torch
@@ -138,13 +149,13 @@ get_points_along_a_ray_segment = torch_face(
     >>> get_points_along_a_ray_segment(ray, torch.tensor([1.0, 2.5]))[:, 2].tolist()
     [1.0, 2.5]
     """,
-)
-propagate_a_ray = propagate_ray = torch_face(
-    core.propagate_a_ray,
-    name="propagate_ray",
-    tensors=("ray", "distance"),
-    through=batched(2),
-    describe="""
+    )
+    propagate_a_ray = propagate_ray = torch_face(
+        core.propagate_a_ray,
+        name="propagate_ray",
+        tensors=("ray", "distance"),
+        through=batched(2),
+        describe="""
     Returns
     -------
     torch.Tensor
@@ -157,7 +168,7 @@ propagate_a_ray = propagate_ray = torch_face(
     >>> propagate_ray(torch.tensor([[0.0, 0.0, 0.0], [0.0, 0.6, 0.8]]), 10.0)[0, 0]
     tensor([0., 6., 8.])
     """,
-)
+    )
 
 
 def create_ray(xyz: torch.Tensor, abg: torch.Tensor, direction: bool = False) -> torch.Tensor:

@@ -1,6 +1,7 @@
 """Intersections of rays with surfaces z = sag(x, y) and with level sets of functions, differentiable in both."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -26,6 +27,10 @@ from odak.raytracing.surfaces import (
     ZernikeFreeform,
 )
 
+if TYPE_CHECKING:
+    from odak.learn._faces import intersect_parametric as intersect_parametric
+    from odak.learn._faces import intersect_w_sag as intersect_w_sag
+
 __all__ = [
     "Biconic",
     "ChebyshevFreeform",
@@ -45,12 +50,13 @@ __all__ = [
 ]
 
 
-intersect_w_sag = torch_face(
-    surfaces.intersect_w_sag,
-    through=lambda core, ray, surface, center=None, angles=None, aperture=None, ahead=True: surfaces.placed_hits(
-        reals_of, ray, surface, center, angles, aperture, ahead
-    ),
-    describe="""
+if not TYPE_CHECKING:
+    intersect_w_sag = torch_face(
+        surfaces.intersect_w_sag,
+        through=lambda core, ray, surface, center=None, angles=None, aperture=None, ahead=True: surfaces.placed_hits(
+            reals_of, ray, surface, center, angles, aperture, ahead
+        ),
+        describe="""
     Intersect rays with a surface z = sag(x, y), differentiable in rays, placement and parameters of the surface.
 
     Parameters
@@ -82,7 +88,7 @@ intersect_w_sag = torch_face(
     >>> round(distance.item(), 9), round(curvature.grad.item(), 9)
     (11.0, 6.25)
     """,
-)
+    )
 
 
 def _intersect_parametric(
@@ -149,12 +155,13 @@ def _gradient(rays, distance, surface, function: Callable):
     return (value if differentiable else value.detach()).to(rays.dtype), gradient
 
 
-intersect_parametric = torch_face(
-    boundary.intersect_parametric,
-    tensors=("ray",),
-    defaults={"surface_normal_function": None},
-    through=_intersect_parametric,
-    describe="""
+if not TYPE_CHECKING:
+    intersect_parametric = torch_face(
+        boundary.intersect_parametric,
+        tensors=("ray",),
+        defaults={"surface_normal_function": None},
+        through=_intersect_parametric,
+        describe="""
     Parameters
     ----------
     parametric_surface : object
@@ -187,4 +194,4 @@ intersect_parametric = torch_face(
     >>> [round(value.item(), 5) for value in (distance.detach()[0], torch.autograd.grad(distance.sum(), radius)[0])]
     [4.0, -1.0]
     """,
-)
+    )

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -10,6 +11,11 @@ from odak.learn._face import torch_face
 from odak.learn._tensors import checked_device, checked_dtype, in_own_precision, kind_of, tensor
 from odak.tools import matrix
 from odak.tools.matrix import convolve2d, correlation_2d
+
+if TYPE_CHECKING:
+    from odak.learn._faces import crop_center as crop_center
+    from odak.learn._faces import smooth_pad as smooth_pad
+    from odak.learn._faces import zero_pad as zero_pad
 
 __all__ = [
     "blur_gaussian",
@@ -47,20 +53,21 @@ _FIELD = """torch.Tensor
 _RESULT = """torch.Tensor
     The same layout, dtype and device; ``[1, C, H, W]`` loses its batch axis."""
 
-zero_pad = torch_face(
-    matrix.zero_pad, through=_on_images, describe={"field": _FIELD, "Returns": f"{_RESULT} Differentiable."}
-)
-crop_center = torch_face(
-    matrix.crop_center, through=_copy_of_images, describe={"field": _FIELD, "Returns": f"{_RESULT} A copy."}
-)
-smooth_pad = torch_face(
-    matrix.smooth_pad,
-    through=_on_images,
-    describe={
-        "field": f"{_FIELD} Real or complex.",
-        "Returns": f"{_RESULT} Gradients pass through the content, not through its copies in the border.",
-    },
-)
+if not TYPE_CHECKING:
+    zero_pad = torch_face(
+        matrix.zero_pad, through=_on_images, describe={"field": _FIELD, "Returns": f"{_RESULT} Differentiable."}
+    )
+    crop_center = torch_face(
+        matrix.crop_center, through=_copy_of_images, describe={"field": _FIELD, "Returns": f"{_RESULT} A copy."}
+    )
+    smooth_pad = torch_face(
+        matrix.smooth_pad,
+        through=_on_images,
+        describe={
+            "field": f"{_FIELD} Real or complex.",
+            "Returns": f"{_RESULT} Gradients pass through the content, not through its copies in the border.",
+        },
+    )
 
 
 def quantize(image_field: torch.Tensor, bits: int = 8, limits: Sequence[float] = (0.0, 1.0)) -> torch.Tensor:

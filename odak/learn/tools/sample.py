@@ -1,6 +1,7 @@
 """Points on grids, discs, spheres and in boxes as tensors, by the formulas of :mod:`odak.tools.sample`."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -9,6 +10,14 @@ from odak.learn._tensors import checked_device, tensors_of
 from odak.tools import sample
 from odak.tools.sample import batch_of_rays, random_sample_point_cloud
 from odak.tools.transformation import axis_rotation
+
+if TYPE_CHECKING:
+    from odak.learn._faces import box_volume_sample as box_volume_sample
+    from odak.learn._faces import circular_sample as circular_sample
+    from odak.learn._faces import circular_uniform_random_sample as circular_uniform_random_sample
+    from odak.learn._faces import circular_uniform_sample as circular_uniform_sample
+    from odak.learn._faces import sphere_sample as sphere_sample
+    from odak.learn._faces import sphere_sample_uniform as sphere_sample_uniform
 
 __all__ = [
     "batch_of_rays",
@@ -25,12 +34,13 @@ __all__ = [
 _ORIGIN = (0.0, 0.0, 0.0)
 
 
-box_volume_sample = torch_face(sample.box_volume_sample)
-circular_sample = torch_face(sample.circular_sample)
-circular_uniform_random_sample = torch_face(sample.circular_uniform_random_sample)
-circular_uniform_sample = torch_face(sample.circular_uniform_sample)
-sphere_sample = torch_face(sample.sphere_sample)
-sphere_sample_uniform = torch_face(sample.sphere_sample_uniform)
+if not TYPE_CHECKING:
+    box_volume_sample = torch_face(sample.box_volume_sample)
+    circular_sample = torch_face(sample.circular_sample)
+    circular_uniform_random_sample = torch_face(sample.circular_uniform_random_sample)
+    circular_uniform_sample = torch_face(sample.circular_uniform_sample)
+    sphere_sample = torch_face(sample.sphere_sample)
+    sphere_sample_uniform = torch_face(sample.sphere_sample_uniform)
 
 
 def grid_sample(

@@ -1,6 +1,7 @@
 """Rotations, distances, voxels and projection of points as differentiable tensors; angles in degrees."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -12,6 +13,14 @@ from odak.tools import transformation
 from odak.tools.asset import read_PLY
 from odak.tools.paths import validate_path
 from odak.tools.transformation import ROTATION_MODES, apply_matrix, axis_rotation, rotation_matrix, tilt_towards
+
+if TYPE_CHECKING:
+    from odak.learn._faces import cross_product as cross_product
+    from odak.learn._faces import distance_between_two_points as distance_between_two_points
+    from odak.learn._faces import rotmatx as rotmatx
+    from odak.learn._faces import rotmaty as rotmaty
+    from odak.learn._faces import rotmatz as rotmatz
+    from odak.learn._faces import same_side as same_side
 
 __all__ = [
     "PerspectiveCamera",
@@ -79,9 +88,10 @@ def _one_matrix(core, angle):
 
 
 _MATRICES = {"Returns": "torch.Tensor\n    ``[n, 3, 3]``, for column vectors; ``[3, 3]`` for one angle."}
-rotmatx = torch_face(transformation.rotmatx, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
-rotmaty = torch_face(transformation.rotmaty, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
-rotmatz = torch_face(transformation.rotmatz, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
+if not TYPE_CHECKING:
+    rotmatx = torch_face(transformation.rotmatx, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
+    rotmaty = torch_face(transformation.rotmaty, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
+    rotmatz = torch_face(transformation.rotmatz, tensors=("angle",), through=_one_matrix, describe=_MATRICES)
 
 
 def get_rotation_matrix(tilt_angles: Sequence[float] = (0.0, 0.0, 0.0), tilt_order: str = "XYZ") -> torch.Tensor:
@@ -287,9 +297,10 @@ def load_voxelized_PLY(
     return locations.reshape(-1, 3), grid.reshape(-1)
 
 
-cross_product = torch_face(transformation.cross_product, tensors=("vector1", "vector2"))
-same_side = torch_face(transformation.same_side, tensors=("p1", "p2", "a", "b"))
-distance_between_two_points = torch_face(transformation.distance_between_two_points, tensors=("point1", "point2"))
+if not TYPE_CHECKING:
+    cross_product = torch_face(transformation.cross_product, tensors=("vector1", "vector2"))
+    same_side = torch_face(transformation.same_side, tensors=("p1", "p2", "a", "b"))
+    distance_between_two_points = torch_face(transformation.distance_between_two_points, tensors=("point1", "point2"))
 
 
 class PerspectiveCamera:

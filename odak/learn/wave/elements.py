@@ -1,6 +1,7 @@
 """Elements, beams, pupils and polarised fields as tensors, by the formulas of :mod:`odak.wave`."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import torch
 from array_api_compat import torch as torch_namespace
@@ -11,6 +12,35 @@ from odak.learn._face import torch_face
 from odak.wave import beams, elements, imaging, polarized, recording
 from odak.wave.transfer_functions import pitches
 
+if TYPE_CHECKING:
+    from odak.learn._faces import airy_beam as airy_beam
+    from odak.learn._faces import aspheric_lens_phase as aspheric_lens_phase
+    from odak.learn._faces import axicon_phase as axicon_phase
+    from odak.learn._faces import bessel_beam as bessel_beam
+    from odak.learn._faces import blazed_grating as blazed_grating
+    from odak.learn._faces import circular_aperture as circular_aperture
+    from odak.learn._faces import cylindrical_lens_phase as cylindrical_lens_phase
+    from odak.learn._faces import dammann_grating as dammann_grating
+    from odak.learn._faces import double_convergence as double_convergence
+    from odak.learn._faces import flat_top_beam as flat_top_beam
+    from odak.learn._faces import fresnel_zone_plate as fresnel_zone_plate
+    from odak.learn._faces import gaussian_beam as gaussian_beam
+    from odak.learn._faces import hermite_gaussian_beam as hermite_gaussian_beam
+    from odak.learn._faces import laguerre_gaussian_beam as laguerre_gaussian_beam
+    from odak.learn._faces import lens_phase as lens_phase
+    from odak.learn._faces import linear_grating as linear_grating
+    from odak.learn._faces import metalens_phase as metalens_phase
+    from odak.learn._faces import prism_grating as prism_grating
+    from odak.learn._faces import prism_phase_function as prism_phase_function
+    from odak.learn._faces import pupil_function as pupil_function
+    from odak.learn._faces import q_plate as q_plate
+    from odak.learn._faces import rectangular_aperture as rectangular_aperture
+    from odak.learn._faces import reference_wave as reference_wave
+    from odak.learn._faces import spiral_phase as spiral_phase
+    from odak.learn._faces import thin_film_transfer as thin_film_transfer
+    from odak.learn._faces import zernike_basis as zernike_basis
+    from odak.learn._faces import zernike_phase as zernike_phase
+
 _SINGLE = {"Returns": "torch.Tensor\n    complex64 ``[nx, ny]``."}
 
 
@@ -18,35 +48,36 @@ def _to_single(core, **arguments) -> torch.Tensor:
     return core(**arguments).to(torch.complex64)
 
 
-aspheric_lens_phase = torch_face(elements.aspheric_lens_phase)
-axicon_phase = torch_face(elements.axicon_phase)
-blazed_grating = torch_face(elements.blazed_grating, through=_to_single, describe=_SINGLE)
-circular_aperture = torch_face(elements.circular_aperture)
-cylindrical_lens_phase = torch_face(elements.cylindrical_lens_phase)
-dammann_grating = torch_face(elements.dammann_grating)
-double_convergence = torch_face(elements.double_convergence, through=_to_single, describe=_SINGLE)
-fresnel_zone_plate = torch_face(elements.fresnel_zone_plate)
-lens_phase = torch_face(elements.lens_phase)
-linear_grating = torch_face(elements.linear_grating, defaults={"add": None})
-metalens_phase = torch_face(elements.metalens_phase)
-prism_grating = torch_face(elements.prism_grating, through=_to_single, describe=_SINGLE)
-prism_phase_function = torch_face(elements.prism_phase_function, through=_to_single, describe=_SINGLE)
-rectangular_aperture = torch_face(elements.rectangular_aperture)
-spiral_phase = torch_face(elements.spiral_phase)
-zernike_basis = torch_face(elements.zernike_basis)
-zernike_phase = torch_face(elements.zernike_phase)
+if not TYPE_CHECKING:
+    aspheric_lens_phase = torch_face(elements.aspheric_lens_phase)
+    axicon_phase = torch_face(elements.axicon_phase)
+    blazed_grating = torch_face(elements.blazed_grating, through=_to_single, describe=_SINGLE)
+    circular_aperture = torch_face(elements.circular_aperture)
+    cylindrical_lens_phase = torch_face(elements.cylindrical_lens_phase)
+    dammann_grating = torch_face(elements.dammann_grating)
+    double_convergence = torch_face(elements.double_convergence, through=_to_single, describe=_SINGLE)
+    fresnel_zone_plate = torch_face(elements.fresnel_zone_plate)
+    lens_phase = torch_face(elements.lens_phase)
+    linear_grating = torch_face(elements.linear_grating, defaults={"add": None})
+    metalens_phase = torch_face(elements.metalens_phase)
+    prism_grating = torch_face(elements.prism_grating, through=_to_single, describe=_SINGLE)
+    prism_phase_function = torch_face(elements.prism_phase_function, through=_to_single, describe=_SINGLE)
+    rectangular_aperture = torch_face(elements.rectangular_aperture)
+    spiral_phase = torch_face(elements.spiral_phase)
+    zernike_basis = torch_face(elements.zernike_basis)
+    zernike_phase = torch_face(elements.zernike_phase)
 
-airy_beam = torch_face(beams.airy_beam)
-bessel_beam = torch_face(beams.bessel_beam)
-flat_top_beam = torch_face(beams.flat_top_beam)
-gaussian_beam = torch_face(beams.gaussian_beam)
-hermite_gaussian_beam = torch_face(beams.hermite_gaussian_beam)
-laguerre_gaussian_beam = torch_face(beams.laguerre_gaussian_beam)
+    airy_beam = torch_face(beams.airy_beam)
+    bessel_beam = torch_face(beams.bessel_beam)
+    flat_top_beam = torch_face(beams.flat_top_beam)
+    gaussian_beam = torch_face(beams.gaussian_beam)
+    hermite_gaussian_beam = torch_face(beams.hermite_gaussian_beam)
+    laguerre_gaussian_beam = torch_face(beams.laguerre_gaussian_beam)
 
-pupil_function = torch_face(imaging.pupil_function)
-reference_wave = torch_face(recording.reference_wave)
-q_plate = torch_face(polarized.q_plate)
-thin_film_transfer = torch_face(polarized.thin_film_transfer)
+    pupil_function = torch_face(imaging.pupil_function)
+    reference_wave = torch_face(recording.reference_wave)
+    q_plate = torch_face(polarized.q_plate)
+    thin_film_transfer = torch_face(polarized.thin_film_transfer)
 
 
 @_validate.takes_units("focal", "dx")

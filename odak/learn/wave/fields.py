@@ -1,7 +1,7 @@
 """Amplitude, phase, intensity and exposure of fields as tensors, with memory-efficient gradients."""
 
 import itertools
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.autograd.function import once_differentiable
@@ -11,6 +11,12 @@ from odak.learn._face import torch_face
 from odak.learn._tensors import kind_of, tensor, trainable
 from odak.learn.wave.convolution import Workspace, allocate_like
 from odak.wave import fields
+
+if TYPE_CHECKING:
+    from odak.learn._faces import generate_complex_field as generate_complex_field
+    from odak.learn._faces import normalize_phase as normalize_phase
+    from odak.learn._faces import rotationspeed as rotationspeed
+    from odak.learn._faces import wavenumber as wavenumber
 
 _HALVES = (torch.float16, torch.bfloat16)
 
@@ -143,10 +149,11 @@ def _one_tensor(core, amplitude, phase) -> torch.Tensor:
     return core(amplitude, phase)
 
 
-wavenumber = torch_face(fields.wavenumber, through=_lists_as_tensors)
-rotationspeed = torch_face(fields.rotationspeed, through=_lists_as_tensors)
-normalize_phase = torch_face(fields.normalize_phase, tensors=("phase",))
-generate_complex_field = torch_face(fields.generate_complex_field, through=_one_tensor)
+if not TYPE_CHECKING:
+    wavenumber = torch_face(fields.wavenumber, through=_lists_as_tensors)
+    rotationspeed = torch_face(fields.rotationspeed, through=_lists_as_tensors)
+    normalize_phase = torch_face(fields.normalize_phase, tensors=("phase",))
+    generate_complex_field = torch_face(fields.generate_complex_field, through=_one_tensor)
 
 
 def set_amplitude(field: torch.Tensor, amplitude: float | torch.Tensor) -> torch.Tensor:

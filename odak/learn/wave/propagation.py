@@ -1,6 +1,7 @@
 """Propagation of tensors with the defaults of PyTorch users, and of partially coherent fields in bounded memory."""
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import torch
 from torch.utils.checkpoint import checkpoint
@@ -9,16 +10,25 @@ from odak.learn._face import torch_face
 from odak.learn._tensors import trainable
 from odak.wave import coherence, propagation
 
+if TYPE_CHECKING:
+    from odak.learn._faces import disk_source as disk_source
+    from odak.learn._faces import gaussian_spectrum as gaussian_spectrum
+    from odak.learn._faces import impulse_response_fresnel as impulse_response_fresnel
+    from odak.learn._faces import propagate_beam as propagate_beam
+    from odak.learn._faces import propagate_partially_coherent as propagate_partially_coherent
+    from odak.learn._faces import seperable_impulse_response_fresnel as seperable_impulse_response_fresnel
+
 APERTURE_SAMPLES = (20, 20, 5, 5)
 
-propagate_beam = torch_face(
-    propagation.propagate_beam,
-    defaults={
-        "zero_padding": (True, False, True),
-        "samples": APERTURE_SAMPLES,
-    },
-    describe={
-        "Examples": """
+if not TYPE_CHECKING:
+    propagate_beam = torch_face(
+        propagation.propagate_beam,
+        defaults={
+            "zero_padding": (True, False, True),
+            "samples": APERTURE_SAMPLES,
+        },
+        describe={
+            "Examples": """
 >>> import torch
 >>> from odak.learn.wave import propagate_beam
 >>> distance = torch.tensor(1e-3, dtype=torch.float64, requires_grad=True)
@@ -27,13 +37,13 @@ propagate_beam = torch_face(
 >>> bool(distance.grad.isfinite())
 True
 """
-    },
-)
-impulse_response_fresnel = torch_face(propagation.impulse_response_fresnel, defaults={"samples": APERTURE_SAMPLES})
-seperable_impulse_response_fresnel = impulse_response_fresnel
+        },
+    )
+    impulse_response_fresnel = torch_face(propagation.impulse_response_fresnel, defaults={"samples": APERTURE_SAMPLES})
+    seperable_impulse_response_fresnel = impulse_response_fresnel
 
-disk_source = torch_face(coherence.disk_source)
-gaussian_spectrum = torch_face(coherence.gaussian_spectrum)
+    disk_source = torch_face(coherence.disk_source)
+    gaussian_spectrum = torch_face(coherence.gaussian_spectrum)
 
 
 def _recomputed(step: Callable, *values):
@@ -47,12 +57,13 @@ def _recomputing(core, field, spectrum, source, memory=coherence.MEMORY, **geome
     return coherence.sum_intensities(_recomputed, field, spectrum, source, memory, **geometry)
 
 
-propagate_partially_coherent = torch_face(
-    coherence.propagate_partially_coherent,
-    defaults={"window_shape": None, "window_dx": None, "offset": (0.0, 0.0), "guard": coherence.GUARD},
-    through=_recomputing,
-    describe={
-        "memory": "int\nBytes, roughly, that directions propagated at once may take. The backward pass computes each "
-        "share anew, so that this bounds it too."
-    },
-)
+if not TYPE_CHECKING:
+    propagate_partially_coherent = torch_face(
+        coherence.propagate_partially_coherent,
+        defaults={"window_shape": None, "window_dx": None, "offset": (0.0, 0.0), "guard": coherence.GUARD},
+        through=_recomputing,
+        describe={
+            "memory": "int\nBytes, roughly, that directions propagated at once may take. The backward pass computes "
+            "each share anew, so that this bounds it too."
+        },
+    )
