@@ -31,10 +31,13 @@ from odak.learn import wave
 from odak.learn.models.hologram_networks import FARTHEST, RATIOS, SPREADS, hologram_network
 from odak.learn.tools import zero_pad
 from odak.learn.wave import holograms
+from odak.learn.wave.displays import mean_over_areas
 from odak.wave import sampling_report
-from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method
+from odak.wave.methods import METHODS, PROPAGATION_TYPES, find_method, method_named
 
 FILTER = 0.5
+# Without wrap-around these are one, the angular spectrum.
+EXACT = ("Angular Spectrum", "Bandlimited Angular Spectrum", "Bandextended Angular Spectrum", "Linear Angular Spectrum")
 # Standard deviation in radians of the noise that distinguishes frames with the same starting phase.
 FRAME_NOISE = 0.5
 UNFIT = tuple(
@@ -348,9 +351,7 @@ def _intensity_at(
 def _mean_over_areas(field: torch.Tensor, shape: Sequence[int], fill: float) -> torch.Tensor:
     """Return the mean intensity over the area of each pixel of the window, for a modulator with square pixels.
 
-    Square pixels multiply the spectrum of the field by a product of sinc functions. The intensity has twice the band of
-    the field, so that it is sampled twice as finely, and its mean over squares is another such product: exact but for
-    what the padded grid wraps around.
+    Square pixels multiply the spectrum of the field by a product of sinc functions.
 
     Parameters
     ----------
@@ -361,21 +362,11 @@ def _mean_over_areas(field: torch.Tensor, shape: Sequence[int], fill: float) -> 
     fill : float
         Share of the area of a pixel that emits.
     """
-    wide = [2 * n for n in field.shape]
     down, across = (torch.sinc(math.sqrt(fill) * torch.fft.fftfreq(n, device=field.device)) for n in field.shape)
-    spectrum = torch.fft.fftshift(torch.fft.fft2(torch.fft.ifftshift(field)) * (down[:, None] * across))
+    spectrum = torch.fft.fft2(torch.fft.ifftshift(field)) * (down[:, None] * across)
     # The stop ends below 1/(2·pitch), where a frequency and its alias are one.
-    spectrum[0], spectrum[:, 0] = 0, 0
-    finer = spectrum.new_zeros(wide)
-    first = [(large - n) // 2 for large, n in zip(wide, field.shape, strict=True)]
-    finer[first[0] : first[0] + field.shape[0], first[1] : first[1] + field.shape[1]] = spectrum
-    light = wave.intensity(torch.fft.ifft2(torch.fft.ifftshift(finer))) * 16
-    # In the order of the transform: sample 0 is the optical axis, a pixel is two samples.
-    down, across = (torch.sinc(2 * torch.fft.fftfreq(n, device=field.device)) for n in wide)
-    mean = torch.fft.ifft2(torch.fft.fft2(light) * (down[:, None] * across)).real
-    mean = torch.fft.fftshift(mean)[::2, ::2]
-    top, left = (n - n // 2 for n in shape)
-    return mean[top : top + shape[0], left : left + shape[1]]
+    spectrum[field.shape[0] // 2], spectrum[:, field.shape[1] // 2] = 0, 0
+    return mean_over_areas(torch.fft.fftshift(torch.fft.ifft2(spectrum)), shape)
 
 
 def half_band(shape: Sequence[int], device: torch.device) -> torch.Tensor:
@@ -408,6 +399,8 @@ def grating_phase(shape: tuple[int, int], device: torch.device) -> torch.Tensor:
 
 
 def _descend(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
+    if job.fill_factor is not None and method_named(job.propagation_type).name in EXACT:
+        return _descend_over_areas(job, intensity, wavelength, callback)
     hologram, _ = wave.stochastic_gradient_descent(
         intensity,
         wavelength,
@@ -435,6 +428,23 @@ def _modulator(job: Job, like: torch.Tensor) -> Callable | None:
         return None
     light = response.light(like)
     return lambda phase: wave.generate_complex_field(light, phase)
+
+
+def _descend_over_areas(job: Job, intensity: torch.Tensor, wavelength: float, callback: Callable) -> torch.Tensor:
+    """Return the hologram whose means over the areas of pixels, which are what the report states, are the target."""
+    frames = job.frames or 1
+    display = wave.Display(
+        wave.Modulator(job.resolution, job.pixel_pitch, None, job.fill_factor or 1.0, _modulator(job, intensity)),
+        wavelength,
+        job.distance,
+        frames,
+        torch.ones(frames, 1),
+    ).to(intensity.device)
+    start = _phases_of_frames(job, intensity, wavelength).reshape(frames, *job.resolution)
+    run = wave.Run(False, callback, iterations=job.iterations, seed=job.seed)
+    problem = wave.Problem(display, intensity[None, None], torch.nn.functional.mse_loss, start, run, job.scale)
+    phases = wave.Descent(job.optimizer or SOLVERS[0], job.learning_rate or LEARNING_RATE).solve(problem)
+    return wave.generate_complex_field(1.0, phases.reshape(*([frames] if frames > 1 else []), *job.resolution))
 
 
 def _phases_of_frames(job: Job, intensity: torch.Tensor, wavelength: float) -> torch.Tensor:

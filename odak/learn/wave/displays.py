@@ -556,6 +556,8 @@ class Problem:
         Phases ``[F, rows, columns]`` in radians.
     run : Run
         How long, with what progress and seed.
+    free : bool
+        Whether the brightness of the images is free.
     """
 
     display: Display
@@ -563,10 +565,11 @@ class Problem:
     loss: Callable
     start: torch.Tensor
     run: Run
+    free: bool = True
 
     def scaled(self, images: torch.Tensor) -> torch.Tensor:
         """Return images at the brightness of each colour that is closest to the target: sources can be dimmed."""
-        return images * _brightness(images.detach(), self.target)
+        return images * _brightness(images.detach(), self.target) if self.free else images
 
 
 @dataclass(frozen=True)
