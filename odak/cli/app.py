@@ -780,14 +780,16 @@ def eyebox(
 
 @app.command(
     help="Trace rays through a lens: a sample (singlet, cooke_triplet, double_gauss, double_gauss_f28, "
-    "triplet_f28, phone_f2), a .json file written by odak, a .zmx file of Zemax or a .seq file of CODE V.\n\n"
+    "triplet_f28, phone_f2), a .json file of odak, or a file of Zemax (.zmx), CODE V (.seq) or OSLO (.len).\n\n"
     "Writes figures of all analyses (layout, spots, fans, transfer, through focus, wavefront, field, image, "
     "performance over the field, pupil, footprint, polarisation, Seidel coefficients), report.html with all of them, "
     "the prescription and the aberrations, and report.json with first-order properties, spot sizes, wavefronts, Strehl "
     "ratios, modulation and vignetting."
 )
 def trace(
-    system: Annotated[str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx or .seq file.")],
+    system: Annotated[
+        str, typer.Argument(metavar="SYSTEM", help="Name of a sample, or a .json, .zmx, .seq or .len file.")
+    ],
     output: Output = Path("trace"),
     rings: Annotated[
         int, typer.Option(metavar="COUNT", help="Number of rings of the rays that are counted, 1 to 100.")
@@ -830,7 +832,7 @@ def trace(
 )
 def design(
     system: Annotated[
-        str | None, typer.Argument(metavar="[SYSTEM]", help="Name of a sample, or a .json, .zmx or .seq file.")
+        str | None, typer.Argument(metavar="[SYSTEM]", help="Name of a sample, or a .json, .zmx, .seq or .len file.")
     ] = None,
     output: Output = Path("design"),
     focal_length: FocalLength = None,
@@ -1050,7 +1052,7 @@ def capture(
 )
 def show(
     file: Annotated[
-        str, typer.Argument(metavar="FILE", help="Folder, picture, .npy, .pt, .json, .zmx, .seq or sample lens.")
+        str, typer.Argument(metavar="FILE", help="Folder, picture, .npy, .pt, .json, .zmx, .seq, .len or sample lens.")
     ],
     output: Annotated[
         Path | None,

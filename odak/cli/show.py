@@ -19,7 +19,7 @@ from odak.tools.paths import replacing
 from odak.wave.transfer_functions import pitches
 
 PICTURES = (".bmp", ".gif", ".jpeg", ".jpg", ".png", ".tif", ".tiff", ".webp")
-LENSES = (".json", ".zmx", ".seq")
+LENSES = (".json", ".zmx", ".seq", ".len")
 LARGEST_SIDE = 1024
 RESPONSIVE = {"responsive": True}
 # What the files of a run hold, by the beginnings of their names.
@@ -63,7 +63,8 @@ def run(path: str, page: Path) -> Path:
     ----------
     path : str
         A folder that `odak hologram`, `metamer`, `trace` or `simulate` wrote, or its report.json, a picture, a field
-        or an image in ``.npy`` or ``.pt``, a lens (``.json``, ``.zmx``, ``.seq``), or the name of a sample lens.
+        or an image in ``.npy`` or ``.pt``, a lens (``.json``, ``.zmx``, ``.seq``, ``.len``), or the name of a
+        sample lens.
     page : Path
         HTML file to write; it needs nothing else, and no network.
 

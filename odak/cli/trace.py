@@ -18,6 +18,7 @@ from odak.learn.raytracing.system import (
     first_order,
     lens_report,
     load_system,
+    read_len,
     read_seq,
     read_zmx,
     report_figures,
@@ -66,7 +67,7 @@ def read_system(name: str, argument: str = "SYSTEM"):
     Parameters
     ----------
     name : str
-        A sample system, or a .json, .zmx or .seq file.
+        A sample system, or a .json, .zmx, .seq or .len file.
     argument : str
         Its name in messages.
 
@@ -78,9 +79,11 @@ def read_system(name: str, argument: str = "SYSTEM"):
     suffix = Path(name).suffix.lower()
     if suffix and not Path(name).is_file():
         raise InputError(f"{argument} not found: {name!r}")
-    readers = {".zmx": read_zmx, ".seq": read_seq}
+    readers = {".zmx": read_zmx, ".seq": read_seq, ".len": read_len}
     if suffix not in ("", ".json", *readers):
-        raise InputError(f"{argument} must be a .json, .zmx or .seq file, or the name of a sample lens; got {name!r}")
+        raise InputError(
+            f"{argument} must be a .json, .zmx, .seq or .len file, or the name of a sample lens; got {name!r}"
+        )
     try:
         if suffix in readers:
             system, report = readers[suffix](name)

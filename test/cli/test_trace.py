@@ -144,7 +144,7 @@ def test_an_afocal_system_is_traced_without_the_figures_of_a_focus(tmp_path, cap
     [
         (["nothing"], "one of cooke_triplet, double_gauss, double_gauss_f28, phone_f2, singlet, triplet_f28"),
         (["nothing.zmx"], "SYSTEM not found: 'nothing.zmx'"),
-        ([__file__], "SYSTEM must be a .json, .zmx or .seq file, or the name of a sample lens"),
+        ([__file__], "SYSTEM must be a .json, .zmx, .seq or .len file, or the name of a sample lens"),
         (["singlet", "--rings", "0"], "--rings must be 1 to 100"),
         (["singlet", "--aim", "high"], "--aim must be paraxial or real"),
         (["singlet", "--figures", "bmp"], "--figures must be one of png, svg, pdf"),

@@ -18,6 +18,7 @@ REASONS = {
         raytracing/system/drawing: *
         raytracing/system/system_files: *
         raytracing/system/codev: *
+        raytracing/system/oslo: *
         raytracing/system/zemax: *
         raytracing/system/zooms: settings
         tools/file: *

@@ -21,6 +21,7 @@ from odak.learn.raytracing.system import (
     surface,
     system_to_dict,
     wavefront,
+    write_len,
     write_seq,
     write_zmx,
 )
@@ -199,6 +200,8 @@ BY_CALL = {
     f"{HERE}.system.load_system": {"path": Build(lambda folder: _saved(folder, save_system, "lens.json"))},
     f"{HERE}.system.read_zmx": {"path": Build(lambda folder: _saved(folder, write_zmx, "lens.zmx"))},
     f"{HERE}.system.read_seq": {"path": Build(lambda folder: _saved(folder, write_seq, "lens.seq"))},
+    f"{HERE}.system.read_len": {"path": Build(lambda folder: _saved(folder, write_len, "lens.len"))},
+    f"{HERE}.system.write_len": {"path": Build(lambda folder: folder / "lens.len")},
     f"{HERE}.system.write_seq": {"path": Build(lambda folder: folder / "lens.seq")},
     f"{HERE}.system.configurations": {"settings": [("thickness", -1, [97.0, 96.0])]},
     f"{HERE}.system.configurations.vary": {"name": "thickness", "place": -1},

@@ -72,6 +72,8 @@ from .optimise import ToleranceResult as ToleranceResult
 from .optimise import levenberg_marquardt as levenberg_marquardt
 from .optimise import sensitivity as sensitivity
 from .optimise import tolerance as tolerance
+from .oslo import read_len as read_len
+from .oslo import write_len as write_len
 from .paraxial import FirstOrder as FirstOrder
 from .paraxial import ParaxialRays as ParaxialRays
 from .paraxial import ThirdOrder as ThirdOrder

@@ -117,6 +117,8 @@ class _Reader:
         self.waves: list[float] = []
         self.surfaces: list[_Surface] = []
         self.head: dict[str, list[str]] = {}
+        self.zooms = 1
+        self.settings: list[tuple[int, str, list[str]]] = []
         self.glasses: dict[str, Material] = {}
 
     def take(self, number: int, words: list[str]) -> None:
@@ -135,7 +137,9 @@ class _Reader:
             self.private = True
         elif key == "ZOO":
             if len(words) == 2:
-                self.notes.append(f"the file has {words[1]} zoom positions: read as the first")
+                self.zooms = int(_number(number, "ZOO", words[1]))
+            elif len(words) > 2:
+                self.settings.append((number, words[1].upper()[:3], words[2:]))
         elif key in ("TIT", "DIM", "EPD", "FNO", "NA", "NAO", "WL", "REF", "WTW", "WTF") or re.fullmatch(
             r"[XY](AN|OB|IM|RI)|V[UL][XY]", key
         ):
@@ -271,8 +275,9 @@ def read_seq(path: Any, glasses: Mapping | None = None) -> tuple[optical_system,
     Understood are spheres, conics (CON), aspheres (ASP), cylinders (CYL), toroids (YTO, XTO), biconics (AAS without
     further terms), polynomials (SPS XYP), radial diffractive phases (DIF DOE, HCT R), mirrors, decentres and tilts with
     their returns (DAR, BEN, REV, RET, GLB), circular, rectangular and elliptic apertures with obscurations and holes,
-    private catalogues (PRV), glass codes, apertures EPD, FNO, NA and NAO, fields as angles and heights in the object or
-    the image, vignetting factors and weights. Tilts ADE and BDE are left-handed, CDE is right-handed. Without a command
+    private catalogues (PRV), glass codes, zoom positions (ZOO, the settings of :class:`configurations`), apertures EPD,
+    FNO, NA and NAO, fields as angles and heights in the object or the image, vignetting factors and weights. Tilts ADE
+    and BDE are left-handed, CDE is right-handed. Without a command
     RDM, surfaces state curvatures. The thickness of the image surface, a defocus, is added to the last one. Apertures
     of edges (EDG) limit no rays.
 
@@ -354,7 +359,59 @@ def _built(reader: _Reader, glasses: dict, path: Path) -> optical_system:
     factors = _factors(numbers, len(points))
     own = numbers("WTF")
     field_weights = own if len(own) == len(points) and len(set(own)) > 1 else None
-    return system(size, form, fields=points, vignetting_factors=factors, field_weights=field_weights)
+    zooms = _settings(reader, places, points, math.isinf(distance), numbers, context)
+    return system(size, form, fields=points, vignetting_factors=factors, field_weights=field_weights, settings=zooms)
+
+
+def _settings(reader: _Reader, places: dict, points, far: bool, numbers, context: Context) -> list[tuple]:
+    """Return the settings of zoom positions, of lines ZOO; entries that are not used are noted."""
+    count, scale = reader.zooms, context.scale
+    found: list[tuple] = []
+    unused: list[str] = []
+    rows = [list(map(list, points)) for _ in range(count)]
+    for number, key, words in reader.settings if count > 1 else []:
+        where = words[0].upper() if re.fullmatch(r"[SsFfWw]([0-9]+|[OoIi])", words[0]) else ""
+        values = words[1:] if where else words
+        if key in _INERT or re.fullmatch(r"[A-J]C", key):
+            continue
+        with named_errors(f"line {number}"):
+            if len(values) != count:
+                raise ValueError(f"ZOO {key} must have {count} values, got {len(values)}")
+            place = places.get(int(where[1:])) if re.fullmatch(r"S\d+", where) else None
+            kind = "AN" if far else "OB"
+            if key == "GLA" and place is not None:
+                glasses = [_glass(place + 1, value.lstrip("'"), context) for value in values]
+                found.append(("material", place, glasses))
+                continue
+            given = [_number(number, key, value) for value in values]
+            if key == "THI" and place is not None:
+                found.append(("thickness", place, [value * scale for value in given]))
+            elif key == "THI" and where in ("S0", "SO"):
+                away = [value * scale if value * scale < FAR else math.inf for value in given]
+                found.append(("object_distance", None, away))
+            elif key in ("CUY", "RDY") and place is not None:
+                bends = [value if key == "CUY" else (1 / value if value else 0.0) for value in given]
+                found.append(("curvature", place, [value / scale for value in bends]))
+            elif key == "K" and place is not None:
+                found.append(("conic", place, given))
+            elif key in ("EPD", "FNO", "NA", "NAO") and numbers(key) and (key != "FNO" or far):
+                found.append(("aperture", None, [value * (scale if key == "EPD" else 1.0) for value in given]))
+            elif key in (f"X{kind}", f"Y{kind}") and re.fullmatch(r"F\d+", where) and int(where[1:]) <= len(rows[0]):
+                factor = 1.0 if kind == "AN" else scale
+                for row, value in zip(rows, given, strict=True):
+                    row[int(where[1:]) - 1]["XY".index(key[0])] = value * factor
+            else:
+                unused.append(f"{key} {where}".strip())
+    if any(row != rows[0] for row in rows):
+        found.append(("fields", None, rows))
+    if count > 1:
+        context.notes.append(
+            f"the file has {count} zoom positions: the system is the one that its surfaces describe, its settings are "
+            "those of all (see configurations)"
+        )
+    if unused:
+        context.notes.append(f"entries of zoom positions that are not used: {', '.join(unused)}")
+    return found
 
 
 def _append(number: int, entry: _Surface, items: list, places: dict, context: Context) -> None:
@@ -562,14 +619,31 @@ def _glass(number: int, name: str, context: Context):
         glass = model_glass(1 + index, 100 * abbe)
         context.notes.append(f"surface {number}: {name} is a model glass of nd = {glass.nd:g}, Vd = {glass.vd:g}")
         return within(number, glass, context)
+    return within(number, glass_by_name(number, name, context, "read_seq"), context)
+
+
+def glass_by_name(number: int, name: str, context: Context, reader: str) -> Material:
+    """Return a glass by its name, with or without its maker behind it ("NBK7_SCHOTT").
+
+    Parameters
+    ----------
+    number : int
+        Number of the surface.
+    name : str
+        The name.
+    context : Context
+        Makers to be searched first, and notes.
+    reader : str
+        Function whose argument `glasses` the error names.
+    """
     bare, _, maker = name.rpartition("_") if "_" in name else (name, "", "")
     maker = maker.casefold()
     if maker == "special" and bare.upper() in SPECIAL:
-        return within(number, material(SPECIAL[bare.upper()]), context)
+        return material(SPECIAL[bare.upper()])
     found, problem = catalogued(number, bare, context._replace(makers=[maker] if maker else []))
     if found is None:
-        raise ValueError(f"{problem}. Or pass glasses={{{name!r}: …}} to read_seq")
-    return within(number, found, context)
+        raise ValueError(f"{problem}. Or pass glasses={{{name!r}: …}} to {reader}")
+    return found
 
 
 def _image(entry: _Surface, context: Context) -> surface | None:
@@ -716,6 +790,7 @@ def _seq_text(system) -> str:
     body += ["SI 0.0 0.0"] if image is None else _shape_lines("image", image, scale, "SI", 0.0, "")
     if image is not None:
         body += _place_lines(image.shift.tolist(), _from_own_tilt(image.tilt.tolist()), scale)
+    body += _zoom_lines(system, scale)
     if private:
         block = ["PRV", f"  {_listed('PWL', waves)}"]
         block += [f"  '{name}' " + " ".join(map(repr, values)) for name, values in private.items()] + ["END"]
@@ -738,6 +813,33 @@ def _written(name: str, item, scale: float, system, private: dict, numbers: dict
     if item.is_off_axis:
         tilt = _from_own_tilt(item.tilt.tolist())
         lines += [*_place_lines(item.shift.tolist(), tilt, scale), "  DAR"]
+    return lines
+
+
+def _zoom_lines(system, scale: float) -> list[str]:
+    """Return the lines of zoom positions; settings of glasses, wavelengths and image heights are not written."""
+    if not system.settings:
+        return []
+    lines = [f"ZOO {len(system.settings[0][2])}"]
+    words = {"thickness": ("THI", scale), "curvature": ("CUY", 1 / scale), "conic": ("K", 1.0)}
+    for name, place, values in system.settings:
+        if name in words:
+            key, factor = words[name]
+            lines += [_listed(f"ZOO {key} S{place + 1}", (value * factor for value in values))]
+        elif name == "object_distance":
+            lines += [_listed("ZOO THI SO", (value * scale if math.isfinite(value) else 1e13 for value in values))]
+        elif name == "aperture" and system.aperture_type == "EPD":
+            lines += [_listed("ZOO EPD", (value * scale for value in values))]
+        elif name == "aperture" and system.aperture_type == "F-number" and system.at_infinity:
+            lines += [_listed("ZOO FNO", values)]
+        elif name == "fields" and len({len(points) for points in values}) == 1:
+            near = not system.at_infinity
+            for i in range(len(values[0])):
+                for axis, letter in enumerate("XY"):
+                    column = [points[i][axis] * (scale if near else 1.0) for points in values]
+                    lines += [_listed(f"ZOO {letter}{'OB' if near else 'AN'} F{i + 1}", column)]
+        else:
+            raise ValueError(f"settings of {name} are not written")
     return lines
 
 

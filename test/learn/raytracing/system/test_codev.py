@@ -183,3 +183,18 @@ def test_what_is_not_written_is_refused(tmp_path):
         lens = optical_system([item, surface(-50.0, thickness=20.0)], 5.0)
         with pytest.raises(ValueError, match=message):
             write_seq(lens, tmp_path / "lens.seq")
+
+
+def test_zoom_positions_are_read_and_written(tmp_path):
+    zoom = "ZOO 3\nZOO THI S2 2 3 4\nZOO THC S2 0 0 0\nZOO EPD 10 9 8\nZOO YAN F2 5 4 3\nZOO CUY S3 0 0.001 0.002\n"
+    system, report = read(tmp_path, LENS.replace("GO", zoom + "ZOO VUY F2 0 0 0.1\nGO"))
+    settings = {(name, place): values for name, place, values in system.settings}
+    assert settings["thickness", 1] == (2.0, 3.0, 4.0) and settings["aperture", None] == (10.0, 9.0, 8.0)
+    assert settings["curvature", 2] == (0.0, 0.001, 0.002)
+    assert [points[1] for points in settings["fields", None]] == [(0.0, 5.0), (0.0, 4.0), (0.0, 3.0)]
+    assert any("not used: VUY F2" in note for note in report.notes)
+    write_seq(system, tmp_path / "again.seq")
+    again, _ = read_seq(tmp_path / "again.seq")
+    assert sorted(again.settings, key=str) == sorted(system.settings, key=str)
+    with pytest.raises(ValueError, match="line 19: ZOO THI must have 3 values, got 2"):
+        read(tmp_path, LENS.replace("GO", "ZOO 3\nZOO THI S2 2 3\nGO"))

@@ -1,0 +1,362 @@
+"""Lens files of OSLO (.len), read and written.
+
+The commands are those of the OSLO Program Reference (Lambda Research Corporation, 2011): lens data and surface data.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from odak.catalog.materials import MICROMETRES, tabulated
+from odak.learn.raytracing.system.codev import glass_by_name
+from odak.learn.raytracing.system.paraxial import first_order
+from odak.learn.raytracing.system.surfaces import AIR, MIRROR, checked_system, is_break, optical_system, surface
+from odak.learn.raytracing.system.system_files import (
+    FAR,
+    Context,
+    ZmxReport,
+    lens_text,
+    named_errors,
+    own_surfaces,
+    within,
+)
+from odak.raytracing.interfaces import IdealLens
+from odak.raytracing.surfaces import Conic, EvenAsphere
+from odak.tools.paths import _text, replacing
+
+# Wavelengths in micrometres of files that state none, the primary one first.
+WAVES = (0.58756, 0.48613, 0.65627)
+_POWERS = ("AD", "AE", "AF", "AG")
+# Commands without effect on rays.
+_INERT = frozenset(("DES", "NOT", "SNO", "TCE", "APCK", "GSP", "PFM", "CBK", "CHK"))
+
+
+def read_len(path: Any, glasses: Mapping | None = None) -> tuple[optical_system, ZmxReport]:
+    """Read a lens file of OSLO.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        Text file (.len), up to 4 MiB.
+    glasses : mapping, optional
+        Stand-ins for glasses by their names in the file: names of the catalogue, indices or Materials.
+
+    Returns
+    -------
+    tuple
+        The system in millimetres, and a :class:`ZmxReport` of all that was not used.
+
+    Raises
+    ------
+    ValueError
+        If the file is malformed, or holds a command that would change the paths of rays and is not understood; the
+        message names line and command.
+
+    Notes
+    -----
+    Understood are spheres and conics with terms AD to AG, mirrors, perfect lenses (PFL), glasses of catalogues and by
+    their indices (GLA MOD), apertures that are checked (AP CHK), EBR, NAO and FNO, ANG and OBH, and a solve PY 0 behind
+    the last surface. OSLO states one field, the largest: 0, 0.7 and 1 times its tangent are taken. Decentred and
+    special surfaces, pickups and other solves are refused by name.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import first_order, load_system, read_len, write_len
+    >>> lens = load_system("cooke_triplet")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.len")
+    ...     write_len(lens, name)
+    ...     again, report = read_len(name)
+    >>> round(float(first_order(again).focal_length - first_order(lens).focal_length), 6)
+    0.0
+    """
+    path = Path(_text("path", path))
+    if glasses is not None and not isinstance(glasses, Mapping):
+        raise TypeError(f"glasses must be a dictionary, got {type(glasses).__name__}")
+    ignored: list[str] = []
+    with named_errors(path.name):
+        head, surfaces = _commands(path, ignored)
+        if len(surfaces) < 3:
+            raise ValueError(f"a lens must have an object, a surface and an image, got {len(surfaces)} surfaces")
+        notes: list[str] = []
+        found = _built(head, surfaces, dict(glasses or {}), path, ignored, notes)
+    return found, ZmxReport(tuple(ignored), tuple(notes))
+
+
+def _commands(path: Path, ignored: list[str]) -> tuple[dict, list[dict]]:
+    """Return the entries of the whole lens and those of each surface, by their commands."""
+    head: dict[str, Any] = {}
+    surfaces: list[dict[str, Any]] = [{}]
+    ended = False
+    for number, line in enumerate(lens_text(path).splitlines(), start=1):
+        for text in re.findall(r"(?:\"[^\"]*\"|[^;\"])+", line.split("//")[0]):
+            words = re.findall(r"\"[^\"]*\"|[^\s,]+", text)
+            if not words or ended:
+                continue
+            key, rest, here = words[0].upper(), words[1:], surfaces[-1]
+            if key == "LEN":
+                head["name"] = next((word.strip('"') for word in rest if word.startswith('"')), "")
+            elif key == "NXT":
+                surfaces.append({})
+            elif key == "END":
+                ended = True
+            elif key in ("EBR", "NAO", "FNO", "ANG", "OBH", "UNI"):
+                head[key] = _value(number, key, rest)
+            elif key in ("WV", "WW"):
+                head[key] = [_value(number, key, [word]) for word in rest]
+                if key == "WV":
+                    head["waves"] = head[key]
+            elif re.fullmatch(r"W[VW]\d+", key):
+                head.setdefault("more", {})[key] = _value(number, key, rest)
+            elif key in ("AIR", "AIF", "RFL", "RFH", "AST"):
+                here[{"AIF": "AIR", "RFH": "RFL"}.get(key, key)] = True
+            elif key in ("GLA", "GLF"):
+                here["GLA"] = [word.strip('"') for word in rest], list(head.get("waves", WAVES))
+            elif key in ("RD", "RDF", "CV", "CVF", "TH", "THF", "CC", "PFL", *_POWERS):
+                here[key[:2] if key != "PFL" else key] = _value(number, key, rest)
+            elif key in ("AP", "APF"):
+                here["AP"] = _value(number, key, rest[-1:]), rest[0].upper() == "CHK" if rest else False
+            elif key == "PY" and rest and _value(number, key, rest) == 0:
+                here["PY"] = True
+            elif key in _INERT:
+                ignored.append(f"line {number}: {' '.join(words)}")
+            else:
+                raise ValueError(
+                    f"line {number}: {key} is a command that is not understood, got {' '.join(words)!r:.80}"
+                )
+    if not ended:
+        raise ValueError("a lens must end with END")
+    return head, surfaces
+
+
+def _value(number: int, key: str, words: list[str]) -> float:
+    try:
+        found = float(words[0])
+    except (ValueError, IndexError):
+        found = math.nan
+    if not math.isfinite(found):
+        raise ValueError(f"line {number}: {key} must have a number, got {' '.join(words)!r:.60}")
+    return found
+
+
+def _built(head: dict, entries: list[dict], glasses: dict, path: Path, ignored: list, notes: list) -> optical_system:
+    """Return the system of a file that was read."""
+    scale = head.get("UNI", 1.0)
+    if not scale > 0:
+        raise ValueError(f"UNI, millimetres of a unit, must be positive, got {scale:g}")
+    waves = [value * 1e-3 for value in head.get("WV", WAVES)]
+    weights = head.get("WW", [])
+    context = Context(scale, glasses, [], waves, ignored, notes)
+    distance = entries[0].get("TH", 1e20) * scale
+    distance = distance if distance < FAR else math.inf
+    if math.isfinite(distance) and (entries[0].get("RD") or entries[0].get("CV")):
+        raise ValueError("the object must be flat")
+    items = [_surface(i, entry, context) for i, entry in enumerate(entries[1:-1], start=1)]
+    image = _surface(len(entries) - 1, {key: value for key, value in entries[-1].items() if key != "TH"}, context)
+    defocus = entries[-1].get("TH", 0.0) * scale
+    flat = image.own_shape is None and not bool(image.curvature) and image.semi_diameter is None
+    names: dict[str, Any] = {"unit": "mm", "name": head.get("name") or path.stem, "source": path.name}
+    names |= {"wavelengths": waves, "reference": 0, "object_distance": distance, "image": None if flat else image}
+    if len(weights) == len(waves) and len(set(weights)) > 1:
+        names["wavelength_weights"] = weights
+    solved = [i for i, entry in enumerate(entries[1:-1]) if entry.get("PY")]
+    if any(i != len(items) - 1 for i in solved):
+        raise ValueError(f"surface {solved[0] + 1}: PY, a solve, is understood behind the last surface only")
+    size, form = _aperture(head, math.isfinite(distance))
+    size = size * scale if form == "EPD" else size
+    if size is None or not size:
+        size, form = max(abs(float(first_order(optical_system(items, 1.0, **names)).focal_length)), 1e-9) / 10, "EPD"
+        notes.append(f"no aperture (EBR, NAO, FNO): an entrance pupil of {size:g} mm, a tenth of the focal length")
+    if form == "first":
+        # The radius of the axial beam at the first surface.
+        form, size = "NA", math.sin(math.atan(size * scale / 2 / distance))
+    system = optical_system(items, size, form, **names)
+    if solved:
+        items[-1].thickness.fill_(float(first_order(system).image_distance))
+    items[-1].thickness += defocus
+    return optical_system(items, size, form, fields=_fields(head, system, scale, notes), **names)
+
+
+def _aperture(head: dict, near: bool) -> tuple[float, str]:
+    if "NAO" in head:
+        return head["NAO"], "NA"
+    if "EBR" in head:
+        return 2 * head["EBR"], "first" if near else "EPD"
+    if "FNO" in head and not near:
+        return head["FNO"], "F-number"
+    return 0.0, "EPD"
+
+
+def _fields(head: dict, system, scale: float, notes: list) -> list[float]:
+    """Return 0, 0.7 and 1 times the largest field."""
+    if system.at_infinity:
+        largest = math.tan(math.radians(abs(head.get("ANG", 0.0))))
+        points = [math.degrees(math.atan(share * largest)) for share in (0.0, 0.7, 1.0)]
+    elif "OBH" in head:
+        points = [share * head["OBH"] * scale for share in (0.0, 0.7, 1.0)]
+    else:
+        reach = system.object_distance + float(first_order(system).entrance_pupil_distance)
+        largest = -reach * math.tan(math.radians(head.get("ANG", 0.0)))
+        points = [share * largest for share in (0.0, 0.7, 1.0)]
+    if not any(points):
+        return [0.0]
+    notes.append("the file states the largest field: 0, 0.7 and 1 times its tangent or height are taken")
+    return points
+
+
+def _surface(number: int, entry: dict, context: Context) -> surface:
+    """Return one surface."""
+    scale = context.scale
+    radius = entry.get("RD", 0.0)
+    bend = entry.get("CV", 1 / radius if radius else 0.0) / scale
+    powers = [entry.get(key, 0.0) * scale ** (-3 - 2 * i) for i, key in enumerate(_POWERS)]
+    shape = (
+        EvenAsphere(bend, entry.get("CC", 0.0), [0.0, *powers]) if any(powers) else Conic(bend, entry.get("CC", 0.0))
+    )
+    medium: Any = AIR
+    if entry.get("RFL"):
+        medium = MIRROR
+    elif "GLA" in entry:
+        with named_errors(f"surface {number}"):
+            words, waves = entry["GLA"]
+            medium = _glass(number, words, waves, context)
+    size, checked = entry.get("AP", (0.0, False))
+    with named_errors(f"surface {number}"):
+        return surface(
+            shape=shape,
+            thickness=entry.get("TH", 0.0) * scale,
+            material=medium,
+            semi_diameter=size * scale if checked and size else None,
+            phase=IdealLens(entry["PFL"] * scale) if entry.get("PFL") else None,
+            stop=bool(entry.get("AST")),
+        )
+
+
+def _glass(number: int, words: list[str], waves: list[float], context: Context):
+    """Return a glass by its name, or by its indices at the wavelengths in force."""
+    if not words:
+        raise ValueError("GLA must name a glass or state its indices")
+    name = words[0]
+    if name.upper() == "MOD" and len(words) > 2:
+        name, words = words[1], words[2:]
+    if name in context.glasses:
+        return context.glasses[name]
+    numbers = [word for word in words if re.fullmatch(r"[\d.]+(?:[eE][+-]?\d+)?", word)]
+    if len(numbers) == len(words):
+        values = [float(word) for word in numbers]
+        if len(values) == 1:
+            return values[0]
+        if len(values) > len(waves):
+            raise ValueError(f"GLA must have an index at each of {len(waves)} wavelengths, got {len(values)}")
+        return tabulated(name, waves[: len(values)], values, "indices of an OSLO file")
+    return within(number, glass_by_name(number, name, context, "read_len"), context)
+
+
+def write_len(system: optical_system, path: Any) -> None:
+    """Write a system as a lens file of OSLO, every digit of its numbers.
+
+    Parameters
+    ----------
+    system : optical_system
+        In any unit; written in millimetres.
+    path : str or pathlib.Path
+        File to write (.len).
+
+    Raises
+    ------
+    ValueError
+        If the system holds what is not written: surfaces that are decentred or of other shapes than conics with terms
+        to r¹⁰, coordinate breaks, phases but ideal lenses, graded media, coatings, telecentric or afocal systems.
+
+    Notes
+    -----
+    Of the fields the largest is written, of an aperture at the stop its entrance pupil. Glasses are written by their
+    indices at the system's wavelengths, the primary one first.
+
+    Examples
+    --------
+    >>> import os, tempfile
+    >>> from odak.learn.raytracing.system import load_system, read_len, write_len
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     name = os.path.join(folder, "lens.len")
+    ...     write_len(load_system("double_gauss"), name)
+    ...     again, report = read_len(name)
+    >>> again.name
+    'Double Gauss f/2'
+    """
+    path, text = _text("path", path), _len_text(checked_system(system))
+    with replacing(path) as stream:
+        stream.write(text.encode("utf-8"))
+
+
+def _len_text(system) -> str:
+    """Return the commands of a system in millimetres; numbers by `repr`, which is exact."""
+    if system.telecentric or system.afocal:
+        raise ValueError("telecentric and afocal systems are not written")
+    scale, near = MICROMETRES[system.unit] / MICROMETRES["mm"], not system.at_infinity
+    order = [system.reference, *(i for i in range(len(system.wavelengths)) if i != system.reference)]
+    waves = " ".join(repr(system.wavelengths[i] * MICROMETRES[system.unit]) for i in order)
+    with torch.no_grad():
+        numbers, properties = system.prescription().index[order], first_order(system)
+    size = 0.5 * float(properties.entrance_pupil_diameter) * scale
+    lines = [
+        "// OSLO 6.0",
+        f'LEN NEW "{system.name}" {float(properties.focal_length) * scale!r} {len(system.surfaces) + 1}',
+    ]
+    if near:
+        size = system.aperture if system.aperture_type == "NA" else math.nan
+        if math.isnan(size):
+            raise ValueError("the aperture of a near object must be given as NA")
+    largest = max(system.fields, key=lambda field: abs(field[1]))
+    if any(field[0] for field in system.fields):
+        raise ValueError("fields along x are not written")
+    lines += [f"NAO {size!r}" if near else f"EBR {size!r}"]
+    lines += [f"OBH {largest[1] * scale!r}" if near else f"ANG {abs(largest[1])!r}", "UNI 1.0", f"WV {waves}"]
+    lines += ["WW " + " ".join(repr(float((system.wavelength_weights or [1.0] * len(order))[i])) for i in order)]
+    lines += ["AIR", f"TH {system.object_distance * scale if near else 1e20!r}"]
+    held = own_surfaces(system)
+    for i, item in enumerate(held):
+        lines += ["NXT", *_written(f"surfaces[{i}]", item, scale, numbers[:, i + 1], i, i == system.stop)]
+    if system.image is not None:
+        lines += ["NXT", *_written("image", system.image, scale, None, 0, False)]
+    else:
+        lines += ["NXT", "AIR"]
+    return "\n".join([*lines, f"END {len(held) + 1}"]) + "\n"
+
+
+def _written(name: str, item, scale: float, index, place: int, stop: bool) -> list[str]:
+    if is_break(item) or item.is_off_axis or item.apertures:
+        raise ValueError(
+            f"{name} is a coordinate break, decentred, or has an aperture that is not a semi-diameter: not written"
+        )
+    if item.own_gradient is not None or item.own_coating is not None:
+        raise ValueError(f"{name} has a graded index or a coating, which is not written")
+    shape, phase = item.shape, item.phase
+    if type(shape) not in (Conic, EvenAsphere):
+        raise ValueError(f"{name} is a {type(shape).__name__}, which is not written")
+    given = list(item.coefficients.tolist())
+    if (given and given[0]) or len(given) > 5:
+        raise ValueError(f"{name} has coefficients of r² or beyond r¹⁰, which are not written: {given}")
+    lines = ["AIR"]
+    if item.reflects:
+        lines = ["RFL"]
+    elif index is not None and item.material != AIR:
+        lines = [f"GLA MOD G{place + 1} " + " ".join(map(repr, index.tolist()))]
+    bend = float(item.curvature.detach()) / scale
+    lines += [f"CV {bend!r}"] if bend else []
+    lines += [f"CC {float(item.conic.detach())!r}"] if bool(item.conic) else []
+    lines += [
+        f"{key} {a * scale ** (-3 - 2 * i)!r}" for i, (key, a) in enumerate(zip(_POWERS, given[1:], strict=False))
+    ]
+    if phase is not None:
+        if not isinstance(phase, IdealLens):
+            raise ValueError(f"{name} has a {type(phase).__name__}, which is not written")
+        lines += [f"PFL {float(torch.as_tensor(phase.focal_length).detach()) * scale!r}"]
+    lines += [f"TH {float(item.thickness.detach()) * scale!r}"] if index is not None else []
+    lines += [] if item.semi_diameter is None else [f"AP CHK {item.semi_diameter * scale!r}"]
+    return lines + (["AST"] if stop else [])
