@@ -11,7 +11,15 @@ from odak import _validate
 from odak._array import cast
 from odak.learn._tensors import floating, kind_of, takes_constants, tensor
 from odak.learn.wave.fields import intensity, unit_phasor
-from odak.learn.wave.training import SOLVERS, Options, constant, fingerprint, generator_from, minimise
+from odak.learn.wave.training import (
+    SOLVERS,
+    Options,
+    constant,
+    fingerprint,
+    generator_from,
+    minimise,
+    random_numbers_for,
+)
 from odak.wave.transfer_functions import pitches
 from odak.wave.viewing import eye_transfer, seen_through
 
@@ -69,7 +77,8 @@ def eyebox_hologram(
     n_iteration : int
         Number of iterations.
     loss_function : callable, optional
-        ``loss_function(images, targets)`` of ``[K, rows, columns]``; mean squared error by default.
+        ``loss_function(images, targets)`` of ``[K, rows, columns]``; mean squared error by default. One that takes a
+        `generator` is given one, with which `seed` determines its random numbers too.
     learning_rate : float
         Adam's step size in radians.
     rotation : sequence of float or torch.Tensor
@@ -166,6 +175,7 @@ def eyebox_hologram(
     turned = bool(turns.any())
     turns = turns.detach().expand(len(places), 2)
     modulate = unit_phasor if slm is None else slm
+    keywords, drawn_from = random_numbers_for(loss_function, generator.initial_seed(), device)
     loss_of = torch.nn.functional.mse_loss if loss_function is None else loss_function
     phase = _start(initial_phase, (frames, *targets.shape[-2:]), generator, targets).requires_grad_()
 
@@ -192,7 +202,7 @@ def eyebox_hologram(
         shown, wanted = images(chosen), targets[chosen]
         with torch.no_grad():
             brightness = (shown * wanted).sum() / shown.square().sum().clamp_min(torch.finfo(shown.dtype).tiny)
-        loss = loss_of(shown * brightness, wanted)
+        loss = loss_of(shown * brightness, wanted, **keywords)
         loss.backward()
         return loss.detach()
 
@@ -207,7 +217,7 @@ def eyebox_hologram(
         Options(progress, callback, checkpoint, checkpoint_every),
         solver=optimizer,
         about=about,
-        generators=[generator],
+        generators=[generator, *drawn_from],
     )
     with torch.no_grad():
         hologram = modulate(phase)

@@ -27,7 +27,16 @@ from odak.learn.wave.camera import captured_by, with_model_gradient
 from odak.learn.wave.fields import generate_complex_field, mean_intensity, unit_phasor
 from odak.learn.wave.propagation import propagate_beam
 from odak.learn.wave.slm import checked_fill, iris_cutoff
-from odak.learn.wave.training import SOLVERS, Options, check_brightness, constant, fingerprint, generator_from, minimise
+from odak.learn.wave.training import (
+    SOLVERS,
+    Options,
+    check_brightness,
+    constant,
+    fingerprint,
+    generator_from,
+    minimise,
+    random_numbers_for,
+)
 from odak.wave import phase_retrieval
 from odak.wave.linear_kernels import checked_pixel_fill, pixel_aperture
 from odak.wave.methods import check_has_kernel
@@ -184,7 +193,9 @@ def stochastic_gradient_descent(
     n_iteration : int
         Number of iterations.
     loss_function : callable, optional
-        ``loss_function(intensity, target)``; mean squared error by default.
+        ``loss_function(intensity, target)``; mean squared error by default. One that draws random numbers should take a
+        `generator`: it is then given one on the device of the targets, with which `seed` determines its random numbers
+        and a checkpoint keeps their state. What it draws from torch's own generator does not depend on `seed`.
     learning_rate : float
         Adam's step size in radians. L-BFGS takes its steps from a line search instead.
     optimizer : str
@@ -196,7 +207,8 @@ def stochastic_gradient_descent(
         recommended, together with ``scale=True`` and L-BFGS: they were the fastest in all measurements from 512 × 512
         pixels on.
     seed : int, optional
-        Makes the random start reproducible; by default torch's own generator draws it.
+        Makes the random start reproducible, and the random numbers of a loss that takes a `generator`; by default
+        torch's own generator draws them.
     scale : bool
         Compare s·intensity with the target, s = ⟨I, T⟩/⟨I, I⟩ being the best brightness of each iteration. Without it
         the light that the target does not need has to be thrown outside the image, which costs 10 dB on photographs.
@@ -292,6 +304,7 @@ def stochastic_gradient_descent(
         raise ValueError(f"slm must have one sample per pixel here, got {samples}; a propagator takes more")
     fill = checked_fill(pixel_fill, slm, cutoff is not None)
     reconstruct = functools.partial(propagate_within_window, cutoff=cutoff, pixel_fill=fill, **lengths)
+    keywords, drawn_from = random_numbers_for(loss_function, seed, target.device)
     loss_function = torch.nn.functional.mse_loss if loss_function is None else loss_function
 
     def gradient(iteration):
@@ -300,7 +313,7 @@ def stochastic_gradient_descent(
             image = with_model_gradient(image, captured_by(camera, phase, tuple(image.shape)))
         if scale:
             image = image * best_scale(image.detach(), target)
-        loss = loss_function(image, target)
+        loss = loss_function(image, target, **keywords)
         loss.backward()
         return loss.detach()
 
@@ -316,6 +329,7 @@ def stochastic_gradient_descent(
         options,
         solver=optimizer,
         about=about,
+        generators=drawn_from,
         keep_best=camera is not None,
     )
     with torch.no_grad():

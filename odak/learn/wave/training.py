@@ -1,6 +1,7 @@
 """The training loop of all hologram optimizers: Adam and L-BFGS, progress, best state, checkpoints."""
 
 import hashlib
+import inspect
 import logging
 import math
 import os
@@ -248,6 +249,42 @@ def generator_from(seed: int | None, device: torch.device | str = "cpu") -> torc
     """Return a new generator with a seed; without one, with a seed drawn from torch's own generator."""
     seed = int(torch.randint(2**62, ())) if seed is None else _validate.integer("seed", seed)
     return torch.Generator(device).manual_seed(seed)
+
+
+def parameters_of(loss: Callable) -> dict[str, inspect.Parameter]:
+    """Return the parameters of a loss by name; none where they are not known, as for functions of torch in C++."""
+    try:
+        return dict(inspect.signature(loss.forward if isinstance(loss, torch.nn.Module) else loss).parameters)
+    except ValueError:
+        return {}
+
+
+def random_numbers_for(
+    loss: Callable | None, seed: int | None, device: torch.device
+) -> tuple[dict[str, torch.Generator], list[torch.Generator]]:
+    """Return what lets a seed reach the random numbers of a loss.
+
+    Parameters
+    ----------
+    loss : callable or None
+        The user's loss; one that takes a `generator`, which is not bound to one yet, is given one.
+    seed : int or None
+        Seed of the run.
+    device : torch.device
+        Where the loss draws.
+
+    Returns
+    -------
+    tuple
+        Keywords of the loss, and the generators whose state belongs to a checkpoint.
+    """
+    given: dict[str, torch.Generator] = {}
+    found = None if loss is None else parameters_of(loss).get("generator")
+    if found is not None and (found.default is None or found.default is found.empty):
+        # Not the generator of the start, whose numbers the noise would repeat.
+        given["generator"] = generator_from(None if seed is None else (seed + 1) % 2**62, device)
+    own = getattr(loss, "generator", None)
+    return given, [*given.values(), *([own] if isinstance(own, torch.Generator) else [])]
 
 
 def check_brightness(name: str, targets: torch.Tensor, reachable: float | torch.Tensor, remedy: str = "") -> None:

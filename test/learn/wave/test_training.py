@@ -1,6 +1,7 @@
 """The loop that optimizers share: checkpoints, interruption, the best so far, schedules."""
 
 import contextlib
+import functools
 import itertools
 import math
 
@@ -321,3 +322,57 @@ class TestBrightness:
             wave.multiplane_hologram_optimizer(
                 532e-9, 1e-3, 1e-3, 8e-6, [16, 16], targets, number_of_planes=1, mask_limits=half, progress=False
             )
+
+
+def noisy_loss(image, target, *plane, generator):
+    return torch.nn.functional.mse_loss(image, target + 0.3 * torch.rand(target.shape, generator=generator))
+
+
+def with_eyebox(loss, seed, **options):
+    places = [[0.0, -1e-3], [0.0, 1e-3]]
+    target = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
+    return wave.eyebox_hologram(
+        target, 532e-9, 0.1, 8e-6, places, n_iteration=4, loss_function=loss, seed=seed, progress=False, **options
+    )[0]
+
+
+def with_descent(loss, seed, **options):
+    target = torch.rand(16, 16, generator=torch.Generator().manual_seed(0))
+    return wave.stochastic_gradient_descent(
+        target, 532e-9, 1e-3, 8e-6, n_iteration=4, loss_function=loss, seed=seed, progress=False, **options
+    )[0]
+
+
+def with_planes(loss, seed, **options):
+    targets = torch.rand(2, 16, 16, generator=torch.Generator().manual_seed(0))
+    optimizer = wave.multiplane_hologram_optimizer(
+        532e-9, 0.0, 1e-3, 8e-6, [16, 16], targets, number_of_iterations=4, loss_function=loss, number_of_planes=2,
+        mask_limits=[0, 1, 0, 1], seed=seed, progress=False, **options,
+    )  # fmt: skip
+    return optimizer.optimize()[0]
+
+
+@pytest.mark.parametrize("optimized", [with_descent, with_eyebox, with_planes])
+def test_a_seed_reaches_the_random_numbers_of_a_loss(optimized, tmp_path):
+    torch.manual_seed(1)
+    first, state = optimized(noisy_loss, 3), torch.get_rng_state()
+    torch.manual_seed(2)
+    assert torch.equal(optimized(noisy_loss, 3), first) and not torch.equal(optimized(noisy_loss, 4), first)
+    torch.manual_seed(1)
+    assert torch.equal(torch.get_rng_state(), state)
+    # A run that is interrupted and taken up draws what it would have drawn.
+    stop = {"callback": interrupt_at(1), "checkpoint": tmp_path / "run.pt"}
+    optimized(noisy_loss, 3, **stop)
+    assert torch.equal(optimized(noisy_loss, 3, checkpoint=tmp_path / "run.pt"), first)
+
+
+def test_losses_that_bring_their_numbers_are_left_alone():
+    own = torch.Generator().manual_seed(5)
+    bound = functools.partial(noisy_loss, generator=own)
+    assert training.random_numbers_for(bound, 3, torch.device("cpu")) == ({}, [])
+    assert training.random_numbers_for(torch.dist, 3, torch.device("cpu")) == ({}, [])
+    assert training.random_numbers_for(None, 3, torch.device("cpu")) == ({}, [])
+    target, before = torch.rand(1, 8, 8), own.get_state()
+    module = wave.multiplane_loss(target, torch.zeros(8, 8), blur_ratio=3.0, number_of_planes=2, generator=own)
+    keywords, kept = training.random_numbers_for(module, 3, torch.device("cpu"))
+    assert kept == [keywords["generator"], own] and torch.equal(own.get_state(), before)

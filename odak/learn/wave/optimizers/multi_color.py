@@ -69,7 +69,8 @@ class multi_color_hologram_optimizer:
         Where to compute; that of the propagator by default.
     loss_function : callable, optional
         ``loss_function(image, target, plane_id=, noise_ratio=, inject_noise=)`` for each plane and colour ``[ms, ns]``;
-        keywords it does not know are left out. The squared error by default.
+        keywords it does not know are left out. The squared error by default. If it has a parameter `generator`, it is
+        given one with which `seed` determines its random numbers too.
     peak_amplitude : float
         Intensity of the brightest target, in units of what a source of power one gives where light is spread evenly.
         The light loss draws the sum of all source amplitudes to F times that.

@@ -12,7 +12,15 @@ from odak.learn._tensors import floating
 from odak.learn.wave.fields import mean_intensity, unit_phasor
 from odak.learn.wave.optimizers.terms import checked_pattern, checked_targets, checkerboard, zero_mean
 from odak.learn.wave.propagators import propagator
-from odak.learn.wave.training import Options, check_brightness, constant, fingerprint, generator_from, minimise
+from odak.learn.wave.training import (
+    Options,
+    check_brightness,
+    constant,
+    fingerprint,
+    generator_from,
+    minimise,
+    random_numbers_for,
+)
 from odak.wave.transfer_functions import checked_pitch
 
 
@@ -49,7 +57,8 @@ class multiplane_hologram_optimizer:
         Amplitude of the light on the modulator, ``[m, n]``; one by default.
     loss_function : callable, optional
         ``loss_function(image, target, plane_id)`` on masked images; the mean squared error by default. It is called
-        for each plane before the first step too.
+        for each plane before the first step too. If it has a parameter `generator`, it is given one with which `seed`
+        determines its random numbers too.
     mask_limits : sequence of float
         First and last row, first and last column of the part of the images that counts, as shares of m and n.
     number_of_planes : int
@@ -218,6 +227,8 @@ class multiplane_hologram_optimizer:
             Reduction of the squared error, default "mean".
         """
         self.loss_function = _validate.function_or_none("loss_function", loss_function)
+        seed = self._generator.initial_seed()
+        self._loss_keywords, self._drawn_from = random_numbers_for(loss_function, seed, self.device)
         reduction = _validate.one_of("reduction", reduction, ("mean", "sum", "none"))
         self.l2_loss = torch.nn.MSELoss(reduction=reduction)
 
@@ -252,7 +263,9 @@ class multiplane_hologram_optimizer:
                 raise ValueError(f"{name} must be a tensor [..., {', '.join(map(str, self.mask.shape))}], got {got}")
         _validate.one_device(input_image=input_image, target_image=target_image, mask=self.mask)
         pair = input_image * self.mask, target_image * self.mask
-        return self.l2_loss(*pair) if self.loss_function is None else self.loss_function(*pair, plane_id)
+        if self.loss_function is None:
+            return self.l2_loss(*pair)
+        return self.loss_function(*pair, plane_id, **self._loss_keywords)
 
     def double_phase_constrain(self, shifted_phase: torch.Tensor, phase_offset: torch.Tensor) -> torch.Tensor:
         """Return the double-phase pattern of the phase minus its mean, ``[m, n]`` or ``[frames, m, n]``.
@@ -330,7 +343,7 @@ class multiplane_hologram_optimizer:
             self.options,
             description="multiplane hologram",
             about=about,
-            generators=[own for own in [getattr(self.loss_function, "generator", None)] if own is not None],
+            generators=self._drawn_from,
         )
 
     def _loss_on(self, plane):

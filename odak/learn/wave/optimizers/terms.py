@@ -1,6 +1,5 @@
 """Terms of the losses of hologram optimizers: targets, weights, light sources, eyebox and phase constraints."""
 
-import inspect
 from collections.abc import Callable, Iterable, Sequence
 
 import torch
@@ -10,6 +9,7 @@ from odak.learn._tensors import floating, kind_of
 from odak.learn.tools.file import torch_load
 from odak.learn.tools.loss import multi_scale_total_variation_loss
 from odak.learn.wave.fields import unit_phasor
+from odak.learn.wave.training import parameters_of
 from odak.learn.wave.volume import disc
 from odak.tools.paths import validate_path
 from odak.wave.fields import decompose_double_phase
@@ -61,7 +61,7 @@ def loss_weights(given: dict[str, float] | Sequence[float] | None, defaults: dic
 
 def keywords_of(loss: Callable) -> set[str]:
     """Return which of `plane_id`, `noise_ratio`, `inject_noise` and `generator` a loss takes."""
-    parameters = inspect.signature(loss.forward if isinstance(loss, torch.nn.Module) else loss).parameters
+    parameters = parameters_of(loss)
     anything = any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values())
     named = set(parameters) & (_OF_A_PLANE | {"generator"})
     return named | _OF_A_PLANE if anything else named
