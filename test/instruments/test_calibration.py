@@ -417,7 +417,7 @@ def test_focus_outside_of_the_range_warns():
     there = (*instruments_of(table), 532e-9, 13.2e-3, table.truth.phases, mapping)
     with pytest.warns(AccuracyWarning, match="end of the range"):
         found = instruments.measure_distance(*there, span=0.05, captures=1)
-    assert found == pytest.approx(table.truth.distance, rel=1e-3)
+    assert found == pytest.approx(table.truth.distance, rel=3e-3)
 
 
 def aligned(laboratory):
